@@ -24,8 +24,9 @@ import tempfile
 from pathlib import Path
 
 import yaml
-from studiorecon.sweep.records import OK, read_records
-from studiorecon.sweep.tradeoff import MEASURES, across
+from studiorecon.scene.files import read_json
+from studiorecon.sweep.page import MEASURES, mean_effects
+from studiorecon.sweep.table import read_rows
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS, TABLE = Path(__file__).parent / "results" / "ablations.json", ROOT / "config/sweeps/ablations.tsv"
@@ -52,13 +53,13 @@ def sweep(folder: Path, table: Path, told: list[str], cores: str) -> None:
     subprocess.run(command, env=environment, check=True)
 
 
-def ablated(work: Path, name: str, described: dict, cores: int) -> Path:
-    """Run the ablations on one studio in a folder of its own; the records they wrote."""
+def ablated(work: Path, name: str, described: dict, cores: int) -> list[Path]:
+    """Records of the ablations on one studio, which run in a folder of its own, in the table's order."""
     folder = work / name
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{name}.yaml").write_text(yaml.safe_dump(described))
     sweep(folder, TABLE, [f"dataset={folder / name}.yaml"], str(cores))
-    return folder / "results" / name / "sweep" / TABLE.stem / "records.jsonl"
+    return [folder / "results" / name / "sweep" / TABLE.stem / f"{row.name}.json" for row in read_rows(TABLE)]
 
 
 def main() -> None:
@@ -73,31 +74,27 @@ def main() -> None:
         work = (given.work or Path(temporary)).resolve()
         made = studios(given.frames, tuple(given.size))
         records = {name: ablated(work, name, described, given.cores) for name, described in made.items()}
-        page = [sys.executable, "-m", "studiorecon", "sweep.page", "--records", *map(str, records.values())]
-        page += ["--solvers", str(ROOT / "resources/solvers.tsv")]
-        subprocess.run([*page, "--page", str(work / "index.html"), "--table", str(work / "first.csv")], check=True)
-        scenes = {name: read_records(path)[1] for name, path in records.items()}
-    changes = across(scenes)
-    names = [name for name, *_ in MEASURES if any(name in change.gains for change in changes)]
-    signs = {name: sign for name, *_, sign in MEASURES}
+        paths = [str(path) for rows in records.values() for path in rows]
+        page = [sys.executable, "-m", "studiorecon", "sweep.page", "--records", *paths]
+        subprocess.run([*page, "--page", str(work / "index.html"), "--table", str(work / "runs.csv")], check=True)
+        scenes = {name: [read_json(path) for path in paths] for name, paths in records.items()}
+    changes = mean_effects(scenes)
+    names = [name for name in MEASURES if any(name in change["changes"] for change in changes)]
     result = {
         "studios": made,
         "rows": {
-            scene: {r.name: r.metrics if r.verdict == OK else {"failed": r.sentence} for r in rows}
+            scene: {r["name"]: {"failed": r["failed"]} if r["failed"] else r["metrics"] for r in rows}
             for scene, rows in scenes.items()
         },
-        "change_over_studios": {
-            c.name: {"studios": c.scenes, "psnr_span": [round(v, 3) for v in c.psnr_span]}
-            | {name: round(signs[name] * c.gains[name], 5) for name in names if name in c.gains}
-            for c in changes
-        },
+        "change_over_studios": changes,
         "machine": {"machine": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()},
     }
     RESULTS.write_text(json.dumps(result, indent=1) + "\n")
-    print(f"| change | studios | {' | '.join(names)} | PSNR in one studio |\n|---|{'---|' * (len(names) + 2)}")
+    print(f"| change | {' | '.join(names)} | PSNR in one studio |\n|---|{'---|' * (len(names) + 1)}")
     for c in changes:
-        told = " | ".join(f"{signs[name] * c.gains[name] + 0.0:+.3f}" if name in c.gains else "–" for name in names)
-        print(f"| {c.name} | {c.scenes} | {told} | {c.psnr_span[0]:+.2f} … {c.psnr_span[1]:+.2f} |")
+        cells = " | ".join(f"{c['changes'][name]:+.3f}" if name in c["changes"] else "–" for name in names)
+        low, high = c["psnr_span_db"]
+        print(f"| {c['name']} | {cells} | {low:+.2f} … {high:+.2f} |")
 
 
 if __name__ == "__main__":

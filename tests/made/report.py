@@ -139,7 +139,6 @@ def report_scene(folder: Path, root: Path, default_settings: Callable, lpips: Pa
         paper=root / "resources/paper/results.tsv",
         solvers=root / "resources/solvers.tsv",
         poster=folder / "deliver/player.jpg",
-        sweeps=[],
         costs=folder / "report/cost.json",
         page=folder / "report/index.html",
     )

@@ -20,7 +20,6 @@ from studiorecon.report.sections import tables as sections
 from studiorecon.scene.decisions import Decision
 from studiorecon.scene.files import read_json, write_table, write_text
 from studiorecon.scene.people import Detections, Person
-from studiorecon.sweep import section as sweep_section
 
 from tests.made.report import report_scene
 
@@ -201,11 +200,11 @@ def test_a_budget_is_told_beside_what_its_jobs_took() -> None:
     spent = {"reason": None, "total": total, "stages": {"render": total}}
     budget = {"minutes": 5.0, "preset": "look", "predicted_s": 120, "low_s": 96, "high_s": 150, "work_s": 200}
     budget["more"] = "the defaults would take 5 min for 0.9 dB more"
-    told = sweep_section.single({"pictures": {}}, spent, budget)
+    told = sections.reached({"pictures": {}}, spent, budget)
     assert "A budget of 5 min chose look: predicted 2 min 00 s from nothing (1 min 36 s to 2 min 30 s)." in told
     assert "predicted to take 3 min 20 s of processor time and took 6 min 01 s." in told
     assert "The defaults would take 5 min for 0.9 dB more." in told
-    assert "budget" not in sweep_section.single({"pictures": {}}, spent, {})
+    assert "budget" not in sections.reached({"pictures": {}}, spent, {})
 
 
 def test_the_next_prediction_learns_from_stages_that_were_predicted_and_took_something() -> None:

@@ -181,9 +181,6 @@ rule report_page:
         benchmarks="timings/{scene}",
         logs="logs/{scene}",
         licences=HOME / "resources/licences",
-        # Shown where a sweep was run; never asked for.
-        sweeps=files.sweeps,
-        swept=[Path(records).stat().st_mtime_ns for records in files.sweeps],
     message:
         "Everything on one page: {output.page}"
     shell:

@@ -1,16 +1,33 @@
 # What accuracy costs: snakemake --cores all sweep --config dataset=DIR sweep=config/sweeps/one_at_a_time.tsv
 # runs every configuration of that table and makes results/SCENE/sweep/TABLE/index.html. Part of no other target.
 
+from studiorecon.sweep.table import BASE, read_rows
 
-rule sweep_run:
+
+def sweep_records(wildcards):
+    """The record of every row, in the table's order."""
+    try:
+        rows = read_rows(Path(beside(config["sweep"], HOME)))
+    except UserError as refusal:
+        raise WorkflowError(str(refusal)) from None
+    return [f"results/{wildcards.scene}/sweep/{wildcards.table}/{row.name}.json" for row in rows]
+
+
+def base_record(wildcards):
+    """The base's record, whose run every other row starts from."""
+    return [] if wildcards.row == BASE else [f"results/{wildcards.scene}/sweep/{wildcards.table}/{BASE}.json"]
+
+
+rule sweep_row:
     input:
         table=local(beside(config["sweep"], HOME)),
+        base=base_record,
     output:
-        records="results/{scene}/sweep/{table}/records.jsonl",
+        record="results/{scene}/sweep/{table}/{row}.json",
     log:
-        "logs/{scene}/sweep/{table}/run.log",
+        "logs/{scene}/sweep/{table}/{row}.log",
     benchmark:
-        "timings/{scene}/sweep/{table}/run.tsv"
+        "timings/{scene}/sweep/{table}/{row}.tsv"
     handover: True
     # It starts Snakemake again, which has no place inside a step's image, and gets every core: seconds are only worth comparing
     # when nothing else runs beside them.
@@ -20,20 +37,19 @@ rule sweep_run:
     resources:
         mem_mb=6000,
     params:
-        code=code("sweep.run"),
+        code=code("sweep.row"),
         configuration=json.dumps(config, sort_keys=True),
         minutes=config["sweep_minutes"],
         presets=HOME / "config/presets",
         snakefile=HOME / "Snakefile",
         work="results/{scene}/sweep/{table}/runs",
     shell:
-        command("sweep.run")
+        command("sweep.row")
 
 
 rule sweep_page:
     input:
-        records="results/{scene}/sweep/{table}/records.jsonl",
-        solvers=HOME / "resources/solvers.tsv",
+        records=sweep_records,
     output:
         page=report(
             "results/{scene}/sweep/{table}/index.html",

@@ -92,11 +92,6 @@ class Brought:
         named = self.config["people"]["identities"]
         return [(self.local if named else self.in_dataset)(self.plan.identities)] if self.plan.identities else []
 
-    @cached_property
-    def sweeps(self) -> list[str]:
-        """Records of the sweeps that were run on this scene."""
-        return sorted(map(str, Path(f"results/{self.plan.scene}/sweep").glob("*/records.jsonl")))
-
     def footage(self, wildcards: Any) -> str:
         """Video file or folder of pictures of one camera."""
         return self.in_dataset(self.plan.dataset.footage[wildcards.camera])

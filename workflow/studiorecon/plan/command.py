@@ -17,7 +17,7 @@ from functools import cache
 
 from studiorecon.code import module_path
 
-_WILDCARDS = {"scene", "camera", "person", "segment", "shot", "picture", "stranger"}
+_WILDCARDS = {"scene", "camera", "person", "segment", "shot", "picture", "stranger", "row"}
 _THREADS = {"threads", "processes", "cores"}
 # A COLMAP model is several files: the step is told the first, and reads the others beside it.
 _FIRST_OF_SEVERAL = {"model", "heldout_model", "given_model"}

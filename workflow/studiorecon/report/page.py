@@ -19,6 +19,7 @@ from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import read_frame
+from studiorecon.machine.kernel_cache import compiled_since
 from studiorecon.pages import html
 from studiorecon.progress import say, warn
 from studiorecon.report.sections import appendix, comparison_slider, timeline, verdicts
@@ -33,9 +34,6 @@ from studiorecon.scene.files import read_json, write_json, write_text
 from studiorecon.scene.path import read_path
 from studiorecon.scene.people import read_detections, read_identities
 from studiorecon.signature import Place, Written
-from studiorecon.sweep import section as sweep_section
-from studiorecon.sweep.fingerprint import compiled_since
-from studiorecon.sweep.records import read_records
 
 
 @dataclass(frozen=True)
@@ -179,12 +177,10 @@ def run(
     paper: Path,
     solvers: Path,
     poster: Path | None,
-    sweeps: list[Place],
     costs: Written,
     page: Written,
 ) -> None:
-    """Write the page; lists of optional files may be empty, and the page then says what is missing. ``sweeps`` are
-    records of them."""
+    """Write the page; lists of optional files may be empty, and the page then says what is missing."""
     capture, measured, spent = read_manifest(manifest), read_json(metrics), cost(benchmarks)
     spent["machine"] = {
         "system": platform.system(),
@@ -242,9 +238,7 @@ def run(
     body.append(sections.overlap(measured["rig"]))
     body.append(sections.coverage(decided))
     body.append(verdicts.decisions(decided, spent))
-    body.append(sweep_section.single(measured, spent, chosen))
-    swept = [read_records(path) for path in sweeps]
-    body += [sweep_section.section(name, records) for name, records in swept]
+    body.append(sections.reached(measured, spent, chosen))
     body.append(sections.costs(spent))
     body.append(solvers_section(solvers))
     body.append(sections.settings(configuration))

@@ -1,38 +1,177 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``sweep.page``: one page and one CSV of what accuracy costs, from the records of one or several sweeps."""
+"""``sweep.page``: one page and one CSV of what accuracy costs, from the records of one or several scenes."""
 
 from __future__ import annotations
 
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from studiorecon.errors import UserError
 from studiorecon.pages import html
 from studiorecon.progress import say
-from studiorecon.report.sections.solvers import section as solvers_section
-from studiorecon.scene.files import write_text
+from studiorecon.report.metrics.bootstrap import Bootstrap, paired_difference
+from studiorecon.report.sections.cost import pareto_front
+from studiorecon.report.sections.tables import duration
+from studiorecon.scene.files import read_json, write_text
 from studiorecon.signature import Written
-from studiorecon.sweep.records import read_records
-from studiorecon.sweep.runs_csv import as_csv
-from studiorecon.sweep.section import scenes_section, section
+from studiorecon.sweep.front import chart
+
+Record = Mapping[str, Any]
+# Measure → heading, unit, digits.
+MEASURES = {
+    "psnr": ("PSNR ↑", "dB", 2),
+    "ssim": ("SSIM ↑", "", 4),
+    "lpips": ("LPIPS ↓", "", 4),
+    "flip": ("ꟻLIP ↓", "", 4),
+    "psnr_people": ("PSNR of people ↑", "dB", 2),
+    "psnr_background": ("PSNR of the room ↑", "dB", 2),
+    "psnr_unseen": ("PSNR of unseen surfaces ↑", "dB", 2),
+    "warp_rms": ("Warp-RMS ↓", "", 5),
+    "joints_mm": ("joint error ↓", "mm", 1),
+    "jitter_mm_f2": ("jitter ↓", "mm/frame²", 2),
+}
+_BUDGETS_MIN = (1, 2, 5, 15, 60, 240)
+_BOOTSTRAP = Bootstrap(1000, 0)
 
 
-def run(records: list[Path], solvers: Path, page: Written, table: Written) -> None:
-    """Write the page, and ``table`` with all runs of the first file; several files show how much hangs on the scene.
-    ``solvers`` is the table of exact and cheap solvers.
+def run(records: list[Path], page: Written, table: Written) -> None:
+    """Write the page, and ``table`` with all runs; records of several scenes show how much depends on the scene.
 
-    Files of different machines are refused: their seconds do not belong into one picture.
+    Records of different machines are refused: their seconds do not compare.
     """
     if not records:
-        raise UserError("name the records to show: --records results/SCENE/sweep/TABLE/records.jsonl")
-    sweeps = [(path, *read_records(path)) for path in records]
-    for path, _, found in sweeps[1:]:
-        if found[0].machine != sweeps[0][2][0].machine:
+        raise UserError("name the records to show: --records results/SCENE/sweep/TABLE/ROW.json …")
+    read = [read_json(path) for path in records]
+    for path, record in zip(records, read):
+        if record["machine"] != read[0]["machine"]:
             raise UserError(f"{path} was measured on another machine than {records[0]}: their seconds do not compare")
-    body = [f"<h1>{html.text(', '.join(dict.fromkeys(found[0].scene for _, _, found in sweeps)))}</h1>"]
-    for _, name, found in sweeps:
-        body.append(section(name, found))
-    body.append(scenes_section({found[0].scene: found for _, _, found in sweeps}))
-    body.append(solvers_section(solvers))
+    scenes = {name: [r for r in read if r["scene"] == name] for name in dict.fromkeys(r["scene"] for r in read)}
+    body = [f"<h1>What accuracy costs: {html.text(', '.join(scenes))}</h1>"]
+    for name, rows in scenes.items():
+        body.append(section(name, rows))
+    if len(scenes) > 1:
+        body.append(_mean_effects(scenes))
+    machine = ", ".join(f"{key} {value}" for key, value in read[0]["machine"].items())
+    body.append(f'<p class="soft">{html.text(machine)}. Scoring and filming a made studio are not charged.</p>')
     write_text(page, html.page("What accuracy costs", body))
-    write_text(table, as_csv(sweeps[0][2]))
+    write_text(table, as_csv(read))
     say(f"the page needs no network: {page}")
+
+
+def section(scene: str, records: Sequence[Record]) -> str:
+    """One scene: quality over time, the price of each step along the front, budgets, parameters, failures."""
+    done = [record for record in records if not record["failed"]]
+    parts = [html.heading(scene, f"{len(records)} configurations, {len(records) - len(done)} failed")]
+    if done:
+        names = [r["name"] for r in done]
+        seconds, psnr = [r["from_nothing_s"] for r in done], [r["metrics"]["psnr"] for r in done]
+        parts += [chart(names, seconds, psnr, "PSNR at held-out cameras, dB ↑"), _prices(done), _budgets(done)]
+        parts += [_effects(records[0], done), _all(done)]
+    if failures := [[r["name"], duration(r["wall_s"]), r["failed"]] for r in records if r["failed"]]:
+        parts.append("<h3>Failed runs</h3>" + html.table(["configuration", "after", "reason"], failures, numeric=(1,)))
+    return "".join(parts)
+
+
+def effects(base: Record, records: Sequence[Record]) -> list[tuple[Record, float, list[float] | None, float]]:
+    """Per run that changes one parameter: record, change of PSNR (dB), its 95 % interval over blocks of frames (None:
+    too few frames) and change of seconds; greatest effect first."""
+    found = []
+    for record in records:
+        if not base["failed"] and record["parameter"] and not record["failed"]:
+            paired = paired_difference({"scene": (base["frames"], record["frames"])}, _BOOTSTRAP)
+            gain_db = record["metrics"]["psnr"] - base["metrics"]["psnr"]
+            found.append((record, gain_db, paired["interval"], record["from_nothing_s"] - base["from_nothing_s"]))
+    return sorted(found, key=lambda entry: (-abs(entry[1]), entry[0]["name"]))
+
+
+def mean_effects(scenes: Mapping[str, Sequence[Record]]) -> list[dict[str, Any]]:
+    """Per configuration that finished in every scene: mean change of each measure from the scene's base (the first
+    record), least and greatest change of PSNR, and mean change of seconds (paper, section 4.3)."""
+    found = []
+    for name in dict.fromkeys(r["name"] for rows in scenes.values() for r in rows[1:]):
+        pairs = [(rows[0], r) for rows in scenes.values() for r in rows if r["name"] == name and not r["failed"]]
+        if len(pairs) < len(scenes) or any(base["failed"] for base, _ in pairs):
+            continue
+        changes: dict[str, float] = {}
+        for measure in MEASURES:
+            values = [(base["metrics"].get(measure), r["metrics"].get(measure)) for base, r in pairs]
+            if all(before is not None and after is not None for before, after in values):
+                changes[measure] = sum(after - before for before, after in values) / len(values)
+        decibels = [r["metrics"]["psnr"] - base["metrics"]["psnr"] for base, r in pairs]
+        seconds = sum(r["from_nothing_s"] - base["from_nothing_s"] for base, r in pairs) / len(pairs)
+        span = [min(decibels), max(decibels)]
+        found.append({"name": name, "changes": changes, "psnr_span_db": span, "seconds": seconds})
+    return found
+
+
+def as_csv(records: Sequence[Record]) -> str:
+    """All runs as CSV; values that were not measured are empty."""
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    costs = ("from_nothing_s", "ran_s", "processor_s", "wall_s", "peak_memory_mb")
+    writer.writerow(["scene", "name", "parameter", "preset", "failed", *MEASURES, *costs, "settings"])
+    for r in records:
+        values = [r.get("metrics", {}).get(measure) for measure in MEASURES] + [r.get(cost) for cost in costs]
+        settings = "; ".join(f"{key}={value}" for key, value in r["settings"].items())
+        writer.writerow([r["scene"], r["name"], r["parameter"], r["preset"], r["failed"], *values, settings])
+    return file.getvalue()
+
+
+def _prices(done: Sequence[Record]) -> str:
+    runs = [done[i] for i in pareto_front([r["from_nothing_s"] for r in done], [r["metrics"]["psnr"] for r in done])]
+    rows = []
+    for cheaper, dearer in pairwise(runs):
+        gain_db = dearer["metrics"]["psnr"] - cheaper["metrics"]["psnr"]
+        step_s = dearer["from_nothing_s"] - cheaper["from_nothing_s"]
+        before, after = cheaper["settings"], dearer["settings"]
+        keys = [key for key in {**before, **after} if before.get(key) != after.get(key)]
+        change = "; ".join(f"{key}: {before.get(key, 'as given')} → {after.get(key, 'as given')}" for key in keys)
+        rows.append([f"{cheaper['name']} → {dearer['name']}", f"{gain_db:+.2f} dB", f"+{duration(step_s)}", change])
+    return "<h3>Price list</h3>" + html.table(["step along the front", "PSNR", "time", "change"], rows, numeric=(1, 2))
+
+
+def _budgets(done: Sequence[Record]) -> str:
+    rows = []
+    for minutes in _BUDGETS_MIN:
+        if affordable := [r for r in done if r["from_nothing_s"] <= 60 * minutes]:
+            best = max(affordable, key=lambda r: r["metrics"]["psnr"])
+            rows.append([f"{minutes} min", best["name"], f"{best['metrics']['psnr']:.2f} dB"])
+    return "<h3>Budgets</h3>" + html.table(["for", "choose", "PSNR"], rows, numeric=(2,))
+
+
+def _effects(base: Record, done: Sequence[Record]) -> str:
+    rows = []
+    for record, gain_db, interval, step_s in effects(base, done):
+        span = "too few frames" if interval is None else f"{interval[0]:+.2f} … {interval[1]:+.2f} dB"
+        effect = "?" if interval is None else "no" if interval[0] <= 0 <= interval[1] else "yes"
+        rows.append([record["parameter"], record["name"], f"{gain_db:+.2f} dB", span, effect, f"{step_s:+.0f} s"])
+    header = ["parameter", "value", "PSNR", "95 % interval", "measurable", "time"]
+    return f"<h3>Parameters, one at a time beside {html.text(base['name'])}</h3>" + html.table(header, rows, (2, 3, 5))
+
+
+def _all(done: Sequence[Record]) -> str:
+    shown = [name for name in MEASURES if any(r["metrics"].get(name) is not None for r in done)]
+    header = ["configuration", *(MEASURES[name][0] for name in shown), "time", "processor", "largest job"]
+    rows = []
+    for r in done:
+        values = [r["metrics"].get(name) for name in shown]
+        cells = ["–" if v is None else f"{v:.{MEASURES[n][2]}f} {MEASURES[n][1]}" for n, v in zip(shown, values)]
+        costs = [duration(r["from_nothing_s"]), duration(r["processor_s"]), f"{r['peak_memory_mb']:.0f} MB"]
+        rows.append([r["name"], *cells, *costs])
+    return "<details><summary>All runs</summary>" + html.table(header, rows, range(1, len(header))) + "</details>"
+
+
+def _mean_effects(scenes: Mapping[str, Sequence[Record]]) -> str:
+    rows = []
+    for entry in mean_effects(scenes):
+        low, high = entry["psnr_span_db"]
+        psnr = f"{entry['changes']['psnr']:+.2f} dB ({low:+.2f} … {high:+.2f})"
+        others = [n for n in MEASURES if n != "psnr" and n in entry["changes"]]
+        rest = "; ".join(f"{MEASURES[n][0]} {entry['changes'][n]:+.{MEASURES[n][2]}f}" for n in others)
+        rows.append([entry["name"], psnr, f"{entry['seconds']:+.0f} s", rest])
+    header = ["configuration", "PSNR: mean (least … greatest)", "time", "other measures"]
+    return f"<h2>Mean over {len(scenes)} scenes</h2>" + html.table(header, rows, numeric=(1, 2))

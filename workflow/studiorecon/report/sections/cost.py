@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,15 @@ def cost(folder: Path) -> dict[str, Any]:
         stages[stage] = {**_total([job for entries in steps.values() for job in entries.values()]), "rules": rules}
     everything = _total([job for steps in jobs.values() for entries in steps.values() for job in entries.values()])
     return {"stages": stages, "total": everything, "reason": None if stages else "no benchmark files were found"}
+
+
+def pareto_front(costs: Sequence[float], qualities: Sequence[float]) -> list[int]:
+    """Indices of the points that no other point dominates, cheapest first; greater quality is better."""
+    front: list[int] = []
+    for i in sorted(range(len(costs)), key=lambda i: (costs[i], -qualities[i], i)):
+        if not front or qualities[i] > qualities[front[-1]]:
+            front.append(i)
+    return front
 
 
 def _total(entries: list[dict[str, float | None]]) -> dict[str, float | None]:

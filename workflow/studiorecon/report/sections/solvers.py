@@ -7,8 +7,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from studiorecon.pages import html
+from studiorecon.report.sections.cost import pareto_front
 from studiorecon.scene.files import read_table
-from studiorecon.sweep.pareto import front
 
 COLUMNS = ("solver", "form", "setting", "cost", "cost unit", "error", "error unit", "default")
 
@@ -19,7 +19,7 @@ def section(path: Path) -> str:
     shown = []
     for solver in dict.fromkeys(row["solver"] for row in rows):
         forms = [row for row in rows if row["solver"] == solver]
-        best = front([float(row["cost"]) for row in forms], [-float(row["error"]) for row in forms])
+        best = pareto_front([float(row["cost"]) for row in forms], [-float(row["error"]) for row in forms])
         for i, row in enumerate(forms):
             name = row["form"] + (" (used)" if row["default"] else "")
             told = [

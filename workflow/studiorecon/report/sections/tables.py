@@ -249,6 +249,43 @@ def overlap(rig: Mapping[str, Any]) -> str:
     return html.table(["angle", "here", "the paper's captures", "its prior work's"], rows, numeric=(1, 2, 3))
 
 
+def reached(metrics: Mapping[str, Any], spent: Mapping[str, Any], budget: Mapping[str, Any]) -> str:
+    """What this run cost and reached, in one sentence and three numbers; the prediction where a ``budget`` chose
+    its preset (``plan.budget.Choice.as_json``)."""
+    if spent["reason"]:
+        return html.heading("What accuracy costs") + f"<p>{MISSING}: {html.text(spent['reason'])}.</p>"
+    seconds = {stage: entry["seconds"] or 0.0 for stage, entry in spent["stages"].items()}
+    dearest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
+    share = sum(seconds[stage] for stage in dearest) / (sum(seconds.values()) or 1.0)
+    final = metrics["pictures"].get("enhanced", metrics["pictures"].get("raw", {})).get("psnr", {})
+    psnr = shown(final.get("value"), 2, "dB")
+    parts = ", ".join(f"{stage} {duration(seconds[stage])}" for stage in dearest)
+    took = duration(spent["total"]["seconds"])
+    sentence = f"On this machine: {took} → {psnr} at held-out cameras; {100 * share:.0f} % of it is {parts}."
+    tiles = [
+        (psnr, "PSNR at held-out cameras"),
+        (duration(spent["total"]["seconds"]), "all jobs, one after the other"),
+        (shown(spent["total"]["peak_memory_mb"], 0, "MB"), "memory of the largest job"),
+    ]
+    lead = (
+        "One run is one point: snakemake sweep runs others on the same scene and makes a page of their front, prices "
+        "and the settings that matter."
+    )
+    told = f"<p>{html.text(_bought(budget, spent))}</p>" if budget else ""
+    return html.heading("What accuracy costs", lead) + f"<p><b>{html.text(sentence)}</b></p>" + html.tiles(tiles) + told
+
+
+def _bought(budget: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
+    predicted = duration(budget["predicted_s"])
+    ends = f"{duration(budget['low_s'])} to {duration(budget['high_s'])}"
+    took = spent["total"]["cpu_seconds"]
+    return (
+        f"A budget of {budget['minutes']:g} min chose {budget['preset'] or 'the defaults'}: predicted {predicted} from "
+        f"nothing ({ends}). Its jobs were predicted to take {duration(budget['work_s'])} of processor time and took "
+        f"{duration(took) if took else MISSING}. {budget['more'][:1].upper()}{budget['more'][1:]}."
+    )
+
+
 def costs(spent: Mapping[str, Any]) -> str:
     """Seconds per stage as bars, with memory and the rules on demand."""
     lead = "Wall seconds of all jobs of a stage, added up; stages may have run side by side."
