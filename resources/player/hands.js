@@ -86,7 +86,7 @@ async function start() {
     say("The graphics card gave up (too little memory?): reload this page, or look at the films beside it.", 0);
   });
   for (const id of ["picture", "panel", "time"]) at(id).hidden = false;
-  const player = (window.player = makePlayer(scene, bytes, painter));
+  const player = (window.player = makePlayer(scene, painter));
   makePanel(player);
   listen(player);
   player.begin();

@@ -8,7 +8,7 @@ function say(text, seconds = 4) {
   if (seconds) setTimeout(() => at("told").textContent === text && (at("told").textContent = ""), 1000 * seconds);
 }
 
-function makePlayer(scene, bytes, painter) {
+function makePlayer(scene, painter) {
   const eye = makeEye(scene), sorter = startSorter(scene.sets), stage = at("stage");
   const lines = at("lines").getContext("2d");
   const calm = matchMedia("(prefers-reduced-motion: reduce)").matches, last = scene.frames - 1;
@@ -91,9 +91,8 @@ function makePlayer(scene, bytes, painter) {
     other.style.visibility = "hidden";
     shown.style.visibility = standing && state.opacity > 0 ? "visible" : "hidden";
     if (!standing) return at("film").pause();
-    const part = ({ at: from, count }) => new Uint8Array(bytes, from, count);
-    const addressOf = (file, type) => URL.createObjectURL(new Blob([part(file)], { type }));
-    files[eye.camera] ||= film ? [addressOf(film, "video/mp4")] : photos.map((photo) => addressOf(photo, "image/jpeg"));
+    const addressOf = (file, type) => URL.createObjectURL(new Blob([file], { type }));
+    files[eye.camera] ||= film ? [addressOf(film, "video/mp4")] : photos.map(({ file }) => addressOf(file, "image/jpeg"));
     const gaps = film ? [0] : photos.map(({ frame }) => Math.abs(frame - state.frame));
     const address = files[eye.camera][gaps.indexOf(Math.min(...gaps))];
     if (shown.src !== address) shown.src = address;
@@ -102,11 +101,12 @@ function makePlayer(scene, bytes, painter) {
     for (const side in box) shown.style[side] = `${box[side]}px`;
     shown.style.opacity = state.opacity;
     if (!film) return;
-    if (state.playing && shown.paused) shown.play().catch(() => say("this browser does not play the cameras' films"));
+    // Another camera's film breaks off the loading of this one: no fault. A film that cannot be played has an error.
+    if (state.playing && shown.paused) shown.play().catch(() => {});
     if (!state.playing) shown.pause();
     shown.playbackRate = state.speed;
     const wanted = (state.frame + 0.5) / scene.fps, allowed = state.playing ? 0.15 : 0.3 / scene.fps;
-    if (Math.abs(shown.currentTime - wanted) > allowed) shown.currentTime = wanted;
+    if (!shown.seeking && Math.abs(shown.currentTime - wanted) > allowed) shown.currentTime = wanted;
   }
 
   const end = () => (eye.mode === "film" ? eye.pictures(eye.film) - 1 : last);
@@ -133,6 +133,7 @@ function makePlayer(scene, bytes, painter) {
       changed();
     }
     if (state.playing) advance(passed * scene.fps * state.speed);
+    drawFilmed();
     if (changes !== drawn || fresh) {
       settle();
       const view = eye.view(size()), due = changes;
@@ -145,7 +146,6 @@ function makePlayer(scene, bytes, painter) {
       }
       painter.draw(view, { exposure: exposure(), tinted: state.tinted, scale });
       drawSkeletons(view);
-      drawFilmed();
       player.shown();
       [drawn, fresh, rested] = [due, false, scale === 1];
       // Slower than twenty pictures a second for a while: fewer pixels, until nothing moves.
@@ -167,7 +167,12 @@ function makePlayer(scene, bytes, painter) {
     step: (by) => { state.playing = false; seek(Math.round(place()) + by); },
     drawn: () => drawn,
     sorted: () => sorted,
-    begin() { settle(); readLink(player); requestAnimationFrame(tick); },
+    begin() {
+      at("film").onerror = () => say("this browser does not play the cameras' films");
+      settle();
+      readLink(player);
+      requestAnimationFrame(tick);
+    },
   };
   return player;
 }

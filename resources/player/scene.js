@@ -12,9 +12,8 @@ async function bytesOf(text) {
   return new Response(stream).arrayBuffer();
 }
 
-// Numbers of a description, row by row; deliver/packing.py wrote them.
+// Numbers of a description, row by row.
 function numbers(bytes, { at, count, columns, bits, low, high }) {
-  if (!bits) return new Float32Array(bytes, at, count * columns);
   const raw = new Uint8Array(bytes, at, (count * columns * bits) / 8);
   const found = low ? new Float32Array(count * columns) : new Uint32Array(count * columns);
   const planes = bits / 8, steps = 2 ** bits - 1;
@@ -29,15 +28,9 @@ function numbers(bytes, { at, count, columns, bits, low, high }) {
   return found;
 }
 
-// Whatever of a description's entries is packed, as numbers.
-function unpack(bytes, described) {
-  for (const [name, value] of Object.entries(described || {}))
-    if (value && value.bits !== undefined) described[name] = numbers(bytes, value);
-}
-
 // Unit quaternions (w, x, y, z): two bits say which number is the largest, ten each what the others are.
-function quaternions(bytes, described) {
-  const packed = numbers(bytes, described), found = new Float32Array(packed.length * 4);
+function quaternions(packed) {
+  const found = new Float32Array(packed.length * 4);
   for (let i = 0; i < packed.length; i++) {
     const largest = packed[i] >>> 30;
     let rest = 1;
@@ -51,18 +44,25 @@ function quaternions(bytes, described) {
   return found;
 }
 
+// A description with all that is packed in it as what it stands for; deliver/packing.py wrote it.
+function unpacked(bytes, told) {
+  if (!told || typeof told !== "object") return told;
+  const { packed, at, count, columns } = told;
+  if (packed === "file") return new Uint8Array(bytes, at, count);
+  if (packed === "floats") return new Float32Array(bytes, at, count * columns);
+  if (packed) return packed === "turns" ? quaternions(numbers(bytes, told)) : numbers(bytes, told);
+  for (const name in told) told[name] = unpacked(bytes, told[name]);
+  return told;
+}
+
 // Everything of a page's description; sets get a first Gaussian and a first bone in what all share.
-function readScene(told, bytes) {
+function readScene(described, bytes) {
+  const told = unpacked(bytes, described);
   let first = 0, bone = 0;
   for (const set of told.sets) {
     set.first = first;
     first += Math.ceil(set.count / ROW) * ROW;
-    set.quaternions = quaternions(bytes, set.quaternions);
     set.bands = (set.degree + 1) ** 2 - 1;
-    set.reach = set.harmonics ? set.harmonics.high[0] : 0;
-    // As they are stored, 0 to 255: the shader spreads them.
-    set.harmonics = set.harmonics && numbers(bytes, { ...set.harmonics, low: undefined });
-    for (const packed of [set, set.motion, set.changes, set.shade]) unpack(bytes, packed);
     set.scales = set.scales.map(Math.exp);
     set.shown = true;
     if (set.motion) {
@@ -71,7 +71,6 @@ function readScene(told, bytes) {
       set.joints = new Float32Array(set.motion.parents.length * 3);
     }
   }
-  for (const packed of [...told.cameras, ...told.films]) unpack(bytes, packed);
   return { ...told, size: first, bones: new Float32Array(Math.max(bone, 1) * 12) };
 }
 

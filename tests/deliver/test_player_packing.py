@@ -30,9 +30,10 @@ from tests.made.player import drawn, scene_of, shade_for, write_page
 
 def unpacked(data: bytes, described: dict) -> np.ndarray:
     """As the page's reader has it: (N, C) float64 of ``Bytes.levels``, uint64 of ``whole``, float32 of ``floats``."""
-    count, columns, bits = (described[name] for name in ("count", "columns", "bits"))
-    if not bits:
+    count, columns = described["count"], described["columns"]
+    if described["packed"] == "floats":
         return np.frombuffer(data, "<f4", count * columns, described["at"]).reshape(count, columns)
+    bits = described["bits"]
     raw = np.frombuffer(data, np.uint8, count * columns * bits // 8, described["at"])
     planes = raw.reshape(columns, bits // 8, count).astype(np.uint64)
     values = np.zeros((columns, count), np.uint64)
@@ -215,6 +216,7 @@ def test_what_cameras_filmed_is_a_film_or_some_photos(tmp_path: Path, monkeypatc
     cameras: list[dict] = [{} for _ in videos]
     assert player.filmed(held, cameras, videos, 20, 15.0) == []
     film = cameras[1]["film"]
+    assert film["packed"] == "file"
     assert bytes(held.data)[film["at"] + 4 : film["at"] + 8] == b"ftyp"
     monkeypatch.setattr(player, "FILM_FRAMES", 10)
     cameras = [{} for _ in videos]

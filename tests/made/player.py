@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from studiorecon.body.avatar.weight_grid import strongest
 from studiorecon.body.model import BodyModel
 from studiorecon.deliver.finished import FinishedScene
 from studiorecon.deliver.packing import Bytes
-from studiorecon.deliver.player import QUALITY, page_of, poster_of
+from studiorecon.deliver.player import QUALITY, filmed, page_of, poster_of
 from studiorecon.deliver.player_data import Shade, described
 from studiorecon.geometry import rotations
 from studiorecon.images.encoded import jpeg
@@ -119,10 +120,17 @@ def shade_for(scene: FinishedScene) -> Shade:
     return Shade(at, times, 1 - 0.6 * np.exp(-((x[None] - np.linspace(-1, 1, len(times))[:, None]) ** 2)))
 
 
-def write_page(path: Path, scene: FinishedScene, exposure: Factors = NONE, shade: Shade | None = None) -> Path:
-    """The scene's player as a file."""
+def write_page(
+    path: Path,
+    scene: FinishedScene,
+    exposure: Factors = NONE,
+    shade: Shade | None = None,
+    videos: Sequence[Path] = (),
+) -> Path:
+    """The scene's player as a file; ``videos``: what its cameras filmed."""
     held = Bytes()
     told, sentences = described(scene, held, exposure, shade)
+    sentences += filmed(held, told["cameras"], videos, scene.capture.frames, scene.capture.fps)
     poster = jpeg(poster_of(scene), QUALITY)
     write_text(path, page_of(scene.name, told | {"told": sentences}, held, poster, PARTS))
     return path

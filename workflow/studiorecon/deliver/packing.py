@@ -2,7 +2,9 @@
 """Numbers in few bytes: arrays in one run of bytes, each described by what a reader in a browser needs.
 
 Bytes lie in planes (all first bytes of a column, then all second ones), so that what changes slowly along an array
-compresses. ``Bytes`` writes; the page's own reader is ``web/scene.js``.
+compresses. ``Bytes`` writes; the page's own reader is ``unpacked`` in ``resources/player/scene.js``. A description's
+``packed`` says what its bytes are: ``levels`` and ``floats`` are numbers, ``whole`` whole numbers, ``turns`` unit
+quaternions, and a ``file`` stays bytes.
 """
 
 from __future__ import annotations
@@ -46,19 +48,19 @@ class Bytes:
         steps = (1 << bits) - 1
         share = (values - low) / np.where(high > low, high - low, 1.0)
         described = self.whole(np.rint(np.clip(share, 0, 1) * steps).astype(np.uint64), bits)
-        return described | {"low": low.tolist(), "high": high.tolist()}
+        return described | {"packed": "levels", "low": low.tolist(), "high": high.tolist()}
 
     def whole(self, values: Num[np.ndarray, "N ..."], bits: int) -> dict[str, Any]:
         """(N, C) whole numbers below 2^bits, 8 to 32."""
         values = _table(values, np.uint64)
         planes = [((values >> np.uint64(shift)) & np.uint64(255)) for shift in range(bits - 8, -1, -8)]
         raw = np.stack(planes, axis=1).astype(np.uint8).transpose(2, 1, 0).tobytes()
-        return self._add(raw, len(values), values.shape[1], bits)
+        return self._add("whole", raw, count=len(values), columns=values.shape[1], bits=bits)
 
     def floats(self, values: Num[np.ndarray, "N ..."]) -> dict[str, Any]:
         """(N, C) as float32."""
         values = _table(values, "<f4")
-        return self._add(values.tobytes(), len(values), values.shape[1], 0)
+        return self._add("floats", values.tobytes(), count=len(values), columns=values.shape[1])
 
     def quaternions(self, values: Num[np.ndarray, "N 4"]) -> dict[str, Any]:
         """(N, 4) quaternions of any length, one 32-bit number each: which number is the largest, and the other three,
@@ -73,19 +75,19 @@ class Bytes:
             other = (largest + 1 + k) % 4
             share = unit[np.arange(len(unit)), other] / _SMALLER / 2 + 0.5
             packed = (packed << np.uint64(_QUATERNION_BITS)) | np.rint(share * _STEPS).astype(np.uint64)
-        return self.whole(packed, 32)
+        return self.whole(packed, 32) | {"packed": "turns"}
 
     def file(self, content: bytes) -> dict[str, Any]:
         """A file as it is: a film, a picture."""
-        return self._add(content, len(content), 1, 8)
+        return self._add("file", content, count=len(content))
 
     def text(self) -> str:
         """Everything, compressed, in letters that a page may hold."""
         return base64.b64encode(gzip.compress(bytes(self.data), 9, mtime=0)).decode("ascii")
 
-    def _add(self, raw: bytes, count: int, columns: int, bits: int) -> dict[str, Any]:
+    def _add(self, kind: str, raw: bytes, **shape: int) -> dict[str, Any]:
         self.data += b"\0" * (-len(self.data) % 4)
-        described = {"at": len(self.data), "count": count, "columns": columns, "bits": bits}
+        described = {"packed": kind, "at": len(self.data), **shape}
         self.data += raw
         return described
 

@@ -66,7 +66,7 @@ def filmed(
             return []
     for camera, video in zip(cameras, videos, strict=True):
         camera["photos"] = [
-            {"frame": int(frame), **held.file(jpeg(narrowed(read_frame(video, int(frame))), QUALITY))}
+            {"frame": int(frame), "file": held.file(jpeg(narrowed(read_frame(video, int(frame))), QUALITY))}
             for frame in evenly_spread(frames, PHOTOS)
         ]
     return [

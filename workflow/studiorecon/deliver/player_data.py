@@ -112,11 +112,13 @@ def gaussians(
         "opacities": held.levels(scipy.special.expit(own.logit_opacities), 16, 0.0, 1.0),
         "colours": held.levels(own.sh[:, 0], 16),
         "provenance": held.whole(np.asarray(provenance)[order], 8),
+        "reach": 0.0,
     }
     if own.sh_degree:
         reach = float(np.abs(own.sh[:, 1:]).max(initial=1e-6))
         rest = own.sh[:, 1:].reshape(own.count, (own.sh.shape[1] - 1) * 3)
-        found["harmonics"] = held.levels(rest, 8, -reach, reach)
+        # The page's shader spreads them between -reach and reach.
+        found |= {"harmonics": held.whole(np.rint((rest / reach + 1) * 127.5), 8), "reach": reach}
     return found, order
 
 
