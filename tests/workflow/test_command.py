@@ -6,11 +6,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import threading
-import urllib.error
-import urllib.request
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +14,6 @@ import pytest
 import yaml
 from studiorecon import home
 from studiorecon.cli import command
-from studiorecon.cli.viewer import Viewer
 from studiorecon.configuration.catalogue import films_of, settings_of
 from studiorecon.errors import UserError
 from studiorecon.footage.video import write_watchable
@@ -122,7 +117,6 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     page = tmp_path / "results/take/report/index.html"
     page.parent.mkdir(parents=True)
     page.write_text("<p>the page</p>")
-    (tmp_path / "secret.txt").write_text("not part of the scene")
     return tmp_path / "results/take"
 
 
@@ -131,55 +125,6 @@ def test_a_scene_is_found_by_its_capture_its_name_or_its_results(scene: Path, fo
     assert command.finished_scene(folder).resolve() == scene
     with pytest.raises(UserError, match="finished here: take"):
         command.finished_scene("other")
-
-
-@pytest.fixture
-def viewer(scene: Path) -> Iterator[Viewer]:
-    with Viewer(scene, 0) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        yield server
-        server.shutdown()
-        thread.join()
-
-
-def answer(address: str, method: str = "GET") -> int:
-    """The status of one request."""
-    try:
-        with urllib.request.urlopen(urllib.request.Request(address, method=method)) as page:
-            return page.status
-    except urllib.error.HTTPError as refused:
-        refused.close()
-        return refused.code
-
-
-def test_a_page_is_served_from_this_machine_alone_and_nothing_above_it(viewer: Viewer) -> None:
-    with urllib.request.urlopen(viewer.address("report/index.html")) as page:
-        assert b"the page" in page.read()
-        assert page.headers["Referrer-Policy"] == "no-referrer"
-    assert viewer.server_address[0] == "127.0.0.1"
-    for path in ("../../secret.txt", "%2e%2e/%2e%2e/secret.txt", "/etc/passwd", "other/", "other", ""):
-        assert answer(viewer.address(path)) == 404, path
-    with pytest.raises(UserError, match=f"port {viewer.server_port} of 127.0.0.1 cannot be had .*--port 0"):
-        Viewer(Path("."), viewer.server_port)
-
-
-def test_nobody_without_the_token_reads_or_writes(viewer: Viewer, scene: Path) -> None:
-    address = viewer.address("report/index.html")
-    assert answer(address.replace(viewer.token, "x" * len(viewer.token))) == 404
-    assert answer(address.replace(f"{viewer.token}/", "")) == 404
-    for method in ("POST", "PUT", "DELETE"):
-        assert answer(address, method) == 501
-    assert (scene / "report/index.html").read_text() == "<p>the page</p>"
-    with Viewer(scene, 0) as other:
-        assert other.token != viewer.token
-
-
-def test_a_link_out_of_the_folder_is_not_followed(viewer: Viewer, scene: Path) -> None:
-    (scene / "report/secret.html").symlink_to(scene.parents[1] / "secret.txt")
-    (scene / "report/again.html").symlink_to(scene / "report/index.html")
-    assert answer(viewer.address("report/secret.html")) == 404
-    assert answer(viewer.address("report/again.html")) == 200
 
 
 def test_every_setting_has_a_meaning_and_its_default() -> None:

@@ -3,14 +3,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import hmac
 import http.server
+import mimetypes
+import os
+import re
 import secrets
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any
+from typing import BinaryIO
+from urllib.parse import quote, unquote_to_bytes
 
 from studiorecon.errors import UserError
+
+_RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
+_CHUNK_BYTES = 1 << 16
 
 
 class Viewer(http.server.ThreadingHTTPServer):
@@ -38,30 +46,99 @@ class Viewer(http.server.ThreadingHTTPServer):
         return f"http://127.0.0.1:{self.server_port}/{self.token}/{page}"
 
 
-class _Reader(http.server.SimpleHTTPRequestHandler):
+class _Reader(http.server.BaseHTTPRequestHandler):
     server: Viewer
+    # Films are sought by ranges, which came with 1.1.
+    protocol_version = "HTTP/1.1"
+    # Seconds without a byte from or to a client, after which its connection ends. A browser on this machine needs none.
+    timeout = 30
 
-    def __init__(self, request: Any, client_address: Any, server: Viewer) -> None:
-        super().__init__(request, client_address, server, directory=str(server.folder))
+    def handle(self) -> None:
+        # A browser that has left wants no more of a film.
+        with contextlib.suppress(ConnectionError):
+            super().handle()
 
-    def send_head(self) -> Any:
-        token, _, rest = self.path.removeprefix("/").partition("/")
-        if not hmac.compare_digest(token.encode(), self.server.token.encode()):
-            self.send_error(HTTPStatus.NOT_FOUND)
+    def do_GET(self) -> None:
+        path = self._path()
+        if path is not None and path.is_dir():
+            # Pages link relative to their folder, whose address ends in a slash.
+            parts = path.relative_to(self.server.folder).parts
+            self._begin(HTTPStatus.MOVED_PERMANENTLY, 0)
+            self.send_header("Location", "/".join(["", self.server.token, *map(quote, parts), ""]))
+            return self.end_headers()
+        try:
+            file = path.open("rb") if path else None
+        except OSError:
+            file = None
+        if path is None or file is None:
+            return self.send_error(HTTPStatus.NOT_FOUND)
+        with file:
+            self._send(file, mimetypes.guess_type(path.name)[0] or "application/octet-stream")
+
+    do_HEAD = do_GET
+
+    def _path(self) -> Path | None:
+        """The file that was asked for, or the folder whose address lacks its slash; None for what nobody may read."""
+        here = f"http://{self.headers.get('Host', '')}/"
+        asked = re.split(r"[?#]", "/" + self.path.removeprefix(here).removeprefix("/"), maxsplit=1)[0]
+        token, *parts = [os.fsdecode(unquote_to_bytes(part)) for part in asked.split("/")][1:]
+        if not hmac.compare_digest(os.fsencode(token), self.server.token.encode()):
             return None
-        self.path = f"/{rest}"
-        if not Path(self.translate_path(self.path)).resolve().is_relative_to(self.server.folder):
-            self.send_error(HTTPStatus.NOT_FOUND)
+        if any(part in (".", "..") or re.search(r"[/\\\0]", part) for part in parts):
             return None
-        return super().send_head()
+        try:
+            path = self.server.folder.joinpath(*filter(None, parts)).resolve()
+            page = (path / "index.html").resolve()
+            found = page if asked.endswith("/") else path
+            held = page if path.is_dir() else path
+            return found if held.is_file() and found.is_relative_to(self.server.folder) else None
+        except (OSError, RuntimeError):  # a name too long, a loop of links
+            return None
 
-    def list_directory(self, path: Any) -> None:
-        self.send_error(HTTPStatus.NOT_FOUND)
+    def _begin(self, status: HTTPStatus, length: int) -> None:
+        self.send_response(status)
+        self.send_header("Content-Length", str(length))
+
+    def _send(self, file: BinaryIO, kind: str) -> None:
+        size = os.fstat(file.fileno()).st_size
+        status, part = self._part(size)
+        self._begin(status, len(part))
+        if status is HTTPStatus.PARTIAL_CONTENT:
+            self.send_header("Content-Range", f"bytes {part.start}-{part.stop - 1}/{size}")
+        if status is HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:
+            self.send_header("Content-Range", f"bytes */{size}")
+        self.send_header("Content-Type", f"{kind}; charset=utf-8" if kind.startswith("text/") else kind)
+        self.end_headers()
+        left = len(part) if self.command == "GET" else 0
+        file.seek(part.start)
+        while left and (chunk := file.read(min(left, _CHUNK_BYTES))):
+            self.wfile.write(chunk)
+            left -= len(chunk)
+
+    def _part(self, size: int) -> tuple[HTTPStatus, range]:
+        """The status of an answer and which bytes it holds. Several ranges at once, and what is no range, get the
+        whole file, as the standard allows (RFC 9110, 14.2)."""
+        asked = _RANGE.fullmatch(self.headers.get("Range", "").strip())
+        first, last = asked.groups() if asked else ("", "")
+        whole = HTTPStatus.OK, range(size)
+        # Files have no name for their version here: who asks for a part of one version gets all of this one.
+        if self.command != "GET" or not (first or last) or "If-Range" in self.headers:
+            return whole
+        if first and last and int(last) < int(first):
+            return whole
+        start = int(first) if first else max(size - int(last), 0)
+        stop = min(int(last) + 1, size) if first and last else size
+        if start >= stop:
+            return HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, range(0)
+        return HTTPStatus.PARTIAL_CONTENT, range(start, stop)
 
     def end_headers(self) -> None:
+        self.send_header("Accept-Ranges", "bytes")
+        self.send_header("Cache-Control", "no-cache")  # the next run writes the same names
+        self.send_header("Connection", "close")
         self.send_header("Referrer-Policy", "no-referrer")  # a link in a page must not tell the token
         self.send_header("X-Content-Type-Options", "nosniff")
         super().end_headers()
 
-    def log_message(self, format: str, *args: Any) -> None:
+    def log_message(self, format: str, *args: object) -> None:
         """Requests are nothing to tell anybody."""
