@@ -1,6 +1,7 @@
 # studiorecon: from the videos of a few static, far-apart cameras to a 4D scene you can fly through.
 # This file is the table of contents; the rules are in workflow/rules, one file per stage, in the order data flows.
 
+import sys
 from pathlib import Path
 
 from snakemake.utils import min_version
@@ -50,6 +51,11 @@ wildcard_constraints:
     shot="[A-Za-z0-9_-]+",
     stranger="stranger_[A-Za-z0-9_-]+",
     donor=r"p\d+|stranger_[A-Za-z0-9_-]+",
+
+
+onsuccess:
+    # On a terminal the bar is gone by now; what a user brought and the run did not use is among the last lines.
+    print(*PLAN.dataset.notes, sep="\n", file=sys.stderr)
 
 
 # What comes out, in the order it is made. Every stage's product is named, not only the last file: a stage whose re-run failed

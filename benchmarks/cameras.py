@@ -174,7 +174,7 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
             about = dataset.keypoint_layout, dataset.keypoint_first_frame, dataset.footage[c]
             pixel_map = json.dumps(dataset.pixel_maps[c])
             found = out / f"{c}.npz", out / f"{c}.json"
-            sightings.run(loaded(tracks_keypoints.Settings), c, dataset.keypoints[c], *about, 60.0, pixel_map, *found)
+            sightings.run(loaded(tracks_keypoints.Settings), c, [dataset.keypoints[c]], *about, 60.0, pixel_map, *found)
         footage, seen = [dataset.footage[c] for c in MAN], [out / f"{c}.npz" for c in MAN]
         clocks.run(
             loaded(clocks.Settings), list(MAN), footage, seen, "{}", 0, 0, out / "clocks.json", out / "sync.json"

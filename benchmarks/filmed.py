@@ -91,7 +91,7 @@ def sighted(
         out = folder / f"{c}.npz", folder / f"{c}.json"
         told = json.dumps(maps.get(c, []))
         fps = open_source(video, 30.0).fps
-        sightings.run(loaded(tracks_keypoints.Settings), c, raw, "auto", 0, video, fps, told, *out)
+        sightings.run(loaded(tracks_keypoints.Settings), c, [raw], "auto", 0, video, fps, told, *out)
         seen.append(read_detections(out[0]))
         size[c] = tuple(read_json(out[1])["wh"])
     return seen, size

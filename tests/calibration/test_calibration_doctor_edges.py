@@ -159,7 +159,7 @@ def test_of_a_real_man_s_two_calibrations_edges_contradict_the_hand_picked_one(
         recorded = dataset.keypoint_layout, dataset.keypoint_first_frame, dataset.footage[c], 60.0
         told = json.dumps(dataset.pixel_maps[c])
         found = out / f"{c}.npz", out / f"{c}.json"
-        keypoints.run(loaded(tracks_keypoints.Settings), c, dataset.keypoints[c], *recorded, told, *found)
+        keypoints.run(loaded(tracks_keypoints.Settings), c, [dataset.keypoints[c]], *recorded, told, *found)
     footage, seen = [dataset.footage[c] for c in names], [out / f"{c}.npz" for c in names]
     clocks = out / "clocks.json", out / "sync.json"
     offsets.run(loaded(offsets.Settings), names, footage, seen, "{}", 0, 0, *clocks)

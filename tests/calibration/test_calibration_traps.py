@@ -91,7 +91,7 @@ def examine(default_settings: Callable[..., dict[str, Any]]) -> Callable[..., di
         for c, path in data.keypoints.items():
             files = out / f"{c}.npz", out / f"{c}.json"
             about = data.keypoint_layout, data.keypoint_first_frame, data.footage[c]
-            sightings.run(people, c, path, *about, 30.0, "[]", *files)
+            sightings.run(people, c, [path], *about, 30.0, "[]", *files)
         clocks.run(
             settings_module.load(clocks.Settings, default_settings("clocks"), "clocks"),
             list(data.cameras),

@@ -66,7 +66,7 @@ def files_of(config: dict[str, Any], home: Path, checkpoints: Any = None) -> Fil
 def test_a_users_files_lie_where_they_lie_and_a_studios_are_results(configured, capture, home):
     own, left = files_of(configured(), home), Wildcards(scene="capture", camera="left")
     assert own.footage(left) == f"local:{capture}/videos/left.mp4"
-    assert own.keypoints(left) == f"local:{capture}/keypoints/left"
+    assert own.keypoints(left) == [f"local:{capture}/keypoints/left"]
     assert own.calibration == [f"local:{capture}/{name}.yml" for name in ("intri", "extri")]
     assert own.body == own.given_body == "local:resources/body.npz", "as given where it is a file from here"
     made = files_of(configured(dataset="resources/studio/tiny.yaml"), home)
@@ -94,7 +94,7 @@ def test_the_detectors_cameras_are_looked_at_twice(configured, capture, home):
     assert files.detections(SCENE) == ["results/capture/people/detections/back.npz", *tracks[1:]]
     assert files.seen_people(Wildcards(scene="capture", camera="left")) == []
     assert len(files.seen_people(Wildcards(scene="capture", camera="back"))) == 3
-    assert files.keypoints(Wildcards(scene="capture", camera="back")) == "results/capture/detect/found/back.npz"
+    assert files.keypoints(Wildcards(scene="capture", camera="back")) == ["results/capture/detect/found/back.npz"]
 
 
 def test_cameras_that_people_do_not_place_take_no_part(configured, capture, home, tmp_path):

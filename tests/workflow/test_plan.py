@@ -127,10 +127,10 @@ def test_without_a_calibration_the_cameras_are_found_from_the_people(house: Hous
     ],
 )
 def test_what_is_missing_is_named_before_anything_runs(house: House, dataset: Path, remove: str, words: str) -> None:
-    (dataset / remove).rename(dataset / "hidden")
+    (dataset / remove).rename(dataset / ".hidden")
     files_only = "--configfile", on(house, dataset).overlay(detect={"source": "keypoints"})
     done = on(house, dataset).snakemake("--dry-run", "--cores", "1", *files_only, check=False)
-    (dataset / "hidden").rename(dataset / remove)
+    (dataset / ".hidden").rename(dataset / remove)
     assert done.returncode != 0
     assert words in done.stdout
     assert "Traceback" not in done.stdout

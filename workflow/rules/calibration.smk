@@ -122,6 +122,7 @@ rule calibration_doctor:
         settings=settings("calibration.doctor"),
         code=code("calibration.doctor"),
         cameras=PLAN.cameras,
+        notes=json.dumps(PLAN.dataset.notes),
     shell:
         command("calibration.doctor")
 

@@ -1,6 +1,28 @@
 # Detect: people in the footage as it was filmed, before any calibration: by the detector, or as recorded keypoints say.
 
 
+if PLAN.dataset.chapters:
+
+    rule detect_chapters:
+        input:
+            films=files.chapters,
+        output:
+            joined="results/{scene}/detect/chapters/{camera}.ffconcat",
+        log:
+            "logs/{scene}/detect/chapters/{camera}.log",
+        benchmark:
+            "timings/{scene}/detect/chapters/{camera}.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=500,
+        params:
+            code=code("detect.chapters"),
+        shell:
+            command("detect.chapters")
+
+
 if PLAN.sight.measured or not PLAN.sight.bodies:
 
     rule detect_people:

@@ -8,6 +8,7 @@ refuses.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -250,11 +251,13 @@ def run(
     sync: Path,
     report: Written,
     doctor: Written,
+    notes: str = "[]",
 ) -> None:
     """Write ``report`` (JSON) and ``doctor`` (HTML) for ``cameras`` and their videos ``sources``.
 
     ``clocks`` say which of their frames are used, ``sync`` how that was found. ``sightings`` and ``sizes`` are there
     for the cameras with keypoints, in any order. Cameras that people did not place are not there to be examined.
+    ``notes`` (JSON): sentences on what the capture's folder holds and is not used.
     """
     lenses, told_of = read_lenses(calibration), read_json(calibration)
     left_out = told_of.get("people_rig", {}).get("left_out", {})
@@ -314,9 +317,10 @@ def run(
     straight = [straightened(p, lenses[c], camera) for p, c, camera in zip(pictures, cameras, pinholes)]
     sheet = contact_sheet(pinholes, [], straight, points, shown, [marks(d, result["shown_frame"]) for d in detections])
     pictured = png(sheet)
+    result["notes"] = json.loads(notes)
     write_json(report, result)
     write_text(doctor, page(scene, result, pictured))
-    for sentence in told["sentences"]:
+    for sentence in [*told["sentences"], *result["notes"]]:
         say(sentence)
     say(f"verdict: {result['verdict']}")
     for sentence in [*result["advice"], *filter(None, [agreeing(result)])]:

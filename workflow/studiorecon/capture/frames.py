@@ -17,6 +17,7 @@ import numpy as np
 from studiorecon.camera_files.calibration import lens_of
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
+from studiorecon.footage.container import films_of
 from studiorecon.footage.source import FootageSource, PictureRate, decode, digest, open_source, uneven
 from studiorecon.footage.video import write_lossless
 from studiorecon.geometry.lens import WorkingView, working_view, working_wh
@@ -136,7 +137,7 @@ def run(
             fps=common.fps,
             frames=frames,
             first_source_frame=int(used[0]),
-            source=f"{source.parent.name}/{source.name}",
+            source=", ".join(f"{film.parent.name}/{film.name}" for film in films_of(source)),
             source_sha256=digest(opened),
             source_wh=opened.wh,
             rotation_deg=opened.rotation_deg,

@@ -150,7 +150,9 @@ def first_findings(folder: Path) -> Iterator[str]:
         start = capture.first_frame
         try:
             seen = open_source(source, 0.0)
-            frames = frame_count(seen)
+            frames = frame_count(seen) + sum(
+                frame_count(open_source(chapter, 0.0)) for chapter in capture.chapters.get(camera, ())[1:]
+            )
             light = light_of(glimpses(seen, [start, start + capture.frame_count // 2]))
         except UserError as refusal:
             yield f"camera {camera}: {refusal}"
@@ -163,6 +165,7 @@ def first_findings(folder: Path) -> Iterator[str]:
         )
         about.append({"camera": camera, **light, "fps": seen.fps, "rotation_deg": seen.rotation_deg})
     yield from of_footage(about) if about else ()
+    yield from capture.notes
 
 
 def _look(options: argparse.Namespace) -> int:

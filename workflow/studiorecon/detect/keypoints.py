@@ -5,15 +5,18 @@ calibration."""
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.footage.container import films_of
+from studiorecon.footage.packets import shown_s
 from studiorecon.footage.source import FootageSource, open_source
 from studiorecon.geometry.lens import mapped_lens
 from studiorecon.keypoints.layout_choice import choose_layout
-from studiorecon.keypoints.readers import read_keypoints
+from studiorecon.keypoints.readers import KeypointEntry, read_keypoints
 from studiorecon.keypoints.reading import Settings, detections_of, detections_of_found
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Lens
@@ -27,7 +30,7 @@ from studiorecon.signature import Written
 def run(
     settings: Settings,
     camera: str,
-    keypoints: Path,
+    keypoints: list[Path],
     layout: str,
     first_frame: int,
     source: Path,
@@ -40,7 +43,8 @@ def run(
     ``size`` (JSON).
 
     ``picture_fps`` is the rate of a folder of pictures; ``pixel_map`` (JSON): [scale, x, y] of ``Dataset.pixel_maps``,
-    or [].
+    or []. ``keypoints`` are one file or folder, or one for every chapter of ``source``, each counted from
+    ``first_frame`` on.
     """
     try:
         filmed = open_source(source, picture_fps)
@@ -50,25 +54,26 @@ def run(
         _write_nobody(camera, (0, 0), pixel_map, sightings, size)
         return
     wh = filmed.wh
-    if is_found(keypoints):
-        whole = read_raw_detections(keypoints)
+    if is_found(keypoints[0]):
+        whole = read_raw_detections(keypoints[0])
         about = {"camera": camera, "wh": list(wh), "pixel_map": json.loads(pixel_map)}
         found = detections_of_found(whole, *_as_filmed(camera, filmed, sum(whole.looked), pixel_map), settings)
         say(f"camera {camera}: {len(found.frame)} sightings ({whole.note}), {len(np.unique(found.track))} tracks")
         write_detections(sightings, found)
         write_json(size, about)
         return
-    entries, kind = read_keypoints(keypoints, wh)
+    entries, kind = _of_chapters(keypoints, source, wh)
+    where = ", ".join(map(str, keypoints))
     if not entries:
-        say(f"{keypoints} ({kind}) holds no person: camera {camera} sees nobody")
+        say(f"{where} ({kind}) holds no person: camera {camera} sees nobody")
         _write_nobody(camera, wh, pixel_map, sightings, size)
         return
     frames = max(e.frame for e in entries) - first_frame + 1
     if frames < 2:
         raise UserError(
-            f"{keypoints}: no detection belongs to a frame of camera {camera}; set keypoint_first_frame in capture.yaml"
+            f"{where}: no detection belongs to a frame of camera {camera}; set keypoint_first_frame in capture.yaml"
         )
-    chosen, note = choose_layout(np.stack([e.keypoints for e in entries]), layout, str(keypoints))
+    chosen, note = choose_layout(np.stack([e.keypoints for e in entries]), layout, where)
     if note:
         say(note)
     lens, footage = _as_filmed(camera, filmed, frames, pixel_map)
@@ -76,6 +81,17 @@ def run(
     say(f"camera {camera}: {len(found.frame)} sightings ({kind}, {chosen}), {len(np.unique(found.track))} tracks")
     write_detections(sightings, found)
     write_json(size, {"camera": camera, "wh": list(wh), "pixel_map": json.loads(pixel_map)})
+
+
+def _of_chapters(keypoints: list[Path], source: Path, wh: tuple[int, int]) -> tuple[list[KeypointEntry], str]:
+    """What ``read_keypoints`` gives of all files, by the frames of the whole film."""
+    found: list[KeypointEntry] = []
+    before = 0
+    for path, film in zip(keypoints, films_of(source) if len(keypoints) > 1 else [source], strict=True):
+        entries, kind = read_keypoints(path, wh)
+        found += [replace(entry, frame=entry.frame + before) for entry in entries]
+        before += len(shown_s(film)) if len(keypoints) > 1 else 0
+    return found, kind
 
 
 def _write_nobody(camera: str, wh: tuple[int, int], pixel_map: str, sightings: Path, size: Path) -> None:

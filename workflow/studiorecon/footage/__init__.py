@@ -4,6 +4,7 @@
 In come paths; out come frames, the right way up, one after the other, or files that are complete or absent.
 
 * ``source``: a camera's footage as the user has it, video or folder of pictures: the only opener there is;
+* ``chapters``: several files of one recording as one film;
 * ``container``: a film opened, whatever its tags are of; ``packets``: how many frames it has, and when each is shown;
 * ``told_lens``: the focal length that a file itself tells; ``alike``: one film that was given twice;
 * ``video``: working video and films, written, and read from any frame on; ``streams``: several written side by side;

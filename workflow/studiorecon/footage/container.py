@@ -8,11 +8,35 @@ from typing import Any
 
 import av
 
+from studiorecon.scene.outside import read_text
+
 # Until PyAV 19 a tag that is not UTF-8 fails the opening unless it is told what to do instead; from there on such bytes
 # come as lone surrogates, and the argument is gone.
 _TAGS: dict[str, Any] = {} if int(av.__version__.partition(".")[0]) >= 19 else {"metadata_errors": "replace"}
 
+CHAPTERS = ".ffconcat"
+"""Suffix of a list of films that are one recording (``chapters``)."""
+
 
 def opened(path: Path | str) -> av.container.InputContainer:
     """The container at ``path``, to be used in a ``with``; raises av.FFmpegError when it is none."""
+    if Path(path).suffix == CHAPTERS:
+        # safe: its films lie elsewhere, and the list is our own.
+        return av.open(str(path), "r", format="concat", options={"safe": "0"}, **_TAGS)
     return av.open(str(path), "r", **_TAGS)
+
+
+def films_of(path: Path) -> tuple[Path, ...]:
+    """The films of the list at ``path``; of any other path the path alone. Raises UserError for an unreadable list."""
+    return tuple(film for film, _ in parts_of(path))
+
+
+def parts_of(path: Path) -> tuple[tuple[Path, float], ...]:
+    """(film, seconds) of the list at ``path``, in order; the path alone with 0 where it is no list. Raises UserError
+    for an unreadable list."""
+    if path.suffix != CHAPTERS:
+        return ((path, 0.0),)
+    lines = read_text(path).split("\n")
+    quoted = [line.removeprefix("file '").removesuffix("'") for line in lines if line.startswith("file '")]
+    lasting = [float(line.removeprefix("duration ")) for line in lines if line.startswith("duration ")]
+    return tuple((path.parent / film.replace("'\\''", "'"), s) for film, s in zip(quoted, lasting, strict=True))

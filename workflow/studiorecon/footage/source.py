@@ -17,7 +17,7 @@ import numpy as np
 
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.footage.container import opened
+from studiorecon.footage.container import films_of, opened, parts_of
 from studiorecon.footage.stills import decoded
 from studiorecon.machine.refusals import without_thread
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
@@ -150,11 +150,12 @@ def uneven(times_s: Sequence[float], first: int) -> str | None:
 
 
 def digest(source: FootageSource) -> str:
-    """SHA-256 of the video file, or of the digests of a folder's pictures in order."""
-    if not source.pictures:
+    """SHA-256 of the video file, or of the digests of a folder's pictures, or a recording's chapters, in order."""
+    files = source.pictures or films_of(source.path)
+    if files == (source.path,):
         return _file_digest(source.path)
     whole = hashlib.sha256()
-    for picture in source.pictures:
+    for picture in files:
         whole.update(_file_digest(picture).encode())
     return whole.hexdigest()
 
@@ -188,6 +189,9 @@ def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.nd
         last = len(source.pictures) - 1
         shown = tuple(source.pictures[min(number, last)] for number in wanted)
         return list(_decode_folder(replace(source, pictures=shown)))
+    if len(chapters := parts_of(source.path)) > 1:
+        # FFmpeg's list of films cannot be sought to the key frame before a time.
+        return _glimpses_of_chapters(source, chapters, wanted)
     try:
         with opened(source.path) as container:
             stream = container.streams.video[0]
@@ -201,6 +205,19 @@ def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.nd
     if len(frames) < len(found):
         raise UserError(f"{source.path} holds no readable frame; copy the recording again")
     return [_upright(frame, source) for frame in frames]
+
+
+def _glimpses_of_chapters(
+    source: FootageSource, chapters: Sequence[tuple[Path, float]], wanted: Sequence[int]
+) -> list[Integer[np.ndarray, "H W 3"]]:
+    ends = np.cumsum([round(seconds * source.fps) for _, seconds in chapters])
+    within = np.minimum(np.searchsorted(ends, wanted, side="right"), len(chapters) - 1)
+    found = []
+    for number, (film, _) in enumerate(chapters):
+        before = int(ends[number - 1]) if number else 0
+        if here := [frame - before for frame, at in zip(wanted, within, strict=True) if at == number]:
+            found += glimpses(replace(source, path=film), here)
+    return found
 
 
 def _frames_at(

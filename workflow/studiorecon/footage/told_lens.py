@@ -17,7 +17,7 @@ import av
 import cv2
 import numpy as np
 
-from studiorecon.footage.container import opened
+from studiorecon.footage.container import films_of, opened
 
 _KEY = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 _FILM_DIAGONAL_MM = float(np.hypot(36.0, 24.0))
@@ -37,6 +37,7 @@ def told_focal_px(path: Path, wh: tuple[int, int]) -> float | None:
     A start, not a calibration: it is the lens's nominal length, and a phone that steadies its film cuts off up to a
     tenth of the picture.
     """
+    path = films_of(path)[0]
     film_mm = _of_photo(path) if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".webp", ".tif") else _of_film(path)
     if film_mm is None or not _SHORTEST_MM <= film_mm <= _LONGEST_MM:
         return None

@@ -84,7 +84,7 @@ class Brought:
     @cached_property
     def all_footage(self) -> list[str]:
         """The footage of every camera, in their order."""
-        return [self.in_dataset(self.plan.dataset.footage[camera]) for camera in self.plan.cameras]
+        return [self._film(camera) for camera in self.plan.cameras]
 
     @cached_property
     def corrected(self) -> list[str]:
@@ -94,13 +94,24 @@ class Brought:
 
     def footage(self, wildcards: Any) -> str:
         """Video file or folder of pictures of one camera."""
-        return self.in_dataset(self.plan.dataset.footage[wildcards.camera])
+        return self._film(wildcards.camera)
 
-    def keypoints(self, wildcards: Any) -> str:
-        """Keypoints of one camera: recorded ones, or what the detector found."""
-        if wildcards.camera in (*self.plan.sight.detected, *self.plan.sight.measured):
-            return f"results/{wildcards.scene}/detect/found/{wildcards.camera}.npz"
-        return self.in_dataset(self.plan.dataset.keypoints[wildcards.camera])
+    def _film(self, camera: str) -> str:
+        if camera in self.plan.dataset.chapters:
+            return f"results/{self.plan.scene}/detect/chapters/{camera}.ffconcat"
+        return self.in_dataset(self.plan.dataset.footage[camera])
+
+    def chapters(self, wildcards: Any) -> list[str]:
+        """The films of one camera whose recording is in several, in order."""
+        return [self.in_dataset(film) for film in self.plan.dataset.chapters[wildcards.camera]]
+
+    def keypoints(self, wildcards: Any) -> list[str]:
+        """Keypoints of one camera: recorded ones, of every chapter where it has some, or what the detector found."""
+        camera = wildcards.camera
+        if camera in (*self.plan.sight.detected, *self.plan.sight.measured):
+            return [f"results/{wildcards.scene}/detect/found/{camera}.npz"]
+        recorded = self.plan.dataset.chapter_keypoints.get(camera, (self.plan.dataset.keypoints[camera],))
+        return [self.in_dataset(path) for path in recorded]
 
     def given_bodies(self, wildcards: Any) -> list[str]:
         """The user's file of a network's bodies of one camera, if that is where they come from."""

@@ -3,15 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 from studiorecon.calibration.formats import FORMATS
 from studiorecon.errors import UserError
+from studiorecon.plan.films import find_recordings
+from studiorecon.plan.inventory import LIKE_KEYPOINTS, unused
+from studiorecon.plan.pairing import folded, paired
 from studiorecon.scene.capture_yaml import (
     anybody,
+    chapters,
     focal_lengths,
     frames_used,
     measured_lengths,
@@ -24,12 +30,17 @@ from studiorecon.scene.capture_yaml import (
     whole_number,
 )
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Dataset, colmap_files
-from studiorecon.scene.names import checked_name, checked_place
+from studiorecon.scene.names import checked_name, checked_place, of_the_system
 
-# Where the footage lies in the captures that people have; the first that holds any counts.
-_VIDEO_FOLDERS = ("videos", "frame_aligned_videos")
 _BYTES = 1 << 20
-_PICTURE_FOLDERS = (("images", ""), ("ims", ""), ("exo", "images"))
+# What may hold something of one camera: its own folder ("") or a file with such a suffix, likelier ones first.
+_KEYPOINTS = ("", ".json", ".csv", ".npz", ".h5")
+_PLATES = PICTURE_SUFFIXES
+_MASKS = ("", *VIDEO_SUFFIXES)
+_DEPTH = (".exr",)
+# Folders of 2D keypoints in the order in which they count; other names of such folders count if there is only one.
+_KEYPOINT_FOLDERS = ("keypoints", "pose", "openpose", "annots")
+_NOT_LIKE_KEYPOINTS = re.compile(r"3d|calib")
 
 
 def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
@@ -39,10 +50,21 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
     """
     if not folder.is_dir():
         raise UserError(f"dataset folder {folder} does not exist; pass an existing one with --config dataset=DIR")
-    description = read_description(folder, capture_yaml)
-    footage = _find_footage(checked_place(folder))
-    for camera, path in footage.items():
-        checked_name(camera, f"camera {path}", "rename the file or folder")
+    try:
+        return _opened(folder, read_description(folder, capture_yaml))
+    except OSError as error:
+        raise UserError(
+            f"{error.filename or folder} cannot be looked at ({error.strerror or error}); see who may read it"
+        ) from None
+
+
+def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
+    recordings = find_recordings(checked_place(folder), chapters(description))
+    films = recordings.films
+    for camera, path in films.items():
+        checked_name(camera, f"camera {path[0]}", "rename the file or folder")
+    footage = {camera: parts[0] for camera, parts in films.items()}
+    every = dict(footage)
     starts = starts_of(description, footage)
     chosen = names_under(description, "train", footage) + names_under(description, "held_out", footage)
     held_out = tuple(names_under(description, "held_out", footage))
@@ -59,11 +81,15 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
             f"dataset {folder} has {len(footage) - len(held_out)} training camera(s); "
             "at least 2 videos are needed in videos/"
         )
+
+    def place(noun: str) -> tuple[str, bool]:
+        """The folder, and whether it must be there."""
+        named = path_under(description, noun)
+        return named or noun, named is not None
+
     first, count = frames_used(description, folder)
-    keypoints = _per_camera(
-        folder, path_under(description, "keypoints"), ("keypoints", "pose", "openpose", "annots"), footage
-    )
-    return Dataset(
+    keypoints, choice = _keypoints(folder, path_under(description, "keypoints"), list(footage))
+    dataset = Dataset(
         folder=folder,
         footage=footage,
         held_out=held_out,
@@ -71,9 +97,9 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
         keypoints=keypoints,
         keypoint_layout=path_under(description, "keypoint_layout") or "auto",
         keypoint_first_frame=whole_number(description, "keypoint_first_frame", folder),
-        plates=_per_camera(folder, path_under(description, "plates"), ("plates",), footage),
-        masks=_per_camera(folder, path_under(description, "masks"), ("masks",), footage),
-        depth=_per_camera(folder, path_under(description, "depth"), ("depth",), footage),
+        plates=_per_camera(folder, *place("plates"), footage, _PLATES),
+        masks=_per_camera(folder, *place("masks"), footage, _MASKS),
+        depth=_per_camera(folder, *place("depth"), footage, _DEPTH),
         identities=_identities(folder, description),
         pixel_maps=pixel_maps(description, footage),
         focal_px=focal_lengths(description, footage),
@@ -83,35 +109,11 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
         frame_count=count,
         people=anybody(description),
         truth=None,
+        chapters={camera: films[camera] for camera in footage if len(films[camera]) > 1},
     )
-
-
-def _find_footage(folder: Path) -> dict[str, Path]:
-    videos = _first_non_empty(
-        [
-            p
-            for p in sorted((folder / name).glob("*"))
-            if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith(".")
-        ]
-        for name in _VIDEO_FOLDERS
-    )
-    found = {} if videos else _picture_folders(folder)
-    if not videos and not found:
-        videos = [
-            p for p in sorted(folder.glob("*")) if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith(".")
-        ]
-    stems = [p.stem for p in videos]
-    for stem in stems:
-        if stems.count(stem) > 1:
-            raise UserError(f"{videos[0].parent} holds more than one video named {stem!r}; keep one per camera")
-    if videos:
-        return {p.stem: p for p in videos}
-    if not found:
-        raise UserError(
-            f"dataset {folder} has neither videos/*.mp4 (or mov, mkv) nor images/<camera>/*.png "
-            "(or jpg): put one video per camera there"
-        )
-    return found
+    dataset = replace(dataset, chapter_keypoints=_chapter_keypoints(dataset))
+    left_out = set(every) - set(footage)
+    return replace(dataset, notes=(*recordings.notes, *choice, *unused(dataset, recordings.place, left_out)))
 
 
 def _same_bytes(one: Path, two: Path) -> bool:
@@ -129,22 +131,6 @@ def _same_bytes(one: Path, two: Path) -> bool:
             if first.read(_BYTES) != second.read(_BYTES):
                 return False
     return True
-
-
-def _first_non_empty(lists: Iterable[list[Path]]) -> list[Path]:
-    return next((found for found in lists if found), [])
-
-
-def _picture_folders(folder: Path) -> dict[str, Path]:
-    """camera → its folder of pictures: ``images/<camera>``, ``ims/<camera>`` or ``exo/<camera>/images``."""
-    for outer, inner in _PICTURE_FOLDERS:
-        places = {p.name: p / inner for p in sorted((folder / outer).glob("*")) if (p / inner).is_dir()}
-        found = {
-            name: p for name, p in places.items() if any(q.suffix.lower() in PICTURE_SUFFIXES for q in p.iterdir())
-        }
-        if found:
-            return found
-    return {}
 
 
 def _find_calibration(folder: Path, description: dict[str, Any]) -> tuple[Path, ...]:
@@ -193,23 +179,66 @@ def _with_rigs(paths: tuple[Path, ...]) -> tuple[Path, ...]:
 
 
 def _per_camera(
-    folder: Path, named: str | None, defaults: tuple[str, ...], footage: Mapping[str, Path]
+    folder: Path, name: str, required: bool, cameras: Iterable[str], suffixes: Sequence[str]
 ) -> dict[str, Path]:
-    """camera → path inside the named (or first existing default) folder: ``<camera>``, ``<camera>_json``,
-    ``<camera>.*``, or DeepLabCut's ``<camera>DLC_<network>.csv``."""
-    base = folder / named if named is not None else next((folder / d for d in defaults if (folder / d).is_dir()), None)
-    if base is None:
-        return {}
+    """camera → its entry in the folder ``name``, of a kind in ``suffixes``; empty where there is no such folder."""
+    base = folder / name
     if not base.is_dir():
-        raise UserError(f"capture.yaml names {base}, which is not a folder")
-    entries = sorted(base.iterdir())
+        if required:
+            raise UserError(f"capture.yaml names {base}, which is not a folder")
+        return {}
+    kinds = {path: "" if path.is_dir() else path.suffix.lower() for path in sorted(base.iterdir())}
+    entries = [path for path, kind in kinds.items() if kind in suffixes and not of_the_system(path)]
+    return paired(list(cameras), sorted(entries, key=lambda path: suffixes.index(kinds[path])))
+
+
+def _keypoints(folder: Path, named: str | None, cameras: Sequence[str]) -> tuple[dict[str, Path], list[str]]:
+    """camera → its recorded keypoints, and sentences about the choice among folders that may hold them.
+
+    The folder ``named`` in capture.yaml counts; else the first of the usual ones; else the only one whose name speaks
+    of poses or keypoints and whose entries bear the cameras' names.
+    """
+    if named is not None:
+        return _per_camera(folder, named, True, cameras, _KEYPOINTS), []
+    usual = next((name for name in _KEYPOINT_FOLDERS if (folder / name).is_dir()), None)
+    if usual is not None:
+        return _per_camera(folder, usual, False, cameras, _KEYPOINTS), []
+    held = {
+        path.relative_to(folder).as_posix(): entries
+        for path in sorted([*folder.glob("*"), *folder.glob("*/*")])
+        if path.is_dir()
+        and LIKE_KEYPOINTS.search(folded(path.name))
+        and not _NOT_LIKE_KEYPOINTS.search(folded(path.relative_to(folder).as_posix()))
+        and (entries := _per_camera(folder, path.relative_to(folder).as_posix(), False, cameras, _KEYPOINTS))
+    }
+    if len(held) == 1:
+        name, entries = next(iter(held.items()))
+        return entries, [f"keypoints are taken from {name}/"]
+    if held:
+        return {}, [
+            f"{' and '.join(f'{name}/' for name in held)} may each hold keypoints, and none is used; choose one in "
+            f"capture.yaml: keypoints: {next(iter(held))}"
+        ]
+    return {}, []
+
+
+def _chapter_keypoints(dataset: Dataset) -> dict[str, tuple[Path, ...]]:
+    """camera → its keypoints chapter by chapter, where every chapter has its own; raises UserError where only some
+    have."""
     found = {}
-    for camera in footage:
-        for entry in entries:
-            stem = entry.name if entry.is_dir() else entry.name.split(".")[0]
-            if stem in (camera, f"{camera}_json", f"{camera}_ext") or stem.startswith(f"{camera}DLC_"):
-                found[camera] = entry
-                break
+    for camera, parts in dataset.chapters.items():
+        if camera not in dataset.keypoints:
+            continue
+        place = dataset.keypoints[camera].parent.relative_to(dataset.folder).as_posix()
+        entries = _per_camera(dataset.folder, place, True, [part.stem for part in parts], _KEYPOINTS)
+        if len(entries) == len(parts):
+            found[camera] = tuple(entries[part.stem] for part in parts)
+        elif len(entries) > 1:
+            lacking = next(part.stem for part in parts if part.stem not in entries)
+            raise UserError(
+                f"{dataset.folder / place} has keypoints of {len(entries)} of the {len(parts)} chapters of camera "
+                f"{camera}, and none of {lacking}; bring those too, or one file of the whole recording"
+            )
     return found
 
 

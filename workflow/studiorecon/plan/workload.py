@@ -70,7 +70,12 @@ def footage_of(plan: Plan, picture_fps: float) -> Footage:
         return Footage(*cameras, described.frames, described.size, described.people, (described.people,) * 2, True)
     first = plan.dataset.first_frame
     sources = {camera: open_source(path, picture_fps) for camera, path in plan.dataset.footage.items()}
-    lengths = [frame_count(source) - first for source in sources.values()]
+    lengths = [
+        frame_count(source)
+        + sum(frame_count(open_source(path, picture_fps)) for path in plan.dataset.chapters.get(camera, ())[1:])
+        - first
+        for camera, source in sources.items()
+    ]
     frames = max(min([*lengths, *([count] if count else [])]), 1)
     widest = max((source.wh for source in sources.values()), key=max)
     if not plan.people:

@@ -9,12 +9,12 @@ from typing import Any
 
 from studiorecon.errors import UserError
 from studiorecon.scene.outside import read_yaml
-from studiorecon.scene.values import listed, mapping, number, numbers, path, shown, whole
+from studiorecon.scene.values import listed, mapping, name, number, numbers, path, shown, whole
 
 _KEYS = {
-    "frames", "starts", "held_out", "train", "calibration", "keypoints", "keypoint_layout", "keypoint_first_frame",
-    "plates", "masks", "depth", "pixel_maps", "people", "identities", "focal_px",
-    "height_m", "distance_m",
+    "chapters", "frames", "starts", "held_out", "train", "calibration", "keypoints",
+    "keypoint_layout", "keypoint_first_frame", "plates", "masks", "depth", "pixel_maps", "people", "identities",
+    "focal_px", "height_m", "distance_m",
 }  # fmt: skip
 
 
@@ -62,6 +62,19 @@ def names_under(description: dict[str, Any], key: str, footage: Mapping[str, Pat
     if twice := [camera for camera in dict.fromkeys(found) if found.count(camera) > 1]:
         raise UserError(f"capture.yaml lists camera {twice[0]!r} under {key} twice; keep one")
     return found
+
+
+def chapters(description: dict[str, Any]) -> dict[str, list[str]]:
+    """camera → the films of its recording in order, as ``chapters`` lists them."""
+    where = "capture.yaml: chapters"
+    given = mapping(description.get("chapters"), where, "{cam1: [videos/first.mp4, videos/second.mp4]}")
+    return {
+        name(camera, where): [
+            path(film, f"{where} of {camera}")
+            for film in listed(films, f"{where} of {camera}", "[videos/first.mp4, videos/second.mp4]")
+        ]
+        for camera, films in given.items()
+    }
 
 
 def path_under(description: dict[str, Any], key: str) -> str | None:

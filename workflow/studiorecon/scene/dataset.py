@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm")
+VIDEO_SUFFIXES = (
+    ".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mts", ".m2ts", ".ts", ".mpg", ".mpeg", ".wmv", ".3gp", ".mxf",
+    ".flv", ".ogv", ".vob", ".dv",
+)  # fmt: skip
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 
 
@@ -18,10 +21,12 @@ class Dataset:
 
     Attributes:
         folder: the dataset directory.
-        footage: camera → video file, or folder of pictures.
+        footage: camera → video file, or folder of pictures; of a recording in chapters the first file.
+        chapters: camera → all files of its recording in order, for cameras whose recording is in several.
         held_out: cameras that only ``report`` may look at.
         calibration: the calibration's file(s); empty when none was found.
         keypoints: camera → folder of JSON files, or one file. Cameras without recorded keypoints are absent.
+        chapter_keypoints: camera → one such entry per chapter, where they were recorded chapter by chapter.
         keypoint_layout: name of the layout, or ``"auto"``.
         keypoint_first_frame: the number in the keypoint files that belongs to the first frame of the videos.
         plates, masks, depth: camera → file or folder, where the user brings them.
@@ -38,6 +43,7 @@ class Dataset:
         frame_count: how many of them to use; 0 = to the end.
         people: False when ``capture.yaml`` says ``people: 0``: the room is known to be empty.
         truth: folder of exact truth (synthetic studio only), else None.
+        notes: sentences: what was chosen among several, and every file of the folder that is not used, with the reason.
     """
 
     folder: Path
@@ -59,6 +65,9 @@ class Dataset:
     frame_count: int
     people: bool
     truth: Path | None
+    chapters: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
+    chapter_keypoints: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def cameras(self) -> tuple[str, ...]:

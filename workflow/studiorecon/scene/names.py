@@ -13,6 +13,7 @@ MOST_LETTERS = 100
 _NAME = re.compile(r"[\w(](?:[\w.+@()-]| (?! ))*(?<![ .])")
 # What the rules' own language takes for its own.
 _NOT_IN_PATHS = "{}\n\r"
+_OF_THE_SYSTEM = {"thumbs.db", "desktop.ini", "__macosx", "lost+found", "system volume information", "ehthumbs.db"}
 
 
 def checked_name(name: str, what: str, remedy: str) -> str:
@@ -30,6 +31,11 @@ def checked_place(path: Path) -> Path:
     if found := [letter for letter in _NOT_IN_PATHS if letter in str(path)]:
         raise UserError(f"the path {str(path)!r} holds {found[0]!r}, which the workflow cannot bear; rename the folder")
     return path
+
+
+def of_the_system(path: Path) -> bool:
+    """Whether a file or folder is one that operating systems and file servers leave beside the user's own."""
+    return path.name.startswith((".", "._", "@ea", "$")) or path.name.casefold() in _OF_THE_SYSTEM
 
 
 def segment_name(number: int) -> str:

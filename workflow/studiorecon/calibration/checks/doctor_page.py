@@ -24,6 +24,9 @@ _BODY = """
 <h2>Clocks</h2><ul>{% for told in report.sync.sentences %}<li>{{ told }}</li>{% endfor %}</ul>
 {% endif %}
 <h2>What to check</h2><ul>{% for a in report.advice %}<li>{{ a }}</li>{% else %}<li>Nothing.</li>{% endfor %}</ul>
+{% if report.notes %}
+<h2>The folder</h2><ul>{% for note in report.notes %}<li>{{ note }}</li>{% endfor %}</ul>
+{% endif %}
 {% if edges %}
 <h2>The room's straight edges</h2><p>{{ edges[:1].upper() }}{{ edges[1:] }}.</p>
 {% endif %}

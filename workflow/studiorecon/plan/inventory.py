@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What lies in a capture's folder and is not used: one sentence for each file or folder, with the reason."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+from studiorecon.plan.pairing import folded, stem_of
+from studiorecon.scene.dataset import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Dataset
+from studiorecon.scene.names import of_the_system
+
+_MOST_SENTENCES = 30
+_MOST_COUNTED = 1000
+_BY_SUFFIX: Mapping[str, str] = {
+    **dict.fromkeys((".lrv", ".lrf", ".thm", ".insv", ".360"), "a camera's own preview or raw file; bring its .mp4"),
+    **dict.fromkeys((".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg"), "sound is heard from the films themselves"),
+    **dict.fromkeys((".gz", ".zip", ".7z", ".rar", ".tar", ".bz2", ".xz"), "it is packed; unpack it"),
+    **dict.fromkeys((".part", ".crdownload", ".tmp", ".download"), "a download that did not end; fetch it again"),
+    **dict.fromkeys((".heic", ".gif", ".bmp", ".dng", ".cr2"), f"read are {', '.join(PICTURE_SUFFIXES)}"),
+}
+_CALIBRATION_SUFFIXES = {
+    *(".toml", ".yml", ".yaml", ".json", ".xml", ".npz", ".npy", ".pickle", ".pkl", ".xcp", ".mcal", ".calib", ".cal"),
+    *(".sfm", ".bin"),
+}
+_NO_NAME = "no camera's name fits it"
+# How folders of 2D keypoints are called.
+LIKE_KEYPOINTS = re.compile(r"pose|keypoint|kpts?|json|annot|skeleton|joints|landmark|detection")
+# Of a COLMAP model, and of what makes one: cameras are read without them.
+_BESIDE_MODELS = {"points3d.txt", "points3d.bin", "points3d.ply", "project.ini", "database.db"}
+_WORKFLOW_FOLDERS = {"results", "logs", "timings"}
+
+
+def unused(dataset: Dataset, place: Path, left_out: Iterable[str]) -> tuple[str, ...]:
+    """A sentence for every file or folder in ``dataset.folder`` that nothing of ``dataset`` names.
+
+    ``place`` is the folder of the films; ``left_out`` are cameras that ``train`` in capture.yaml does not list. Files
+    of the operating system are passed over. A folder of which nothing is used is one sentence.
+    """
+    folder, left_out = dataset.folder, set(left_out)
+    used = {folder / "capture.yaml", folder / "identities.tsv", *dataset.footage.values(), *dataset.calibration}
+    for several in (*dataset.chapters.values(), *dataset.chapter_keypoints.values()):
+        used.update(several)
+    for noun in (dataset.keypoints, dataset.plates, dataset.masks, dataset.depth):
+        used.update(noun.values())
+    parents = {parent for path in used for parent in path.parents}
+    models = {path.parent for path in dataset.calibration}
+    found = [
+        f"not used: {path.relative_to(folder).as_posix()}{'/' * path.is_dir()}{_count(path)}: "
+        f"{_reason(path, dataset, place, left_out)}"
+        for path in _left(folder, used, parents)
+        if not (path.parent in models and path.name.casefold() in _BESIDE_MODELS)
+    ]
+    more = len(found) - _MOST_SENTENCES
+    return (*found[:_MOST_SENTENCES], *([f"not used: {more} more files and folders"] if more > 0 else []))
+
+
+def _left(folder: Path, used: set[Path], parents: set[Path]) -> Iterator[Path]:
+    for path in sorted(folder.iterdir()):
+        if path in used or of_the_system(path):
+            continue
+        if path in parents and not path.is_symlink():
+            yield from _left(path, used, parents)
+        elif path not in parents and not (folder.resolve() == Path.cwd() and path.name in _WORKFLOW_FOLDERS):
+            yield path
+
+
+def _count(path: Path) -> str:
+    if not path.is_dir() or path.is_symlink():
+        return ""
+    number = 0
+    for number, _ in zip(range(1, _MOST_COUNTED + 1), _files(path)):  # noqa: B007
+        pass
+    return f" ({'at least ' * (number == _MOST_COUNTED)}{number} file{'s' * (number != 1)})"
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    for path in sorted(folder.iterdir()):
+        if path.is_dir() and not path.is_symlink():
+            yield from _files(path)
+        elif not of_the_system(path):
+            yield path
+
+
+def _reason(path: Path, dataset: Dataset, place: Path, left_out: set[str]) -> str:
+    if path.is_symlink() and not path.exists():
+        return f"a link to {path.readlink()}, which does not exist"
+    if stem_of(path) in left_out:
+        return "train in capture.yaml leaves this camera out"
+    if path.is_dir():
+        if (first := next(_files(path), None)) is None:
+            return "it is empty"
+        if LIKE_KEYPOINTS.search(folded(path.name)) or path.name in ("plates", "masks", "depth"):
+            return f"{_NO_NAME} ({first.name}); cameras are {', '.join(dataset.footage)}"
+        return _reason_of_name(path, dataset) or _reason(first, dataset, place, left_out)
+    suffix = path.suffix.lower()
+    if suffix in VIDEO_SUFFIXES:
+        return f"films are taken from {place.name}/, one per camera; put it there"
+    return (
+        _BY_SUFFIX.get(suffix)
+        or _reason_of_name(path, dataset)
+        or (f"pictures are read from images/<camera>/{', not beside films' * (place in path.parents)}")
+        * (suffix in PICTURE_SUFFIXES)
+        or _reason_of_calibration(path, dataset) * (suffix in _CALIBRATION_SUFFIXES)
+        or (f"no film ends in {path.suffix or 'nothing'}" if path.parent == place else "no file of a kind that is read")
+    )
+
+
+def _reason_of_name(path: Path, dataset: Dataset) -> str:
+    """Why it is no camera's keypoints, plate, mask or depth, beside some that are."""
+    nouns = {"keypoints": dataset.keypoints, "plate": dataset.plates, "masks": dataset.masks, "depth": dataset.depth}
+    for noun, entries in nouns.items():
+        for camera, entry in entries.items():
+            if entry.parent == path.parent and folded(stem_of(entry)) == folded(stem_of(path)):
+                return f"camera {camera} has {noun} in {entry.name} already"
+        if any(entry.parent == path.parent for entry in entries.values()):
+            return f"{_NO_NAME}; cameras are {', '.join(dataset.footage)}"
+    return ""
+
+
+def _reason_of_calibration(path: Path, dataset: Dataset) -> str:
+    named = f"write calibration: {path.relative_to(dataset.folder).as_posix()} into capture.yaml"
+    if dataset.calibration:
+        return f"the calibration is {', '.join(file.name for file in dataset.calibration)}; if it is this one, {named}"
+    return f"no calibration goes by this name; if it is one, {named}"

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which file or folder belongs to which camera, by their names."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from studiorecon.scene.dataset import VIDEO_SUFFIXES
+
+# What writers of keypoints and masks append to the name of a film.
+_TAIL = "(?:_json|_ext|_keypoints|_pose|dlc_.*)"
+
+
+def folded(name: str) -> str:
+    """``name`` as it is compared: composed letters (macOS stores decomposed ones), without case."""
+    return unicodedata.normalize("NFC", name).casefold()
+
+
+def stem_of(path: Path) -> str:
+    """The name without its suffix, and without that of a film before it (``cam1.mp4.json``); dots inside stay."""
+    stem = path.name if path.is_dir() else path.stem
+    return Path(stem).stem if Path(stem).suffix.lower() in VIDEO_SUFFIXES else stem
+
+
+def _holds(name: str, word: str) -> bool:
+    return re.search(rf"(?<![^\W_]){re.escape(folded(word))}(?![^\W_])", folded(name)) is not None
+
+
+def _longer(pair: tuple[str, str], other: tuple[str, str]) -> bool:
+    """Whether both pairs have one name in common, which holds the other name of each, that of ``other`` the longer."""
+    return any(
+        pair[k] == other[k] and _holds(pair[k], other[1 - k]) and _holds(other[1 - k], pair[1 - k])
+        for k in (0, 1)
+        if folded(pair[1 - k]) != folded(other[1 - k])
+    )
+
+
+# Strongest first: a weaker one is only tried on what the stronger ones leave.
+_RULES: tuple[Callable[[str, str], bool], ...] = (
+    lambda camera, entry: camera == entry,
+    lambda camera, entry: folded(camera) == folded(entry),
+    lambda camera, entry: re.fullmatch(re.escape(folded(camera)) + _TAIL, folded(entry)) is not None,
+    lambda camera, entry: _holds(entry, camera) or _holds(camera, entry),
+)
+
+
+def paired(cameras: Sequence[str], entries: Iterable[Path]) -> dict[str, Path]:
+    """camera → the entry that its name chooses; of several of one name the first.
+
+    A name that only holds the other one as a whole word, or differs in case or in the form of its letters, counts where
+    exactly one camera and one entry fit.
+    """
+    left = {entry: stem_of(entry) for entry in entries}
+    found: dict[str, Path] = {}
+    for rule in _RULES:
+        pairs = [(c, e) for c in cameras if c not in found for e, stem in left.items() if rule(c, stem)]
+        # Of names that hold one another (cam1, cam1_b) the longest that fits counts.
+        sure = [(c, e) for c, e in pairs if not any(_longer((c, left[e]), (o, left[f])) for o, f in pairs)]
+        for camera, entry in sure:
+            stems = {folded(left[e]) for c, e in sure if c == camera}
+            if camera not in found and len(stems) == 1 and {c for c, e in sure if e == entry} == {camera}:
+                found[camera] = entry
+        taken = {folded(left[entry]) for entry in found.values() if entry in left}
+        left = {entry: stem for entry, stem in left.items() if folded(stem) not in taken}
+    return {camera: found[camera] for camera in cameras if camera in found}
