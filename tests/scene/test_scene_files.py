@@ -160,27 +160,6 @@ class TestDataset:
         (folder / "capture.yaml").write_text(text)
         assert tuple(open_dataset(folder).starts.values()) == starts
 
-    @pytest.mark.parametrize(
-        ("text", "words"),
-        [
-            ("held_out: [3]", "'3'.*leading zeros"),
-            ("heldout: ['03']", "unknown key 'heldout'"),
-            ("frames: 5", "frames must look like"),
-            ("calibration: nowhere.toml", "does not exist"),
-            ("held_out: ['02', '03']", "at least 2"),
-            ("pixel_maps: {'01': {scale: 1}}", "must look like"),
-            ("identities: nowhere.tsv", "does not exist"),
-            ("starts: 13", "starts must look like"),
-            ("starts: {'04': 13}", "'04' under starts.*01, 02, 03"),
-            ("starts: {'02': early}", "number of frames, such as 13 or 12.6"),
-            (": : :", "not valid YAML"),
-        ],
-    )
-    def test_mistakes_in_capture_yaml(self, folder: Path, text: str, words: str) -> None:
-        (folder / "capture.yaml").write_text(text)
-        with pytest.raises(UserError, match=words):
-            open_dataset(folder)
-
     def test_a_missing_folder(self, tmp_path: Path) -> None:
         with pytest.raises(UserError, match="does not exist"):
             open_dataset(tmp_path / "nothing")

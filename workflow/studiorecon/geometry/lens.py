@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 _BORDER_SAMPLES = 200
 _ASPECT_TOLERANCE = 0.005
+# Of a video that shows what was calibrated, padded at most into a square or a portrait frame of it.
+_LEAST_COVERED = 0.25
 
 
 @dataclass(frozen=True)
@@ -89,9 +91,10 @@ def calibration_from_video_pixels(lens: Lens, source_wh: tuple[int, int]) -> Num
 
     The lens's own map where one was given; else the scaling from the video's size to the calibrated one. Raises
     UserError when the two sizes have different shapes: then the footage was cropped or padded, and only the user knows
-    how.
+    how; and when the given map lays the calibrated pixels beside the video's.
     """
     given = np.asarray(lens.calibration_from_video, dtype=np.float64)
+    _check_overlap(lens, given, source_wh)
     if not np.array_equal(given, np.eye(2, 3)) or 0 in lens.wh or tuple(lens.wh) == tuple(source_wh):
         return given
     scale = np.array(lens.wh) / np.array(source_wh)
@@ -102,6 +105,18 @@ def calibration_from_video_pixels(lens: Lens, source_wh: tuple[int, int]) -> Num
             "another shape; give its place in capture.yaml: pixel_maps: {camera: {scale: …, offset: [x, y]}}"
         )
     return np.array([[scale[0], 0, 0], [0, scale[1], 0]])
+
+
+def _check_overlap(lens: Lens, calibration_from_video: np.ndarray, source_wh: tuple[int, int]) -> None:
+    low, high = calibration_from_video[:, 2], calibration_from_video @ np.array([*source_wh, 1.0])
+    shared = np.clip(np.minimum(high, lens.wh) - np.maximum(low, 0), 0, None)
+    covered = float(np.prod(shared / (high - low)))
+    if 0 not in lens.wh and covered < _LEAST_COVERED:
+        raise UserError(
+            f"camera {lens.name}: pixel_maps in capture.yaml lays the calibrated {lens.wh[0]}×{lens.wh[1]} pixels over "
+            f"{covered:.0%} of the video's {source_wh[0]}×{source_wh[1]}; p_video = scale · p_calibration + offset, in "
+            "pixels of the video"
+        )
 
 
 def calibration_from_video(pixel_map: Sequence[float] | None) -> Num[np.ndarray, "2 3"]:

@@ -5,7 +5,8 @@ In: the configuration and the workflow's folder. Out: a frozen ``Plan``, and the
 data; they read both as ``PLAN`` and ``files`` (``workflow/rules/common.smk``). In the order to read:
 
 * ``dataset``: the user's dataset (found by ``discovery``: ``films`` and their chapters,
-  names by ``pairing``, and what is not used by ``inventory``), or the synthetic studio that is filmed first;
+  names by ``pairing``, ``keypoint_files``, and what is not used by ``inventory``), or the synthetic studio that is
+  filmed first;
 * ``sight``: in whose pictures people are looked for, and by what;
 * ``networks``: the upstream networks that are asked for, their images and GPUs;
 * ``decisions``: the ``Plan`` that these make up; ``refusals``, ``dates``: what cannot be run; ``make``: all of

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Sequence
+import difflib
+import os
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -12,14 +12,19 @@ from typing import Any
 
 from studiorecon.calibration.formats import FORMATS
 from studiorecon.errors import UserError
+from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.plan.films import find_recordings
-from studiorecon.plan.inventory import LIKE_KEYPOINTS, unused
-from studiorecon.plan.pairing import folded, paired
+from studiorecon.plan.inventory import unused
+from studiorecon.plan.keypoint_files import keypoint_files, keypoints_of_chapters
+from studiorecon.plan.pairing import per_camera
 from studiorecon.scene.capture_yaml import (
+    ABOUT_KEYPOINTS,
+    WITHOUT_CALIBRATION,
     anybody,
     chapters,
     focal_lengths,
     frames_used,
+    keypoint_first_frame,
     measured_lengths,
     names_under,
     path_under,
@@ -27,20 +32,16 @@ from studiorecon.scene.capture_yaml import (
     pixel_maps,
     read_description,
     starts_of,
-    whole_number,
 )
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Dataset, colmap_files
-from studiorecon.scene.names import checked_name, checked_place, of_the_system
+from studiorecon.scene.names import checked_name, checked_place
+from studiorecon.scene.outside import file_size
 
 _BYTES = 1 << 20
 # What may hold something of one camera: its own folder ("") or a file with such a suffix, likelier ones first.
-_KEYPOINTS = ("", ".json", ".csv", ".npz", ".h5")
 _PLATES = PICTURE_SUFFIXES
 _MASKS = ("", *VIDEO_SUFFIXES)
 _DEPTH = (".exr",)
-# Folders of 2D keypoints in the order in which they count; other names of such folders count if there is only one.
-_KEYPOINT_FOLDERS = ("keypoints", "pose", "openpose", "annots")
-_NOT_LIKE_KEYPOINTS = re.compile(r"3d|calib")
 
 
 def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
@@ -61,6 +62,11 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
 def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
     recordings = find_recordings(checked_place(folder), chapters(description))
     films = recordings.films
+    if strange := [camera for camera in chapters(description) if camera not in films]:
+        raise UserError(
+            f"capture.yaml: chapters names films of {strange[0]} that are not in {recordings.place}; paths are "
+            f"relative to {folder}"
+        )
     for camera, path in films.items():
         checked_name(camera, f"camera {path[0]}", "rename the file or folder")
     footage = {camera: parts[0] for camera, parts in films.items()}
@@ -87,19 +93,19 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
         named = path_under(description, noun)
         return named or noun, named is not None
 
-    first, count = frames_used(description, folder)
-    keypoints, choice = _keypoints(folder, path_under(description, "keypoints"), list(footage))
+    first, count = frames_used(description)
+    keypoints, choice = keypoint_files(folder, path_under(description, "keypoints"), list(footage))
     dataset = Dataset(
         folder=folder,
         footage=footage,
         held_out=held_out,
         calibration=_find_calibration(folder, description),
         keypoints=keypoints,
-        keypoint_layout=path_under(description, "keypoint_layout") or "auto",
-        keypoint_first_frame=whole_number(description, "keypoint_first_frame", folder),
-        plates=_per_camera(folder, *place("plates"), footage, _PLATES),
-        masks=_per_camera(folder, *place("masks"), footage, _MASKS),
-        depth=_per_camera(folder, *place("depth"), footage, _DEPTH),
+        keypoint_layout=_layout(path_under(description, "keypoint_layout") or "auto"),
+        keypoint_first_frame=keypoint_first_frame(description),
+        plates=per_camera(folder, *place("plates"), footage, _PLATES),
+        masks=per_camera(folder, *place("masks"), footage, _MASKS),
+        depth=per_camera(folder, *place("depth"), footage, _DEPTH),
         identities=_identities(folder, description),
         pixel_maps=pixel_maps(description, footage),
         focal_px=focal_lengths(description, footage),
@@ -111,9 +117,51 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
         truth=None,
         chapters={camera: films[camera] for camera in footage if len(films[camera]) > 1},
     )
-    dataset = replace(dataset, chapter_keypoints=_chapter_keypoints(dataset))
-    left_out = set(every) - set(footage)
-    return replace(dataset, notes=(*recordings.notes, *choice, *unused(dataset, recordings.place, left_out)))
+    dataset = replace(dataset, chapter_keypoints=keypoints_of_chapters(dataset))
+    _check_there(dataset)
+    left_out = unused(dataset, recordings.place, set(every) - set(footage))
+    return replace(dataset, notes=(*recordings.notes, *choice, *_idle_keys(description, dataset), *left_out))
+
+
+def _layout(name: str) -> str:
+    if name in ("auto", *LAYOUTS):
+        return name
+    near = difflib.get_close_matches(name.lower(), LAYOUTS, 1)
+    meant = f"did you mean {near[0]}?" if near else f"layouts are {', '.join(LAYOUTS)}"
+    raise UserError(f"capture.yaml: keypoint_layout is {name!r}, which is none; {meant}")
+
+
+def _check_there(dataset: Dataset) -> None:
+    """Raises UserError for the first file that is a dangling link, no regular file or not to be read."""
+    films = [film for camera, first in dataset.footage.items() for film in dataset.chapters.get(camera, (first,))]
+    nouns = (dataset.keypoints, dataset.plates, dataset.masks, dataset.depth)
+    for path in (*films, *dataset.calibration, *(entry for noun in nouns for entry in noun.values())):
+        if path.is_dir() and path not in dataset.calibration:
+            next(iter(path.iterdir()), None)  # raises where it may not be listed
+            continue
+        file_size(path)
+        if not os.access(path, os.R_OK):
+            raise UserError(f"{path} cannot be read (permission denied); see who may read it")
+
+
+def _idle_keys(description: dict[str, Any], dataset: Dataset) -> list[str]:
+    """A sentence for every key of capture.yaml that says something about what is not there."""
+    calibration = ", ".join(file.name for file in dataset.calibration)
+    idle = [
+        f"capture.yaml: {key} counts only where cameras are found from people, and {calibration} says where they are "
+        "unless calibration.source is people"
+        for key in WITHOUT_CALIBRATION
+        if calibration and description.get(key) is not None
+    ]
+    if not dataset.keypoints:
+        idle += [
+            f"capture.yaml: {key} is about recorded keypoints, and there are none"
+            for key in ABOUT_KEYPOINTS
+            if description.get(key) is not None
+        ]
+    if dataset.pixel_maps and not calibration:
+        idle.append("capture.yaml: pixel_maps belong to a calibration, and there is none")
+    return idle
 
 
 def _same_bytes(one: Path, two: Path) -> bool:
@@ -178,72 +226,9 @@ def _with_rigs(paths: tuple[Path, ...]) -> tuple[Path, ...]:
     return tuple(dict.fromkeys([*paths, *(path for file in images for path in colmap_files(file) if path.is_file())]))
 
 
-def _per_camera(
-    folder: Path, name: str, required: bool, cameras: Iterable[str], suffixes: Sequence[str]
-) -> dict[str, Path]:
-    """camera → its entry in the folder ``name``, of a kind in ``suffixes``; empty where there is no such folder."""
-    base = folder / name
-    if not base.is_dir():
-        if required:
-            raise UserError(f"capture.yaml names {base}, which is not a folder")
-        return {}
-    kinds = {path: "" if path.is_dir() else path.suffix.lower() for path in sorted(base.iterdir())}
-    entries = [path for path, kind in kinds.items() if kind in suffixes and not of_the_system(path)]
-    return paired(list(cameras), sorted(entries, key=lambda path: suffixes.index(kinds[path])))
-
-
-def _keypoints(folder: Path, named: str | None, cameras: Sequence[str]) -> tuple[dict[str, Path], list[str]]:
-    """camera → its recorded keypoints, and sentences about the choice among folders that may hold them.
-
-    The folder ``named`` in capture.yaml counts; else the first of the usual ones; else the only one whose name speaks
-    of poses or keypoints and whose entries bear the cameras' names.
-    """
-    if named is not None:
-        return _per_camera(folder, named, True, cameras, _KEYPOINTS), []
-    usual = next((name for name in _KEYPOINT_FOLDERS if (folder / name).is_dir()), None)
-    if usual is not None:
-        return _per_camera(folder, usual, False, cameras, _KEYPOINTS), []
-    held = {
-        path.relative_to(folder).as_posix(): entries
-        for path in sorted([*folder.glob("*"), *folder.glob("*/*")])
-        if path.is_dir()
-        and LIKE_KEYPOINTS.search(folded(path.name))
-        and not _NOT_LIKE_KEYPOINTS.search(folded(path.relative_to(folder).as_posix()))
-        and (entries := _per_camera(folder, path.relative_to(folder).as_posix(), False, cameras, _KEYPOINTS))
-    }
-    if len(held) == 1:
-        name, entries = next(iter(held.items()))
-        return entries, [f"keypoints are taken from {name}/"]
-    if held:
-        return {}, [
-            f"{' and '.join(f'{name}/' for name in held)} may each hold keypoints, and none is used; choose one in "
-            f"capture.yaml: keypoints: {next(iter(held))}"
-        ]
-    return {}, []
-
-
-def _chapter_keypoints(dataset: Dataset) -> dict[str, tuple[Path, ...]]:
-    """camera → its keypoints chapter by chapter, where every chapter has its own; raises UserError where only some
-    have."""
-    found = {}
-    for camera, parts in dataset.chapters.items():
-        if camera not in dataset.keypoints:
-            continue
-        place = dataset.keypoints[camera].parent.relative_to(dataset.folder).as_posix()
-        entries = _per_camera(dataset.folder, place, True, [part.stem for part in parts], _KEYPOINTS)
-        if len(entries) == len(parts):
-            found[camera] = tuple(entries[part.stem] for part in parts)
-        elif len(entries) > 1:
-            lacking = next(part.stem for part in parts if part.stem not in entries)
-            raise UserError(
-                f"{dataset.folder / place} has keypoints of {len(entries)} of the {len(parts)} chapters of camera "
-                f"{camera}, and none of {lacking}; bring those too, or one file of the whole recording"
-            )
-    return found
-
-
 def _identities(folder: Path, description: dict[str, Any]) -> Path | None:
     path = folder / (path_under(description, "identities") or "identities.tsv")
-    if description.get("identities") is not None and not path.is_file():
-        raise UserError(f"capture.yaml names identities: {path}, which does not exist")
-    return path if path.is_file() else None
+    if description.get("identities") is None and not path.exists() and not path.is_symlink():
+        return None
+    file_size(path)
+    return path

@@ -10,9 +10,8 @@ from itertools import groupby, pairwise
 from pathlib import Path
 
 from studiorecon.errors import UserError
-from studiorecon.plan.pairing import folded
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, VIDEO_SUFFIXES
-from studiorecon.scene.names import of_the_system
+from studiorecon.scene.names import folded, of_the_system
 from studiorecon.scene.numbered import natural
 
 # Where the footage lies in the captures that people have; the first that holds any counts.

@@ -7,9 +7,9 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-from studiorecon.plan.pairing import folded, stem_of
+from studiorecon.plan.pairing import stem_of
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Dataset
-from studiorecon.scene.names import of_the_system
+from studiorecon.scene.names import folded, of_the_system
 
 _MOST_SENTENCES = 30
 _MOST_COUNTED = 1000

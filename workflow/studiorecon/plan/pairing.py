@@ -4,19 +4,15 @@
 from __future__ import annotations
 
 import re
-import unicodedata
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
+from studiorecon.errors import UserError
 from studiorecon.scene.dataset import VIDEO_SUFFIXES
+from studiorecon.scene.names import folded, of_the_system
 
 # What writers of keypoints and masks append to the name of a film.
 _TAIL = "(?:_json|_ext|_keypoints|_pose|dlc_.*)"
-
-
-def folded(name: str) -> str:
-    """``name`` as it is compared: composed letters (macOS stores decomposed ones), without case."""
-    return unicodedata.normalize("NFC", name).casefold()
 
 
 def stem_of(path: Path) -> str:
@@ -66,3 +62,17 @@ def paired(cameras: Sequence[str], entries: Iterable[Path]) -> dict[str, Path]:
         taken = {folded(left[entry]) for entry in found.values() if entry in left}
         left = {entry: stem for entry, stem in left.items() if folded(stem) not in taken}
     return {camera: found[camera] for camera in cameras if camera in found}
+
+
+def per_camera(
+    folder: Path, name: str, required: bool, cameras: Iterable[str], suffixes: Sequence[str]
+) -> dict[str, Path]:
+    """camera → its entry in the folder ``name``, of a kind in ``suffixes``; empty where there is no such folder."""
+    base = folder / name
+    if not base.is_dir():
+        if required:
+            raise UserError(f"capture.yaml names {base}, which is not a folder")
+        return {}
+    kinds = {path: "" if path.is_dir() else path.suffix.lower() for path in sorted(base.iterdir())}
+    entries = [path for path, kind in kinds.items() if kind in suffixes and not of_the_system(path)]
+    return paired(list(cameras), sorted(entries, key=lambda path: suffixes.index(kinds[path])))

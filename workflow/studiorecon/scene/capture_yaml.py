@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from studiorecon.errors import UserError
+from studiorecon.scene.names import folded
 from studiorecon.scene.outside import read_yaml
-from studiorecon.scene.values import listed, mapping, name, number, numbers, path, shown, whole
+from studiorecon.scene.values import listed, mapping, name, number, path, shown, whole
 
 _KEYS = {
     "chapters", "frames", "starts", "held_out", "train", "calibration", "keypoints",
@@ -20,39 +22,50 @@ _KEYS = {
 
 MOST_PEOPLE = 100
 LEAST_FOCAL_PX, MOST_FOCAL_PX = 50.0, 1e6
+LEAST_HEIGHT_M, MOST_HEIGHT_M = 0.5, 2.8
 MOST_DISTANCE_M = 1000.0
+# Eleven days at 100 frames per second.
 _MOST_FRAMES = 10**8
+# Numbers in file names may be nanoseconds since 1970.
+_MOST_FIRST_FRAME = 10**18
+# Pictures of other sizes than the calibration's: from a thumbnail to four times 4K; no picture is wider than 16,384 px.
+LEAST_PIXEL_SCALE, MOST_PIXEL_SCALE, MOST_PIXEL_OFFSET = 0.05, 20.0, 16384.0
+# What only counts without a calibration, and what says something about recorded keypoints.
+WITHOUT_CALIBRATION = ("focal_px", "height_m", "distance_m")
+ABOUT_KEYPOINTS = ("keypoint_layout", "keypoint_first_frame")
 
 
 def read_description(folder: Path, capture_yaml: Path | None) -> dict[str, Any]:
     """What ``capture_yaml`` (default: ``capture.yaml`` in ``folder``, if it is there) says; UserError for a key that
     there is not."""
     path = capture_yaml or folder / "capture.yaml"
-    if capture_yaml is not None and not path.exists() and not path.is_symlink():
+    if not path.exists() and not path.is_symlink():
+        if capture_yaml is None:
+            return {}
         raise UserError(
             f"{path} does not exist; pass an existing file with --config capture_yaml=FILE, or leave it out"
         )
-    if not path.exists() and not path.is_symlink():
-        return {}
     description = read_yaml(path)
     if description is None:
         return {}
     if not isinstance(description, dict):
         raise UserError(f"{path} holds {shown(description)}; it must be lines of KEY: VALUE, such as held_out: [cam4]")
-    unknown = sorted(set(map(str, description)) - _KEYS)
-    if unknown:
-        raise UserError(f"{path} has the unknown key {unknown[0]!r}; known keys are {', '.join(sorted(_KEYS))}")
+    if unknown := sorted(set(map(str, description)) - _KEYS):
+        near = difflib.get_close_matches(unknown[0].lower(), _KEYS, 1)
+        meant = f"did you mean {near[0]}?" if near else f"known keys are {', '.join(sorted(_KEYS))}"
+        raise UserError(f"{path} has the unknown key {shown(unknown[0])}; {meant}")
     return description
 
 
 def _check_named(camera: Any, key: str, footage: Mapping[str, Path]) -> str:
-    if str(camera) not in footage:
-        there = ", ".join(footage)
+    given = str(camera)
+    alike = [known for known in footage if folded(known) == folded(given)]
+    if given not in footage and len(alike) != 1:
         raise UserError(
-            f"capture.yaml lists camera {str(camera)!r} under {key}, but the footage has "
-            f"{there}; quote names with leading zeros"
+            f"capture.yaml lists camera {shown(given)} under {key}, but the footage has {', '.join(footage)}; "
+            "names with leading zeros have to keep them"
         )
-    return str(camera)
+    return given if given in footage else alike[0]
 
 
 def names_under(description: dict[str, Any], key: str, footage: Mapping[str, Path]) -> list[str]:
@@ -104,44 +117,38 @@ def anybody(description: dict[str, Any]) -> bool:
     return whole(given, "capture.yaml: people", 0, MOST_PEOPLE, "the number of people, 0 for an empty room,") > 0
 
 
-def frames_used(description: dict[str, Any], folder: Path) -> tuple[int, int]:
+def frames_used(description: dict[str, Any]) -> tuple[int, int]:
     """First frame and number of frames (0 = to the end) that ``frames`` chooses."""
-    frames = description.get("frames") or {}
-    if not isinstance(frames, dict) or set(frames) - {"first", "count"}:
-        raise UserError(f"capture.yaml of {folder}: frames must look like {{first: 0, count: 60}}")
-    first, count = frames.get("first", 0), frames.get("count", 0)
-    if not all(isinstance(v, int) and not isinstance(v, bool) and 0 <= v <= _MOST_FRAMES for v in (first, count)):
-        raise UserError(f"capture.yaml of {folder}: frames.first and frames.count must be whole numbers ≥ 0")
+    frames = mapping(description.get("frames"), "capture.yaml: frames", "{first: 0, count: 60}")
+    if set(frames) - {"first", "count"}:
+        raise UserError("capture.yaml: frames must look like {first: 0, count: 60}")
+    first = whole(frames.get("first", 0), "capture.yaml: frames.first", 0, _MOST_FRAMES)
+    count = whole(frames.get("count", 0), "capture.yaml: frames.count", 0, _MOST_FRAMES)
     if count == 1:
-        raise UserError(f"capture.yaml of {folder}: frames.count is 1; nothing moves in one frame, choose at least 2")
+        raise UserError("capture.yaml: frames.count is 1; nothing moves in one frame, choose at least 2")
     return first, count
 
 
 def starts_of(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
     """camera → the frame of its footage that shows one moment, 0 for cameras that are not named; empty where
     capture.yaml names none."""
-    given = description.get("starts")
-    given = {} if given is None else given
-    if not isinstance(given, dict):
-        raise UserError(
-            "capture.yaml: starts must look like {cam02: 13}: the frame of cam02's video at which the others begin"
-        )
+    given = mapping(
+        description.get("starts"),
+        "capture.yaml: starts",
+        "{cam02: 13}: the frame of cam02's video at which the others begin",
+    )
     found = dict.fromkeys(footage, 0.0)
     for camera, value in given.items():
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e9:
-            raise UserError(
-                f"capture.yaml: starts of {camera} is {value!r}; it must be a number of frames, such as 13 or 12.6"
-            )
-        found[_check_named(camera, "starts", footage)] = float(value)
+        where = f"capture.yaml: starts of {camera}"
+        what = f"a number of frames of at most {_MOST_FRAMES}, such as 13 or 12.6"
+        found[_check_named(camera, "starts", footage)] = number(value, where, -_MOST_FRAMES, _MOST_FRAMES, what)
     return found if given else {}
 
 
-def whole_number(description: dict[str, Any], key: str, folder: Path) -> int:
-    """The whole number under ``key``, 0 when there is none."""
-    value = description.get(key, 0)
-    if not isinstance(value, int) or isinstance(value, bool) or abs(value) > _MOST_FRAMES:
-        raise UserError(f"capture.yaml of {folder}: {key} must be a whole number, not {shown(value)}")
-    return value
+def keypoint_first_frame(description: dict[str, Any]) -> int:
+    """The number in the keypoint files that belongs to the first frame, 0 when there is none."""
+    key = "keypoint_first_frame"
+    return whole(description.get(key, 0), f"capture.yaml: {key}", -_MOST_FIRST_FRAME, _MOST_FIRST_FRAME)
 
 
 def focal_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
@@ -168,22 +175,27 @@ def measured_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -
     found: dict[str, Any] = {}
     if (heights := description.get("height_m")) is not None:
         table = heights if isinstance(heights, dict) else {"": heights}
-        for person, value in table.items():
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.5 < value < 2.8:
-                who = f" of {person}" if person else ""
-                raise UserError(f"capture.yaml: height_m{who} is {value!r}; it must be somebody's height in metres")
-        found["height_m"] = {str(person): float(value) for person, value in table.items()}
-    if (distance := description.get("distance_m")) is not None:
-        listed = distance if isinstance(distance, list) and len(distance) == 3 else [None, None, None]
-        metres = listed[2]
-        if isinstance(metres, bool) or not isinstance(metres, (int, float)) or not 0 < metres < MOST_DISTANCE_M:
-            raise UserError(
-                "capture.yaml: distance_m must look like [cam01, cam02, 3.21]: metres from lens to lens of two cameras"
+        found["height_m"] = {
+            str(person): number(
+                value,
+                f"capture.yaml: height_m{f' of {person}' if person else ''}",
+                LEAST_HEIGHT_M,
+                MOST_HEIGHT_M,
+                f"somebody's height in metres, {LEAST_HEIGHT_M:g} to {MOST_HEIGHT_M:g}",
             )
+            for person, value in table.items()
+        }
+    if (distance := description.get("distance_m")) is not None:
+        where = "capture.yaml: distance_m"
+        what = "[cam01, cam02, 3.21]: metres from lens to lens of two cameras"
+        listed = distance if isinstance(distance, list) and len(distance) == 3 else None
+        if listed is None:
+            raise UserError(f"{where} is {shown(distance)}; it must look like {what}")
+        metres = number(listed[2], where, 1e-3, MOST_DISTANCE_M, f"{what}, of at most {MOST_DISTANCE_M:g} m")
         pair = [_check_named(camera, "distance_m", footage) for camera in listed[:2]]
         if pair[0] == pair[1]:
             raise UserError(f"capture.yaml: distance_m is from camera {pair[0]} to itself; name two cameras")
-        found |= {"between": pair, "distance_m": float(metres)}
+        found |= {"between": pair, "distance_m": metres}
     return found
 
 
@@ -199,9 +211,18 @@ def pixel_maps(description: dict[str, Any], footage: Mapping[str, Path]) -> dict
         example = f"{where} must look like {{scale: 0.99, offset: [0.0, 7.2]}}"
         if not isinstance(entry, dict) or set(entry) != {"scale", "offset"}:
             raise UserError(example)
-        offset = numbers(entry["offset"], f"{where}: offset")
-        if offset.shape != (2,):
+        if not isinstance(entry["offset"], list) or len(entry["offset"]) != 2:
             raise UserError(example)
-        scale = number(entry["scale"], f"{where}: scale", 1e-3, 1e3, "a factor above 0, such as 0.99")
-        found[camera_name] = (scale, float(offset[0]), float(offset[1]))
+        scale = number(
+            entry["scale"],
+            f"{where}: scale",
+            LEAST_PIXEL_SCALE,
+            MOST_PIXEL_SCALE,
+            f"pixels of the video per pixel of the calibration, {LEAST_PIXEL_SCALE:g} to {MOST_PIXEL_SCALE:g}",
+        )
+        what = f"a number of pixels of at most {MOST_PIXEL_OFFSET:g}"
+        x, y = (
+            number(value, f"{where}: offset", -MOST_PIXEL_OFFSET, MOST_PIXEL_OFFSET, what) for value in entry["offset"]
+        )
+        found[camera_name] = (scale, x, y)
     return found

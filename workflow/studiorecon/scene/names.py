@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from pathlib import Path
 
 from studiorecon.errors import UserError
@@ -31,6 +32,11 @@ def checked_place(path: Path) -> Path:
     if found := [letter for letter in _NOT_IN_PATHS if letter in str(path)]:
         raise UserError(f"the path {str(path)!r} holds {found[0]!r}, which the workflow cannot bear; rename the folder")
     return path
+
+
+def folded(name: str) -> str:
+    """``name`` as names are compared: composed letters (macOS stores decomposed ones), without case."""
+    return unicodedata.normalize("NFC", name).casefold()
 
 
 def of_the_system(path: Path) -> bool:

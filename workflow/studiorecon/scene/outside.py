@@ -13,6 +13,7 @@ import csv
 import io
 import json
 import math
+import re
 import tokenize
 import warnings
 import xml.etree.ElementTree as ElementTree
@@ -21,7 +22,7 @@ import zlib
 from collections.abc import Container, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import yaml
 
@@ -108,7 +109,26 @@ def read_json(path: Path, remedy: str = _COPY) -> Any:
         raise UserError(f"{path} is not readable JSON ({first_line(error)}); {remedy}") from None
 
 
-def read_yaml(path: Path, loader: type | None = None, *, comments: str = "") -> Any:
+class PlainYaml(yaml.SafeLoader):
+    """YAML 1.2: what YAML 1.1 reads as another number (010 as 8, 12:30 as 750, 1_0 as 10), as a truth value (no, on) or
+    as a date stays text, and is a name where a name is wanted."""
+
+    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
+
+
+_INTEGER = r"[-+]?(?:0|[1-9][0-9]*)"
+_REAL = rf"(?:{_INTEGER}(?:\.[0-9]*)?|[-+]?\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
+for _kind, _form, _first in (
+    ("null", r"~|null|Null|NULL|", ("~", "n", "N", "")),
+    ("bool", "true|True|TRUE|false|False|FALSE", tuple("tTfF")),
+    ("int", _INTEGER, tuple("-+0123456789")),
+    ("float", _REAL, tuple("-+.0123456789")),
+    ("merge", "<<", ("<",)),
+):
+    PlainYaml.add_implicit_resolver(f"tag:yaml.org,2002:{_kind}", re.compile(f"(?:{_form})$"), _first)
+
+
+def read_yaml(path: Path, loader: type = PlainYaml, *, comments: str = "") -> Any:
     """What a YAML file holds, in plain types or those of ``loader``; lines that begin with ``comments`` are left out.
 
     Raises UserError with the line, also for a key that stands there twice.
@@ -117,9 +137,9 @@ def read_yaml(path: Path, loader: type | None = None, *, comments: str = "") -> 
     if comments:
         text = "\n".join("" if line.startswith(comments) else line for line in text.split("\n"))
     try:
-        node = yaml.compose(text, Loader=loader or yaml.SafeLoader)
+        node = yaml.compose(text, Loader=loader)
         _once(node)
-        return yaml.load(text, Loader=loader or yaml.SafeLoader)
+        return yaml.load(text, Loader=loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}: " if mark else ""

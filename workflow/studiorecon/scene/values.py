@@ -69,7 +69,7 @@ def path(value: Any, where: str) -> str:
 def number(value: Any, where: str, low: float, high: float, what: str) -> float:
     """``value`` as a finite number within ``low`` … ``high``; ``what`` says in words what it must be, with its unit."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise UserError(f"{where} is {shown(value)}; it must be {what}")
+        raise UserError(f"{where} is {shown(value)}; it must be {what}{_as_text(value)}")
     try:
         found = float(value)
     except OverflowError:
@@ -84,8 +84,13 @@ def whole(value: Any, where: str, low: int, high: int, what: str = "a whole numb
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not low <= value <= high:
-        raise UserError(f"{where} is {shown(value)}; it must be {what} from {low} to {high}")
+        raise UserError(f"{where} is {shown(value)}; it must be {what} from {low} to {high}{_as_text(value)}")
     return int(value)
+
+
+def _as_text(value: Any) -> str:
+    digits = isinstance(value, str) and any(letter.isdecimal() for letter in value)
+    return ", in plain decimal digits without quotes or leading zeros" if digits else ""
 
 
 def numbers(value: Any, where: str, *, finite: bool = True) -> Float[np.ndarray, " ..."]:
