@@ -50,6 +50,7 @@ from studiorecon.tracks import keypoints as tracks_keypoints
 from benchmarks.pose2sim_peer import pose2sim_points
 from tests.defaults import loaded
 from tests.made.cameras import detect, ring, walk
+from tests.made.imported import imported
 from tests.made.take import after_similarity, made_take
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -167,9 +168,7 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
 
     def steps() -> None:
         maps = json.dumps(dict(dataset.pixel_maps))
-        calibration.run(
-            loaded(calibration.Settings), list(dataset.calibration), list(MAN), maps, out / "calibration.json"
-        )
+        imported(loaded(calibration.Settings), list(dataset.calibration), list(MAN), maps, out / "calibration.json")
         for c in MAN:
             about = dataset.keypoint_layout, dataset.keypoint_first_frame, dataset.footage[c]
             pixel_map = json.dumps(dataset.pixel_maps[c])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from studiorecon.calibration import files as calibration
 from studiorecon.calibration.formats.pickles import read_pickle
-from studiorecon.calibration.names import match_in_order
+from studiorecon.calibration.names import pairings_in_order
 from studiorecon.camera_files.colmap import quaternion_from_rotation
 from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
@@ -23,6 +23,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import read_json
 
 from tests.made.cameras import ring
+from tests.made.imported import imported
 
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -141,7 +142,7 @@ def options(default_settings):
 def test_every_research_format_gives_the_same_cameras(tmp_path, options, form):
     cameras = named_ring()
     names = [c.name for c in cameras]
-    calibration.run(options(), WRITERS[form](tmp_path, cameras), names[::-1], "{}", tmp_path / "out.json")
+    imported(options(), WRITERS[form](tmp_path, cameras), names[::-1], "{}", tmp_path / "out.json")
     found = read_json(tmp_path / "out.json")
     by_name = {v["name"]: v for v in found["lenses"]}
     assert list(by_name) == names[::-1]
@@ -200,9 +201,13 @@ def test_a_camera_that_moves_is_refused_by_name(tmp_path):
 
 
 def test_cameras_without_names_need_the_same_number_of_videos():
-    assert match_in_order(["cam10", "cam2", "cam1"], 3, "x")[0] == {"cam1": "0", "cam2": "1", "cam10": "2"}
+    assert pairings_in_order(["cam10", "cam2", "cam1"], 3, "x")[0].calibrated == {
+        "cam1": "0",
+        "cam2": "1",
+        "cam10": "2",
+    }
     with pytest.raises(UserError, match="21 cameras without names, the footage has 2"):
-        match_in_order(["cam00", "cam01"], 21, "poses_bounds.npy")
+        pairings_in_order(["cam00", "cam01"], 21, "poses_bounds.npy")
 
 
 @pytest.mark.parametrize("poses", ["world_from_camera", "opengl", "world_from_camera_opengl"])

@@ -52,6 +52,7 @@ def test_cameras_are_found_from_two_people_in_sixty_frames(tmp_path, options, ro
         names,
         names,
         [tmp_path / f"{n}.mp4" for n in names],
+        [],
         '{"' + '": 914.0, "'.join(names) + '": 914.0}',
         "{}",
         tmp_path / "calibration.json",

@@ -25,6 +25,7 @@ from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import Clock, Clocks, write_clocks
 from studiorecon.scene.people import Detections, read_detections, write_detections
 
+from tests.made.imported import imported
 from tests.made.networks import room_views
 
 WH = (192, 108)
@@ -138,7 +139,7 @@ def test_footage_becomes_a_calibration_in_metres(
     for picture, (_, rgb, _) in zip(pictures, room_views(WH), strict=True):
         np.testing.assert_array_equal(picture, to_bytes(rgb))
     files = [tmp_path / "network/cameras.txt", model]
-    calibration.run(
+    imported(
         load(calibration.Settings, default_settings("cameras"), "cameras"),
         files,
         names,

@@ -27,6 +27,7 @@ from studiorecon.tracks import keypoints as tracks_keypoints
 
 from tests.made.cameras import detect, ring, walk
 from tests.made.cameras_parts import matrix, write_toml
+from tests.made.imported import imported
 
 FRAMES = 24
 PEOPLE = [walk([-0.6, -0.5, 0], [0.03, 0, 0], FRAMES), walk([0.7, 0.6, 0], [0, -0.03, 0], FRAMES, 2.0)]
@@ -86,7 +87,7 @@ def examine(default_settings: Callable[..., dict[str, Any]]) -> Callable[..., di
     def run(folder: Path, **changed: Any) -> dict[str, Any]:
         data, out, section = open_dataset(folder), folder / "out", {**default_settings("cameras"), **changed}
         reading = settings_module.load(calibration.Settings, section, "cameras")
-        calibration.run(reading, list(data.calibration), list(data.cameras), "{}", out / "calibration.json")
+        imported(reading, list(data.calibration), list(data.cameras), "{}", out / "calibration.json")
         people = settings_module.load(tracks_keypoints.Settings, default_settings("tracks"), "tracks")
         for c, path in data.keypoints.items():
             files = out / f"{c}.npz", out / f"{c}.json"

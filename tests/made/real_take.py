@@ -23,6 +23,8 @@ from studiorecon.scene.files import read_json
 from studiorecon.scene.people import read_identities, read_people
 from studiorecon.tracks import keypoints as detections
 
+from tests.made.imported import imported
+
 
 def front_end(
     real_data: Path, root: Path, folder: Path, take: str, default_settings: Callable[..., dict[str, Any]]
@@ -44,7 +46,7 @@ def front_end_of(
         return settings_module.load(module.Settings, default_settings(stage, **changed), stage)
 
     lenses, names = out / "calibration.json", list(data.cameras)
-    calibration.run(load(calibration), list(data.calibration), names, json.dumps(dict(data.pixel_maps)), lenses)
+    imported(load(calibration), list(data.calibration), names, json.dumps(dict(data.pixel_maps)), lenses)
     for name in names:
         # Filmed in step; no rate is asked of pictures in a folder.
         clock = clock_of(name, timeline_of(open_source(data.footage[name], 30.0)))

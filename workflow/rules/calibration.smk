@@ -13,6 +13,7 @@ if PLAN.from_people:
             clocks="results/{scene}/clocks/clocks.json",
             body=files.body,
             sources=files.all_footage,
+            lenses=files.lenses,
         output:
             calibration="results/{scene}/calibration/calibration.json",
         log:
@@ -40,7 +41,7 @@ else:
         input:
             files=files.calibration,
         output:
-            calibration="results/{scene}/calibration/calibration.json",
+            read="results/{scene}/calibration/read.json",
         log:
             "logs/{scene}/calibration/files.log",
         benchmark:
@@ -54,9 +55,35 @@ else:
             settings=settings("calibration.files"),
             code=code("calibration.files"),
             cameras=PLAN.cameras,
-            pixel_maps=json.dumps(dict(PLAN.dataset.pixel_maps)),
         shell:
             command("calibration.files")
+
+    rule calibration_choose:
+        input:
+            read="results/{scene}/calibration/read.json",
+            sources=files.all_footage,
+            sightings=collect(
+                "results/{scene}/detect/keypoints/{camera}.npz", camera=PLAN.sight.timed, allow_missing=True
+            ),
+        output:
+            calibration="results/{scene}/calibration/calibration.json",
+        log:
+            "logs/{scene}/calibration/choose.log",
+        benchmark:
+            "benchmarks/{scene}/calibration/choose.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=500,
+        params:
+            settings=settings("calibration.choose"),
+            code=code("calibration.choose"),
+            cameras=PLAN.cameras,
+            pixel_maps=json.dumps(dict(PLAN.dataset.pixel_maps)),
+            picture_fps=config["capture"]["picture_fps"],
+        shell:
+            command("calibration.choose")
 
 
 if PLAN.networks.cameras:

@@ -37,6 +37,7 @@ from studiorecon.progress import say
 from studiorecon.rig.bundle import Agreement, Trust, error_medians
 from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.human_size import check_human_size, check_units
 from studiorecon.rig.hypotheses import LENS_READINGS, best_swap, lens_row, verdicts
 from studiorecon.rig.lens_model import LensReading, as_model
 from studiorecon.rig.odd_one_out import odd_one_out
@@ -121,6 +122,7 @@ def examined(
     found_lags = clocks.lags(window, cameras, _LAG_FRAMES, settings.gate_m) if people else []
     report: dict[str, Any] = {
         "cameras": names,
+        "lengths": _wrong_lengths(cameras, detections, seen, few, settings) if people else None,
         "people": people,
         "without_keypoints": [a["camera"] for a in about if not a["keypoints"]],
         "sees_nobody": others_told([d for d, a in zip(detections, about) if a["keypoints"]], fps),
@@ -147,6 +149,18 @@ def examined(
     }
     report["verdict"], report["advice"] = verdict(report, limit_px)
     return report, shown_points
+
+
+def _wrong_lengths(
+    cameras: Sequence[Camera], detections: Sequence[Detections], seen: Observations, few: np.ndarray, settings: Settings
+) -> str | None:
+    """What ``cameras.refine`` would refuse about people's size, or None."""
+    try:
+        if check_human_size(cameras, seen, settings.limits) is None:
+            check_units(cameras, detections, few, settings.gate_m, settings.limits)
+    except UserError as refusal:
+        return str(refusal)
+    return None
 
 
 def _metres_per_px(cameras: Sequence[Camera], points_m: np.ndarray) -> list[float]:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``calibration.files``: the user's calibration files → lenses in the metric world, z up, pixel centres at +0.5."""
+"""``calibration.files``: the user's calibration files → cameras of one kind, in the files' own world and unit; and what
+makes lenses of them in the metric world, z up."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +13,9 @@ import numpy as np
 
 from studiorecon.calibration.formats import FORMATS, accepted
 from studiorecon.calibration.formats.reading import Reading
-from studiorecon.calibration.names import match_in_order, match_names
-from studiorecon.calibration.world import metres_per_unit, settled, z_up_from_world
-from studiorecon.camera_files.raw_camera import check_camera
+from studiorecon.calibration.names import Pairing, pairings, pairings_in_order
+from studiorecon.calibration.world import metres_per_unit, refuse_mixed_units, settled, z_up_from_world
+from studiorecon.camera_files.raw_camera import checked_camera
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.geometry.lens import calibration_from_video
@@ -87,23 +87,32 @@ def read_calibration(files: Sequence[Path], wanted: str = "auto") -> Reading:
     raise UserError(f"{', '.join(f.name for f in files)} is not a calibration of a known format; bring {accepted()}")
 
 
-def lenses_of(
-    reading: Reading, source: str, cameras: Sequence[str], pixel_maps: Mapping[str, Sequence[float]], settings: Settings
-) -> tuple[list[Lens], list[str], bool]:
-    """Lenses in the order of ``cameras``, the sentences about every change, and whether z = 0 is known to be the
-    floor."""
+def pairings_of(reading: Reading, cameras: Sequence[str], source: str) -> list[Pairing]:
+    """Every way in which the names of a calibration may fit those of the footage, the likeliest first; UserError where
+    none does."""
     names = [c.name for c in reading.cameras]
-    matched, note = (
-        match_names(cameras, names, source) if reading.named else match_in_order(cameras, len(names), source)
-    )
+    return pairings(cameras, names, source) if reading.named else pairings_in_order(cameras, len(names), source)
+
+
+def lenses_of(
+    reading: Reading,
+    source: str,
+    cameras: Sequence[str],
+    pixel_maps: Mapping[str, Sequence[float]],
+    settings: Settings,
+    pairing: Pairing | None = None,
+) -> tuple[list[Lens], list[str], bool]:
+    """Lenses in the order of ``cameras`` by ``pairing`` (default: the likeliest), the sentences about every change, and
+    whether z = 0 is known to be the floor."""
+    pairing = pairing or pairings_of(reading, cameras, source)[0]
+    matched, note = pairing.calibrated, pairing.sentence(source) if pairing.how else ""
     by_name = {c.name: c for c in reading.cameras}
-    chosen = [by_name[matched[c]] for c in cameras]
-    notes = [*reading.notes, *([note] if note else [])]
+    checked = [checked_camera(c, by_name[matched[c]], source) for c in cameras]
+    chosen = [camera for camera, _ in checked]
+    notes = [*reading.notes, *(n for _, told in checked for n in told), *([note] if note else [])]
     left_out = [c.name for c in reading.cameras if c.name not in matched.values()]
     if left_out:
         notes.append(f"the calibration also has {', '.join(left_out)}, without footage")
-    for name, raw in zip(cameras, chosen):
-        check_camera(name, raw, source)
     poses = [meant(c.camera_from_world, settings.poses) for c in chosen]
     if settings.poses != "as_read":
         notes.append(f"the poses were read as {settings.poses}, as the setting calibration.poses says")
@@ -119,6 +128,7 @@ def lenses_of(
         for c, k1 in settings.radial.items()
     ]
     centres = np.array([-p[:3, :3].T @ p[:3, 3] for p in poses])
+    refuse_mixed_units(cameras, centres)
     factor, unit_note = metres_per_unit(centres, reading.unit, settings.unit)
     z_up, up_note = z_up_from_world(np.array([p[:3, :3] for p in poses]), settings.up)
     if settings.scale != 1.0:
@@ -143,20 +153,12 @@ def meant(pose: Float[np.ndarray, "4 4"], poses: str) -> Float[np.ndarray, "4 4"
     return turned
 
 
-def run(settings: Settings, files: list[Path], cameras: list[str], pixel_maps: str, calibration: Written) -> None:
-    """Read the calibration ``files`` for the footage names ``cameras``; write ``calibration`` (JSON)."""
+def run(settings: Settings, files: list[Path], cameras: list[str], read: Written) -> None:
+    """Read the calibration ``files`` for the footage names ``cameras``; write ``read`` (JSON) as the files have it.
+
+    Everything that can be refused without looking at people is refused here.
+    """
     reading = read_calibration(files, settings.format)
-    lenses, notes, floor_known = lenses_of(reading, files[0].name, cameras, json.loads(pixel_maps or "{}"), settings)
-    say(f"{len(lenses)} cameras from {files[0].name} ({reading.format})")
-    for note in notes:
-        say(note)
-    write_json(
-        calibration,
-        {
-            "source": files[0].name,
-            "format": reading.format,
-            "lenses": [lens.as_json() for lens in lenses],
-            "floor_known": floor_known,
-            "notes": notes,
-        },
-    )
+    lenses_of(reading, files[0].name, cameras, {}, settings)
+    say(f"{len(reading.cameras)} cameras from {files[0].name} ({reading.format})")
+    write_json(read, {"source": files[0].name, **reading.as_json()})

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.body.model import BodyModel
-from studiorecon.calibration.room_pictures import edges_of, rooms_of
+from studiorecon.calibration.given_lenses import ideal, lenses_of_cameras, posed, straight
+from studiorecon.calibration.room_pictures import edges_of, rooms_of, without_distortion
 from studiorecon.errors import UserError
 from studiorecon.footage.told_lens import told_focal_px
 from studiorecon.geometry.bundle import Adjusted, LensPrior
@@ -267,6 +268,7 @@ def run(
     cameras: list[str],
     training: list[str],
     sources: list[Path],
+    lenses: list[Path],
     focal_px: str,
     lengths: str,
     calibration: Written,
@@ -276,7 +278,7 @@ def run(
 
     ``focal_px``: JSON, camera → focal length in pixels of the video, for as many cameras as the user knows; the footage
     ``sources`` of ``cameras`` may tell others. ``lengths``: JSON, ``GivenLengths``. Cameras that people do not place
-    are not in ``calibration``, which is said; two of ``training`` there must be.
+    are not in ``calibration``, which is said; two of ``training`` there must be. ``lenses``: files with lenses alone.
     """
     common = read_clocks(clocks)
     if common.refusal:
@@ -291,10 +293,16 @@ def run(
         )
     warn("there is no calibration: the cameras are found from the people (calibration.source)")
     fitted = BodyModel.load(body)
-    given_px = json.loads(focal_px or "{}")
+    maps = {v["camera"]: v.get("pixel_map") for v in map(read_json, sizes)}
+    known = lenses_of_cameras(lenses, size_of, maps)
+    detections = [straight(d, known[d.camera], size_of[d.camera]) if d.camera in known else d for d in detections]
+    given_px = {c: ideal(lens, size_of[c]).focal_px[0] for c, lens in known.items()} | json.loads(focal_px or "{}")
     told_px = _told_by_files(cameras, sources, size_of)
     measured = GivenLengths(**json.loads(lengths or "{}"))
-    rooms = rooms_of(cameras, sources, size_of)
+    rooms = {
+        c: without_distortion(room, known[c], ideal(known[c], size_of[c])) if c in known else room
+        for c, room in rooms_of(cameras, sources, size_of).items()
+    }
     found, report = pose_cameras(
         detections,
         wh,
@@ -340,12 +348,13 @@ def run(
     for sentence in doubts:
         warn(sentence)
     # In the pixels that the footage's maps speak of, so that everybody after this reads keypoints in the same ones.
-    maps = {v["camera"]: v.get("pixel_map") for v in map(read_json, sizes)}
-    lenses = [
-        mapped_lens(
+    placed = [
+        posed(known[c.name], c)
+        if c.name in known
+        else mapped_lens(
             Lens(c.name, c.wh, c.intrinsics, "opencv", np.zeros(8), c.camera_from_world, np.eye(2, 3)), maps[c.name]
         )
         for c in found
     ]
-    content = {"source": "people", "format": "found from people", "lenses": [lens.as_json() for lens in lenses]}
+    content = {"source": "people", "format": "found from people", "lenses": [lens.as_json() for lens in placed]}
     write_json(calibration, {**content, "floor_known": True, "notes": notes, "doubts": doubts, "people_rig": report})

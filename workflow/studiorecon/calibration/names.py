@@ -1,71 +1,185 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which camera of a calibration belongs to which video."""
+"""Which camera of a calibration may belong to which video: every pairing that their names allow, the likeliest first.
+
+What names share is weighed by how few names share it: of ``2024-05-11_take2_cam1`` only the last number tells cameras
+apart. Which of several pairings is right people decide (``calibration.choose``).
+"""
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.scene.numbered import natural
 
+# One name being the other, or a run of whole words of it, counts more than all words that they share.
+# Of names that say nothing so many pairings are tried on people: all of four cameras.
+_MOST_TRIED = 24
+_SAME, _SAME_BUT_FOR_CASE, _PART = 16.0, 8.0, 2.0
 
-def match_names(footage: Sequence[str], calibrated: Sequence[str], source: str) -> tuple[dict[str, str], str | None]:
-    """{footage name: calibrated name} for every footage name, and a sentence when the names were not simply equal.
 
-    Tried in order, each only if it pairs every video with exactly one camera: equal; equal but for case; the video's
-    name as a part of the calibration's (``int_cam01_img``); the same digits without leading zeros (``0`` and
-    ``cam_00``). Raises UserError with both lists when none does: the calibration is for other cameras.
+@dataclass(frozen=True)
+class Pairing:
+    """One camera of the calibration for every video.
+
+    Attributes:
+        calibrated: video → name in the calibration.
+        how: what it goes by, in words; "" where the names are equal.
+        sure: whether names alone carry it; the others are taken only where people show that they are right.
     """
-    rules: list[tuple[str, Callable[[str, str], bool]]] = [
-        ("", lambda f, c: f == c),
-        ("apart from upper and lower case", lambda f, c: f.casefold() == c.casefold()),
-        ("as a part of the calibration's name", lambda f, c: f.casefold() in _parts(c)),
-        ("by their numbers", lambda f, c: _number(f) is not None and _number(f) == _number(c)),
-    ]
-    for how, same in rules:
-        pairs = {f: [c for c in calibrated if same(f, c)] for f in footage}
-        found = {f: c[0] for f, c in pairs.items() if len(c) == 1}
-        if len(found) == len(footage) == len(set(found.values())):
-            note = (
-                None
-                if not how
-                else f"videos and cameras of {source} were paired {how}: "
-                + ", ".join(f"{f} = {c}" for f, c in found.items())
-            )
-            return found, note
-    raise UserError(
+
+    calibrated: dict[str, str]
+    how: str
+    sure: bool = True
+
+    def sentence(self, source: str) -> str:
+        listed = ", ".join(f"{film} = {camera}" for film, camera in self.calibrated.items())
+        return f"videos and cameras of {source} were paired {self.how}: {listed}"
+
+
+def pairings(footage: Sequence[str], calibrated: Sequence[str], source: str) -> list[Pairing]:
+    """All pairings that names allow, the likeliest first; a single one where the names are equal.
+
+    Raises UserError with both lists where there is none: the calibration is for other cameras.
+    """
+    if set(footage) <= set(calibrated):
+        return [Pairing({film: film for film in footage}, "")]
+    weight = _weights(footage, calibrated)
+    found = [Pairing(pairs, "by what their names share") for pairs in _best(footage, calibrated, weight)]
+    if not found or weight.max(1).min() < _PART:
+        found += _shifted(footage, calibrated)
+    if not any(p.sure for p in found) and math.perm(len(calibrated), len(footage)) <= _MOST_TRIED:
+        found += [
+            Pairing(dict(zip(footage, order)), "against their names", sure=False)
+            for order in itertools.permutations(calibrated, len(footage))
+        ]
+    distinct = [p for i, p in enumerate(found) if p.calibrated not in [q.calibrated for q in found[:i]]]
+    if not distinct:
+        raise for_other_cameras(footage, calibrated, source)
+    return distinct
+
+
+def for_other_cameras(footage: Sequence[str], calibrated: Sequence[str], source: str) -> UserError:
+    """The refusal of a calibration whose names do not fit, with both lists."""
+    return UserError(
         f"{source} is a calibration for other cameras: it has "
         f"{', '.join(calibrated) or 'none'}, the footage has {', '.join(footage)}; "
         "rename the videos, or name the right file in capture.yaml: calibration: FILE"
     )
 
 
-def match_in_order(footage: Sequence[str], count: int, source: str) -> tuple[dict[str, str], str]:
-    """{footage name: number} for a calibration of ``count`` cameras without names: the sorted videos in its order.
+def pairings_in_order(footage: Sequence[str], count: int, source: str) -> list[Pairing]:
+    """The pairings of a calibration of ``count`` cameras without names: the sorted videos in its order.
 
-    Numbers sort as numbers (cam2 before cam10). Raises UserError when the counts differ, since then nobody knows which
-    is missing.
+    Numbers sort as numbers (cam2 before cam10) first, as text second. Raises UserError when the counts differ, since
+    then nobody knows which is missing.
     """
     if len(footage) != count:
         raise UserError(
             f"{source} has {count} cameras without names, the footage has {len(footage)} ({', '.join(footage)}); "
             "bring all videos of the capture, or a calibration with names"
         )
-    ordered = sorted(footage, key=natural)
-    return (
-        {name: str(index) for index, name in enumerate(ordered)},
-        f"{source} has no camera names: its cameras were taken in the order {', '.join(ordered)}",
-    )
+    orders = [sorted(footage, key=natural), sorted(footage)]
+    return [
+        Pairing({film: str(index) for index, film in enumerate(order)}, f"in the order {', '.join(order)}")
+        for order in (orders if orders[0] != orders[1] else orders[:1])
+    ]
+
+
+def _weights(footage: Sequence[str], calibrated: Sequence[str]) -> np.ndarray:
+    """(videos, cameras) how much of what tells names apart each pair shares; 0: nothing."""
+    ours, theirs = [_words(name) for name in footage], [_words(name) for name in calibrated]
+    counts = [Counter(word for words in side for word in words) for side in (ours, theirs)]
+    weight = np.zeros((len(footage), len(calibrated)))
+    for i, film in enumerate(footage):
+        for j, camera in enumerate(calibrated):
+            shared = ours[i] & theirs[j]
+            # Words that every name of a side has say nothing, unless there is but one name.
+            weight[i, j] = sum(
+                1 / (counts[0][word] * counts[1][word])
+                for word in shared
+                if counts[0][word] < len(footage) or counts[1][word] < len(calibrated) or min(weight.shape) == 1
+            )
+            if any(_telling(a) and a.casefold() in _parts(b) for a, b in ((film, camera), (camera, film))):
+                weight[i, j] += _PART
+            if film.casefold() == camera.casefold():
+                weight[i, j] += _SAME if film == camera else _SAME_BUT_FOR_CASE
+    return weight
+
+
+def _best(footage: Sequence[str], calibrated: Sequence[str], weight: np.ndarray) -> list[dict[str, str]]:
+    """The complete pairings with the largest sum of weights: one, or all single exchanges that are as good."""
+    from scipy.optimize import linear_sum_assignment  # 0.1 s, which equal names do without
+
+    if len(calibrated) < len(footage) or not len(calibrated):
+        return []
+
+    def solved(of: np.ndarray) -> tuple[float, tuple[int, ...]]:
+        rows, columns = linear_sum_assignment(of, maximize=True)
+        chosen = weight[rows, columns]
+        return (float(chosen.sum()) if (chosen > 0).all() else -1.0), tuple(int(c) for c in columns)
+
+    best, first = solved(weight)
+    found = [first] if best > 0 else []
+    for row, column in enumerate(first if found else ()):
+        without = weight.copy()
+        without[row, column] = -_SAME * len(footage)
+        total, other = solved(without)
+        if total > best - 1e-9 and other not in found:
+            found.append(other)
+    return [{film: calibrated[c] for film, c in zip(footage, columns)} for columns in found]
+
+
+def _shifted(footage: Sequence[str], calibrated: Sequence[str]) -> list[Pairing]:
+    """Pairings of names that differ by their numbers alone, counted from elsewhere: 0 to 3 in the one, 1 to 4 in the
+    other."""
+    ours, theirs = _numbers(footage), _numbers(calibrated)
+    if ours is None or theirs is None or len(calibrated) < len(footage):
+        return []
+    of_number = dict(zip(theirs, calibrated))
+    found = []
+    for shift in sorted({t - o for t in theirs for o in ours}, key=lambda s: (abs(s), s)):
+        # From 0 or from 1: whoever counts from elsewhere counts other cameras.
+        if abs(shift) <= 1 and all(number + shift in of_number for number in ours):
+            pairs = {film: of_number[number + shift] for film, number in zip(footage, ours)}
+            # cam1 of the one being cam2 of the other is nothing to believe of names.
+            sure = not set(footage) & set(calibrated)
+            found.append(Pairing(pairs, f"by their numbers, {shift:+d}" if shift else "by their numbers", sure))
+    return found
+
+
+def _numbers(names: Sequence[str]) -> list[int] | None:
+    """The number of each name in which the names differ; None where they differ otherwise, or in several."""
+    split = [re.split(r"(\d+)", name.casefold()) for name in names]
+    if len({len(parts) for parts in split}) != 1:
+        return None
+    differing = [i for i in range(len(split[0])) if len({parts[i].lstrip("0") for parts in split}) > 1]
+    if len(names) == 1:
+        differing = list(range(1, len(split[0]), 2))[-1:]
+    if len(differing) != 1 or not split[0][differing[0]].isdigit():
+        return None
+    numbers = [int(parts[differing[0]]) for parts in split]
+    return numbers if len(set(numbers)) == len(numbers) else None
+
+
+def _telling(name: str) -> bool:
+    """Whether a name is more than a count of cameras: it has a letter, or the digits of a serial number."""
+    return not name.isdigit() or len(name) > 2
+
+
+def _words(name: str) -> set[str]:
+    """The words and numbers of a name; numbers without leading zeros."""
+    return {word.lstrip("0") or "0" for word in re.findall(r"\d+|[^\W\d_]+", name.casefold())}
 
 
 def _parts(name: str) -> set[str]:
     """All runs of whole words of a name, so that cam01 is a part of int_cam01_img but cam0 is not."""
     words = re.findall(r"[^_\-. ]+|[_\-. ]+", name.casefold())
     return {"".join(words[i:j]) for i in range(len(words)) for j in range(i + 1, len(words) + 1)}
-
-
-def _number(name: str) -> int | None:
-    """The only number in a name (cam_00 → 0); None when there is none or more than one."""
-    numbers = re.findall(r"\d+", name)
-    return int(numbers[0]) if len(numbers) == 1 else None

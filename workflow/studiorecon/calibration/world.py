@@ -17,9 +17,30 @@ if TYPE_CHECKING:
 # Cameras of one room are further apart than 20 m only when the numbers are millimetres (or centimetres, which no format
 # uses).
 _MILLIMETRE_SPREAD = 100.0
+# Millimetres among metres are a thousand times as long; cameras of one room are not a hundred times as far out.
+_MIXED_UNITS, _MIXED_PAIRS = 100.0, 300.0
 _FAR_FROM_ORIGIN_M = 100.0
 _UP_TOLERANCE_DEG = 45.0
 _EYE_HEIGHT_M = 1.5
+
+
+def refuse_mixed_units(names: Sequence[str], centres: Float[np.ndarray, "N 3"]) -> None:
+    """Raises UserError for cameras that stand a hundred times further out than the others: their lengths are of another
+    unit, or wrong, and would decide for all."""
+    apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    # From the camera that has half of the others nearest.
+    away = apart[np.argmin(np.sort(apart)[:, (len(apart) - 1) // 2])]
+    order = np.argsort(away, kind="stable")
+    ratio = away[order[1:]] / np.maximum(away[order[:-1]], 1e-9)
+    # The two lenses of a stereo pair are close to one another and far from all others.
+    gaps = np.flatnonzero(ratio[1:] > np.where(np.arange(1, len(ratio)) == 1, _MIXED_PAIRS, _MIXED_UNITS)) + 1
+    if len(gaps):
+        far = [names[i] for i in sorted(order[gaps[0] + 1 :])]
+        raise UserError(
+            f"the calibration puts {', '.join(far)} {away[order[gaps[0] + 1]]:.4g} units and more from the "
+            f"others, which are {away[order[gaps[0]]]:.4g} apart: the lengths of one calibration "
+            "must have one unit; correct the translation, or leave these cameras out (train, held_out in capture.yaml)"
+        )
 
 
 def metres_per_unit(

@@ -16,13 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from studiorecon.camera_files.lens_kinds import coefficients, model_named
 from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, rigid_camera_from_world
 from studiorecon.errors import UserError
 
-# COLMAP's models whose further parameters are the first of ours, by our model. FISHEYE is an ideal one, without any.
-_OPENCV = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
-_FISHEYE = ("SIMPLE_FISHEYE", "FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE")
-_COEFFICIENTS = {"opencv": 8, "fisheye": 4}
 # COLMAP ends a name in images.txt at its first blank, which folders of pictures may have; this one it keeps.
 _NO_BREAK = "\u00a0"
 _GENERIC_FOLDERS = {"images", "input", "rgb", "frames", ".", ""}
@@ -101,34 +98,45 @@ def _read(files: Sequence[Path]) -> Any:
 
 
 def _with_whole_names(images: Path, copy: Path) -> None:
-    """The file with the blanks inside of its pictures' names made ``_NO_BREAK``; every second line, of 2D points, stays
-    as it is."""
+    """The file with the blanks inside of its pictures' names made ``_NO_BREAK``.
+
+    Lines of 2D points stay as they are. An empty one is written where an editor has stripped it: COLMAP would drop the
+    picture, or take the next one for its points.
+    """
     with (
         open(images, encoding="utf-8", errors="surrogateescape") as file,
         open(copy, "w", encoding="utf-8", errors="surrogateescape") as out,
     ):
+        waiting = False  # for the last picture's points
         for line in file:
             fields = line.split(maxsplit=9)
-            if not fields or line.startswith("#"):
+            if line.startswith("#") or (not fields and not waiting):
                 out.write(line)
-                continue
-            fields[9:] = [name.strip().replace(" ", _NO_BREAK) for name in fields[9:]]
-            out.write(" ".join(fields) + "\n" + next(file, ""))
+            elif waiting and not _is_picture(fields):
+                out.write(line)
+                waiting = False
+            else:
+                fields[9:] = [name.strip().replace(" ", _NO_BREAK) for name in fields[9:]]
+                out.write(("\n" if waiting else "") + " ".join(fields) + "\n")
+                waiting = True
+        out.write("\n" if waiting else "")
+
+
+def _is_picture(fields: Sequence[str]) -> bool:
+    """Whether a line ends in the name of a picture, not in a 2D point's number."""
+    try:
+        return len(fields) > 9 and not np.isfinite(float(fields[9].split()[0]))
+    except ValueError:
+        return True
 
 
 def _lens(camera: Any, folder: Path) -> tuple[tuple[int, int], np.ndarray, str, np.ndarray]:
     """Size, intrinsics, model and coefficients in this project's terms."""
-    name = camera.model.name
-    if name not in (*_OPENCV, *_FISHEYE):
-        raise UserError(
-            f"camera {camera.camera_id} of the COLMAP model in {folder} is a {name} lens, "
-            "which is not supported; undistort the "
-            f"pictures with COLMAP (image_undistorter), or calibrate it as {_OPENCV[-1]} or {_FISHEYE[-1]}"
-        )
-    kind = "fisheye" if name in _FISHEYE else "opencv"
-    further = np.array([camera.params[i] for i in camera.extra_params_idxs()], dtype=np.float64)
-    distortion = np.zeros(_COEFFICIENTS[kind])
-    distortion[: len(further)] = further
+    where = f"camera {camera.camera_id} of the COLMAP model in {folder}"
+    kind = model_named(camera.model.name, where)
+    # COLMAP's models of each kind have the first of the kind's numbers.
+    further = [camera.params[i] for i in camera.extra_params_idxs()]
+    distortion = coefficients(kind, further, where)
     focal = (camera.focal_length_x, camera.focal_length_y)
     centre = (camera.principal_point_x, camera.principal_point_y)
     return (camera.width, camera.height), intrinsics_matrix(*focal, *centre, integer_centres=False), kind, distortion

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.geometry.rotations import project_to_so3
+from studiorecon.geometry.rotations import exp, project_to_so3
+from studiorecon.scene.values import numbers
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
@@ -23,6 +24,12 @@ _MOST_SIDE_PX = 65_536
 _LEAST_FOCAL_PX, _MOST_FOCAL_PX = 50.0, 1e6
 _MOST_COEFFICIENT = 1e4
 _MOST_LENGTH = 1e9
+# Of the picture's size: a crop of a corner of a sensor has its principal point outside, not a picture further.
+_MOST_OFF_CENTRE = 1.5
+# Of the focal length. Half of this is what a skew moves at the edge of a usual picture, as a share of it.
+_MOST_SKEW = 0.01
+# What a number that should be 0 or 1 may be off after a file's rounding.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -32,7 +39,7 @@ class RawCamera:
     Attributes:
         name: the file's name for it.
         wh: calibrated size; (0, 0) when the file does not say.
-        intrinsics: (3, 3), pixel centres at +0.5.
+        intrinsics: (3, 3), pixel centres at +0.5; scale and skew of the file are taken out by ``checked_camera``.
         model, distortion: as in ``scene.camera.Lens``.
         camera_from_world: (4, 4) rigid, OpenCV axes.
     """
@@ -44,28 +51,33 @@ class RawCamera:
     distortion: Num[np.ndarray, " C"]
     camera_from_world: Num[np.ndarray, "4 4"]
 
+    @staticmethod
+    def from_json(value: dict[str, Any]) -> RawCamera:
+        arrays = {k: np.array(value[k], float) for k in ("intrinsics", "distortion", "camera_from_world")}
+        return RawCamera(**{**value, **arrays, "wh": (int(value["wh"][0]), int(value["wh"][1]))})
 
-def check_camera(name: str, camera: RawCamera, source: str) -> None:
-    """Raises UserError that names camera, number and likely cause for a size, focal length, principal point, distortion
-    or place that no camera has."""
+
+def checked_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, list[str]]:
+    """The camera with intrinsics as all later steps expect them, and a sentence for every number that was left out.
+
+    Raises UserError that names camera, number and likely cause for a size, focal length, skew, principal point,
+    distortion or place that no camera has.
+    """
     where = f"camera {name} in {source}"
     longer = max(camera.wh)
     if min(camera.wh) < 0 or longer > _MOST_SIDE_PX or (0 in camera.wh and longer):
         raise UserError(f"{where}: its pictures are {camera.wh[0]}×{camera.wh[1]} pixels; correct the size")
+    intrinsics, notes = _pinhole(camera.intrinsics, where)
     least, most = (_LEAST_FOCAL * longer, _MOST_FOCAL * longer) if longer else (_LEAST_FOCAL_PX, _MOST_FOCAL_PX)
-    for axis, focal in (("fx", camera.intrinsics[0, 0]), ("fy", camera.intrinsics[1, 1])):
-        if not (np.isfinite(focal) and focal > 0):
-            raise UserError(f"{where}: its focal length {axis} is {focal:g}; calibrate this camera again")
+    for axis, focal in (("fx", intrinsics[0, 0]), ("fy", intrinsics[1, 1])):
         if not least <= focal <= most:
             size = f" for pictures of {camera.wh[0]}×{camera.wh[1]}" if longer else ""
             raise UserError(
                 f"{where}: its focal length {axis} is {focal:g} pixels{size}, which no lens has; "
-                + ("is it in millimetres? It must be in pixels" if focal < least else "calibrate this camera again")
+                + ("is it in millimetres? It must be in pixels" if 0 < focal < least else "calibrate this camera again")
             )
-    if not np.isfinite(camera.intrinsics).all():
-        raise UserError(f"{where}: its principal point is not finite; calibrate this camera again")
-    centre = camera.intrinsics[:2, 2]
-    if longer and not (np.abs(centre / camera.wh - 0.5) < 1.5).all():
+    centre = intrinsics[:2, 2]
+    if longer and not (np.abs(centre / camera.wh - 0.5) < _MOST_OFF_CENTRE).all():
         raise UserError(
             f"{where}: its principal point is ({centre[0]:g}, {centre[1]:g}), far outside of its pictures of "
             f"{camera.wh[0]}×{camera.wh[1]}; is the size another camera's?"
@@ -74,6 +86,35 @@ def check_camera(name: str, camera: RawCamera, source: str) -> None:
         raise UserError(f"{where}: its distortion {camera.distortion.tolist()} is no lens's; calibrate it again")
     if not (np.isfinite(camera.camera_from_world).all() and (np.abs(camera.camera_from_world) < _MOST_LENGTH).all()):
         raise UserError(f"{where}: it stands at no finite place; calibrate this camera again")
+    return replace(camera, intrinsics=intrinsics), notes
+
+
+def _pinhole(matrix: Num[np.ndarray, "3 3"], where: str) -> tuple[Float[np.ndarray, "3 3"], list[str]]:
+    """Intrinsics without scale and skew, and what was left out of them."""
+    scale = float(matrix[2, 2])
+    if not (np.isfinite(matrix).all() and scale > 0 and (matrix > 0)[[0, 1], [0, 1]].all()):
+        raise UserError(
+            f"{where}: its camera matrix {np.round(matrix, 3).tolist()} is not finite, or has a focal length or a "
+            f"last number that is not above 0; {_AGAIN}"
+        )
+    intrinsics = matrix / scale
+    if np.abs(intrinsics[[1, 2, 2], [0, 0, 1]]).max() > _ROUNDING:
+        raise UserError(
+            f"{where}: its camera matrix {np.round(intrinsics, 3).tolist()} has numbers below the diagonal; "
+            "write it row by row, with the principal point in its last column"
+        )
+    notes = (
+        [] if abs(scale - 1) < _ROUNDING else [f"{where}: its camera matrix was divided by its last number, {scale:g}"]
+    )
+    skew = float(intrinsics[0, 1])
+    if abs(skew) > _MOST_SKEW * intrinsics[0, 0]:
+        raise UserError(
+            f"{where}: the skew of its camera matrix is {skew:g} pixels, which no camera's sensor has; {_AGAIN}"
+        )
+    if abs(skew) > _ROUNDING:
+        notes.append(f"{where}: the skew of its camera matrix, {skew:.3g} pixels, was left out")
+        intrinsics[0, 1] = 0.0
+    return intrinsics, notes
 
 
 def intrinsics_matrix(fx: float, fy: float, cx: float, cy: float, integer_centres: bool) -> Num[np.ndarray, "3 3"]:
@@ -81,6 +122,33 @@ def intrinsics_matrix(fx: float, fy: float, cx: float, cy: float, integer_centre
     (C07)."""
     shift = 0.5 if integer_centres else 0.0
     return np.array([[fx, 0.0, cx + shift], [0.0, fy, cy + shift], [0.0, 0.0, 1.0]])
+
+
+def as_in_file(matrix: object, where: str, integer_centres: bool = True) -> Float[np.ndarray, "3 3"]:
+    """(3, 3) camera matrix of a file with pixel centres at +0.5, its scale and skew kept for ``checked_camera``;
+    raises UserError for what is no 3×3 list of finite numbers."""
+    given = numbers(matrix, f"{where}: its camera matrix")
+    if given.size != 9:
+        raise UserError(f"{where}: its camera matrix holds {given.size} numbers; it must be 3×3")
+    shift = np.eye(3)
+    shift[:2, 2] = 0.5 if integer_centres else 0.0
+    return shift @ given.reshape(3, 3)
+
+
+def vector(value: object, where: str) -> Float[np.ndarray, " 3"]:
+    """(3,) finite numbers of a file; raises UserError."""
+    given = numbers(value, where)
+    if given.size != 3:
+        raise UserError(f"{where} holds {given.size} numbers; it must be 3")
+    return given.reshape(3)
+
+
+def rotation_of(value: object, where: str) -> Float[np.ndarray, "3 3"]:
+    """(3, 3) of a rotation matrix, which may still be no rotation, or of an axis times angle in radians."""
+    given = numbers(value, where)
+    if given.size not in (3, 9):
+        raise UserError(f"{where} holds {given.size} numbers; a rotation is 3×3, or an axis times its angle")
+    return given.reshape(3, 3) if given.size == 9 else exp(given.reshape(3))
 
 
 def rigid_camera_from_world(
@@ -126,17 +194,3 @@ def camera_from_world_of_pose(world_from_camera: Num[np.ndarray, "R 4"], where: 
     inverse, _ = rigid_camera_from_world(block[:3, :3].T, np.zeros(3), where)
     inverse[:3, 3] = -inverse[:3, :3] @ block[:3, 3]
     return inverse
-
-
-def opencv_distortion(values: object, where: str) -> Num[np.ndarray, " 8"]:
-    """(8,) coefficients k1 k2 p1 p2 k3 k4 k5 k6 of a list of at most eight; raises UserError for more (thin prism,
-    tilt)."""
-    given = np.asarray(values, dtype=np.float64).reshape(-1)
-    if len(given) > 8 and np.any(given[8:]):
-        raise UserError(
-            f"{where}: {len(given)} distortion coefficients (thin prism or tilt) are not "
-            "supported; calibrate with at most eight"
-        )
-    full = np.zeros(8)
-    full[: min(len(given), 8)] = given[:8]
-    return full

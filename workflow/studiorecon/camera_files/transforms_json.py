@@ -10,19 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.camera_files.raw_camera import (
-    RawCamera,
-    camera_from_world_of_pose,
-    intrinsics_matrix,
-    opencv_distortion,
-)
+from studiorecon.camera_files.lens_kinds import coefficients, model_in
+from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.scene.files import read_json
+from studiorecon.scene.values import shown
 
 if TYPE_CHECKING:
     from jaxtyping import Num
 
 _GENERIC_FOLDERS = {"images", "input", "rgb", "frames", ".", ""}
+_LENS = {"camera_model", "is_fisheye"}
+_TERMS = {"opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), "fisheye": ("k1", "k2", "k3", "k4")}
+# Thin prism, which neither of our models has.
+_NEVER = ("sx1", "sy1", "sx2", "sy2", "s1", "s2", "s3", "s4")
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -51,7 +52,12 @@ def read_transforms(path: Path) -> Transforms:
     if "applied_transform" in content:
         applied[:3] = np.asarray(content["applied_transform"], dtype=np.float64)[:3]
         notes.append("the file's applied_transform was undone")
-    lenses = [{**content, **frame} for frame in content["frames"]]
+    # A picture's own lens counts, not the file's.
+    common = {key: value for key, value in content.items() if key != "frames"}
+    lenses = [
+        {**{k: v for k, v in common.items() if k not in _LENS or not _LENS & frame.keys()}, **frame}
+        for frame in content["frames"]
+    ]
     if not all("cx" in lens and "cy" in lens for lens in lenses):
         notes.append(
             f"{path.name} has no principal point (cx, cy) for some pictures: the middle of the picture was taken"
@@ -81,19 +87,20 @@ def _camera(lens: dict[str, Any], source_from_file: np.ndarray, where: str) -> t
     if not np.isfinite(pose).all():
         raise UserError(f"{where}: its transform_matrix holds numbers that are not finite; calibrate this camera again")
     fy, cx, cy = float(lens.get("fl_y", fx)), float(lens.get("cx", width / 2)), float(lens.get("cy", height / 2))
-    fisheye = str(lens.get("camera_model", "OPENCV")).upper() == "OPENCV_FISHEYE"
+    model = model_in(lens, where)
     # distortion_params, where a file has them, are nerfstudio's own order k1 k2 k3 k4 p1 p2.
     listed = dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), lens.get("distortion_params") or ()))
-    k = [float(lens.get(key, listed.get(key, 0))) for key in ("k1", "k2", "k3", "k4")]
-    p = [float(lens.get(key, listed.get(key, 0))) for key in ("p1", "p2")]
+    term = {key: lens.get(key, listed.get(key, 0)) for key in (*_TERMS["opencv"], *_NEVER)}
+    if left := [key for key, value in term.items() if value and key not in _TERMS[model]]:
+        raise UserError(f"{where}: {left[0]} is {shown(term[left[0]])}, which the lens model {model} does not have")
     world_from_camera = source_from_file @ np.vstack([pose[:3], [0, 0, 0, 1]]) @ _OPENCV_FROM_OPENGL
     camera = RawCamera(
         name=camera_name(lens),
         wh=(round(width), round(height)),
         # The numbers come from COLMAP, which has its pixel centres at +0.5 already.
         intrinsics=intrinsics_matrix(fx, fy, cx, cy, integer_centres=False),
-        model="fisheye" if fisheye else "opencv",
-        distortion=np.array(k) if fisheye else opencv_distortion([k[0], k[1], p[0], p[1], k[2], k[3]], where),
+        model=model,
+        distortion=coefficients(model, [term[key] for key in _TERMS[model]], where),
         camera_from_world=camera_from_world_of_pose(world_from_camera, where),
     )
     return camera, float(np.cbrt(np.linalg.det(world_from_camera[:3, :3])))

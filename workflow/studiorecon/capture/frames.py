@@ -20,7 +20,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.container import films_of
 from studiorecon.footage.source import FootageSource, PictureRate, decode, digest, open_source, uneven
 from studiorecon.footage.video import write_lossless
-from studiorecon.geometry.lens import WorkingView, working_view, working_wh
+from studiorecon.geometry.lens import WorkingView, unseen_share, working_view, working_wh
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, write_footage
@@ -67,10 +67,11 @@ def describe_changes(
         changes.append(f"resized from {source.wh[0]}×{source.wh[1]} to {view.wh[0]}×{view.wh[1]}")
     if np.any(lens.distortion != 0):
         changes.append(f"lens distortion removed ({lens.model} {', '.join(f'{c:.4g}' for c in lens.distortion)})")
+    if share := unseen_share(lens, source.wh):
+        changes.append(f"{share:.1%} of its picture, for which the lens model has no ray, is not used")
     if not np.array_equal(lens.calibration_from_video, np.eye(2, 3)):
-        changes.append(
-            "pixels of the video were mapped to those of the calibration, as pixel_maps in capture.yaml says"
-        )
+        how = lens.placed or "as pixel_maps in capture.yaml says"
+        changes.append(f"pixels of the video were mapped to those of the calibration: {how}")
     if used[0]:
         changes.append(f"starts at frame {used[0]} of the source")
     if jumps := int((np.diff(used) != 1).sum()):

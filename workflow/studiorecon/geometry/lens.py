@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.errors import UserError
-from studiorecon.geometry.distortion import distort, undistort
+from studiorecon.geometry.distortion import distort, fold_radius, undistort
 from studiorecon.scene.camera import Lens
 
 if TYPE_CHECKING:
@@ -22,6 +23,19 @@ _BORDER_SAMPLES = 200
 _ASPECT_TOLERANCE = 0.005
 # Of a video that shows what was calibrated, padded at most into a square or a portrait frame of it.
 _LEAST_COVERED = 0.25
+# A pinhole picture spends 33 times as many pixels on a degree here as in its middle, and without end beyond.
+_STEEPEST = np.radians(80.0)
+# A board held into the middle half of the picture fixes a lens's numbers there: if they turn over within it they are
+# another lens's.
+_MOST_UNSEEN = 0.5
+# Calibration pixels of the smallest picture that can be worked with.
+_LEAST_SIDE_PX = 2.0
+# Points along a side of the picture at which the share of what is not seen is counted: to 0.1 %.
+_GRID = 64
+# Normalised: no picture reaches so far, and its pixels still fit into 16 bits, as cv2.remap has them.
+_FAR_OUTSIDE = -6.0
+# To which a rectangle's size is found, as a share: a thousandth of a pixel of a large picture.
+_SHARE_STEP = 1e-7
 
 
 @dataclass(frozen=True)
@@ -61,9 +75,9 @@ def working_view(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) ->
 
     The picture shows the largest axis-aligned rectangle that the lens covers inside both the video frame and the
     calibrated frame, cut to the aspect of ``wh``; a lens without distortion keeps its whole frame and its intrinsics
-    are only scaled. Raises UserError for a lens that cannot be undone at its edge, and as
-    ``calibration_from_video_pixels``.
+    are only scaled. What cannot be undone lies outside of it. Raises UserError as ``unseen_share``.
     """
+    unseen_share(lens, source_wh)
     calibration_from_video = calibration_from_video_pixels(lens, source_wh)
     left, top, right, bottom = _covered(lens, source_wh, calibration_from_video)
     # Keep the pixel shape of the calibration and give the rectangle the aspect of the picture.
@@ -94,11 +108,13 @@ def calibration_from_video_pixels(lens: Lens, source_wh: tuple[int, int]) -> Num
     how; and when the given map lays the calibrated pixels beside the video's.
     """
     given = np.asarray(lens.calibration_from_video, dtype=np.float64)
-    _check_overlap(lens, given, source_wh)
-    if not np.array_equal(given, np.eye(2, 3)) or 0 in lens.wh or tuple(lens.wh) == tuple(source_wh):
+    if lens.placed or not np.array_equal(given, np.eye(2, 3)):
+        _check_overlap(lens, given, source_wh)
+        return given
+    if 0 in lens.wh or tuple(lens.wh) == tuple(source_wh):
         return given
     scale = np.array(lens.wh) / np.array(source_wh)
-    if abs(scale[0] / scale[1] - 1) > _ASPECT_TOLERANCE:
+    if not same_shape(lens.wh, source_wh):
         raise UserError(
             f"camera {lens.name}: the calibration is for {lens.wh[0]}×{lens.wh[1]} but the "
             f"footage is {source_wh[0]}×{source_wh[1]}, "
@@ -117,6 +133,11 @@ def _check_overlap(lens: Lens, calibration_from_video: np.ndarray, source_wh: tu
             f"{covered:.0%} of the video's {source_wh[0]}×{source_wh[1]}; p_video = scale · p_calibration + offset, in "
             "pixels of the video"
         )
+
+
+def same_shape(one: tuple[int, int], two: tuple[int, int]) -> bool:
+    """Whether two sizes of pictures differ by scaling alone, up to rounding."""
+    return abs(one[0] * two[1] / (one[1] * two[0]) - 1) <= _ASPECT_TOLERANCE
 
 
 def calibration_from_video(pixel_map: Sequence[float] | None) -> Num[np.ndarray, "2 3"]:
@@ -181,11 +202,18 @@ def working_from_video(
 def video_from_working(
     pixels: Num[np.ndarray, "... 2"], lens: Lens, source_wh: tuple[int, int], intrinsics: Num[np.ndarray, "3 3"]
 ) -> Num[np.ndarray, "... 2"]:
-    """Pixels of the video file of working pixels, centres at +0.5. Raises ValueError for another shape."""
+    """Pixels of the video file of working pixels, centres at +0.5; far outside of it where the lens has no such ray.
+
+    Raises ValueError for another shape.
+    """
     require("pixels", pixels, (..., 2))
     require("intrinsics", intrinsics, (3, 3), finite=True)
     normalised = (pixels - intrinsics[:2, 2]) / np.array([intrinsics[0, 0], intrinsics[1, 1]])
     distorted = distort(normalised, lens.model, lens.distortion)
+    fold = np.inf if lens.model == "fisheye" else fold_radius(lens.model, lens.distortion)
+    if np.isfinite(fold):
+        beyond = np.linalg.norm(normalised, axis=-1) > fold
+        distorted = np.where(beyond[..., None], _FAR_OUTSIDE, distorted)
     calibration = distorted * np.array([lens.intrinsics[0, 0], lens.intrinsics[1, 1]]) + lens.intrinsics[:2, 2]
     affine = calibration_from_video_pixels(lens, source_wh)
     return (calibration - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
@@ -217,14 +245,75 @@ def _covered(
         "bottom": np.stack([x, np.full_like(x, high[1])], -1),
     }
     focal, principal = np.array([lens.intrinsics[0, 0], lens.intrinsics[1, 1]]), lens.intrinsics[:2, 2]
-    flat = {}
-    for side, edge in edges.items():
-        normalised, valid = normalised_from_calibration(edge, lens)
-        if not valid.all():
-            raise UserError(
-                f"camera {lens.name}: its distortion {np.round(lens.distortion, 4).tolist()} "
-                f"({lens.model}) cannot be undone at the "
-                f"{side} edge of its frame; the coefficients belong to another lens or another model"
-            )
-        flat[side] = normalised * focal + principal
-    return flat["left"][:, 0].max(), flat["top"][:, 1].max(), flat["right"][:, 0].min(), flat["bottom"][:, 1].min()
+    found = {side: normalised_from_calibration(edge, lens) for side, edge in edges.items()}
+    if all(valid.all() for _, valid in found.values()):
+        (left, _), (right, _), (top, _), (bottom, _) = found.values()
+        rectangle = np.array([left[:, 0].max(), top[:, 1].max(), right[:, 0].min(), bottom[:, 1].min()])
+    else:
+        rectangle = _undoable(found, lens, low, high)
+    left_px, top_px, right_px, bottom_px = rectangle * np.tile(focal, 2) + np.tile(principal, 2)
+    return left_px, top_px, right_px, bottom_px
+
+
+def _undoable(
+    edges: Mapping[str, tuple[np.ndarray, np.ndarray]], lens: Lens, low: np.ndarray, high: np.ndarray
+) -> Float[np.ndarray, " 4"]:
+    """Left, top, right, bottom (normalised) of a rectangle of which every point is seen between the pixels ``low`` and
+    ``high``, for a lens that cannot be undone everywhere on the undistorted ``edges`` (points, validity)."""
+    reach = _reach(lens)
+
+    def bound(side: str, axis: int, sign: float) -> float:
+        points, valid = edges[side]
+        return sign * min(np.append(sign * points[valid, axis], reach))
+
+    whole = np.array([bound("left", 0, -1.0), bound("top", 1, -1.0), bound("right", 0, 1.0), bound("bottom", 1, 1.0)])
+    anchor = np.tile(np.clip(0.0, whole[:2], whole[2:]), 2)
+    focal, principal = np.array([lens.intrinsics[0, 0], lens.intrinsics[1, 1]]), lens.intrinsics[:2, 2]
+    along = np.linspace(0.0, 1.0, _BORDER_SAMPLES)[:, None]
+
+    def seen(share: float) -> bool:
+        x0, y0, x1, y1 = anchor + share * (whole - anchor)
+        corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
+        border = np.concatenate([a + along * (b - a) for a, b in itertools.pairwise(corners)])
+        pixels = distort(border, lens.model, lens.distortion) * focal + principal
+        return bool(
+            (np.linalg.norm(border, axis=-1) <= reach).all() and (pixels >= low).all() and (pixels <= high).all()
+        )
+
+    least, most = 0.0, 1.0
+    while most - least > _SHARE_STEP:
+        middle = (least + most) / 2
+        least, most = (middle, most) if seen(middle) else (least, middle)
+    return anchor + least * (whole - anchor)
+
+
+def _reach(lens: Lens) -> float:
+    """The largest undistorted radius (normalised) that is used of a lens: below its fold, and not steeper than a
+    pinhole picture can show."""
+    fold = fold_radius(lens.model, lens.distortion)
+    return min(float(np.tan(fold)) if lens.model == "fisheye" else fold, float(np.tan(_STEEPEST)))
+
+
+def unseen_share(lens: Lens, source_wh: tuple[int, int]) -> float:
+    """Share of a video's picture for which the lens model has no ray, since its polynomial turns over before: that part
+    is not used.
+
+    Raises UserError where it is most of the picture, and as ``calibration_from_video_pixels``: every step that stops on
+    a lens stops here.
+    """
+    affine = calibration_from_video_pixels(lens, source_wh)
+    left, top, right, bottom = _covered(lens, source_wh, affine)
+    if not (right - left > _LEAST_SIDE_PX and bottom - top > _LEAST_SIDE_PX):
+        raise UserError(
+            f"camera {lens.name}: its film of {source_wh[0]}×{source_wh[1]} pixels shows nothing of the calibrated "
+            f"picture of {lens.wh[0]}×{lens.wh[1]}; check pixel_maps in capture.yaml, and its principal point"
+        )
+    x, y = np.meshgrid(*((np.arange(_GRID) + 0.5) / _GRID * side for side in source_wh))
+    pixels = np.stack([x, y], -1).reshape(-1, 2) @ affine[:, :2].T + affine[:, 2]
+    share = 1.0 - float(normalised_from_calibration(pixels, lens)[1].mean())
+    if share > _MOST_UNSEEN:
+        raise UserError(
+            f"camera {lens.name}: its distortion {np.round(lens.distortion, 4).tolist()} ({lens.model}) cannot be "
+            f"undone in {share:.0%} of its picture; the coefficients belong to another lens or another model"
+        )
+    return share

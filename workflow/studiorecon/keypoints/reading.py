@@ -78,7 +78,7 @@ def to_working_pixels(
         & (recorded != 0).any(-1)
     )
     pixels = np.where(present[..., None], recorded, 1.0) + (0.5 - settings.keypoint_centres)
-    mapped = not np.array_equal(lens.calibration_from_video, np.eye(2, 3))
+    mapped = not (lens.placed or np.array_equal(lens.calibration_from_video, np.eye(2, 3)))
     if settings.keypoint_pixels == "calibration" or (settings.keypoint_pixels == "auto" and mapped):
         working, valid = working_from_calibration(pixels, lens, np.array(footage.intrinsics))
     else:

@@ -82,6 +82,11 @@ class Brought:
         return [file if written else self.in_dataset(file) for file in self.plan.calibration]
 
     @cached_property
+    def lenses(self) -> list[str]:
+        """Lenses without poses."""
+        return [self.in_dataset(file) for file in self.plan.dataset.lenses]
+
+    @cached_property
     def all_footage(self) -> list[str]:
         """The footage of every camera, in their order."""
         return [self._film(camera) for camera in self.plan.cameras]

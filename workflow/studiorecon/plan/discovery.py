@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.calibration.formats import FORMATS
+from studiorecon.calibration.formats.lenses import find_lenses
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.plan.films import find_recordings
@@ -94,12 +95,14 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
         return named or noun, named is not None
 
     first, count = frames_used(description)
+    calibration = _find_calibration(folder, description)
     keypoints, choice = keypoint_files(folder, path_under(description, "keypoints"), list(footage))
     dataset = Dataset(
         folder=folder,
         footage=footage,
         held_out=held_out,
-        calibration=_find_calibration(folder, description),
+        calibration=calibration,
+        lenses=() if calibration else find_lenses(folder),
         keypoints=keypoints,
         keypoint_layout=_layout(path_under(description, "keypoint_layout") or "auto"),
         keypoint_first_frame=keypoint_first_frame(description),
@@ -159,7 +162,7 @@ def _idle_keys(description: dict[str, Any], dataset: Dataset) -> list[str]:
             for key in ABOUT_KEYPOINTS
             if description.get(key) is not None
         ]
-    if dataset.pixel_maps and not calibration:
+    if dataset.pixel_maps and not (calibration or dataset.lenses):
         idle.append("capture.yaml: pixel_maps belong to a calibration, and there is none")
     return idle
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
+from studiorecon.calibration.formats.lenses import why_not
 from studiorecon.plan.pairing import stem_of
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Dataset
 from studiorecon.scene.names import folded, of_the_system
@@ -40,6 +41,7 @@ def unused(dataset: Dataset, place: Path, left_out: Iterable[str]) -> tuple[str,
     """
     folder, left_out = dataset.folder, set(left_out)
     used = {folder / "capture.yaml", folder / "identities.tsv", *dataset.footage.values(), *dataset.calibration}
+    used.update(dataset.lenses)
     for several in (*dataset.chapters.values(), *dataset.chapter_keypoints.values()):
         used.update(several)
     for noun in (dataset.keypoints, dataset.plates, dataset.masks, dataset.depth):
@@ -120,6 +122,8 @@ def _reason_of_name(path: Path, dataset: Dataset) -> str:
 
 
 def _reason_of_calibration(path: Path, dataset: Dataset) -> str:
+    if reason := why_not(path, dataset.calibration):
+        return reason
     named = f"write calibration: {path.relative_to(dataset.folder).as_posix()} into capture.yaml"
     if dataset.calibration:
         return f"the calibration is {', '.join(file.name for file in dataset.calibration)}; if it is this one, {named}"

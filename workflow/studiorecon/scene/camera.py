@@ -150,6 +150,7 @@ class Lens:
         camera_from_world: (4, 4) float64.
         calibration_from_video: (2, 3) affine map from pixels of the video file to pixels of the calibration (identity
             when the video has the calibrated size; a pure scaling when it was resized).
+        placed: how that map was found, in words, where capture.yaml does not give it; "" otherwise.
     """
 
     name: str
@@ -159,6 +160,7 @@ class Lens:
     distortion: Num[np.ndarray, " C"]
     camera_from_world: Float[np.ndarray, "4 4"]
     calibration_from_video: Num[np.ndarray, "2 3"]
+    placed: str = ""
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -169,6 +171,7 @@ class Lens:
             "distortion": self.distortion,
             "camera_from_world": self.camera_from_world,
             "calibration_from_video": self.calibration_from_video,
+            "placed": self.placed,
         }
 
     @staticmethod
@@ -181,4 +184,5 @@ class Lens:
             distortion=np.asarray(value["distortion"], dtype=np.float64).reshape(-1),
             camera_from_world=np.asarray(value["camera_from_world"], dtype=np.float64),
             calibration_from_video=np.asarray(value["calibration_from_video"], dtype=np.float64),
+            placed=str(value.get("placed", "")),
         )

@@ -42,6 +42,7 @@ class Dataset:
         first_frame: of the moments that all cameras have, the first to use.
         frame_count: how many of them to use; 0 = to the end.
         people: False when ``capture.yaml`` says ``people: 0``: the room is known to be empty.
+        lenses: files with lenses and no poses, where there is no calibration: the poses then come from people.
         truth: folder of exact truth (synthetic studio only), else None.
         notes: sentences: what was chosen among several, and every file of the folder that is not used, with the reason.
     """
@@ -68,6 +69,7 @@ class Dataset:
     chapters: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
     chapter_keypoints: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    lenses: tuple[Path, ...] = ()
 
     @property
     def cameras(self) -> tuple[str, ...]:

@@ -40,6 +40,8 @@ _MOST_REPEATED = 200
 _COPY = "it may have been copied only in part: copy it again, or write it again with the program that made it"
 # What a damaged header, which is a Python literal, ends in.
 _BROKEN_HEADER = (ValueError, TypeError, SyntaxError, OverflowError, RecursionError, MemoryError)
+# Whole numbers of YAML 1.1 that are not in plain decimals: 010, 0x10, 0b1, 1:30.
+_OTHER_BASE = re.compile(r"[-+]?(0[0-9xXbB_].*|.*:.*)")
 _WIDE = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}
 
 
@@ -100,7 +102,7 @@ def read_json(path: Path, remedy: str = _COPY) -> Any:
     """
     text = read_text(path)
     try:
-        return json.loads(text)
+        return json.loads(text, object_pairs_hook=_entries)
     except json.JSONDecodeError as error:
         raise UserError(f"{path} is not readable JSON ({error}); {remedy}") from None
     except RecursionError:
@@ -292,8 +294,19 @@ def _array(stream: Any, held: int, where: str, remedy: str = _COPY) -> np.ndarra
         raise UserError(f"{where} is not a readable array ({first_line(error)}); {remedy}") from None
 
 
+def _entries(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """The entries of a JSON object; raises ValueError for a key that is there twice."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"it has {first_line(ValueError(repr(twice)))} twice; keep one")
+    return found
+
+
 def _once(node: Any) -> None:
-    """Raises yaml.MarkedYAMLError for a key that a mapping has twice: which one counts nobody could tell."""
+    """Raises yaml.MarkedYAMLError for a key that a mapping has twice, since nobody could tell which one counts, and for
+    a number that YAML takes for another: 010 for 8, 1:30 for 90."""
     seen: set[int] = set()
     waiting = [node]
     while waiting:
@@ -301,6 +314,11 @@ def _once(node: Any) -> None:
         if here is None or id(here) in seen:
             continue
         seen.add(id(here))
+        if here.tag == "tag:yaml.org,2002:int" and _OTHER_BASE.fullmatch(here.value):
+            problem = (
+                f"{here.value} would be read as {yaml.safe_load(here.value)}; quote a name, write a number plainly"
+            )
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=here.start_mark)
         if isinstance(here, yaml.SequenceNode):
             waiting += here.value
         elif isinstance(here, yaml.MappingNode):

@@ -44,6 +44,9 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
     refuses.
     """
     refused = [report["sync"]["refusal"]] if report["sync"]["refusal"] else []
+    if report["lengths"]:
+        # Nothing else can be said in lengths that are not metres.
+        return "wrong", [*refused, report["lengths"]]
     with_keypoints = len(report["cameras"]) - len(report["without_keypoints"])
     alone = report["people"] and len(report["sees_nobody"]) >= with_keypoints - 1
     wrong, unclear, rest = (

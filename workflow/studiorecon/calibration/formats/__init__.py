@@ -19,6 +19,7 @@ from studiorecon.calibration.formats.egohumans import FORMAT as EGOHUMANS
 from studiorecon.calibration.formats.llff import FORMAT as LLFF
 from studiorecon.calibration.formats.nerfstudio import FORMAT as NERFSTUDIO
 from studiorecon.calibration.formats.opencap import FORMAT as OPENCAP
+from studiorecon.calibration.formats.opencv_storage import FORMAT as OPENCV
 from studiorecon.calibration.formats.optitrack import FORMAT as OPTITRACK
 from studiorecon.calibration.formats.pose2sim import FORMAT as POSE2SIM
 from studiorecon.calibration.formats.qualisys import FORMAT as QUALISYS
@@ -45,6 +46,7 @@ _LISTED = (
     OPTITRACK,
     OPENCAP,
     BIOCV,
+    OPENCV,
 )
 FORMATS: dict[str, CalibrationFormat] = {form.name: form for form in _LISTED}
 

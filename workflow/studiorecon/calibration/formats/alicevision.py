@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
-from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
+from studiorecon.camera_files.lens_kinds import coefficients
+from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, rigid_camera_from_world
 from studiorecon.errors import UserError
 from studiorecon.scene.outside import read_json
 
@@ -80,11 +81,13 @@ def _camera(name: str, pose: dict[str, Any], lens: dict[str, Any], version: tupl
         kind = str(lens["distortionType"]).lower()
     numbers = np.array(lens.get("distortionParams") or [], dtype=np.float64)
     if kind in _FISHEYES:
-        model, distortion = "fisheye", np.pad(numbers[:4], (0, max(0, 4 - len(numbers))))
+        model, distortion = "fisheye", coefficients("fisheye", numbers, where)
     elif kind in _AS_OPENCV:
         model = "opencv"
         places = _AS_OPENCV[kind]
-        distortion = opencv_distortion([numbers[i] if i is not None and len(numbers) else 0.0 for i in places], where)
+        distortion = coefficients(
+            "opencv", [numbers[i] if i is not None and len(numbers) else 0.0 for i in places], where
+        )
     else:
         raise UserError(f"{where} has the lens {kind}; reconstruct with pinhole, radialk1, radialk3, brown or fisheye4")
     # Eigen writes matrices column by column.

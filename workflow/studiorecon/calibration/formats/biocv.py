@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
-from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
+from studiorecon.camera_files.lens_kinds import coefficients
+from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world
 from studiorecon.errors import UserError
 from studiorecon.scene.dataset import VIDEO_SUFFIXES
 from studiorecon.scene.outside import read_text
@@ -50,13 +51,13 @@ def _camera(path: Path) -> RawCamera:
             f"{where}: its lines hold {shown(counts)} numbers; a bioCV calibration has width, height, three rows of K, "
             "the rows of a 4×4 pose and one of distortion"
         )
-    k, pose = np.array(rows[2:5]), np.array(rows[5:8])
+    pose = np.array(rows[5:8])
     return RawCamera(
         name=name,
         wh=(round(rows[0][0]), round(rows[1][0])),
-        intrinsics=intrinsics_matrix(k[0, 0], k[1, 1], k[0, 2], k[1, 2], integer_centres=True),
+        intrinsics=as_in_file(rows[2:5], where),
         model="opencv",
-        distortion=opencv_distortion(rows[-1], where),
+        distortion=coefficients("opencv", rows[-1], where),
         camera_from_world=rigid_camera_from_world(pose[:, :3], pose[:, 3], where)[0],
     )
 

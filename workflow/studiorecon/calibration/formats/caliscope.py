@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Caliscope's ``camera_array.toml``: tables ``[cameras.N]`` with a rotation matrix, metres, videos named ``cam_N``."""
+"""Caliscope's ``camera_array.toml``: tables ``[cameras.N]`` with a rotation matrix, metres, videos named ``cam_N``.
+
+``rotation_count`` says by how many quarter turns Caliscope shows a picture to its tracker, whose points it turns back:
+films and numbers fit as they are stored.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,6 @@ from pathlib import Path
 
 from studiorecon.calibration.formats.pose2sim import TOML_FILES, camera_of_table, holds_cameras, tables
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
-from studiorecon.errors import UserError
 
 
 def recognises(files: list[Path]) -> bool:
@@ -19,18 +22,13 @@ def recognises(files: list[Path]) -> bool:
 
 
 def read(files: list[Path]) -> Reading:
-    """The cameras that the file does not ignore; raises UserError when it says that a video is to be turned."""
+    """The cameras that the file does not ignore."""
     notes: list[str] = []
     cameras = []
     for key, table in tables(files[0]).items():
         if table.get("ignore", False):
             notes.append(f"camera {key} is marked as ignored in {files[0].name} and was left out")
             continue
-        if table.get("rotation_count", 0):
-            raise UserError(
-                f"camera {key} in {files[0]}: rotation_count is {table['rotation_count']}; "
-                "store its video upright and set it to 0"
-            )
         cameras.append(camera_of_table(f"cam_{key}", table, files[0], notes))
     return Reading("Caliscope camera_array.toml", tuple(cameras), "m", tuple(notes))
 

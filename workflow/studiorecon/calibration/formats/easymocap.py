@@ -7,29 +7,18 @@ OpenCV YAML, often with CRLF; ``K_<c>``, ``dist_<c>`` or ``D_<c>``, ``R_<c>`` (a
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import yaml
 
+from studiorecon.calibration.formats.opencv_storage import load_storage
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
-from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
+from studiorecon.camera_files.lens_kinds import coefficients
+from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world, rotation_of, vector
 from studiorecon.errors import UserError
-from studiorecon.geometry.rotations import exp
-from studiorecon.scene.outside import read_yaml
+from studiorecon.scene.outside import MOST_TEXT_BYTES, read_bytes
 from studiorecon.scene.values import listed
-
-
-class _OpenCvYaml(yaml.BaseLoader):
-    """All scalars stay text, so that the camera name 00 is not the number 0."""
-
-
-def _matrix(loader: yaml.Loader, node: yaml.Node) -> np.ndarray:
-    entries = loader.construct_mapping(node, deep=True)
-    return np.array([float(v) for v in entries["data"]]).reshape(int(entries["rows"]), int(entries["cols"]))
-
-
-_OpenCvYaml.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
 
 
 def recognises(files: list[Path]) -> bool:
@@ -38,7 +27,7 @@ def recognises(files: list[Path]) -> bool:
 
 def read(files: list[Path]) -> Reading:
     """The cameras of an intrinsic and an extrinsic file, in either order."""
-    first, second = (_load(f) for f in files)
+    first, second = (load_storage(f) for f in files)
     intri, extri = (first, second) if any(k.startswith("K_") for k in first) else (second, first)
     intri_path, extri_path = (files[0], files[1]) if intri is first else (files[1], files[0])
     listed_names = listed(intri.get("names"), f"{intri_path}: names", "[cam01, cam02]")
@@ -60,42 +49,53 @@ def read(files: list[Path]) -> Reading:
     cameras = []
     for name, key in key_of.items():
         where = f"camera {name} in {extri_path}"
-        rotation = _matrix_of(extri, f"Rot_{key}")
-        vector = _matrix_of(extri, f"R_{key}")
-        if rotation is None:
-            vector = _required(extri, f"R_{key}", where)
-            rotation = vector if vector.shape == (3, 3) else exp(vector.reshape(3))
-        elif vector is not None and vector.size == 3 and np.abs(exp(vector.reshape(3)) - rotation).max() > 1e-3:
+        matrix, axis = _matrix_of(extri, f"Rot_{key}"), _matrix_of(extri, f"R_{key}")
+        given = _required(extri, f"R_{key}", where) if matrix is None else matrix
+        rotation = rotation_of(given, f"{where}: its rotation")
+        if matrix is not None and axis is not None and np.abs(rotation_of(axis, where) - rotation).max() > 1e-3:
             raise UserError(
                 f"{where}: R_{key} and Rot_{key} are different rotations; the file was edited by hand, write it again"
             )
-        pose, scale = rigid_camera_from_world(rotation, _required(extri, f"T_{key}", where), where)
+        pose, scale = rigid_camera_from_world(
+            rotation, vector(_required(extri, f"T_{key}", where), f"{where}: T_{key}"), where
+        )
         if abs(scale - 1) > 1e-3:
             notes.append(f"camera {name}: a scale of {scale:.4g} was taken out of its rotation")
-        k = _required(intri, f"K_{key}", f"camera {name} in {intri_path}")
-        fisheye = _matrix_of(intri, f"rdist_{key}")
-        distortion = _matrix_of(intri, f"dist_{key}", f"D_{key}")
-        cameras.append(
-            RawCamera(
-                name=name,
-                wh=(_size(intri, f"W_{key}"), _size(intri, f"H_{key}")),
-                intrinsics=intrinsics_matrix(k[0, 0], k[1, 1], k[0, 2], k[1, 2], integer_centres=True),
-                model="opencv" if fisheye is None else "fisheye",
-                distortion=opencv_distortion([] if distortion is None else distortion, f"camera {name}")
-                if fisheye is None
-                else fisheye.reshape(-1)[:4],
-                camera_from_world=pose,
-            )
-        )
+        lens, told = _lens(intri, name, key, f"camera {name} in {intri_path}")
+        notes += told
+        cameras.append(replace(lens, camera_from_world=pose))
     return Reading("EasyMocap/EasyVolcap intri + extri", tuple(cameras), "unknown", tuple(notes))
 
 
-def _load(path: Path) -> dict:
-    # "%YAML:1.0" is OpenCV's own header and not a YAML directive.
-    value = read_yaml(path, _OpenCvYaml, comments="%YAML")
-    if not isinstance(value, dict):
-        raise UserError(f"{path} holds no camera matrices")
-    return value
+def _lens(intri: dict, name: str, key: str, where: str) -> tuple[RawCamera, list[str]]:
+    """The camera at the identity, and what of it was not used."""
+    fisheye, plain = _matrix_of(intri, f"rdist_{key}"), _matrix_of(intri, f"dist_{key}", f"D_{key}")
+    notes = []
+    if fisheye is not None and plain is not None:
+        notes.append(f"{where} has the lens twice: rdist_{key} (fisheye) was used, dist_{key} was not")
+    model = "opencv" if fisheye is None else "fisheye"
+    camera = RawCamera(
+        name=name,
+        wh=(_size(intri, f"W_{key}"), _size(intri, f"H_{key}")),
+        intrinsics=as_in_file(_required(intri, f"K_{key}", where), where),
+        model=model,
+        distortion=coefficients(model, plain if fisheye is None else fisheye, where),
+        camera_from_world=np.eye(4),
+    )
+    return camera, notes
+
+
+def is_intri(path: Path) -> bool:
+    """Whether a YAML file holds EasyMocap's lenses."""
+    if b"K_" not in read_bytes(path, MOST_TEXT_BYTES):
+        return False
+    return any(key.startswith("K_") for key in load_storage(path))
+
+
+def lenses_in(path: Path) -> list[RawCamera]:
+    """The lenses of an intrinsic file by itself."""
+    intri = load_storage(path)
+    return [_lens(intri, k[2:], k[2:], f"camera {k[2:]} in {path}")[0] for k in intri if k.startswith("K_")]
 
 
 def _matrix_of(table: dict, *keys: str) -> np.ndarray | None:

@@ -14,7 +14,8 @@ import numpy as np
 
 from studiorecon.calibration.formats.pickles import read_pickle
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
-from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
+from studiorecon.camera_files.lens_kinds import coefficients
+from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world
 from studiorecon.errors import UserError
 from studiorecon.scene.values import numbers
 
@@ -44,14 +45,13 @@ def _camera(path: Path) -> RawCamera:
         values[key] = numbers(table[key], f"{where}: {key}").reshape(-1)
         if len(values[key]) != size:
             raise UserError(f"{where}: {key} holds {len(values[key])} numbers; OpenCap writes {size}")
-    k = values["intrinsicMat"].reshape(3, 3)
     height, width = values["imageSize"]
     return RawCamera(
         name=name,
         wh=(round(width), round(height)),
-        intrinsics=intrinsics_matrix(k[0, 0], k[1, 1], k[0, 2], k[1, 2], integer_centres=True),
+        intrinsics=as_in_file(values["intrinsicMat"], where),
         model="opencv",
-        distortion=opencv_distortion(values["distortion"], where),
+        distortion=coefficients("opencv", values["distortion"], where),
         camera_from_world=rigid_camera_from_world(np.array(values["rotation"]), values["translation"], where)[0],
     )
 

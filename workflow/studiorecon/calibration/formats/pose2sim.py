@@ -5,12 +5,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
-from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
+from studiorecon.camera_files.lens_kinds import coefficients, model_in
+from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world, rotation_of, vector
 from studiorecon.errors import UserError
-from studiorecon.geometry.rotations import exp
 from studiorecon.scene.outside import MOST_TEXT_BYTES, read_bytes, read_toml
 
 # Caliscope's cameras lie in such a file too; its cards and volumes, and Pose2Sim's Config.toml, lie beside.
@@ -47,24 +45,21 @@ def camera_of_table(name: str, table: dict, path: Path, notes: list[str]) -> Raw
         raise UserError(
             f"{where}: {missing[0]} is missing; the file holds intrinsics only, run the extrinsic calibration too"
         )
-    k = np.asarray(table["matrix"], dtype=np.float64)
-    rotation = np.asarray(table["rotation"], dtype=np.float64)
     pose, scale = rigid_camera_from_world(
-        rotation if rotation.size == 9 else exp(rotation), table["translation"], where
+        rotation_of(table["rotation"], f"{where}: rotation"),
+        vector(table["translation"], f"{where}: translation"),
+        where,
     )
     if abs(scale - 1) > 1e-3:
         notes.append(f"camera {name}: a scale of {scale:.4g} was taken out of its rotation")
     width, height = table.get("size", (0, 0))
-    fisheye = bool(table.get("fisheye", False))
-    distortions = np.asarray(table.get("distortions", []), dtype=np.float64).reshape(-1)
+    model = model_in(table, where)
     return RawCamera(
         name=name,
         wh=(round(width), round(height)),
-        intrinsics=intrinsics_matrix(k[0, 0], k[1, 1], k[0, 2], k[1, 2], integer_centres=True),
-        model="fisheye" if fisheye else "opencv",
-        distortion=np.pad(distortions[:4], (0, max(0, 4 - len(distortions))))
-        if fisheye
-        else opencv_distortion(distortions, where),
+        intrinsics=as_in_file(table["matrix"], where),
+        model=model,
+        distortion=coefficients(model, table.get("distortions"), where),
         camera_from_world=pose,
     )
 

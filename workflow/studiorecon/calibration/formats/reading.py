@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,14 @@ class Reading:
     unit: str
     notes: tuple[str, ...]
     named: bool = True
+
+    def as_json(self) -> dict[str, Any]:
+        return {**vars(self), "cameras": [vars(camera) for camera in self.cameras]}
+
+    @staticmethod
+    def from_json(value: dict[str, Any]) -> Reading:
+        cameras = [RawCamera.from_json(camera) for camera in value["cameras"]]
+        return Reading(value["format"], tuple(cameras), value["unit"], tuple(value["notes"]), bool(value["named"]))
 
 
 def _always(path: Path) -> bool:

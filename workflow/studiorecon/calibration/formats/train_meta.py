@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
-from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, rigid_camera_from_world
+from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world
 from studiorecon.errors import UserError
 from studiorecon.scene.outside import read_json
 from studiorecon.scene.values import mapping
@@ -35,7 +35,7 @@ def read(files: list[Path]) -> Reading:
     for t, (matrices, poses) in enumerate(zip(content["k"], content["w2c"], strict=True)):
         for index, (k, pose) in enumerate(zip(matrices, poses, strict=True)):
             name = PurePosixPath(content["fn"][t][index]).parent.name if "fn" in content else str(index)
-            block, intrinsics = np.asarray(pose, dtype=np.float64)[:3], np.asarray(k, dtype=np.float64)
+            block = np.asarray(pose, dtype=np.float64)[:3]
             where = f"camera {name} at time {t} in {path}"
             if inverted:
                 block = np.linalg.inv(np.vstack([block, [0, 0, 0, 1]]))[:3]
@@ -44,9 +44,7 @@ def read(files: list[Path]) -> Reading:
                 RawCamera(
                     name=name,
                     wh=(int(width), int(height)),
-                    intrinsics=intrinsics_matrix(
-                        intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2], integer_centres=False
-                    ),
+                    intrinsics=as_in_file(k, where, integer_centres=False),
                     model="opencv",
                     distortion=np.zeros(8),
                     camera_from_world=rigid_camera_from_world(block[:, :3], block[:, 3], where)[0],

@@ -6,11 +6,10 @@ from __future__ import annotations
 
 from pathlib import Path, PurePosixPath
 
-import numpy as np
-
 from studiorecon.calibration.formats.pickles import read_pickle
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
-from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
+from studiorecon.camera_files.lens_kinds import coefficients
+from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world
 from studiorecon.errors import UserError
 
 
@@ -34,14 +33,13 @@ def read(files: list[Path]) -> Reading:
     for index in range(count):
         name = folders[index] if named else str(index)
         where = f"camera {name} in {path}"
-        k = np.asarray(cams["K"][index], dtype=np.float64)
         cameras.append(
             RawCamera(
                 name=name,
                 wh=(0, 0),
-                intrinsics=intrinsics_matrix(k[0, 0], k[1, 1], k[0, 2], k[1, 2], integer_centres=True),
+                intrinsics=as_in_file(cams["K"][index], where),
                 model="opencv",
-                distortion=opencv_distortion(cams["D"][index] if "D" in cams else [], where),
+                distortion=coefficients("opencv", cams["D"][index] if "D" in cams else [], where),
                 camera_from_world=rigid_camera_from_world(cams["R"][index], cams["T"][index], where)[0],
             )
         )

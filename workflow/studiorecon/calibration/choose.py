@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``calibration.choose``: which camera of a calibration is which film, and where a film's pixels lie in the calibrated
+picture, where names and sizes leave that open: people decide.
+
+Right readings let the rays of people's joints meet. Where nobody shows it the usual reading is taken, and said.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from studiorecon.arrays import evenly_spread
+from studiorecon.calibration.files import Settings as Settings
+from studiorecon.calibration.files import lenses_of, pairings_of
+from studiorecon.calibration.formats.reading import Reading
+from studiorecon.calibration.names import Pairing, for_other_cameras
+from studiorecon.footage.source import open_source
+from studiorecon.geometry.film_places import Place, places
+from studiorecon.geometry.lens import unseen_share
+from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.keypoints.reading import undistorted
+from studiorecon.progress import say
+from studiorecon.rig.correspondences import observe
+from studiorecon.scene.camera import Lens
+from studiorecon.scene.files import write_json
+from studiorecon.scene.intermediate import as_written, read_content
+from studiorecon.scene.people import Detections, read_detections
+from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+T = TypeVar("T")
+_FRAMES = 24
+# As where cameras are judged on people; loose, since a calibration may be a little off and is still the right one.
+_GATE_M = 0.25
+_LIMITS = Limits(outlier_units=9.0)
+# What detectors err, as a share of the longer side (6 of 1920 px).
+_NOISE_SHARE = 0.003
+# Standard errors by which a reading must be better than the usual one: 1 in 700 by chance.
+_SURE = 3.0
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A reading of the calibration, and the sentences about it."""
+
+    lenses: list[Lens]
+    notes: list[str]
+    floor_known: bool
+
+
+def agreement(
+    lenses: Sequence[Lens], sizes: Sequence[tuple[int, int]], people: Sequence[Detections]
+) -> Float[np.ndarray, " F"]:
+    """(F,) how well people's joints fit the lenses in each of 24 frames: the logarithm of how much likelier each
+    keypoint is than at random, summed. 0 where nothing meets."""
+    last = max((int(d.frame.max()) for d in people if len(d.frame)), default=-1)
+    frames = evenly_spread(last + 1, _FRAMES) if last >= 0 else np.zeros(0, int)
+    total = np.zeros(len(frames))
+    both = [undistorted(d, lens, wh) for d, lens, wh in zip(people, lenses, sizes, strict=True)]
+    cameras, seen = [c for c, _ in both], [d for _, d in both]
+    if not any(len(d.frame) for d in seen):
+        return total
+    found, _ = observe(seen, cameras, frames, _GATE_M)
+    if not len(found.frame):
+        return total
+    points = triangulate(found.pixels, found.confidence, cameras, _LIMITS)
+    counted = points.inliers & (points.verified if len(cameras) > 2 else points.valid)
+    longer = np.array([[max(wh)] for wh in sizes], float)
+    noise, gate = _NOISE_SHARE * longer, _LIMITS.huber_share * _LIMITS.outlier_units * longer
+    error = np.where(counted, points.error_px, gate)
+    # Cauchy's distribution: a calibration that is somewhat off is still far better than a wrong one.
+    fit = np.maximum(np.log((gate**2 + noise**2) / (error**2 + noise**2)), 0.0).sum(0)
+    np.add.at(total, np.searchsorted(frames, found.frame), fit)
+    return total
+
+
+def best(candidates: Sequence[T], fit: Callable[[T], Float[np.ndarray, " F"]]) -> tuple[int, bool]:
+    """The place of the candidate that people show to be right, else 0; and whether they show it."""
+    scores = [fit(candidate) for candidate in candidates]
+    order = np.argsort([-s.sum() for s in scores], kind="stable")
+    first = int(order[0])
+
+    def clearly(better: np.ndarray, other: np.ndarray) -> bool:
+        gain = better - other
+        return bool(gain.sum() > 0 and gain.mean() > _SURE * gain.std() / np.sqrt(max(len(gain), 1)))
+
+    if all(clearly(scores[first], scores[int(other)]) for other in order[1:]):
+        return first, len(scores) > 1
+    # Of several that fit about equally well the likeliest, unless people show that it is wrong.
+    equal = [i for i in range(len(scores)) if not clearly(scores[first], scores[i])]
+    return equal[0], False
+
+
+def chosen(
+    reading: Reading,
+    source: str,
+    cameras: Sequence[str],
+    sizes: Sequence[tuple[int, int]],
+    people: Sequence[Detections],
+    pixel_maps: dict[str, Sequence[float]],
+    settings: Settings,
+) -> Choice:
+    """The lenses of ``cameras``, whose films have ``sizes``, as names, sizes and ``people`` (by frames of the films)
+    have them.
+
+    Raises UserError for names that neither match nor are decided by people, and for sizes of other shapes.
+    """
+
+    def read(pairing: Pairing) -> tuple[list[Lens], list[str], bool]:
+        return lenses_of(reading, source, cameras, pixel_maps, settings, pairing)
+
+    def usual(lenses: Sequence[Lens]) -> list[Lens]:
+        return [places(lens, wh)[0].lens for lens, wh in zip(lenses, sizes, strict=True)]
+
+    ways = pairings_of(reading, cameras, source)
+    index, shown = (
+        best(ways, lambda way: agreement(usual(read(way)[0]), sizes, people)) if len(ways) > 1 else (0, False)
+    )
+    if not (ways[index].sure or shown):
+        raise for_other_cameras(cameras, [c.name for c in reading.cameras], source)
+    lenses, notes, floor_known = read(ways[index])
+    if len(ways) > 1:
+        notes.append(
+            f"people show that this is the right one of {len(ways)} ways of pairing videos and cameras"
+            if shown
+            else f"people do not decide between the {len(ways)} ways of pairing them; rename the videos if it is wrong"
+        )
+    lenses, placed = _placed(lenses, sizes, people)
+    return Choice(lenses, notes + placed, floor_known)
+
+
+def _placed(
+    lenses: Sequence[Lens], sizes: Sequence[tuple[int, int]], people: Sequence[Detections]
+) -> tuple[list[Lens], list[str]]:
+    """The lenses with the place of each film, and the sentences about those that had to be assumed. Films of one pair
+    of sizes lie alike: one program made them."""
+    options = [places(lens, wh) for lens, wh in zip(lenses, sizes, strict=True)]
+    kinds = sorted({(lens.wh, wh) for lens, wh, of in zip(lenses, sizes, options) if len(of) > 1})
+    counts = [len(next(of for lens, wh, of in zip(lenses, sizes, options) if (lens.wh, wh) == kind)) for kind in kinds]
+
+    def of(choice: Sequence[int]) -> list[Place]:
+        at = dict(zip(kinds, choice))
+        return [of[at.get((lens.wh, wh), 0)] for lens, wh, of in zip(lenses, sizes, options)]
+
+    ways = [of(choice) for choice in itertools.product(*map(range, counts))]
+    index, shown = (
+        best(ways, lambda way: agreement([p.lens for p in way], sizes, people)) if len(ways) > 1 else (0, False)
+    )
+    why = "as people show" if shown else "the usual place, which people do not contradict"
+    remedy = "" if shown else "; if that is wrong, give it in capture.yaml: pixel_maps"
+    notes = [f"camera {p.lens.name}: {p.how} ({why}){remedy}" for p in ways[index] if p.how]
+    return [p.lens for p in ways[index]], notes
+
+
+def run(
+    settings: Settings,
+    read: Path,
+    cameras: list[str],
+    sources: list[Path],
+    sightings: list[Path],
+    pixel_maps: str,
+    picture_fps: float,
+    calibration: Written,
+) -> None:
+    """Write ``calibration`` (JSON): the lenses of ``cameras``, whose films are ``sources``, of the calibration that was
+    ``read``, as the people of ``sightings`` have it."""
+    content = read_content(read)
+    with as_written(read):
+        reading = Reading.from_json({k: v for k, v in content.items() if k != "source"})
+    sizes = [open_source(source, picture_fps).wh for source in sources]
+    seen = {d.camera: d for d in map(read_detections, sightings)}
+    nobody = np.zeros(0, dtype=int)
+    people = [seen.get(c) or Detections(c, "coco17", nobody, nobody, np.zeros((0, 17, 3))) for c in cameras]
+    maps = json.loads(pixel_maps or "{}")
+    choice = chosen(reading, content["source"], cameras, sizes, people, maps, settings)
+    doubts = []
+    for lens, wh in zip(choice.lenses, sizes, strict=True):
+        if share := unseen_share(lens, wh):
+            doubts.append(
+                f"camera {lens.name}: the lens model has no ray for {share:.1%} of its picture, whose corners are not "
+                "used: its numbers turn over there"
+            )
+    say(f"{len(choice.lenses)} cameras from {content['source']} ({reading.format})")
+    for note in [*choice.notes, *doubts]:
+        say(note)
+    write_json(
+        calibration,
+        {
+            "source": content["source"],
+            "format": reading.format,
+            "lenses": [lens.as_json() for lens in choice.lenses],
+            "floor_known": choice.floor_known,
+            "notes": choice.notes,
+            "doubts": doubts,
+        },
+    )

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lenses that are known where poses are not: people's points are straightened before poses are found from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.calibration.formats.lenses import read_lenses
+from studiorecon.calibration.names import pairings
+from studiorecon.camera_files.raw_camera import checked_camera
+from studiorecon.geometry.film_places import places
+from studiorecon.geometry.lens import calibration_from_video
+from studiorecon.keypoints.reading import undistorted
+from studiorecon.progress import say
+from studiorecon.scene.camera import Camera, Lens
+from studiorecon.scene.people import Detections
+
+
+def lenses_of_cameras(
+    files: Sequence[Path], sizes: Mapping[str, tuple[int, int]], maps: Mapping[str, Any]
+) -> dict[str, Lens]:
+    """camera → its lens, in ``files`` without poses, at the identity; one lens alone is every camera's. Empty without
+    files."""
+    if not files:
+        return {}
+    raw = {camera.name: camera for camera in read_lenses(files)}
+    source = files[0].name
+    if len(raw) == 1:
+        of_camera = dict.fromkeys(sizes, next(iter(raw)))
+    else:
+        pairing = pairings(list(sizes), list(raw), source)[0]
+        of_camera = pairing.calibrated
+        if pairing.how:
+            say(pairing.sentence(source))
+    found = {}
+    for camera, name in of_camera.items():
+        checked, notes = checked_camera(camera, raw[name], source)
+        affine = calibration_from_video(maps.get(camera))
+        lens = Lens(camera, checked.wh, checked.intrinsics, checked.model, checked.distortion, np.eye(4), affine)
+        place = places(lens, sizes[camera])[0]
+        found[camera] = place.lens
+        for note in [*notes, *([f"camera {camera}: {place.how}"] if place.how else [])]:
+            say(note)
+    say(f"the lenses of {', '.join(found)} come from {', '.join(file.name for file in files)}")
+    return found
+
+
+def ideal(lens: Lens, wh: tuple[int, int]) -> Camera:
+    """The pinhole with square pixels and its principal point in the middle of the film that poses are found for."""
+    focal = float(lens.intrinsics[0, 0] / _scale(lens, wh))
+    return Camera(lens.name, wh, np.array([[focal, 0, wh[0] / 2], [0, focal, wh[1] / 2], [0, 0, 1.0]]), np.eye(4))
+
+
+def straight(seen: Detections, lens: Lens, wh: tuple[int, int]) -> Detections:
+    """The sightings in pixels of ``ideal``; points that the lens cannot have seen are dropped."""
+    camera, found = undistorted(seen, lens, wh)
+    wanted = ideal(lens, wh)
+    points = found.keypoints.copy()
+    focal = np.diag(wanted.intrinsics)[:2] / np.diag(camera.intrinsics)[:2]
+    points[..., :2] = (points[..., :2] - camera.intrinsics[:2, 2]) * focal + wanted.intrinsics[:2, 2]
+    return replace(seen, keypoints=points)
+
+
+def posed(lens: Lens, found: Camera) -> Lens:
+    """The lens at the pose of the camera that people show, and with its focal length."""
+    intrinsics = lens.intrinsics.copy()
+    intrinsics[[0, 1], [0, 1]] *= found.focal_px[0] / ideal(lens, found.wh).focal_px[0]
+    return replace(lens, intrinsics=intrinsics, camera_from_world=found.camera_from_world)
+
+
+def _scale(lens: Lens, wh: tuple[int, int]) -> float:
+    """Calibration pixels along a pixel of the film."""
+    given = not np.array_equal(lens.calibration_from_video, np.eye(2, 3))
+    return float(lens.calibration_from_video[0, 0]) if given or 0 in lens.wh else lens.wh[0] / wh[0]

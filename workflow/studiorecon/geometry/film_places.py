@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a film's pixels may lie in the picture that was calibrated, when the two have other shapes.
+
+Codecs store whole blocks of 16 pixels: 1080 lines are calibrated as 1088 by a program that shows the padding, or the
+other way round, and some exports centre or scale what remains. A film that was turned has its sides exchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+
+from studiorecon.geometry.lens import calibration_from_video_pixels, same_shape
+from studiorecon.scene.camera import Lens
+
+# Pixels of a block: no codec pads by more than one less.
+_BLOCK = 16
+# Films are enlarged or shrunk by ratios of small numbers.
+_LARGEST_RATIO = 8
+
+
+@dataclass(frozen=True)
+class Place:
+    """One reading: the lens as it then is, and how the film lies, in words; "" where nothing had to be assumed."""
+
+    lens: Lens
+    how: str
+
+
+def places(lens: Lens, source_wh: tuple[int, int]) -> list[Place]:
+    """Every place that is possible, the usual one first.
+
+    Raises UserError, as ``calibration_from_video_pixels``, for shapes that neither padding nor a turn explains.
+    """
+    given = not np.array_equal(lens.calibration_from_video, np.eye(2, 3))
+    if given or 0 in lens.wh or same_shape(lens.wh, source_wh):
+        return [Place(lens, "")]
+    found = list(_padded(lens, source_wh))
+    if not found and same_shape(lens.wh[::-1], source_wh):
+        clockwise = turned(lens)
+        # A camera is rather held upright than upside down: its picture's up points up.
+        both = [(clockwise, "clockwise"), (turned(turned(clockwise)), "counter-clockwise")]
+        both.sort(key=lambda turn: turn[0].camera_from_world[1, 2])
+        found = [Place(turn, f"the calibrated picture turned {way} by 90°") for turn, way in both]
+    if not found:
+        calibration_from_video_pixels(lens, source_wh)  # which refuses it
+    return found
+
+
+def _padded(lens: Lens, source_wh: tuple[int, int]) -> Iterator[Place]:
+    calibrated, film = np.array(lens.wh, float), np.array(source_wh, float)
+    ratios = film / calibrated
+    # The side without padding was scaled by a plain ratio.
+    off = [abs(r - float(Fraction(r).limit_denominator(_LARGEST_RATIO))) for r in ratios]
+    places_found = []
+    for scale in ratios[np.argsort(off, kind="stable")]:
+        over = film / scale - calibrated
+        if np.abs(over).max() >= _BLOCK:
+            return
+        by = "" if scale == 1.0 else f", scaled by {scale:.4g}"
+        for offset, where in ((np.zeros(2), "at its left and top edges"), (-over / 2, "in its middle")):
+            places_found.append((np.array([[1 / scale, 0, offset[0]], [0, 1 / scale, offset[1]]]), f"{where}{by}"))
+    places_found.append((np.array([[1 / ratios[0], 0, 0], [0, 1 / ratios[1], 0]]), "stretched to its size"))
+    for affine, where in places_found:
+        how = f"its {source_wh[0]}×{source_wh[1]} pixels in the calibration's {lens.wh[0]}×{lens.wh[1]} {where}"
+        yield Place(replace(lens, calibration_from_video=affine, placed=how), how)
+
+
+def turned(lens: Lens) -> Lens:
+    """The lens of the same camera whose pictures were turned clockwise by 90°."""
+    width, height = lens.wh
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    fx, fy, cx, cy = (lens.intrinsics[i, j] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    distortion = lens.distortion.copy()
+    if lens.model == "opencv" and len(distortion) > 3:
+        distortion[2], distortion[3] = lens.distortion[3], -lens.distortion[2]
+    pose = np.eye(4)
+    pose[:3] = turn @ lens.camera_from_world[:3]
+    return replace(
+        lens,
+        wh=(height, width),
+        intrinsics=np.array([[fy, 0.0, height - cy], [0.0, fx, cx], [0.0, 0.0, 1.0]]),
+        distortion=distortion,
+        camera_from_world=pose,
+    )
