@@ -62,7 +62,7 @@ def why_not(path: Path, used: Sequence[Path]) -> str | None:
                 return f"{kind}, which {' and '.join(patterns)} make together" if alone else f"{kind}; {instead}"
     if _recognised(_holds_lenses, path):
         return f"it holds lenses without poses; {instead}" if used else None
-    if path.stem.lower().startswith("calib") or _speaks_of_cameras(path):
+    if _speaks_of_cameras(path):
         return "it looks like a calibration of no known format: docs/capture.md lists those that are read"
     return None
 
