@@ -37,7 +37,8 @@ function makeEye(scene) {
     return { turn, eye: turned(back, m[0][3], m[1][3], m[2][3]).map((value) => -value) };
   });
   const start = poses[0].eye, reach = Math.hypot(...minus(start, scene.centre)) || 3;
-  const eye = { mode: "free", eye: start, target: scene.centre, zoom: 1, camera: 0, film: 0, picture: 0, person: null };
+  const home = { mode: "free", eye: start, target: scene.centre, zoom: 1, camera: 0, film: 0, picture: 0, person: null };
+  const eye = { ...home };
 
   function row(film, picture) {
     const steps = scene.films[film].steps, first_ = within(Math.round(picture), 0, steps.length / 14 - 1) * 14;
@@ -46,6 +47,7 @@ function makeEye(scene) {
 
   return Object.assign(eye, {
     usual, wide,
+    reset: () => Object.assign(eye, home),
     pictures: (film) => scene.films[film].steps.length / 14,
     frameOf: (film, picture) => row(film, picture)[13],
     // The view on a canvas; who follows a person looks where their pelvis is now.

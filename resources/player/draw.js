@@ -49,9 +49,10 @@ function makePainter(canvas, scene) {
   function texture(name, kind, width, data, unit = Object.keys(units).length) {
     const formats = {
       float: [gl.RGBA32F, gl.RGBA, gl.FLOAT], byte: [gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE],
-      whole: [gl.RGBA16UI, gl.RGBA_INTEGER, gl.UNSIGNED_SHORT],
+      whole: [gl.RGBA16UI, gl.RGBA_INTEGER, gl.UNSIGNED_SHORT], id: [gl.R32UI, gl.RED_INTEGER, gl.UNSIGNED_INT],
     };
-    const [inside, format, type] = formats[kind], made = gl.createTexture(), height = data.length / 4 / width;
+    const [inside, format, type] = formats[kind], made = gl.createTexture();
+    const height = data.length / (kind === "id" ? 1 : 4) / width;
     gl.activeTexture(gl.TEXTURE0 + unit);
     gl.bindTexture(gl.TEXTURE_2D, made);
     smooth(gl.NEAREST);
@@ -84,16 +85,15 @@ function makePainter(canvas, scene) {
   texture("changes", "float", changing ? ROW : 1, changed);
   // Rows of 3 x 4 numbers: three texels a bone.
   texture("bones", "float", 3, scene.bones);
-  const aboutSets = new Float32Array(scene.sets.length * 4);
+  // Two texels a set, one below the other.
+  const aboutSets = new Float32Array(scene.sets.length * 8);
   texture("sets", "float", scene.sets.length, aboutSets);
-
-  const order = gl.createBuffer(), lists = gl.createVertexArray();
-  gl.bindVertexArray(lists);
-  gl.bindBuffer(gl.ARRAY_BUFFER, order);
-  const slot = gl.getAttribLocation(splats.made, "splat");
-  gl.enableVertexAttribArray(slot);
-  gl.vertexAttribIPointer(slot, 1, gl.UNSIGNED_INT, 0, 0);
-  gl.vertexAttribDivisor(slot, 1);
+  const order = new Uint32Array(scene.size);
+  texture("order", "id", ROW, order);
+  // Quads of one list: without a graphics card an instance for every Gaussian takes several times as long.
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+  const corners = new Uint32Array(scene.size * 6).map((_, k) => 4 * Math.floor(k / 6) + [0, 1, 2, 2, 1, 3][k % 6]);
+  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
   gl.disable(gl.DEPTH_TEST);
 
   // Where pictures are blended before they are shown: colours, and shares of measured, inferred and invented.
@@ -105,8 +105,10 @@ function makePainter(canvas, scene) {
       gl.deleteFramebuffer(layer.buffer);
       layer.texture = gl.createTexture();
       gl.bindTexture(gl.TEXTURE_2D, layer.texture);
-      gl.texStorage2D(gl.TEXTURE_2D, 1, fine ? gl.RGBA16F : gl.RGBA8, width, height);
+      const levels = Math.floor(Math.log2(Math.max(width, height))) + 1;
+      gl.texStorage2D(gl.TEXTURE_2D, levels, fine ? gl.RGBA16F : gl.RGBA8, width, height);
       smooth(gl.LINEAR);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_NEAREST);
       layer.buffer = gl.createFramebuffer();
       gl.bindFramebuffer(gl.FRAMEBUFFER, layer.buffer);
       gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, layer.texture, 0);
@@ -116,15 +118,22 @@ function makePainter(canvas, scene) {
     gl.viewport(0, 0, width, height);
   }
 
-  let count = 0;
+  let count = 0, fence = null;
+  const named = gl.getExtension("WEBGL_debug_renderer_info");
+  const card = gl.getParameter(named ? named.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
   return {
-    gl, fine,
-    // Ids of Gaussians, the furthest first.
-    setOrder(ids) {
+    gl, fine, software: /swiftshader|llvmpipe|softpipe|software|basic render/i.test(card),
+    // Ids of Gaussians, the furthest first, and how much each set's grow because others are left out.
+    setOrder({ ids, grow }) {
       count = ids.length;
-      gl.bindBuffer(gl.ARRAY_BUFFER, order);
-      gl.bufferData(gl.ARRAY_BUFFER, ids, gl.DYNAMIC_DRAW);
+      order.set(ids);
+      units.order.renew(Math.ceil(count / ROW), order, 0);
+      grow.forEach((times, index) => (aboutSets[(scene.sets.length + index) * 4] = times));
+      units.sets.renew(2, aboutSets, 0);
     },
+    // How many Gaussians the next picture has, and whether the last is still being drawn.
+    count: () => count,
+    busy: () => !!fence && gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED,
     // Bones and colours at a frame; the scene's matrices have been moved there.
     setMoment(frame) {
       units.bones.renew(scene.bones.length / 12, scene.bones, 0);
@@ -134,10 +143,11 @@ function makePainter(canvas, scene) {
         const part = changed.subarray(set.first * 4, (set.first + rows * ROW) * 4);
         if (changing && changesAt(scene, set, frame, part)) units.changes.renew(rows, part, set.first / ROW);
       });
-      units.sets.renew(1, aboutSets, 0);
+      units.sets.renew(2, aboutSets, 0);
     },
     // A view: {wh, focal, principal, rotation (row-major camera_from_world), offset, eye}; exposure: three factors.
-    draw(view, { exposure = [1, 1, 1], tinted = false, scale = 1 } = {}) {
+    // Of the order the part from `from` to `to`: the picture is shown once its last part is drawn.
+    draw(view, { exposure = [1, 1, 1], tinted = false, hurried = false, scale = 1, from = 0, to = count } = {}) {
       const [width, height] = view.wh, small = view.wh.map((side) => Math.max(1, Math.round(side * scale)));
       if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
       const { at, made } = splats, by = [small[0] / width, small[1] / height], { drawing } = scene;
@@ -159,19 +169,28 @@ function makePainter(canvas, scene) {
       for (const layer of tinted ? layers : layers.slice(0, 1)) {
         target(layer, small);
         gl.clearColor(0, 0, 0, 0);
-        gl.clear(gl.COLOR_BUFFER_BIT);
+        if (!from) gl.clear(gl.COLOR_BUFFER_BIT);
         gl.uniform1i(at.classes, layer.name === "shares");
-        gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, count);
+        gl.drawElements(gl.TRIANGLES, 6 * (Math.min(to, count) - from), gl.UNSIGNED_INT, 24 * from);
       }
+      if (fence) gl.deleteSync(fence);
+      if (to >= count) this.show(view, exposure, tinted, hurried);
+      fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+      gl.flush();
+    },
+    show({ wh: [width, height] }, exposure, tinted, hurried) {
       gl.disable(gl.BLEND);
       gl.bindFramebuffer(gl.FRAMEBUFFER, null);
       gl.viewport(0, 0, width, height);
       gl.useProgram(show.made);
       gl.uniform1i(show.at.picture, layers[0].unit);
       gl.uniform1i(show.at.shares, tinted ? layers[1].unit : layers[0].unit);
-      gl.uniform2fv(show.at.size, view.wh);
+      gl.uniform2f(show.at.size, width, height);
       gl.uniform3fv(show.at.exposure, exposure);
       gl.uniform1i(show.at.tinted, tinted);
+      gl.uniform1i(show.at.hurried, hurried);
+      gl.activeTexture(gl.TEXTURE0 + layers[0].unit);
+      if (hurried) gl.generateMipmap(gl.TEXTURE_2D);
       gl.drawArrays(gl.TRIANGLES, 0, 3);
     },
     // What the canvas shows, rows from the top: four bytes a pixel.

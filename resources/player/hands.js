@@ -45,13 +45,14 @@ function listen(player) {
   const toggle = (name) => () => (state[name] = !state[name]);
   const keys = {
     " ": player.play, ArrowLeft: () => player.step(-1), ArrowRight: () => player.step(1), 0: () => eye.letGo(),
-    t: toggle("tinted"), k: toggle("skeletons"),
+    t: toggle("tinted"), k: toggle("skeletons"), r: player.reset, f: player.full,
   };
   function press(event) {
     // What has the focus keeps its own keys.
     const own = event.target.matches("button, summary, input") && [" ", "ArrowLeft", "ArrowRight"].includes(event.key);
     if (own || event.ctrlKey || event.metaKey || event.altKey || event.target.matches("textarea, select")) return;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key, camera = +key - 1;
+    if (key === "?") return player.help();
     if (WAYS[key]) flying[WAYS[key][0]] = WAYS[key][1] * FLY_MPS;
     else if (keys[key]) keys[key]();
     else if (scene.cameras[camera]) Object.assign(eye, { mode: "camera", camera });
@@ -85,16 +86,14 @@ async function start() {
     [at("picture").hidden, at("poster").hidden] = [true, false];
     say("The graphics card gave up (too little memory?): reload this page, or look at the films beside it.", 0);
   });
-  for (const id of ["picture", "panel", "time"]) at(id).hidden = false;
+  for (const id of ["panel", "time"]) at(id).hidden = false;
   const player = (window.player = makePlayer(scene, painter));
   makePanel(player);
   listen(player);
   player.begin();
-  // Until the first order is there, nothing is drawn but darkness.
-  requestAnimationFrame(function on() { (at("poster").hidden = player.sorted() > 0) || requestAnimationFrame(on); });
   at("bytes").remove();
   if (at("stage").clientWidth < 640) at("panel").querySelector("details").open = false;
-  say("", 0);
+  say(painter.software ? SLOW : "", 8);
 }
 
 start().catch((error) => say(`The scene cannot be shown: ${error.message}`, 0));

@@ -5,8 +5,6 @@ const LEVELS = [
   ["rgb(70 130 180)", "measured: a camera saw it"], ["rgb(240 200 80)", "inferred from what was seen"],
   ["rgb(200 80 70)", "invented: nobody saw it"],
 ];
-const HELP = `Drag: orbit. Shift or right button: pan. Wheel or pinch: nearer. Double-click: follow a person.
-  W A S D Q E: fly. Space: play. ← →: a frame. 1–9: cameras. 0: free. T: truth map. K: skeletons.`;
 
 function makePanel(player) {
   const { scene, eye, state, keys, changed } = player, panel = at("panel").querySelector("details"), refresh = [];
@@ -88,13 +86,15 @@ function makePanel(player) {
   });
   const about = add(panel, "details");
   add(about, "summary", "About this view");
-  add(about, "p", HELP);
-  const list = add(about, "ul"), coarse = "this browser blends in 8 bits: faint layers show steps";
-  for (const sentence of [...scene.told, ...(player.painter.fine ? [] : [coarse])]) add(list, "li", sentence);
+  const list = add(about, "ul"), { software, fine } = player.painter;
+  const coarse = !fine && "this browser blends in 8 bits: faint layers show steps";
+  for (const sentence of [...scene.told, software && SLOW, coarse]) if (sentence) add(list, "li", sentence);
 
   at("play").onclick = player.play;
   at("slider").oninput = () => { state.playing = false; player.seek(+at("slider").value); };
   at("speed").onchange = () => (state.speed = +at("speed").value);
+  for (const name of ["reset", "full", "help"]) at(name).onclick = player[name];
+  at("full").hidden = !document.fullscreenEnabled;
   at("loop").onclick = () => at("loop").setAttribute("aria-pressed", (state.loop = !state.loop));
   player.shown = () => {
     const { frame } = state, which = eye.mode === "film" ? `picture ${Math.round(eye.picture)}, ` : "";

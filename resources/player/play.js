@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The player: which moment is seen from where, what must be sorted and drawn again, and what lies over the picture.
 
+const SLOW = "There is no graphics card here: what moves is drawn in part, and whole at rest.";
 const at = (id) => document.getElementById(id);
 
 function say(text, seconds = 4) {
@@ -15,9 +16,14 @@ function makePlayer(scene, painter) {
   const state = { frame: 0, playing: !calm && last > 0, speed: 1, loop: true, opacity: 0.5, bright: true };
   Object.assign(state, { tinted: false, skeletons: false });
   const files = scene.cameras.map(() => null), flying = { right: 0, down: 0, ahead: 0 };
-  // Numbers of changes: of those made, those drawn and those sorted for. The scale falls where drawing is slow.
-  let changes = 1, drawn = 0, sorted = 0, sorting = false, fresh = false, still = false, rested = false;
-  let scale = 1, before = 0, slow = 0, moved = NaN, noted = 0;
+  // Numbers of changes: of those made, those drawn, those sorted for and those that the panel shows.
+  let changes = 1, drawn = 0, sorted = 0, told = 0, sorting = false, fresh = false, still = false;
+  let before = 0, moved = NaN, noted = 0, pictures = 0;
+  // The view that is drawn, when its drawing began, and of the whole picture how many Gaussians are drawn.
+  let seen = { due: 0 }, begun = null, whole = Infinity;
+  // So many Gaussians are drawn within the goal: twenty pictures a second, or three without a graphics card.
+  const goal_ms = painter.software ? 300 : 50;
+  let most = painter.software ? 20000 : 4 * scene.size, slice = most;
   const changed = () => changes++;
 
   const pixels = (side) => Math.max(Math.round(side * Math.min(devicePixelRatio || 1, 2)), 2);
@@ -34,10 +40,18 @@ function makePlayer(scene, painter) {
     if (followed) eye.follow(Array.from(followed.joints.subarray(0, 3)));
   }
 
-  const order = (view) => sorter({
-    row: [...view.rotation.slice(6), view.offset[2]], matrices: scene.bones.slice(), near: scene.drawing.near,
-    shown: scene.sets.map((set) => set.shown && (!set.motion || set.there)),
-  });
+  // The order in which to draw a view: all of it, or as many Gaussians as there is time for.
+  function order(view, most = Infinity) {
+    const [x, y, z] = [0, 1, 2].map((k) => [...view.rotation.slice(3 * k, 3 * k + 3), view.offset[k]]);
+    // A fifth beyond the picture on every side: what is large reaches in.
+    const side = (row, k, share, sign) =>
+      row.map((value, i) => sign * (value - ((share * view.wh[k] - view.principal[k]) / view.focal[k]) * z[i]));
+    return sorter({
+      row: z, matrices: scene.bones.slice(), near: scene.drawing.near, most,
+      sides: most < Infinity && [side(x, 0, -0.2, 1), side(x, 0, 1.2, -1), side(y, 1, -0.2, 1), side(y, 1, 1.2, -1)],
+      shown: scene.sets.map((set) => set.shown && (!set.motion || set.there)),
+    });
+  }
 
   // What a camera's picture was brighter by at this moment.
   function exposure() {
@@ -123,9 +137,58 @@ function makePlayer(scene, painter) {
     seek(next > end() && state.loop ? next % (end() + 1) : next);
   }
 
+  function sort(number, refining = false) {
+    sorting = true;
+    order(seen.view, number).then((found) => {
+      if (!still) painter.setOrder(found);
+      [sorting, sorted, fresh] = [false, seen.due, !refining];
+    });
+  }
+
+  function paint(now, options) {
+    const { from = 0, to = Infinity } = options;
+    begun = { now, count: Math.min(to, painter.count()) - from, sorted, part: to < Infinity };
+    painter.draw(seen.view, { exposure: exposure(), tinted: state.tinted, ...options });
+  }
+
+  // The picture that was begun is there: how fast was that? What it covers may go.
+  function finish(now) {
+    const could = (begun.count * goal_ms) / Math.max(now - begun.now, 1);
+    if (begun.part) slice = within((slice + could) / 2, 1000, 4 * scene.size);
+    else most = within((most + could) / 2, 1000, 4 * scene.size);
+    if (begun.sorted) [at("picture").hidden, at("poster").hidden, pictures] = [false, true, pictures + 1];
+    begun = null;
+  }
+
+  // The next thing to draw. Where there is no time for all Gaussians, those that matter most are drawn, sorted for the
+  // very moment and in fewer pixels; once nothing moves, all of them, a part at a time.
+  function drawOn(now) {
+    if (painter.busy()) return;
+    if (begun) finish(now);
+    const hurried = most < scene.size;
+    if (hurried && sorting) return;
+    if (seen.due !== changes && !(hurried && fresh)) {
+      settle();
+      seen = { due: changes, view: eye.view(size()) };
+    }
+    if (sorted !== seen.due && !sorting) sort(most);
+    if (hurried && sorting) return;
+    if (drawn !== seen.due || fresh) {
+      paint(now, { hurried, scale: hurried ? Math.max(Math.sqrt(most / scene.size), 0.25) : 1 });
+      drawSkeletons(seen.view);
+      [drawn, fresh, whole] = [seen.due, false, hurried ? -1 : Infinity];
+    } else if (whole < 0) {
+      whole = 0;
+      sort(Infinity, true);
+    } else if (!sorting && whole < painter.count()) {
+      paint(now, { from: whole, to: whole + Math.round(slice) });
+      whole += Math.round(slice);
+    }
+  }
+
   function tick(now) {
     requestAnimationFrame(tick);
-    const passed = Math.min((now - before) / 1000, 0.2);
+    const passed = Math.min((now - before) / 1000, 1);
     before = now;
     if (still) return;
     if (flying.right || flying.down || flying.ahead) {
@@ -134,27 +197,9 @@ function makePlayer(scene, painter) {
     }
     if (state.playing) advance(passed * scene.fps * state.speed);
     drawFilmed();
-    if (changes !== drawn || fresh) {
-      settle();
-      const view = eye.view(size()), due = changes;
-      if (!sorting && sorted !== due) {
-        sorting = true;
-        order(view).then((ids) => {
-          if (!still) painter.setOrder(ids);
-          [sorting, sorted, fresh] = [false, due, true];
-        });
-      }
-      painter.draw(view, { exposure: exposure(), tinted: state.tinted, scale });
-      drawSkeletons(view);
-      player.shown();
-      [drawn, fresh, rested] = [due, false, scale === 1];
-      // Slower than twenty pictures a second for a while: fewer pixels, until nothing moves.
-      slow = passed > 0.05 ? slow + 20 * passed : Math.max(slow - 1, 0);
-      if (slow > 20 && scale > 0.5) [scale, slow] = [scale - 0.25, 0];
-    } else if (!rested && sorted === changes) {
-      painter.draw(eye.view(size()), { exposure: exposure(), tinted: state.tinted });
-      rested = true;
-    }
+    drawOn(now);
+    if (told !== changes) player.shown();
+    told = changes;
     if (now > noted + 500) {
       noted = now;
       writeLink(player);
@@ -164,9 +209,13 @@ function makePlayer(scene, painter) {
   const player = {
     scene, painter, eye, state, flying, keys: [], last, changed, picture, pixelOf, seek, end, place, shown: () => {},
     play: () => { state.playing = !state.playing && end() > 0; changed(); },
+    reset: () => { eye.reset(); changed(); },
+    full: () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()),
+    help: () => (at("keys").open ? at("keys").close() : at("keys").showModal()),
     step: (by) => { state.playing = false; seek(Math.round(place()) + by); },
     drawn: () => drawn,
-    sorted: () => sorted,
+    pictures: () => pictures,
+    rested: () => drawn === changes && whole >= painter.count(),
     begin() {
       at("film").onerror = () => say("this browser does not play the cameras' films");
       settle();

@@ -65,6 +65,11 @@ function readScene(described, bytes) {
     set.bands = (set.degree + 1) ** 2 - 1;
     set.scales = set.scales.map(Math.exp);
     set.shown = true;
+    // How much of a picture a Gaussian covers a metre away: its two longest axes and its opacity.
+    set.weights = set.opacities.map((opacity, i) => {
+      const [, b, c] = set.scales.slice(3 * i, 3 * i + 3).sort();
+      return opacity * b * c;
+    });
     if (set.motion) {
       set.firstBone = bone;
       bone += set.motion.parents.length;

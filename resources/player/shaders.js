@@ -4,9 +4,8 @@
 
 const SPLAT_VERTEX = `#version 300 es
 precision highp float; precision highp int; precision highp sampler2D; precision highp usampler2D;
-in uint splat;
 uniform sampler2D means, turns, scales, colours, harmonics, changes, bones, sets;
-uniform usampler2D skins;
+uniform usampler2D skins, order;
 uniform mat3 camera;                 // camera_from_world
 uniform vec3 offset, eye;
 uniform vec2 focal, principal, size;
@@ -69,10 +68,11 @@ vec3 fromHarmonics(int first, int count, float reach, vec3 d) {
 
 void main() {
   gl_Position = vec4(0.0, 0.0, 2.0, 1.0);  // nowhere
-  int id = int(splat);
+  int place = gl_VertexID >> 2, id = int(texelFetch(order, ivec2(place % ${ROW}, place / ${ROW}), 0).x);
   vec4 held = texel(means, id), size_class = texel(scales, id);
   int marked = int(size_class.w);
   vec4 set = texelFetch(sets, ivec2(marked / 4, 0), 0);  // bones or not, measured now or not, bands, reach of harmonics
+  vec3 size_m = size_class.xyz * texelFetch(sets, ivec2(marked / 4, 1), 0).x;
   vec3 mean = held.xyz;
   mat3 turn = mat3(1.0);
   if (set.x > 0.5) {
@@ -104,8 +104,8 @@ void main() {
   mat3 axes = turn * rotation(texel(turns, id));
   vec3 row0 = vec3(camera[0].x, camera[1].x, camera[2].x), row1 = vec3(camera[0].y, camera[1].y, camera[2].y);
   vec3 row2 = vec3(camera[0].z, camera[1].z, camera[2].z);
-  vec3 a = ((focal.x / p.z) * (row0 - tangent.x * row2) * axes) * size_class.xyz;
-  vec3 b = ((focal.y / p.z) * (row1 - tangent.y * row2) * axes) * size_class.xyz;
+  vec3 a = ((focal.x / p.z) * (row0 - tangent.x * row2) * axes) * size_m;
+  vec3 b = ((focal.y / p.z) * (row1 - tangent.y * row2) * axes) * size_m;
   vec3 across = cross(a, b);
   float aa = dot(a, a), bb = dot(b, b), xx = aa + dilation, yy = bb + dilation, xy = dot(a, b);
   float area = dot(across, across) + dilation * (aa + bb) + dilation * dilation;  // a sum of squares: nothing cancels
@@ -123,7 +123,7 @@ void main() {
   float half_gap = 0.5 * (xx - yy), apart = sqrt(half_gap * half_gap + xy * xy);
   float long_ = 0.5 * (xx + yy) + apart, short_ = area / long_;
   vec2 along = abs(xy) < 1e-9 ? (xx >= yy ? vec2(1.0, 0.0) : vec2(0.0, 1.0)) : normalize(vec2(xy, apart - half_gap));
-  vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
+  vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1 & 1) * 2.0 - 1.0;
   float radius = sqrt(reach / HALF_LOG2_E);
   vec2 pixel = middle + radius * (corner.x * sqrt(long_) * along + corner.y * sqrt(short_) * vec2(-along.y, along.x));
   gl_Position = vec4(pixel / size * 2.0 - 1.0, 0.0, 1.0);
@@ -151,11 +151,15 @@ precision highp float;
 uniform sampler2D picture, shares;
 uniform vec2 size;
 uniform vec3 exposure;
-uniform bool tinted;
+uniform bool tinted, hurried;
 out vec4 pixel;
 void main() {
   vec2 at = vec2(gl_FragCoord.x, size.y - gl_FragCoord.y) / size;
-  vec3 rgb = clamp(texture(picture, at).rgb, 0.0, 1.0);
+  vec4 seen = textureLod(picture, at, 0.0);
+  // Where Gaussians were left out, what lies around them shows through, from ever further away.
+  for (float level = 2.0; hurried && level < 8.0; level++) seen += (1.0 - seen.a) * textureLod(picture, at, level);
+  if (hurried) seen.rgb /= max(seen.a, 0.1);
+  vec3 rgb = clamp(seen.rgb, 0.0, 1.0);
   if (tinted) {
     vec3 share = texture(shares, at).rgb;
     bool invented = share.r + share.g + share.b < 0.5 || (share.b > share.r && share.b > share.g);

@@ -5,7 +5,7 @@
 function makeSorter() {
   let sets = [], size = 0, depths, ids, order, counts;
 
-  // sets: [{first, count, means, bones, shares, firstBone}]
+  // sets: [{first, count, means, bones, shares, firstBone, weights}]
   function load(given) {
     sets = given;
     size = sets.reduce((sum, set) => sum + set.count, 0);
@@ -15,10 +15,34 @@ function makeSorter() {
     counts = new Uint32Array(65536);
   }
 
-  // Ids of what lies further than `near` along the row (x, y, z, offset) of a camera, the furthest first.
-  function sorted({ row, matrices, shown, near }) {
+  // Of the Gaussians from..end of a set the share that covers most of the picture, written on from `to`: where they
+  // end, and how much larger they must be to cover what all did.
+  function strongest(set, from, end, share, to) {
+    const weights = new Float32Array(end - from), bits = new Uint32Array(weights.buffer);
+    let all = 0, kept = 0, bin = 4096, part = 0;
+    for (let i = from; i < end; i++) all += weights[i - from] = set.weights[ids[i] - set.first] / depths[i] ** 2;
+    // Positive floats stand in the order of their bits; of the last bin that is begun, evenly as many as are due.
+    const bins = new Uint32Array(4096);
+    for (const own of bits) bins[own >>> 20]++;
+    for (let left = share * (end - from); left > 0 && bin; left -= bins[bin]) part = Math.min(left / bins[--bin], 1);
+    for (let i = from, due = 0; i < end; i++) {
+      const own = bits[i - from] >>> 20;
+      if (own === bin) due += part;
+      if (own < bin || (own === bin && due < 1)) continue;
+      if (own === bin) due--;
+      kept += weights[i - from];
+      [ids[to], depths[to++]] = [ids[i], depths[i]];
+    }
+    return [to, kept > 0 ? Math.sqrt(all / kept) : 1];
+  }
+
+  // Ids of what lies further than `near` along the row (x, y, z, offset) of a camera, the furthest first: all of it,
+  // or `most` of what is inside the `sides` of the picture (such rows, too).
+  function sorted({ row, sides, matrices, shown, near, most }) {
+    const grow = sets.map(() => 1), ends = [0];
     let count = 0;
     sets.forEach((set, index) => {
+      ends[index + 1] = count;
       if (!shown[index]) return;
       const { means, bones, shares, first } = set, own = new Float32Array(1024);
       const [x, y, z, offset] = row;
@@ -39,12 +63,19 @@ function makeSorter() {
             if (shares[k]) depth += (shares[k] / 255) * (own[b] * px + own[b + 1] * py + own[b + 2] * pz + own[b + 3]);
           }
         }
-        if (depth > near) {
-          depths[count] = depth;
-          ids[count++] = first + i;
-        }
+        if (!(depth > near)) continue;
+        // Whoever moves counts as inside.
+        if (!bones && sides && sides.some((s) => s[0] * px + s[1] * py + s[2] * pz + s[3] < 0)) continue;
+        depths[count] = depth;
+        ids[count++] = first + i;
       }
+      ends[index + 1] = count;
     });
+    if (count > most) {
+      const share = most / count;
+      count = 0;
+      sets.forEach((set, k) => ([count, grow[k]] = strongest(set, ends[k], ends[k + 1], share, count)));
+    }
     // Positive floats stand in the order of their bits: two rounds of 16 of them.
     const keys = new Uint32Array(depths.buffer, 0, size);
     let from = null;
@@ -61,20 +92,20 @@ function makeSorter() {
     }
     const furthest = new Uint32Array(count);
     for (let i = 0; i < count; i++) furthest[i] = ids[from[count - 1 - i]];
-    return furthest;
+    return { ids: furthest, grow };
   }
   return { load, sorted };
 }
 
 // A worker that sorts; where none can be made, the page sorts itself. Call it with a view: a promise of the order.
 function startSorter(sets) {
-  const names = ["first", "count", "means", "bones", "shares", "firstBone"];
+  const names = ["first", "count", "means", "bones", "shares", "firstBone", "weights"];
   const given = sets.map((set) => Object.fromEntries(names.map((name) => [name, set[name]])));
   const text = `const sorter = (${makeSorter})();
     onmessage = ({ data }) => {
       if (data.sets) return sorter.load(data.sets);
       const order = sorter.sorted(data);
-      postMessage(order, [order.buffer]);
+      postMessage(order, [order.ids.buffer]);
     };`;
   let worker;
   try {

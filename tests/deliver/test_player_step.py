@@ -75,3 +75,13 @@ def test_a_gaussian_that_is_no_number_leaves_no_page(files: dict) -> None:
     with pytest.raises(UserError, match=r"p0\.ply holds 1 Gaussians with a value that is no number.*number 7"):
         player.run(**files)
     assert not files["page"].exists()
+
+
+def test_the_player_s_scripts_stay_small() -> None:
+    lines = {
+        part.stem: [line for line in map(str.strip, part.read_text("utf-8").splitlines()) if line and line[:2] != "//"]
+        for part in PARTS
+        if part.suffix == ".js"
+    }
+    assert max(map(len, lines.values())) <= 250
+    assert sum(map(len, lines.values())) <= 1100

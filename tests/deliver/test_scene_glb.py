@@ -31,7 +31,7 @@ from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.splatting.rigid_object import RigidObject
 
-from tests.made.browser import BROWSER, NO_BROWSER, pixels, software_gl
+from tests.made.browser import pixels, software_gl
 from tests.made.scene import FPS, FRAMES, render_options, write_scene
 
 TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
@@ -239,7 +239,7 @@ def test_three_loads_it_and_moves_the_bodies_as_they_moved(tmp_path: Path, root:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(BROWSER is None, reason=NO_BROWSER)
+@pytest.mark.browser
 def test_playcanvas_draws_the_room_through_the_scene_s_own_cameras(tmp_path: Path, root: Path) -> None:
     """In a browser, by an engine that knows KHR_gaussian_splatting. It leaves out the faint rims of Gaussians that our
     films have, which is 3 % of the brightness here; mirrored, turned or in another colour space it would be 10 dB."""
