@@ -34,6 +34,7 @@ if sys.dont_write_bytecode:
     os.environ |= {"PYTHONPYCACHEPREFIX": sys.pycache_prefix, "PYTHONDONTWRITEBYTECODE": ""}
 
 from tests import defaults  # noqa: E402 after that
+from tests.made.browser import BROWSER, NO_BROWSER  # noqa: E402
 
 # The ids of all tests, slow ones included, where this run was not asked for some of them.
 EVERY_TEST = pytest.StashKey[list[str]]()
@@ -74,6 +75,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Whole runs of the workflow take longest, so they do not come last; nor first, because they take along what tests
     before them compiled."""
+    if BROWSER is None:
+        for item in items:
+            if item.get_closest_marker("browser"):
+                item.add_marker(pytest.mark.skip(reason=NO_BROWSER))
     if [Path(given).resolve() for given in config.args] == [ROOT / "tests"]:
         config.stash[EVERY_TEST] = [item.nodeid for item in items]
     files = [item.nodeid.partition("::")[0] for item in items]
@@ -84,6 +89,27 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         return late, files[k] not in FINISHED_STUDIO
 
     items[:] = [items[k] for k in sorted(range(len(items)), key=place)]
+
+
+# Ids of what was skipped and the reasons, which .ci/run collects in the file that this variable names.
+SKIPS_FILE = "STUDIORECON_SKIPS"
+SKIPPED: dict[str, str] = {}
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    if report.skipped and not hasattr(report, "wasxfail"):
+        SKIPPED[report.nodeid] = str(report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr)
+
+
+def pytest_collectreport(report: pytest.CollectReport) -> None:
+    if report.skipped:
+        SKIPPED[report.nodeid] = str(report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if SKIPS_FILE in os.environ and not hasattr(session.config, "workerinput"):
+        with Path(os.environ[SKIPS_FILE]).open("a", encoding="utf-8") as file:
+            file.writelines(f"{name}\t{reason}\n" for name, reason in SKIPPED.items())
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -14,8 +13,9 @@ from studiorecon.calibration.checks import doctor_page as doctor
 from studiorecon.pages import html, running, skeleton
 from studiorecon.people import review
 
+from tests.made.browser import BROWSER
+
 EVIL = "<script>alert(1)</script>"
-BROWSER = shutil.which("chromium") or shutil.which("chromium-headless-shell") or shutil.which("google-chrome")
 
 
 def doctors_page(name: str) -> str:
@@ -104,7 +104,7 @@ def test_a_page_reloads_while_the_run_is_on_and_leads_to_the_report_after_it(tmp
     assert 'href="people/review.html"' in over
 
 
-@pytest.mark.skipif(BROWSER is None, reason="there is no Chromium here")
+@pytest.mark.browser
 @pytest.mark.parametrize("made", ["doctor", "identities"])
 def test_a_browser_finds_no_script_of_ours_in_what_pages_were_told(made: str, tmp_path: Path) -> None:
     page = doctors_page(EVIL) if made == "doctor" else identity_page(EVIL)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import subprocess
 from collections.abc import Callable
 from html.parser import HTMLParser
@@ -21,14 +20,9 @@ from studiorecon.scene.decisions import Decision
 from studiorecon.scene.files import read_json, write_table, write_text
 from studiorecon.scene.people import Detections, Person
 
+from tests.made.browser import BROWSER
 from tests.made.report import report_scene
 
-BROWSER = next(
-    (found for name in ("chromium-headless-shell", "chromium", "google-chrome") if (found := shutil.which(name))), None
-)
-in_browser = pytest.mark.skipif(
-    BROWSER is None, reason="no Chromium on this machine (apt-get install chromium-headless-shell)"
-)
 # One pixel each: a picture need not be large to be swapped.
 PIXELS = {
     name: f"data:image/gif;base64,R0lGODlhAQABAIAAA{code}AAP///yH5BAAAAAAALAAAAAABAAEAAAICRAEAOw=="
@@ -108,7 +102,7 @@ def test_the_page_needs_no_network_and_shows_the_numbers(reported: Path) -> None
         assert f"<td>{library}</td><td>{version}</td>" in text
 
 
-@in_browser
+@pytest.mark.browser
 def test_a_browser_opens_the_page_without_errors_and_shows_the_numbers_of_the_json(reported: Path) -> None:
     document, log = opened(reported / "report/index.html")
     assert "CONSOLE" not in log, log[-2000:]
@@ -124,7 +118,7 @@ def test_a_browser_opens_the_page_without_errors_and_shows_the_numbers_of_the_js
             assert f"{entry['value']:.2f}" in words
 
 
-@in_browser
+@pytest.mark.browser
 @pytest.mark.parametrize("width", [360, 1280])
 def test_nothing_is_wider_than_the_window(reported: Path, width: int) -> None:
     told = "document.title = document.documentElement.scrollWidth + ' of ' + window.innerWidth;"
@@ -133,7 +127,7 @@ def test_nothing_is_wider_than_the_window(reported: Path, width: int) -> None:
     assert inner <= outer, "a phone must not scroll sideways"
 
 
-@in_browser
+@pytest.mark.browser
 def test_the_slider_moves_the_line_and_swaps_versions_and_moments(reported: Path) -> None:
     script = """
     const figure = document.querySelector('figure.comparison'), at = q => figure.querySelector(q);
