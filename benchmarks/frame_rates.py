@@ -28,7 +28,8 @@ import numpy as np
 import yaml
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
-from studiorecon.footage.source import decode, open_source
+from studiorecon.footage.frames import decode
+from studiorecon.footage.source import open_source
 from studiorecon.footage.video import write_lossless
 from studiorecon.keypoints.tracking import tracks, without_duplicates
 from studiorecon.people import associate, fit

@@ -17,7 +17,8 @@ from studiorecon.detector.following import Walker, people_in
 from studiorecon.detector.looking import newcomers, thorough
 from studiorecon.detector.windows import changed, grid, small, usual
 from studiorecon.errors import UserError
-from studiorecon.footage.source import open_source, stills
+from studiorecon.footage.frames import stills
+from studiorecon.footage.source import open_source
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.scene.raw_detections import RawDetections, is_found, read_raw_detections, write_raw_detections
 

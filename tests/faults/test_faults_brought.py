@@ -15,7 +15,8 @@ import torch
 from studiorecon.body.model import BodyModel
 from studiorecon.depth.aligned import read_estimate
 from studiorecon.footage.exr import read_depth, write_depth
-from studiorecon.footage.source import decode, open_source
+from studiorecon.footage.frames import decode
+from studiorecon.footage.source import open_source
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.told_lens import told_focal_px
 from studiorecon.footage.video import write_watchable

@@ -8,8 +8,9 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
-from studiorecon.footage import source as footage
-from studiorecon.footage.source import glimpses, open_source
+from studiorecon.footage import frames as footage
+from studiorecon.footage.frames import glimpses
+from studiorecon.footage.source import open_source
 
 FRAMES = 120
 
@@ -40,7 +41,7 @@ def test_one_group_of_pictures_is_decoded_once(tmp_path: Path, monkeypatch: pyte
     sought: list[int] = []
     between = footage._key_frame_between
 
-    def noted(stream: av.VideoStream, after: int, target: int) -> bool:
+    def noted(stream: av.VideoStream, after: float, target: float) -> bool:
         sought.append(between(stream, after, target))
         return bool(sought[-1])
 

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.footage.packets import frame_count
 from studiorecon.footage.source import FootageSource, open_source
 from studiorecon.plan import headcount
 from studiorecon.plan.discovery import open_dataset
@@ -86,5 +85,5 @@ def test_real_people(take: str, keypoints: bool, people: int, real_data: Path, r
         real_data / "pose2sim_balancing" / take, root / "tests" / "captures" / f"pose2sim_{take}.yaml"
     )
     films = {camera: open_source(path, 30.0) for camera, path in data.footage.items()}
-    frames = min(map(frame_count, films.values()))
+    frames = min(film.frames for film in films.values())
     assert people_seen(films, data.keypoints if keypoints else {}, 0, frames) == people

@@ -12,8 +12,8 @@ import pytest
 from studiorecon.errors import UserError
 from studiorecon.footage.chapters import write_chapters
 from studiorecon.footage.container import films_of
-from studiorecon.footage.packets import shown_s
-from studiorecon.footage.source import glimpses, open_source, stills
+from studiorecon.footage.frames import glimpses, stills
+from studiorecon.footage.source import open_source
 from studiorecon.footage.video import write_watchable
 from studiorecon.plan.discovery import open_dataset
 
@@ -213,7 +213,7 @@ def test_chapters_are_read_as_one_film(tmp_path: Path) -> None:
     assert write_chapters(joined, films) == (12, 8)
     assert films_of(joined) == tuple(films)
     source = open_source(joined, 0.0)
-    np.testing.assert_allclose(shown_s(joined), np.arange(20) / 25, atol=1e-3)
+    np.testing.assert_allclose(source.times_s, np.arange(20) / 25, atol=1e-3)
     for wanted in ([0, 5, 11, 12, 19], [13], [40]):
         expected = levels[np.minimum(wanted, 19)]
         np.testing.assert_allclose([p.mean() for p in glimpses(source, wanted)], expected, atol=3)

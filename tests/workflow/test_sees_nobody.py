@@ -15,7 +15,8 @@ import pytest
 import yaml
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.footage.source import decode, open_source
+from studiorecon.footage.frames import decode
+from studiorecon.footage.source import open_source
 from studiorecon.footage.video import write_lossless
 from studiorecon.scene.files import read_table
 from studiorecon.scene.people import PEOPLE_COLUMNS

@@ -27,7 +27,8 @@ from studiorecon.calibration.checks.refined import refined_on_people
 from studiorecon.calibration.room_pictures import rooms_of, without_distortion
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.errors import UserError
-from studiorecon.footage.source import glimpses, open_source
+from studiorecon.footage.frames import glimpses
+from studiorecon.footage.source import open_source
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.encoded import png
@@ -294,7 +295,7 @@ def run(
             "first_frame": first_frame(common, c),
             **light_of(pictures),
             "fps": film.fps,
-            "video_frames": film.declared_frames or 0,
+            "video_frames": film.frames,
             "rotation_deg": film.rotation_deg,
             "keypoints": c in seen,
         }
@@ -308,7 +309,10 @@ def run(
             f"{a['video_frames']} frames from {a['first_frame']:g} on, "
             f"mean grey {a['brightness']:.2f}, {'keypoints' if a['keypoints'] else 'no keypoints'}"
         )
-    for sentence in of_footage(about):
+    for sentence in [
+        *(f"camera {c}: {note}" for c, film in zip(cameras, films) for note in film.notes),
+        *of_footage(about),
+    ]:
         say(sentence)
 
     def read(model: LensReading) -> tuple[list[Camera], list[Detections]]:

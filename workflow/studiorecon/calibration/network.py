@@ -22,7 +22,8 @@ from studiorecon.camera_files.colmap import write_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
-from studiorecon.footage.source import glimpses, open_source
+from studiorecon.footage.frames import glimpses
+from studiorecon.footage.source import open_source
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.retiming import on_common_clock

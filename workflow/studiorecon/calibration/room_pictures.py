@@ -12,7 +12,8 @@ import numpy as np
 
 from studiorecon.arrays import evenly_spread
 from studiorecon.errors import UserError
-from studiorecon.footage.source import glimpses, open_source
+from studiorecon.footage.frames import glimpses
+from studiorecon.footage.source import open_source
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.progress import warn
 from studiorecon.rig.room_picture import RoomPicture
@@ -43,7 +44,7 @@ def rooms_of(
     for camera, path in zip(cameras, sources):
         try:
             source = open_source(path, _ANY_FPS)
-            among = np.arange(source.declared_frames or 1) if moments is None else moments[camera]
+            among = np.arange(source.frames) if moments is None else moments[camera]
             wanted = among[evenly_spread(len(among), _PICTURES)].tolist()
             seen = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in glimpses(source, wanted)]
         except UserError as refusal:

@@ -18,7 +18,8 @@ from studiorecon.camera_files.calibration import lens_of
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.container import films_of
-from studiorecon.footage.source import FootageSource, PictureRate, decode, digest, open_source, uneven
+from studiorecon.footage.frames import decode
+from studiorecon.footage.source import FootageSource, PictureRate, digest, open_source, uneven
 from studiorecon.footage.video import write_lossless
 from studiorecon.geometry.lens import WorkingView, unseen_share, working_view, working_wh
 from studiorecon.progress import progress, say

@@ -136,8 +136,8 @@ def first_findings(folder: Path) -> Iterator[str]:
     """What files, headers and two pictures of every camera say, before anything is looked at in full; UserError when
     there is no capture."""
     from studiorecon.calibration.checks.advice import light_of, of_footage
-    from studiorecon.footage.packets import frame_count
-    from studiorecon.footage.source import glimpses, open_source  # with OpenCV, which other words do without
+    from studiorecon.footage.frames import glimpses
+    from studiorecon.footage.source import open_source  # with OpenCV, which other words do without
     from studiorecon.plan.discovery import open_dataset
 
     capture = open_dataset(folder, None)
@@ -150,9 +150,7 @@ def first_findings(folder: Path) -> Iterator[str]:
         start = capture.first_frame
         try:
             seen = open_source(source, 0.0)
-            frames = frame_count(seen) + sum(
-                frame_count(open_source(chapter, 0.0)) for chapter in capture.chapters.get(camera, ())[1:]
-            )
+            frames = seen.frames + sum(open_source(part, 0.0).frames for part in capture.chapters.get(camera, ())[1:])
             light = light_of(glimpses(seen, [start, start + capture.frame_count // 2]))
         except UserError as refusal:
             yield f"camera {camera}: {refusal}"
@@ -163,6 +161,7 @@ def first_findings(folder: Path) -> Iterator[str]:
             f"frames, mean grey {light['brightness']:.2f}, "
             f"{'keypoints' if has else 'no keypoints: the detector looks for people'}"
         )
+        yield from (f"camera {camera}: {note}" for note in seen.notes)
         about.append({"camera": camera, **light, "fps": seen.fps, "rotation_deg": seen.rotation_deg})
     yield from of_footage(about) if about else ()
     yield from capture.notes

@@ -8,21 +8,16 @@ in a scene that does not move or moves evenly (V07).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import av
-import cv2
 import numpy as np
-from av.video.reformatter import VideoReformatter
 from scipy import signal
 from scipy.ndimage import gaussian_filter1d
 
-from studiorecon.errors import UserError
-from studiorecon.footage.container import opened
+from studiorecon.footage.frames import small_grey
 from studiorecon.footage.source import FootageSource
-from studiorecon.footage.stills import decoded
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
@@ -52,13 +47,6 @@ _MOST_EVEN = 0.5
 _LEAST_OVERLAP_S, _LEAST_SHARE = 1.0, 0.5
 # Seconds of a long clip that are decoded for this.
 _SEEN_S = 90.0
-# Ways to read a picture grey: whole, at a half, a quarter, an eighth.
-_HALVED = (
-    cv2.IMREAD_GRAYSCALE,
-    cv2.IMREAD_REDUCED_GRAYSCALE_2,
-    cv2.IMREAD_REDUCED_GRAYSCALE_4,
-    cv2.IMREAD_REDUCED_GRAYSCALE_8,
-)
 
 
 @dataclass(frozen=True)
@@ -73,38 +61,6 @@ class Lag:
     correlation: float
     valid: bool
     reason: str = ""
-
-
-def grey_frames(source: FootageSource) -> Iterator[Integer[np.ndarray, "h w"]]:
-    """Small grey pictures (h, w) uint8 of the first ``_SEEN_S`` of some footage, as far as they can be read."""
-    most = round(_SEEN_S * source.fps)
-    if source.pictures:
-        small = _small(*source.wh)
-        # A JPEG that is read grey and small takes a fraction of the time.
-        halved = min(int(np.log2(source.wh[0] / small[0])), len(_HALVED) - 1)
-        for path in source.pictures[:most]:
-            yield cv2.resize(decoded(path, _HALVED[halved]), small, interpolation=cv2.INTER_AREA)
-        return
-    try:
-        with opened(source.path) as container:
-            stream = container.streams.video[0]
-            stream.thread_type = "AUTO"
-            # One for all frames: what it makes ready takes several times as long as a frame.
-            shrinking = VideoReformatter()
-            for number, frame in enumerate(container.decode(stream)):
-                if number >= most:
-                    return
-                width, height = _small(frame.width, frame.height)
-                grey = shrinking.reformat(frame, width=width, height=height, format="gray", interpolation="AREA")
-                yield grey.to_ndarray()
-    except av.FFmpegError:
-        # A damaged place ends what can be compared; decoding for good names it.
-        return
-
-
-def _small(width: int, height: int) -> tuple[int, int]:
-    shrink = max(1.0, max(width, height) / _WIDTH)
-    return max(2, round(width / shrink)), max(2, round(height / shrink))
 
 
 def motion_energy(frames: Iterable[Integer[np.ndarray, "H W"]]) -> Float[np.ndarray, " T-1"]:
@@ -202,8 +158,5 @@ def _unknown(reason: str, correlation: float = 0.0) -> Lag:
 
 
 def energy_of(source: FootageSource) -> Float[np.ndarray, " T"]:
-    """``motion_energy`` of some footage; empty where it cannot be read."""
-    try:
-        return motion_energy(grey_frames(source))
-    except UserError:
-        return np.zeros(0)
+    """``motion_energy`` of some footage, as far as it can be read."""
+    return motion_energy(small_grey(source, _WIDTH, round(_SEEN_S * source.fps)))

@@ -26,6 +26,7 @@ from studiorecon.clocks.timeline import Timeline, clock_of, common_moments, time
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.alike import one_film_twice
+from studiorecon.footage.sound_track import sound_of
 from studiorecon.footage.source import FootageSource, PictureRate, open_source, uneven
 from studiorecon.progress import progress, say, warn
 from studiorecon.scene.camera import Lens
@@ -161,7 +162,7 @@ def found_clocks(
     count = len(cameras)
     pairs: dict[str, list[Pair]] = {}
     why: dict[str, dict[int, str]] = {}
-    sounds = [sound.sound_of(path) if source else None for path, source in zip(paths, sources)]
+    sounds = [sound_of(path) if source else None for path, source in zip(paths, sources)]
     pairs["sound"], why["sound"] = sound_pairs(sounds, lines)
     sized = {c: (lenses[c], source.wh) for c, source in zip(cameras, sources) if source and c in lenses}
     seen = [read_detections(p) for p in sightings]
@@ -248,13 +249,18 @@ def _proposed(pairs: Mapping[str, Sequence[Pair]], count: int) -> tuple[int, dic
     return reference, {m: solved(m, found, count, reference, systematic_s.get(m, 0.0)) for m, found in pairs.items()}
 
 
-def lengths_differ(clocks: Sequence[Clock], sources: Sequence[str], findings: Sequence[dict[str, Any]]) -> str:
+def lengths_differ(
+    clocks: Sequence[Clock],
+    sources: Sequence[str],
+    findings: Sequence[dict[str, Any]],
+    announced: Sequence[int] = (),
+) -> str:
     """The sentence for videos of different lengths whose clocks nobody knows; empty where they are equally long or
-    known."""
+    known, or were ``announced`` to be and only lost their ends."""
     unknown = [f["camera"] for f in findings if f["kind"] == "undetermined"]
     shortest, longest = (choose(range(len(clocks)), key=lambda i: clocks[i].frames) for choose in (min, max))
     short, long = clocks[shortest].frames, clocks[longest].frames
-    if short == long or not unknown:
+    if short == long or not unknown or (len(announced) == len(clocks) and len(set(announced)) == 1):
         return ""
     return (
         f"{sources[shortest]} has {short} frames and {sources[longest]} has {long}, and "
@@ -312,7 +318,8 @@ def run(
     common = common_moments(made, first_frame, frame_count)
     if not given and not frame_count and not common.refusal and (settings.sync != "auto" or found):
         unsure = found if settings.sync == "auto" else [{"camera": c, "kind": "undetermined"} for c in cameras]
-        common = replace(common, refusal=lengths_differ(made, [f"{s.parent.name}/{s.name}" for s in sources], unsure))
+        names, promised = [f"{s.parent.name}/{s.name}" for s in sources], [s.announced for s in opened if s]
+        common = replace(common, refusal=lengths_differ(made, names, unsure, promised))
     twice = one_film_twice({camera: source for camera, source in zip(cameras, opened) if source is not None})
     common = replace(common, refusal=twice or common.refusal)
     write_json(findings, {"sync": settings.sync, "given": dict(given), "cameras": found})

@@ -12,20 +12,17 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import av
 import numpy as np
 from scipy import signal
 
-from studiorecon.footage.container import opened
+from studiorecon.footage.sound_track import RATE_HZ
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 # Speech and claps; phones cut below, microphones far away lose what is above.
-RATE_HZ = 8000
 _BAND_HZ = (200.0, 3600.0)
 # Loudness is compared in steps of this many samples, in this many bands.
 _HOP = 40
@@ -68,33 +65,6 @@ class Heard:
     valid: bool
     reason: str = ""
     middle_s: float = 0.0
-
-
-def sound_of(path: Path) -> Float[np.ndarray, " N"] | None:
-    """(N,) float32 mono samples at ``RATE_HZ`` from time 0 of the file's own time line on; None without a sound track,
-    or an empty one."""
-    if path.is_dir():
-        return None
-    try:
-        with opened(path) as container:
-            if not container.streams.audio:
-                return None
-            stream = container.streams.audio[0]
-            resampler = av.AudioResampler(format="flt", layout="mono", rate=RATE_HZ)
-            pieces: list[np.ndarray] = []
-            first_s: float | None = None
-            for frame in container.decode(stream):
-                first_s = float(frame.time or 0.0) if first_s is None else first_s
-                pieces += [piece.to_ndarray().reshape(-1) for piece in resampler.resample(frame)]
-            pieces += [piece.to_ndarray().reshape(-1) for piece in resampler.resample(None)]
-    except (av.FFmpegError, IndexError):
-        # What can be heard up to a damaged place is as good for this as all of it.
-        pass
-    samples = np.concatenate(pieces) if pieces else np.zeros(0, np.float32)
-    if not len(samples):
-        return None
-    begin = round((first_s or 0.0) * RATE_HZ)
-    return np.concatenate([np.zeros(begin, np.float32), samples]) if begin >= 0 else samples[-begin:]
 
 
 def onsets(samples: Float[np.ndarray, " N"]) -> Float[np.ndarray, "bands T"]:

@@ -8,14 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from studiorecon.errors import UserError
-from studiorecon.footage.packets import shown_s
 from studiorecon.footage.source import FootageSource
+from studiorecon.footage.timing import EVEN_S
 from studiorecon.scene.clocks import Clock, Clocks
 
-# Times in a file are rounded to its time base, a millisecond in Matroska: within this, frames that should come evenly
-# do.
-_EVEN_S = 2e-3
 # Moments this much of a frame before or after a camera's first or last one are still its own.
 _REACH_FRAMES = 0.5 + 1e-3
 
@@ -38,24 +34,12 @@ class Timeline:
 
 
 def timeline_of(source: FootageSource) -> Timeline:
-    """Read from the packets' own times, without decoding; UserError when the file holds none."""
-    if source.pictures:
-        return Timeline(source.fps, len(source.pictures), 0.0)
-    times = shown_s(source.path)
-    if not len(times):
-        raise UserError(f"{source.path} holds no frames; copy the recording again")
-    own = times - times[0]
-    even = np.arange(len(own)) / source.fps
-    if not np.isfinite(own).all() or np.abs(own - even).max() <= _EVEN_S:
-        return Timeline(source.fps, len(own), float(np.nan_to_num(times[0])))
-    fps = float(1 / np.median(np.diff(own)))
-    # A clock that merely runs at another rate than the header says still ticks evenly.
-    slope = float(np.polyfit(np.arange(len(own)), own, 1)[0])
-    if np.abs(own - slope * np.arange(len(own))).max() <= _EVEN_S:
-        return Timeline(1 / slope, len(own), float(times[0]))
-    return Timeline(
-        source.fps if abs(source.fps / fps - 1) < 0.02 else fps, len(own), float(times[0]), tuple(own.tolist())
-    )
+    """The times of ``source``, without those that its rate says as well."""
+    if not source.times_s:
+        return Timeline(source.fps, source.frames, 0.0)
+    own = np.array(source.times_s) - source.times_s[0]
+    even = np.abs(own - np.arange(len(own)) / source.fps).max() <= EVEN_S
+    return Timeline(source.fps, source.frames, source.times_s[0], () if even else tuple(own.tolist()))
 
 
 def clock_of(camera: str, line: Timeline) -> Clock:

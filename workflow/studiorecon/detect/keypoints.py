@@ -11,8 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.footage.container import films_of
-from studiorecon.footage.packets import shown_s
 from studiorecon.footage.source import FootageSource, open_source
 from studiorecon.geometry.lens import mapped_lens
 from studiorecon.keypoints.layout_choice import choose_layout
@@ -62,7 +60,7 @@ def run(
         write_detections(sightings, found)
         write_json(size, about)
         return
-    entries, kind = _of_chapters(keypoints, source, wh)
+    entries, kind = _of_chapters(keypoints, filmed)
     where = ", ".join(map(str, keypoints))
     if not entries:
         say(f"{where} ({kind}) holds no person: camera {camera} sees nobody")
@@ -83,14 +81,14 @@ def run(
     write_json(size, {"camera": camera, "wh": list(wh), "pixel_map": json.loads(pixel_map)})
 
 
-def _of_chapters(keypoints: list[Path], source: Path, wh: tuple[int, int]) -> tuple[list[KeypointEntry], str]:
+def _of_chapters(keypoints: list[Path], filmed: FootageSource) -> tuple[list[KeypointEntry], str]:
     """What ``read_keypoints`` gives of all files, by the frames of the whole film."""
     found: list[KeypointEntry] = []
     before = 0
-    for path, film in zip(keypoints, films_of(source) if len(keypoints) > 1 else [source], strict=True):
-        entries, kind = read_keypoints(path, wh)
+    for path, film in zip(keypoints, filmed.parts if len(keypoints) > 1 else [filmed], strict=True):
+        entries, kind = read_keypoints(path, filmed.wh)
         found += [replace(entry, frame=entry.frame + before) for entry in entries]
-        before += len(shown_s(film)) if len(keypoints) > 1 else 0
+        before += film.frames
     return found, kind
 
 

@@ -10,8 +10,8 @@ from studiorecon.detector.following import believed, is_few, people_in
 from studiorecon.detector.second import second_network
 from studiorecon.detector.windows import small, usual
 from studiorecon.errors import UserError
-from studiorecon.footage.packets import frame_count
-from studiorecon.footage.source import decode, open_source, stills
+from studiorecon.footage.frames import decode, stills
+from studiorecon.footage.source import open_source
 from studiorecon.keypoints.retiming import part_of
 from studiorecon.progress import progress, say, warn
 from studiorecon.scene.clocks import read_clocks
@@ -50,7 +50,7 @@ def run(
         )
         return
     start, count = part_of(read_clocks(clocks[0]), camera) if clocks else (0, 0)
-    total = count or max(frame_count(footage) - start, 0)
+    total = count or max(footage.frames - start, 0)
     sampling = sorted({start + round(k * max(total - 1, 0) / (_USUAL - 1)) for k in range(_USUAL)})
     glances = [small(picture) for picture in stills(footage, sampling)]
     own = second_network(second, layout)

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.footage.packets import frame_count
-from studiorecon.footage.source import FootageSource, glimpses
+from studiorecon.footage.frames import glimpses
+from studiorecon.footage.source import FootageSource
 from studiorecon.progress import warn
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def one_film_twice(sources: Mapping[str, FootageSource]) -> str:
     still: dict[str, np.ndarray] = {}
     for camera, source in sources.items():
         try:
-            frames = frame_count(source)
+            frames = source.frames
             still[camera] = standing(glimpses(source, [frames // 6, frames // 2, 5 * frames // 6]))
         except UserError as refusal:  # the step that decodes it stops at that; the others are compared all the same
             warn(str(refusal))

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from studiorecon.errors import UserError
-from studiorecon.footage.packets import shown_s
 from studiorecon.footage.source import FootageSource, open_source
 from studiorecon.scene.files import write_text
 
@@ -24,11 +23,11 @@ def write_chapters(path: Path, films: Sequence[Path]) -> tuple[int, ...]:
     lines, counts = ["ffconcat version 1.0"], []
     for source in sources:
         _check_like(source, sources[0])
-        times_s = shown_s(source.path)
-        counts.append(len(times_s))
+        times_s = source.times_s
+        counts.append(source.frames)
         film = source.path if source.path.is_absolute() else Path(os.path.relpath(source.path, path.parent))
         quoted = str(film).replace("'", "'\\''")
-        lines += [f"file '{quoted}'", f"duration {float(times_s[-1] - times_s[0]) + 1 / source.fps:.6f}"]
+        lines += [f"file '{quoted}'", f"duration {times_s[-1] - times_s[0] + 1 / source.fps:.6f}"]
     write_text(path, "\n".join(lines) + "\n")
     return tuple(counts)
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A film's container, opened for reading, whichever PyAV is installed and whatever bytes its tags are of."""
+"""A film's container, opened for reading, whichever PyAV is installed and whatever bytes its tags are of; and the one
+video stream of it that is the film."""
 
 from __future__ import annotations
 
@@ -7,12 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import av
+from av.codec.codec import Properties
+from av.stream import Disposition
 
 from studiorecon.scene.outside import read_text
 
 # Until PyAV 19 a tag that is not UTF-8 fails the opening unless it is told what to do instead; from there on such bytes
 # come as lone surrogates, and the argument is gone.
 _TAGS: dict[str, Any] = {} if int(av.__version__.partition(".")[0]) >= 19 else {"metadata_errors": "replace"}
+_COVERS = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
 
 CHAPTERS = ".ffconcat"
 """Suffix of a list of films that are one recording (``chapters``)."""
@@ -40,3 +44,34 @@ def parts_of(path: Path) -> tuple[tuple[Path, float], ...]:
     quoted = [line.removeprefix("file '").removesuffix("'") for line in lines if line.startswith("file '")]
     lasting = [float(line.removeprefix("duration ")) for line in lines if line.startswith("duration ")]
     return tuple((path.parent / film.replace("'\\''", "'"), s) for film, s in zip(quoted, lasting, strict=True))
+
+
+def film_streams(container: av.container.InputContainer) -> list[av.VideoStream]:
+    """The video streams that a decoder is there for, the film first: more than one picture, then the largest ones.
+
+    Cover pictures and thumbnails are none.
+    """
+    found = [s for s in container.streams.video if s.codec_context is not None and not s.disposition & _COVERS]
+    return sorted(found, key=lambda s: (s.frames != 1, s.width * s.height), reverse=True)
+
+
+def film_of(container: av.container.InputContainer) -> av.VideoStream:
+    """The film of a container that has one, to be decoded by several threads; raises IndexError when it has none."""
+    stream = film_streams(container)[0]
+    stream.thread_type = "AUTO"
+    return stream
+
+
+def keeps_every_pixel(film: Path) -> bool:
+    """Whether a film is stored without loss."""
+    try:
+        with opened(film) as container:
+            context = film_of(container).codec_context
+    except (av.FFmpegError, IndexError):
+        return False
+    # H.264 can be both: our lossless films are H.264 of RGB, films to watch are of YUV.
+    can, lossless, lossy = (
+        int(n) for n in (context.codec.properties, Properties.LOSSLESS.value, Properties.LOSSY.value)
+    )
+    always = bool(can & lossless) and not can & lossy
+    return always or (context.format is not None and context.format.is_rgb)

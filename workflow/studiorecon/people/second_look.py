@@ -25,7 +25,8 @@ from studiorecon.detector.following import believed
 from studiorecon.detector.looking import look_again
 from studiorecon.detector.second import second_network
 from studiorecon.detector.windows import region_of_body
-from studiorecon.footage.source import open_source, stills
+from studiorecon.footage.frames import stills
+from studiorecon.footage.source import open_source
 from studiorecon.geometry.lens import video_from_working, working_from_video
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people.expected import (

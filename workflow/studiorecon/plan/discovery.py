@@ -13,6 +13,7 @@ from typing import Any
 from studiorecon.calibration.formats import FORMATS
 from studiorecon.calibration.formats.lenses import find_lenses
 from studiorecon.errors import UserError
+from studiorecon.footage.kinds import film_suffixes
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.plan.films import find_recordings
 from studiorecon.plan.inventory import unused
@@ -34,14 +35,14 @@ from studiorecon.scene.capture_yaml import (
     read_description,
     starts_of,
 )
-from studiorecon.scene.dataset import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Dataset, colmap_files
+from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset, colmap_files
 from studiorecon.scene.names import checked_name, checked_place
 from studiorecon.scene.outside import file_size
 
 _BYTES = 1 << 20
 # What may hold something of one camera: its own folder ("") or a file with such a suffix, likelier ones first.
 _PLATES = PICTURE_SUFFIXES
-_MASKS = ("", *VIDEO_SUFFIXES)
+_MASKS = ("", *sorted(film_suffixes()))
 _DEPTH = (".exr",)
 
 

@@ -10,7 +10,8 @@ from itertools import groupby, pairwise
 from pathlib import Path
 
 from studiorecon.errors import UserError
-from studiorecon.scene.dataset import PICTURE_SUFFIXES, VIDEO_SUFFIXES
+from studiorecon.footage.kinds import is_film
+from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.names import folded, of_the_system
 from studiorecon.scene.numbered import natural
 
@@ -74,7 +75,7 @@ def find_recordings(folder: Path, chapters: Mapping[str, Sequence[str]]) -> Reco
 
 
 def _films(folder: Path) -> list[Path]:
-    return [p for p in sorted(folder.iterdir()) if p.suffix.lower() in VIDEO_SUFFIXES and not of_the_system(p)]
+    return [p for p in sorted(folder.iterdir()) if not of_the_system(p) and is_film(p)]
 
 
 def _film_per_folder(place: Path, folder: Path, chapters: Mapping[str, Sequence[str]]) -> Recordings | None:

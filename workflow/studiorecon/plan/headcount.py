@@ -13,7 +13,8 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.detector.blazepose import BlazePose
 from studiorecon.detector.looking import newcomers, trust
 from studiorecon.detector.windows import grid
-from studiorecon.footage.source import FootageSource, glimpses
+from studiorecon.footage.frames import glimpses
+from studiorecon.footage.source import FootageSource
 from studiorecon.home import RESOURCES
 from studiorecon.keypoints.readers import read_keypoints
 

@@ -8,8 +8,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from studiorecon.calibration.formats.lenses import why_not
+from studiorecon.footage.kinds import film_suffixes
 from studiorecon.plan.pairing import stem_of
-from studiorecon.scene.dataset import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Dataset
+from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset
 from studiorecon.scene.names import folded, of_the_system
 
 _MOST_SENTENCES = 30
@@ -97,7 +98,7 @@ def _reason(path: Path, dataset: Dataset, place: Path, left_out: set[str]) -> st
             return f"{_NO_NAME} ({first.name}); cameras are {', '.join(dataset.footage)}"
         return _reason_of_name(path, dataset) or _reason(first, dataset, place, left_out)
     suffix = path.suffix.lower()
-    if suffix in VIDEO_SUFFIXES:
+    if suffix in film_suffixes():
         return f"films are taken from {place.name}/, one per camera; put it there"
     return (
         _BY_SUFFIX.get(suffix)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from studiorecon.errors import UserError
-from studiorecon.scene.dataset import VIDEO_SUFFIXES
+from studiorecon.footage.kinds import film_suffixes
 from studiorecon.scene.names import folded, of_the_system
 
 # What writers of keypoints and masks append to the name of a film.
@@ -18,7 +18,7 @@ _TAIL = "(?:_json|_ext|_keypoints|_pose|dlc_.*)"
 def stem_of(path: Path) -> str:
     """The name without its suffix, and without that of a film before it (``cam1.mp4.json``); dots inside stay."""
     stem = path.name if path.is_dir() else path.stem
-    return Path(stem).stem if Path(stem).suffix.lower() in VIDEO_SUFFIXES else stem
+    return Path(stem).stem if Path(stem).suffix.lower() in film_suffixes() else stem
 
 
 def _holds(name: str, word: str) -> bool:

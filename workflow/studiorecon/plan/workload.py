@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from studiorecon.footage.packets import frame_count
 from studiorecon.footage.source import open_source
 from studiorecon.plan.decisions import Plan
 from studiorecon.plan.foreseen import JOBS
@@ -71,8 +70,8 @@ def footage_of(plan: Plan, picture_fps: float) -> Footage:
     first = plan.dataset.first_frame
     sources = {camera: open_source(path, picture_fps) for camera, path in plan.dataset.footage.items()}
     lengths = [
-        frame_count(source)
-        + sum(frame_count(open_source(path, picture_fps)) for path in plan.dataset.chapters.get(camera, ())[1:])
+        source.frames
+        + sum(open_source(path, picture_fps).frames for path in plan.dataset.chapters.get(camera, ())[1:])
         - first
         for camera, source in sources.items()
     ]

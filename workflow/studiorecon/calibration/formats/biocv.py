@@ -15,7 +15,7 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients
 from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world
 from studiorecon.errors import UserError
-from studiorecon.scene.dataset import VIDEO_SUFFIXES
+from studiorecon.footage.kinds import film_suffixes
 from studiorecon.scene.outside import read_text
 from studiorecon.scene.values import shown
 
@@ -35,7 +35,7 @@ def read(files: list[Path]) -> Reading:
 def _camera(path: Path) -> RawCamera:
     name = path.name.removesuffix(".calib")
     stem, dot, ending = name.rpartition(".")
-    name = stem if dot + ending.lower() in VIDEO_SUFFIXES else name
+    name = stem if dot + ending.lower() in film_suffixes() else name
     where = f"camera {name} in {path}"
     rows = []
     for number, line in enumerate(read_text(path).split("\n"), 1):

@@ -8,16 +8,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import av
 import cv2
 import numpy as np
-from av.codec.codec import Properties
 
 from studiorecon.errors import UserError
+from studiorecon.footage.container import keeps_every_pixel
+from studiorecon.footage.kinds import film_suffixes
 from studiorecon.footage.stills import decoded
 from studiorecon.footage.video import read_frames
 from studiorecon.progress import say
-from studiorecon.scene.dataset import VIDEO_SUFFIXES
 from studiorecon.scene.numbered import pictures_in
 
 if TYPE_CHECKING:
@@ -30,14 +29,14 @@ ONLY = "camera"
 def cameras_in(place: Path) -> dict[str, Path]:
     """camera → its video or folder of pictures; a single video, or pictures without folders, is one camera. UserError
     when there is none."""
-    if place.is_file() and place.suffix.lower() in VIDEO_SUFFIXES:
+    if place.is_file() and place.suffix.lower() in film_suffixes():
         return {ONLY: place}
     if not place.is_dir():
         raise UserError(f"{place} is not a folder; give one with a video or a folder of pictures per camera")
     versions: dict[str, list[Path]] = {}
     for entry in sorted(place.iterdir()):
         name = entry.name if entry.is_dir() else entry.stem
-        is_film = entry.suffix.lower() in VIDEO_SUFFIXES and "." not in entry.stem
+        is_film = entry.suffix.lower() in film_suffixes() and "." not in entry.stem
         if pictures_in(entry) if entry.is_dir() else is_film:
             versions.setdefault(name, []).append(entry)
     found = {name: paths[0] if len(paths) == 1 else _lossless(name, paths) for name, paths in versions.items()}
@@ -64,7 +63,7 @@ def masks_of(source: Path) -> Iterator[Bool[np.ndarray, "H W"]]:
 
 def _lossless(name: str, versions: Sequence[Path]) -> Path:
     """The only lossless one of several versions of one film; UserError where there are none or several."""
-    chosen = [path for path in versions if path.is_dir() or _keeps_every_pixel(path)]
+    chosen = [path for path in versions if path.is_dir() or keeps_every_pixel(path)]
     if len(chosen) == 1:
         say(
             f"{name}: {chosen[0].name} is scored, which is lossless; {_listed(set(versions) - set(chosen))} is not read"
@@ -74,17 +73,6 @@ def _lossless(name: str, versions: Sequence[Path]) -> Path:
         f"camera {name} of {versions[0].parent} is there as {_listed(versions)}, and {len(chosen)} of them are "
         f"lossless; give one film itself, such as {versions[0]}, in place of the folder"
     )
-
-
-def _keeps_every_pixel(film: Path) -> bool:
-    try:
-        with av.open(str(film)) as container:
-            context = container.streams.video[0].codec_context
-    except (av.error.FFmpegError, IndexError):
-        return False
-    # H.264 can be both: our lossless films are H.264 of RGB, films to watch are of YUV.
-    both = Properties.LOSSLESS.value | Properties.LOSSY.value
-    return context.codec.properties & both == Properties.LOSSLESS.value or context.format.is_rgb
 
 
 def _listed(paths: Iterable[Path]) -> str:

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What counts is what a decoder shows, at the times at which it shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from studiorecon.errors import UserError
+from studiorecon.footage.frames import decode, glimpses, small_grey, stills
+from studiorecon.footage.source import FootageSource, open_source
+
+from tests.made.footage import smooth_pictures, write_video
+
+COUNT, WH = 40, (96, 64)
+PICTURES = smooth_pictures(COUNT)
+
+
+def coded(pictures: np.ndarray, **options: str) -> tuple[av.VideoCodecContext, list[av.Packet]]:
+    """Pictures as packets of H.264 at 30 per second, in the order in which they are decoded."""
+    encoder = av.CodecContext.create("libx264", "w")
+    encoder.width, encoder.height, encoder.pix_fmt = pictures.shape[2], pictures.shape[1], "yuv420p"
+    encoder.time_base, encoder.framerate = Fraction(1, 30), Fraction(30)
+    encoder.options = {"crf": "8", "g": "10", "bf": "2", **options}
+    packets = []
+    for number, picture in enumerate(pictures):
+        frame = av.VideoFrame.from_ndarray(picture)
+        frame.pts = number
+        packets += encoder.encode(frame)
+    return encoder, packets + encoder.encode(None)
+
+
+def muxed(path: Path, codec: str, packets: list[av.Packet], wh: tuple[int, int] = WH) -> Path:
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=30)
+        stream.width, stream.height, stream.pix_fmt = *wh, "yuv420p"
+        for packet in packets:
+            packet.stream = stream
+            container.mux(packet)
+    return path
+
+
+def with_edit_list(path: Path) -> Path:
+    """The last 30 frames of the film, as a phone's gallery trims: the others stay in the file."""
+    write_video(path, PICTURES)
+    data = bytearray(path.read_bytes())
+    at = data.index(b"elst")
+    # Version 0: one entry of duration (movie time scale: 1,000), media time (of the track) and rate.
+    with av.open(str(path)) as container:
+        ticks = int(1 / container.streams.video[0].time_base)
+    data[at + 12 : at + 20] = (1000).to_bytes(4, "big") + (ticks * 10 // 30 + ticks * 2 // 30).to_bytes(4, "big")
+    path.write_bytes(bytes(data))
+    return path
+
+
+def shown(source: FootageSource) -> list[int]:
+    """Which of the pictures each frame is."""
+    return [int(np.abs(PICTURES - p.astype(int)).mean((1, 2, 3)).argmin()) for p in decode(source, 0, 0)]
+
+
+def test_an_edit_list_hides_frames(tmp_path: Path) -> None:
+    source = open_source(with_edit_list(tmp_path / "a.mp4"), 30.0)
+    numbers = shown(source)
+    assert source.frames == source.announced == len(numbers) == len(source.times_s)
+    assert 28 <= source.frames <= 31
+    assert numbers == list(range(COUNT - source.frames, COUNT))
+    assert not source.notes
+
+
+def test_a_film_cut_at_a_frame_that_others_refer_to(tmp_path: Path) -> None:
+    """An open group of pictures at the beginning: its first ones cannot be decoded."""
+    _, packets = coded(PICTURES, **{"x264-params": "open-gop=1:keyint=10:scenecut=0"})
+    key = [k for k, packet in enumerate(packets) if packet.is_keyframe][1]
+    source = open_source(muxed(tmp_path / "a.ts", "h264", packets[key:]), 30.0)
+    numbers = shown(source)
+    assert len(numbers) == source.frames
+    assert numbers == list(range(numbers[0], COUNT))
+    assert numbers[0] >= 10
+
+
+def test_fewer_frames_than_the_header_announces(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "a.avi", PICTURES)
+    with av.open(str(path)) as container:
+        announced = container.streams.video[0].frames
+    data = path.read_bytes()
+    more = (announced + 2).to_bytes(4, "little")
+    at = data.index(b"strh") + 8 + 32
+    path.write_bytes(data[:at] + more + data[at + 4 :])
+    source = open_source(path, 30.0)
+    assert shown(source) == list(range(COUNT))
+    assert source.announced > source.frames == COUNT
+    assert any("announced" in note for note in source.notes)
+
+
+@pytest.mark.parametrize("suffix", ["mkv", "ts", "mp4", "avi"])
+def test_of_a_film_that_is_cut_off_the_part_that_is_there_is_used(suffix: str, tmp_path: Path) -> None:
+    path = write_video(tmp_path / f"a.{suffix}", PICTURES)
+    if suffix == "mp4":
+        with av.open(str(path)) as old, av.open(str(tmp_path / "b.mp4"), "w", options={"movflags": "faststart"}) as new:
+            stream = new.add_stream_from_template(old.streams.video[0])
+            for packet in old.demux(video=0):
+                if packet.dts is not None:
+                    packet.stream = stream
+                    new.mux(packet)
+        path = tmp_path / "b.mp4"
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(0.6 * len(whole))])
+    source = open_source(path, 30.0)
+    assert 5 < source.frames < COUNT
+    assert shown(source) == list(range(source.frames))
+    assert len(list(small_grey(source, 48, COUNT))) == source.frames
+
+
+def stamped(path: Path, times: Iterator[int] | None, rate: int = 30) -> Path:
+    """The film with other times: of its packets in order, in 1/90,000 s."""
+    _, packets = coded(PICTURES, bf="0")
+    for packet, time in zip(packets, times or [0] * COUNT):
+        packet.time_base, packet.pts, packet.dts = Fraction(1, 90_000), time, time
+    return muxed(path, "h264", packets)
+
+
+@pytest.mark.parametrize("suffix", ["mkv", "ts"])
+def test_times_that_are_all_zero_are_the_header_s(suffix: str, tmp_path: Path) -> None:
+    source = open_source(stamped(tmp_path / f"a.{suffix}", None), 30.0)
+    assert (source.frames, source.fps) == (COUNT, 30.0)
+    np.testing.assert_allclose(np.diff(source.times_s), 1 / 30)
+    assert any("no usable times" in note for note in source.notes)
+    assert shown(source) == list(range(COUNT))
+    np.testing.assert_array_equal(glimpses(source, [7, 31]), list(stills(source, [7, 31])))
+
+
+def test_the_rate_is_that_of_the_times_and_not_the_header_s(tmp_path: Path) -> None:
+    source = open_source(stamped(tmp_path / "a.mkv", iter(range(0, 3600 * COUNT, 3600))), 30.0)
+    assert source.fps == pytest.approx(25.0, abs=0.01)
+    assert shown(source) == list(range(COUNT))
+
+
+def test_a_film_of_uneven_times_keeps_them(tmp_path: Path) -> None:
+    steps = np.where(np.arange(COUNT) % 7 == 3, 9000, 3000)
+    times = np.concatenate([[0], np.cumsum(steps)[:-1]])
+    source = open_source(stamped(tmp_path / "a.mkv", iter(times.tolist())), 30.0)
+    np.testing.assert_allclose(np.array(source.times_s) - source.times_s[0], times / 90_000, atol=2e-3)
+    assert source.fps == pytest.approx(30.0, rel=0.02)
+    np.testing.assert_array_equal(glimpses(source, [4, 20, 33]), list(stills(source, [4, 20, 33])))
+
+
+@pytest.mark.parametrize("suffix", ["mkv", "ts"])
+def test_from_a_change_of_size_on_a_film_is_not_used(suffix: str, tmp_path: Path) -> None:
+    before, after = (coded(smooth_pictures(30, wh), bf="0")[1] for wh in (WH, (48, 32)))
+    for number, packet in enumerate([*before, *after]):
+        packet.pts = packet.dts = number
+    source = open_source(muxed(tmp_path / f"a.{suffix}", "h264", [*before, *after]), 30.0)
+    assert (source.frames, source.announced, source.wh) == (30, 60, WH)
+    assert len(list(decode(source, 0, 0))) == 30
+    assert any("48×32" in note for note in source.notes)
+
+
+def test_a_size_that_changes_back_is_named_where_it_is_read(tmp_path: Path) -> None:
+    parts = [coded(smooth_pictures(20, wh), bf="0")[1] for wh in (WH, (48, 32), WH)]
+    packets = [packet for part in parts for packet in part]
+    for number, packet in enumerate(packets):
+        packet.pts = packet.dts = number
+    source = open_source(muxed(tmp_path / "a.mkv", "h264", packets), 30.0)
+    with pytest.raises(UserError, match=r"frame 20 is 48×32 in a film of 96×64.*count: 20"):
+        list(decode(source, 0, 0))
+    assert len(list(decode(source, 0, 20))) == 20
+    with pytest.raises(UserError, match="frame 20 is 48×32"):
+        list(stills(source, [25]))
+    assert len(list(small_grey(source, 48, 60))) == 20
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [(b"", "empty"), (b"these are not frames", "cannot be read as a video"), (None, "single frame")],
+    ids=["empty", "text", "one"],
+)
+def test_what_is_no_film_is_refused_in_one_sentence(content: bytes | None, told: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.mp4"
+    if content is None:
+        write_video(path, PICTURES[:1])
+    else:
+        path.write_bytes(content)
+    with pytest.raises(UserError, match=told):
+        open_source(path, 30.0)

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pictures of a camera's footage as they are shown: one after the other, some of them, or small and grey."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import av
+import cv2
+import numpy as np
+from av.video.reformatter import VideoReformatter
+
+from studiorecon.errors import UserError
+from studiorecon.footage.container import film_of, opened
+from studiorecon.footage.source import FootageSource
+from studiorecon.footage.stills import decoded
+from studiorecon.footage.timing import shown_frames
+from studiorecon.machine.refusals import without_thread
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
+
+# Ways to read a picture grey: whole, at a half, a quarter, an eighth.
+_HALVED = (
+    cv2.IMREAD_GRAYSCALE,
+    cv2.IMREAD_REDUCED_GRAYSCALE_2,
+    cv2.IMREAD_REDUCED_GRAYSCALE_4,
+    cv2.IMREAD_REDUCED_GRAYSCALE_8,
+)
+
+
+def decode(source: FootageSource, first: int, count: int) -> Iterator[Integer[np.ndarray, "H W 3"]]:
+    """Frames ``first`` … ``first`` + ``count`` − 1 (``count`` 0 = to the end), (H, W, 3) uint8 RGB, as shown.
+
+    Raises UserError naming file and frame when a frame is damaged or of another size, and when the footage has no such
+    frames. A damaged end does not matter when the chosen frames lie before it.
+    """
+    stop = first + count if count else source.frames
+    if first >= source.frames or stop > source.frames:
+        wanted = f"{first} to {stop - 1}" if count else f"{first} and after"
+        raise UserError(
+            f"{source.path} has {source.frames} frames, but frames {wanted} were asked for; change frames: in "
+            "capture.yaml"
+        )
+    if source.pictures:
+        yield from _decode_folder(source, source.pictures[first:stop])
+        return
+    form = source.form
+    assert form is not None
+    for frame in islice(_video_frames(source), first, stop):
+        yield form.picture(frame)
+
+
+def stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
+    """The frames numbered ``wanted`` (ascending, maybe twice), as ``decode`` gives them; numbers past the end are left
+    out.
+
+    Raises UserError as ``decode`` does, but for damage after the last of them.
+    """
+    chosen = Counter(number for number in wanted if number < source.frames)
+    if source.pictures:
+        yield from _decode_folder(source, [source.pictures[number] for number in chosen.elements()])
+        return
+    form = source.form
+    assert form is not None
+    for number, frame in enumerate(islice(_video_frames(source), max(chosen, default=-1) + 1)):
+        if chosen[number]:
+            yield from [form.picture(frame)] * chosen[number]
+
+
+def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.ndarray, "H W 3"]]:
+    """The frames numbered ``wanted`` (ascending; beyond the end: the last one), as ``decode`` gives them.
+
+    A video is sought to the key frame before each, unless the last one lies behind that, so a frame costs at most one
+    group of pictures. Raises UserError when nothing can be read.
+    """
+    wanted = [min(number, source.frames - 1) for number in wanted]
+    if source.pictures or not source.carried:
+        return list(stills(source, wanted))
+    if source.parts:
+        return _glimpses_of_parts(source.parts, wanted)
+    form = source.form
+    assert form is not None
+    try:
+        with opened(source.path) as container:
+            found = list(_frames_at(source, container, wanted))
+    except (av.FFmpegError, IndexError) as error:
+        if without_thread(error):
+            raise
+        raise UserError(f"{source.path} cannot be read as a video ({error}); copy it again") from None
+    if None in found:  # a container that cannot be sought
+        return list(stills(source, wanted))
+    return [form.picture(frame) for frame in found if frame is not None]
+
+
+def _glimpses_of_parts(parts: Sequence[FootageSource], wanted: Sequence[int]) -> list[np.ndarray]:
+    found: list[np.ndarray] = []
+    begin = 0
+    for part in parts:
+        found += glimpses(part, [number - begin for number in wanted if begin <= number < begin + part.frames])
+        begin += part.frames
+    return found
+
+
+def small_grey(source: FootageSource, width: int, count: int) -> Iterator[Integer[np.ndarray, "h w"]]:
+    """The first ``count`` frames, at most ``width`` pixels along the longer side and grey, (h, w) uint8, up to the
+    first that cannot be read: decoding for good names it. Turned as stored: it is meant for what changes."""
+    shrink = max(1.0, max(source.wh) / width)
+    small = _small(source.form.square_wh if source.form else source.wh, shrink)
+    with suppress(UserError):
+        if source.pictures:
+            # A JPEG that is read grey and small takes a fraction of the time.
+            halved = min(int(np.log2(shrink)), len(_HALVED) - 1)
+            for path in source.pictures[:count]:
+                yield cv2.resize(decoded(path, _HALVED[halved]), small, interpolation=cv2.INTER_AREA)
+            return
+        # One for all frames: what it makes ready takes several times as long as a frame.
+        shrinking = VideoReformatter()
+        for frame in islice(_video_frames(source), count):
+            grey = shrinking.reformat(frame, width=small[0], height=small[1], format="gray", interpolation="AREA")
+            yield grey.to_ndarray()
+
+
+def _small(wh: tuple[int, int], shrink: float) -> tuple[int, int]:
+    return max(2, round(wh[0] / shrink)), max(2, round(wh[1] / shrink))
+
+
+def _frames_at(
+    source: FootageSource, container: av.container.InputContainer, wanted: Sequence[int]
+) -> Iterator[av.VideoFrame | None]:
+    """The frames numbered ``wanted`` (ascending), by their times; None for one that seeking does not reach."""
+    assert source.form is not None
+    stream = film_of(container)
+    assert stream.time_base is not None
+    half_s = 0.5 / source.fps
+    last: av.VideoFrame | None = None
+    frames: Iterator[av.VideoFrame] = iter(())
+    for index in wanted:
+        target_s = source.times_s[index]
+        half_s = 0.5 * min(np.diff(source.times_s[max(index - 1, 0) : index + 2]), default=1 / source.fps)
+        if last is None or _key_frame_between(stream, last.time, target_s):
+            container.seek(int(target_s / stream.time_base), stream=stream, backward=True)
+            frames, last = source.form.filtered(_of_one_size(source, shown_frames(container, stream))), None
+        while last is None or last.time < target_s - half_s:
+            following = next(frames, None)
+            if following is None:
+                break
+            last = following
+        yield last if last is not None and abs(last.time - target_s) < half_s else None
+
+
+def _key_frame_between(stream: av.VideoStream, after_s: float, target_s: float) -> bool:
+    """Whether decoding on from ``after_s`` takes longer than from the key frame before ``target_s``; also where the
+    file's index does not reach that far."""
+    assert stream.time_base is not None
+    index, after, target = stream.index_entries, after_s / stream.time_base, target_s / stream.time_base
+    if not len(index) or index[-1].timestamp < target:
+        return True
+    return any(entry.is_keyframe and after < entry.timestamp <= target for entry in index)
+
+
+def _video_frames(source: FootageSource) -> Iterator[av.VideoFrame]:
+    """All frames that ``source`` counts, through its filters."""
+    assert source.form is not None
+    if source.parts:
+        for part in source.parts:
+            yield from _video_frames(part)
+        return
+    done = 0
+    try:
+        with opened(source.path) as container:
+            frames = shown_frames(container, film_of(container))
+            for frame in source.form.filtered(_of_one_size(source, islice(frames, source.frames))):
+                yield frame
+                done += 1
+    except av.FFmpegError as error:
+        if without_thread(error):
+            raise
+        raise UserError(
+            f"{source.path} cannot be read after its {done} first frames ({error.strerror or error}); copy it again, "
+            f"or use what is there with frames: {{count: {done}}} in capture.yaml"
+        ) from None
+    if done < source.frames:
+        raise UserError(
+            f"{source.path} cannot be read beyond its {done} first frames of {source.frames}; copy it again, or use "
+            f"what is there with frames: {{count: {done}}} in capture.yaml"
+        )
+
+
+def _of_one_size(source: FootageSource, frames: Iterator[av.VideoFrame]) -> Iterator[av.VideoFrame]:
+    """``frames``, none of them damaged or of another size than the first one of ``source``."""
+    assert source.form is not None
+    for number, frame in enumerate(frames):
+        # After a jump the number is that of the frame's time.
+        at = int(np.searchsorted(source.times_s, frame.time or 0.0)) if source.carried else number
+        if frame.is_corrupt:
+            raise UserError(
+                f"{source.path}: frame {at} is damaged; copy it again, or choose others with frames: in capture.yaml"
+            )
+        if (frame.width, frame.height) != source.form.wh:
+            (width, height), (expected, high) = (frame.width, frame.height), source.form.wh
+            raise UserError(
+                f"{source.path}: frame {at} is {width}×{height} in a film of {expected}×{high}; cut the film there, or "
+                f"use the part before with frames: {{count: {at}}} in capture.yaml"
+            )
+        yield frame
+
+
+def _decode_folder(source: FootageSource, paths: Sequence[Path]) -> Iterator[np.ndarray]:
+    for path in paths:
+        picture = decoded(path, cv2.IMREAD_COLOR, "replace it, or leave its frame out with frames: in capture.yaml")
+        if (picture.shape[1], picture.shape[0]) != source.wh:
+            size = f"{picture.shape[1]}×{picture.shape[0]}"
+            raise UserError(
+                f"{path} is {size}, but the first picture of its folder is {source.wh[0]}×{source.wh[1]}; use one size"
+            )
+        yield np.ascontiguousarray(picture[..., ::-1])

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which files are films: the container library knows, and nothing else lists suffixes."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import av
+from av.format import ContainerFormat
+
+from studiorecon.footage.container import film_streams, opened
+
+# The library's names of the containers that films are recorded in; it knows their suffixes. Its other ones hold single
+# pictures, text, sound, or pictures without a size.
+_CONTAINERS = frozenset(
+    {
+        "mov",
+        "mp4",
+        "m4a",
+        "3gp",
+        "3g2",
+        "mj2",
+        "ismv",
+        "f4v",
+        "psp",
+        "ipod",
+        "matroska",
+        "webm",
+        "avi",
+        "mpegts",
+        "mpeg",
+    }
+    | {"mpegvideo", "mpeg1video", "mpeg2video", "dvd", "vob", "svcd", "asf", "mxf", "flv", "ogv", "ogg", "dv", "gxf"}
+    | {"nut", "rm", "wtv", "ivf", "dhav", "h264", "hevc", "m4v", "mjpeg", "yuv4mpegpipe"}
+)
+# Suffixes that those share with sound.
+_SOUND = frozenset({".m4a", ".m4b", ".isma", ".wma", ".ogg", ".ra"})
+
+
+def is_film(path: Path) -> bool:
+    """Whether a file is a film: by its suffix, so that a damaged one is named, else by what it holds."""
+    if path.suffix.lower() in film_suffixes():
+        return True
+    if path.suffix.lower() in _SOUND or not path.is_file():
+        return False
+    try:
+        with opened(path) as container:
+            return not _CONTAINERS.isdisjoint(container.format.name.split(",")) and bool(film_streams(container))
+    except (av.FFmpegError, OSError, ValueError):
+        return False
+
+
+@cache
+def film_suffixes() -> frozenset[str]:
+    """Lower-case suffixes of films, ``.mp4`` and so on: those of the containers' writers, for readers claim those of
+    single pictures too."""
+    writers = (ContainerFormat(name, "w") for name in _CONTAINERS & av.formats_available if _is_written(name))
+    return frozenset(f".{suffix}" for writer in writers for suffix in writer.extensions) - _SOUND
+
+
+def _is_written(name: str) -> bool:
+    try:
+        return ContainerFormat(name, "w").is_output
+    except ValueError:
+        return False

@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When each frame of a film is shown, and how many there are: what a decoder shows, whatever the header announces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import av
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.footage.container import film_of, opened
+from studiorecon.machine.refusals import without_thread
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+# Times in a file are rounded to its time base, a millisecond in Matroska: within this, frames that should come evenly
+# do.
+EVEN_S = 2e-3
+# A header's rate that is nearer than this is meant: what differs is jitter.
+_RATE_SHARE = 0.02
+# So many frames are decoded to see whether a decoder shows what the packets promise: more than open groups of pictures
+# lead with, or codecs reorder.
+_HEAD_FRAMES = 20
+# Nobody films people at more than 1,000 frames per second (the most that ``capture.picture_fps`` takes): times that are
+# nearer are counted, not measured.
+_LEAST_STEP_S = 1e-3
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The frames that a decoder shows, up to the first of another size.
+
+    Attributes:
+        times_s: of every frame on the file's own time line, which its sound shares; strictly ascending.
+        fps: frames per second; the header's where the times agree with it.
+        announced: how many the header promises beside those that an edit list hides; ``times_s`` has fewer where the
+            end cannot be used.
+        carried: whether frames carry these times when they are decoded, so that each can be sought.
+        notes: sentences about what the header says otherwise.
+    """
+
+    times_s: tuple[float, ...]
+    fps: float
+    announced: int
+    carried: bool
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Packets:
+    """What a file holds of a film without being decoded.
+
+    Attributes:
+        shown_s: (T,) times of what is shown, in order, NaN where there are none.
+        decoded_s: (T,) times at which the same are decoded, in order, NaN where there are none.
+        hidden: how many are not shown: an edit list leaves them out, or they repeat the one before.
+        whole: whether none is damaged and all come in order.
+    """
+
+    shown_s: Float[np.ndarray, " T"]
+    decoded_s: Float[np.ndarray, " T"]
+    hidden: int
+    whole: bool
+
+
+@dataclass(frozen=True)
+class _Decoded:
+    """Decoded frames: their times (T,), NaN where they have none, and the size that ended them, if one did."""
+
+    times_s: Float[np.ndarray, " T"]
+    other_wh: tuple[int, int] | None = None
+
+
+def timing_of(path: Path) -> Timing:
+    """The timing of the film in ``path``: from its packets where its first frames, and its last ones where the header
+    does not count them, come as those promise; else by decoding all of it, up to the first frame that cannot be.
+
+    Raises UserError naming the file when nothing can be decoded, or neither its times nor its header tell a rate.
+    """
+    with opened(path) as container:
+        stream = film_of(container)
+        rate = float(stream.average_rate or stream.guessed_rate or 0)
+        # QuickTime's index is without what its edit list leaves out at the ends, its count is not.
+        stated = min(stream.frames, len(stream.index_entries)) if "mov" in container.format.name else stream.frames
+        announced = stated or _frames_by_duration(container, rate)
+    packets = _packets(path)
+    times, carried, other = packets.shown_s, True, None
+    whole = packets.whole and stated in (0, len(times) + packets.hidden)
+    if whole and _promised(_decoded(path, most=_HEAD_FRAMES), times, _HEAD_FRAMES) and (stated or _ends(path, times)):
+        count, other = _of_one_size(path, times)
+    else:
+        decoded = _decoded(path)
+        count, other = len(decoded.times_s), decoded.other_wh
+        # Where decoded frames carry no times, or others' (AVI with reordered frames), their packets' are as good.
+        found = [t for t in (decoded.times_s, packets.shown_s, packets.decoded_s) if len(t) == count and _ascending(t)]
+        carried, times = _ascending(decoded.times_s), found[0] if found else decoded.times_s
+    if not count:
+        raise UserError(f"{path} holds no frames that can be decoded; copy the recording again")
+    notes = []
+    announced = max(announced - packets.hidden, len(packets.shown_s), count)
+    if other is not None:
+        notes.append(f"from frame {count} on it is {other[0]}×{other[1]}, another size: only the part before is used")
+    elif announced > count + (not stated):
+        notes.append(f"{announced} frames are announced and {count} can be decoded: these are used")
+    regular = _repaired(times[:count])
+    if regular is None and not rate:
+        raise UserError(
+            f"{path} tells neither its frame rate nor when its frames are shown; bring its frames as pictures in "
+            "images/<camera>/, whose rate is the setting capture.picture_fps"
+        )
+    if regular is None:
+        notes.append(f"its frames have no usable times: {rate:g} per second are assumed, as its header says")
+        return Timing(tuple((np.arange(count) / rate).tolist()), rate, announced, False, tuple(notes))
+    fps = _rate(regular, rate)
+    if abs(rate / fps - 1) > _RATE_SHARE:
+        notes.append(f"its header says {rate:g} frames per second, but they come at {fps:.4g}, which is used")
+    carried = carried and np.array_equal(regular, times[:count])
+    return Timing(tuple(regular.tolist()), fps, announced, carried, tuple(notes))
+
+
+def shown_frames(container: av.container.InputContainer, stream: av.VideoStream) -> Iterator[av.VideoFrame]:
+    """What a decoder shows from where ``container`` stands: not the damaged frames before the first whole one, whose
+    reference was cut off."""
+    begun = False
+    for frame in container.decode(stream):
+        begun = begun or not frame.is_corrupt
+        if begun:
+            yield frame
+
+
+def _frames_by_duration(container: av.container.InputContainer, rate: float) -> int:
+    """0 where it is unknown: a container lasts as long as its longest stream, which may be the sound."""
+    if len(container.streams) > 1 or container.duration is None:
+        return 0
+    return round((container.duration - (container.start_time or 0)) / av.time_base * rate)
+
+
+def _packets(path: Path) -> _Packets:
+    shown: list[float] = []
+    decoded: list[float] = []
+    hidden, whole = 0, True
+    try:
+        with opened(path) as container:
+            stream = film_of(container)
+            for packet in container.demux(stream):
+                whole = whole and not packet.is_corrupt
+                if packet.size and not packet.is_discard:
+                    shown.append(_time_s(packet.pts, packet.time_base))
+                    decoded.append(_time_s(packet.dts, packet.time_base))
+                else:  # the last packet of all only says that there are no more
+                    hidden += bool(packet.size) or packet.dts is not None
+    except av.FFmpegError as error:
+        if without_thread(error):
+            raise
+        whole = False
+    ordered, order = np.sort(np.array(shown, dtype=np.float64)), np.array(decoded, dtype=np.float64)
+    # Raw streams and some containers only say when frames are shown.
+    known = order[np.isfinite(order)]
+    return _Packets(ordered, order, hidden, whole and _ascending(ordered) and bool((np.diff(known) > 0).all()))
+
+
+def _decoded(path: Path, from_s: float | None = None, most: int | None = None) -> _Decoded:
+    """At ``most`` so many frames from the key frame before ``from_s`` (None: from the first) on, up to the first that
+    is damaged or of another size."""
+    times: list[float] = []
+    other = None
+    try:
+        with opened(path) as container:
+            stream = film_of(container)
+            if from_s is not None and stream.time_base is not None:
+                container.seek(int(from_s / stream.time_base), stream=stream, backward=True)
+            wh = None
+            for frame in islice(shown_frames(container, stream), most):
+                wh = wh or (frame.width, frame.height)
+                if frame.is_corrupt:
+                    break
+                if (frame.width, frame.height) != wh:
+                    other = frame.width, frame.height
+                    break
+                times.append(_time_s(frame.pts, frame.time_base))
+    except av.FFmpegError as error:
+        if without_thread(error):
+            raise
+    return _Decoded(np.array(times, dtype=np.float64), other)
+
+
+def _promised(head: _Decoded, times_s: np.ndarray, most: int) -> bool:
+    return head.other_wh is None and np.array_equal(head.times_s, times_s[:most])
+
+
+def _ends(path: Path, times_s: np.ndarray) -> bool:
+    """Whether what is decoded from the last key frame on ends as the packets promise."""
+    tail = _decoded(path, from_s=times_s[-1]).times_s
+    return len(tail) > 0 and np.array_equal(tail, times_s[-len(tail) :])
+
+
+def _of_one_size(path: Path, times_s: np.ndarray) -> tuple[int, tuple[int, int] | None]:
+    """How many frames are as large as the first one, and how large the next one is, if there is one.
+
+    A film changes its size at key frames only, and rarely back: where the last one's differs, they are halved until one
+    is left.
+    """
+    with opened(path) as container:
+        stream = film_of(container)
+        assert stream.time_base is not None
+        first = next(shown_frames(container, stream))
+        wh, found = (first.width, first.height), None
+        same, other, looked = 0, len(times_s), len(times_s) - 1
+        while other - same > 1:
+            container.seek(int(times_s[looked] / stream.time_base), stream=stream, backward=True)
+            frame = next(shown_frames(container, stream), None)
+            if frame is None or (found is None and (frame.width, frame.height) == wh):
+                return len(times_s), None
+            if (frame.width, frame.height) == wh:
+                same = looked
+            else:
+                found = frame.width, frame.height
+                other = min(int(np.searchsorted(times_s, _time_s(frame.pts, frame.time_base) - 1e-6)), looked)
+            looked = (same + other) // 2
+        return other, found
+
+
+def _time_s(stamp: int | None, time_base: Fraction | None) -> float:
+    return np.nan if stamp is None or time_base is None else float(stamp * time_base)
+
+
+def _ascending(times_s: np.ndarray) -> bool:
+    return bool(np.isfinite(times_s).all() and (np.diff(times_s) > 0).all())
+
+
+def _repaired(times_s: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"] | None:
+    """The times, those that are missing or stand still put between their neighbours; None where most do, or where they
+    are nearer than any film's."""
+    highest = np.maximum.accumulate(np.nan_to_num(times_s, nan=-np.inf))
+    good = np.isfinite(times_s) & np.concatenate([[True], highest[1:] > highest[:-1]])
+    if 2 * good.sum() < len(times_s) or not (good[0] and good[-1]):
+        return None
+    repaired = np.interp(np.arange(len(times_s)), np.flatnonzero(good), times_s[good])
+    return repaired if len(repaired) < 2 or np.median(np.diff(repaired)) >= _LEAST_STEP_S else None
+
+
+def _rate(times_s: Float[np.ndarray, " T"], header: float) -> float:
+    """Frames per second: the header's where it is about right, else that of even steps, else of the usual one."""
+    own, count = times_s - times_s[0], np.arange(len(times_s))
+    if len(own) < 2 or (header and np.abs(own - count / header).max() <= EVEN_S):
+        return header or 1.0
+    slope = float(np.polyfit(count, own, 1)[0])
+    if np.abs(own - slope * count).max() <= EVEN_S:
+        return 1 / slope
+    usual = float(1 / np.median(np.diff(own)))
+    return header if header and abs(header / usual - 1) < _RATE_SHARE else usual
