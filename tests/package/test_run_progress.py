@@ -5,13 +5,16 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from snakemake_interface_logger_plugins.common import LogEvent
 from snakemake_logger_plugin_studiorecon import LogHandler
+from studiorecon import progress
 from studiorecon.cli.run_progress import KEPT, Run, Running, keep_seconds, read_seconds
+from studiorecon.pages.ending import ending
 
 
 def planned(**jobs: int) -> Counter[str]:
@@ -40,8 +43,8 @@ def test_a_slower_machine_today_makes_the_rest_longer() -> None:
 
 def test_what_never_ran_is_said() -> None:
     run = Run({"film": [10.0]}, 1, 0.0, planned(film=1, train=3))
-    assert run.left_in_words(0.0) == "at least 10 s left: some of it never ran here"
-    assert Run({}, 1, 0.0, planned(film=2)).left_in_words(0.0) == "nothing like it ran here before: no telling how long"
+    assert run.left_in_words(0.0) == "at least 10 s left"
+    assert Run({}, 1, 0.0, planned(film=2)).left_in_words(0.0) == "time left not known yet"
 
 
 def test_seconds_are_remembered_by_scene_and_only_the_last(tmp_path: Path) -> None:
@@ -56,6 +59,83 @@ def test_seconds_are_remembered_by_scene_and_only_the_last(tmp_path: Path) -> No
     assert read_seconds(path, "demo") == {}
 
 
+@pytest.mark.parametrize("columns", [40, 79, 119])
+def test_the_bar_is_one_line_that_names_what_runs(columns: int) -> None:
+    run = Run({"depth_sweep": [30.0]}, 2, 0.0, planned(depth_sweep=9), planned(depth_sweep=3))
+    for job in range(4):
+        run.running[job] = Running("depth_sweep", f"camera number {job}", 0.0)
+    line = run.bar(0.0, columns)
+    assert len(line) <= columns
+    assert "\n" not in line
+    assert line.startswith("3/9 ")
+    assert columns < 79 or "depth.sweep camera number 0" in line
+
+
+@pytest.mark.parametrize("bar", [True, False])
+def test_beside_a_runs_bar_a_step_is_one_short_line_and_keeps_its_warnings_for_the_end(
+    bar: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setenv("STUDIORECON_RUN", "bar" if bar else "lines")
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", "60")
+    with progress.logged("depth.sweep", tmp_path / "step.log"):
+        progress.say("a long sentence, " * 20)
+        progress.warn("the floor is wet")
+        assert list(progress.progress(range(3), "pictures")) == [0, 1, 2]
+    printed = capsys.readouterr()
+    assert "wet" not in printed.out
+    assert not printed.err, "no bar of its own"
+    assert printed.out.count("\n") == 1
+    assert not bar or (printed.out.startswith("\r\x1b[K") and len(printed.out) < 65)
+    kept = (tmp_path / "step.log").read_text()
+    assert "warning: the floor is wet" in kept
+    assert ("a long sentence, " * 20).strip() in kept, "the log has it whole"
+
+
+def scene_folder(folder: Path) -> None:
+    for name in ("enhance/orbit.mp4", "enhance/heldout.mp4", "enhance/orbit.wipe.mp4", "report/index.html"):
+        (folder / "results/demo" / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / "results/demo" / name).touch()
+    for name in ("deliver/player.html", "calibration/doctor.html"):
+        (folder / "results/demo" / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / "results/demo" / name).touch()
+    for name, text in (("a", "warning: one\nfine\n"), ("b", "warning: one\nwarning: two\n")):
+        (folder / "logs/demo/people").mkdir(parents=True, exist_ok=True)
+        (folder / f"logs/demo/people/{name}.log").write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("rules", "named"),
+    [
+        ({"report_page", "deliver_player"}, ["orbit.mp4", "index.html", "player.html"]),
+        ({"enhance_shot"}, ["orbit.mp4"]),
+        ({"calibration_doctor"}, ["doctor.html"]),
+        (None, ["orbit.mp4", "index.html", "player.html"]),
+    ],
+)
+def test_a_run_ends_with_its_warnings_once_and_where_its_results_are(
+    rules: set[str] | None, named: list[str], tmp_path: Path
+) -> None:
+    scene_folder(tmp_path)
+    lines = ending("demo", rules, tmp_path / "results", tmp_path / "logs").splitlines()
+    assert [line.rpartition("/")[2] for line in lines if ".html" in line or ".mp4" in line] == named
+    assert all(Path(line.split(maxsplit=1)[1]).is_file() for line in lines[-len(named) :])
+    assert sum("one" in line for line in lines) == sum("two" in line for line in lines) == (rules is not None)
+
+
+def test_a_run_with_nothing_to_do_says_where_the_results_are(
+    plugin: LogHandler, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    scene_folder(tmp_path)
+    monkeypatch.setenv("STUDIORECON_SCENE", "demo")
+    record = event(None)
+    record.msg = "Nothing to be done (all requested files are present and up to date)."
+    plugin.emit(record)
+    plugin.close()
+    assert "results/demo/report/index.html" in capsys.readouterr().err
+
+
 def event(kind: LogEvent | None, level: int = logging.INFO, **said: object) -> logging.LogRecord:
     record = logging.LogRecord("snakemake", level, "", 0, None, None, None)
     record.__dict__.update(said, event=kind)
@@ -63,9 +143,11 @@ def event(kind: LogEvent | None, level: int = logging.INFO, **said: object) -> l
 
 
 @pytest.fixture
-def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> LogHandler:
+def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[LogHandler]:
     monkeypatch.chdir(tmp_path)
-    return LogHandler(SimpleNamespace(dryrun=False), None)
+    made = LogHandler(SimpleNamespace(dryrun=False), None)
+    yield made
+    made.close()
 
 
 def test_the_plugin_writes_the_page_of_the_scene_that_runs(plugin: LogHandler, tmp_path: Path) -> None:
@@ -74,7 +156,7 @@ def test_the_plugin_writes_the_page_of_the_scene_that_runs(plugin: LogHandler, t
         wildcards = {"scene": "demo", "camera": camera}
         plugin.emit(event(LogEvent.JOB_INFO, jobid=job, rule_name="capture_frames", threads=1, wildcards=wildcards))
     page = tmp_path / "results/demo/progress.html"
-    assert "0 of 3 jobs, nothing like it ran here before" in page.read_text()
+    assert "0 of 3 jobs, time left not known yet" in page.read_text()
     plugin._written_s = 0.0
     plugin.emit(event(LogEvent.JOB_FINISHED, job_id=1))
     plugin._written_s = 0.0

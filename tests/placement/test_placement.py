@@ -19,6 +19,7 @@ from studiorecon.geometry.camera_path import look_at
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.placement import advise, place
 from studiorecon.placement.figures import Judge, errors_m, information, seen
+from studiorecon.placement.picture import stands
 from studiorecon.placement.placing import advice, in_words, lens, placed, stood
 from studiorecon.placement.room import TALL_M, WIDTH_M, Room, blocked, read_room, room_about
 from studiorecon.scene.camera import Camera
@@ -199,11 +200,45 @@ def test_the_command_plans_a_room_the_same_every_time(
     assert ((tmp_path / "again.svg").read_bytes(), (tmp_path / "again.json").read_bytes()) == first
     assert "2 cameras of 80° and 60° (1920 × 1080) in 4 × 3 × 2.5 m" in told
     assert "Seen by two cameras at head height" in told
+    assert "plan.svg" in told
+    assert told.count("m from the left wall") == 2
     words_in_picture = " ".join(ElementTree.parse(tmp_path / "plan.svg").getroot().itertext())
     assert "cam2" in words_in_picture
     assert len(json.loads((tmp_path / "plan.json").read_text())["cameras"]) == 2
     assert command.main(["plan"]) == 1
     assert "give the room" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("eye", "towards", "words"),
+    [
+        (
+            (0.15, 0.2, 2.5),
+            (3.0, 3.0, 1.0),
+            "0.15 m from the left wall, 0.20 m from the near one, 2.50 m high; looks far right",
+        ),
+        (
+            (5.8, 4.9, 0.5),
+            (3.0, 4.9, 1.0),
+            "5.80 m from the left wall, 4.90 m from the near one, 0.50 m high; looks left",
+        ),
+        (
+            (3.0, 4.9, 1.0),
+            (3.0, 1.0, 1.0),
+            "3.00 m from the left wall, 4.90 m from the near one, 1.00 m high; looks to the near",
+        ),
+    ],
+)
+def test_where_a_camera_stands_is_said_in_metres_and_directions_of_the_picture(
+    eye: tuple, towards: tuple, words: str
+) -> None:
+    low = np.array(ROOM.low_m)
+    world_from_camera = np.eye(4)
+    world_from_camera[:3, :3], world_from_camera[:3, 3] = look_at(low + eye, low + towards), low + eye
+    camera = replace(lenses(1)[0], camera_from_world=np.linalg.inv(world_from_camera))
+    said = stands(camera, ROOM)
+    assert words in said
+    assert eye[2] == towards[2] or said.endswith("down" if eye[2] > towards[2] else "up")
 
 
 def test_a_finished_calibration_is_advised(

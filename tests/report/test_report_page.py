@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studiorecon.pages.ending import read_warnings
 from studiorecon.report.page import learned
 from studiorecon.report.sections import appendix, comparison_slider, timeline
 from studiorecon.report.sections import tables as sections
@@ -209,7 +210,7 @@ def test_the_next_prediction_learns_from_stages_that_were_predicted_and_took_som
 def test_warnings_are_told_once_with_their_step(tmp_path: Path) -> None:
     write_text(tmp_path / "people/fit/p0.log", "fine\nwarning: one\nwarning: one\n")
     write_text(tmp_path / "plates/clean/cam1.log", "warning: two\na warning: is no warning\n")
-    assert appendix.read_warnings(tmp_path) == [("people.fit.p0", "one"), ("plates.clean.cam1", "two")]
+    assert read_warnings(tmp_path) == [("people.fit.p0", "one"), ("plates.clean.cam1", "two")]
     assert "No step warned" in appendix.warnings([])
 
 

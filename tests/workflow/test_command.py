@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -109,6 +110,23 @@ def test_bad_input_is_a_sentence(
     said = capsys.readouterr().err
     assert sentence in said
     assert said.count("\n") == 1
+
+
+def test_without_a_word_the_command_shows_its_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main([]) == 0
+    assert "doctor" in capsys.readouterr().out
+    with pytest.raises(SystemExit) as left:
+        command.main(["--version"])
+    assert left.value.code == 0
+    assert re.fullmatch(r"studiorecon \S.*\n", capsys.readouterr().out)
+
+
+def test_the_choices_of_a_setting_are_listed_once(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["settings"]) == 0
+    words = " ".join(capsys.readouterr().out.split())
+    choices = re.findall(r"One of [^.]+\.", words)
+    assert choices
+    assert not re.search(r"(One of [^.]+\.) \1", words)
 
 
 @pytest.fixture
@@ -220,7 +238,7 @@ def test_a_studio_is_reconstructed_from_an_installed_wheel(wheel: Path, tmp_path
     )
     assert done.returncode == 0, done.stdout[-6000:]
     assert (tmp_path / "empty/results/tiny/enhance/orbit.mp4").stat().st_size > 0
-    assert "results/tiny/report/index.html is there" in done.stdout
+    assert "results/tiny/report/index.html" in done.stdout.splitlines()[-2], "film, page, player are the last words"
 
 
 def test_the_doctor_s_first_words_need_no_run(tmp_path: Path) -> None:

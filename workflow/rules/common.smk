@@ -81,6 +81,8 @@ take_left_lock()
 check_settings()
 BUDGET = bought_by_budget()
 PLAN = decided()
+# The logger says where results are; a run with nothing to do names no scene to it.
+os.environ["STUDIORECON_SCENE"] = str(PLAN.scene)
 IMAGES = images_of(config, HOME)
 files = Files(PLAN, config, HOME, local, checkpoints)
 # The container image of that name, that of an upstream network, and the GPUs that a job of it holds.

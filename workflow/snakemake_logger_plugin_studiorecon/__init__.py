@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Snakemake's logger plugin ``studiorecon`` (profiles/default switches it on; ``--logger`` names another): on a
-terminal one bar for the whole run with what runs and how long the rest may take, and ``results/<scene>/progress.html``.
+terminal one bar at the bottom, with what runs and how long the rest may take; ``results/<scene>/progress.html``; and at
+the end every warning once, and where the results are.
 
-Where standard error is no terminal, Snakemake's own lines stay as they are and the page alone is written.
+Steps write to the same terminal. They know from their environment (``progress.RUN``) that a bar is there: they put
+their lines in its place, and it is drawn again below. Where standard error is no terminal, Snakemake's own lines stay
+as they are.
 """
 
 from __future__ import annotations
@@ -10,7 +13,9 @@ from __future__ import annotations
 import logging
 import os
 import re
+import shutil
 import sys
+import threading
 import time
 from collections import Counter
 from pathlib import Path
@@ -18,10 +23,13 @@ from pathlib import Path
 from snakemake_interface_logger_plugins.base import LogHandlerBase
 from snakemake_interface_logger_plugins.common import LogEvent
 from studiorecon.cli.run_progress import Run, Running, keep_seconds, read_seconds
-from tqdm import tqdm
+from studiorecon.pages.ending import ending
+from studiorecon.progress import CLEAR_LINE, RUN
 
 _SECONDS = Path("timings/seconds.json")
 _EVERY_S = 1.0  # between two pages
+_DRAWN_EVERY_S = 0.2  # the bar, where a step put a line in its place
+_NOTHING = "Nothing to be done"
 _KILLED = re.compile(r"-m studiorecon ([a-z]+\.[a-z_]+) .*died with <Signals\.SIG(KILL|SEGV|ABRT|BUS)", re.DOTALL)
 _HOW = {"KILL": "the system killed it, as it does", "BUS": "the system stopped it, as it does on a full disk or"}
 
@@ -32,8 +40,11 @@ class LogHandler(LogHandlerBase):
     def __post_init__(self) -> None:
         self._run = Run({}, os.cpu_count() or 1, time.monotonic())
         self._order: list[str] = []
-        self._scene, self._written_s = "", 0.0
-        self._bar: tqdm | None = None
+        self._scene, self._written_s, self._idle = "", 0.0, False
+        self._ends, self._drawing = threading.Event(), threading.Lock()
+        self._bar: threading.Thread | None = None
+        if not self.common_settings.dryrun:
+            os.environ[RUN] = "bar" if self.writes_to_stream else "lines"
 
     @property
     def writes_to_stream(self) -> bool:
@@ -90,31 +101,36 @@ class LogHandler(LogHandlerBase):
             self._written_s = now
 
     def _show(self, record: logging.LogRecord) -> None:
+        if record.getMessage().startswith(_NOTHING):
+            self._idle = True
         if not self.writes_to_stream:
             return
-        if record.levelno >= logging.WARNING:
-            tqdm.write(self.format(record), file=sys.stderr)
-        elif not self._run.total and getattr(record, "event", None) is None and record.msg:
-            # Before a plan is there: what is decided, or that nothing is to be done.
-            tqdm.write(record.getMessage(), file=sys.stderr)
-        if not self._run.total:
-            return
-        if self._bar is None:
-            self._bar = tqdm(
-                total=0, file=sys.stderr, dynamic_ncols=True, bar_format="{n_fmt}/{total_fmt} |{bar:20}| {desc}"
-            )
-        self._bar.total, self._bar.n = self._run.total, sum(self._run.done.values())
-        names = ", ".join(f"{job.rule} {job.of}".strip() for job in self._run.running.values())
-        self._bar.set_description_str(f"{self._run.left_in_words(time.monotonic())}; {names}" if names else "")
+        # Of what Snakemake itself says, trouble alone: the bar has the rest.
+        own = "snakemake" not in Path(record.pathname).parts and getattr(record, "event", None) is None and record.msg
+        if record.levelno >= logging.WARNING or own or record.getMessage().startswith(_NOTHING):
+            self._print(self.format(record) if record.levelno >= logging.WARNING else record.getMessage())
+        if self._run.total and self._bar is None:
+            self._bar = threading.Thread(target=self._draw, daemon=True)
+            self._bar.start()
+
+    def _draw(self) -> None:
+        """Draws the bar again and again, since steps write over it."""
+        while not self._ends.wait(_DRAWN_EVERY_S):
+            with self._drawing:
+                line = self._run.bar(time.monotonic(), shutil.get_terminal_size().columns - 1)
+                print(f"{CLEAR_LINE}{line}", end="", file=sys.stderr, flush=True)
+
+    def _print(self, text: str) -> None:
+        with self._drawing:
+            print(f"{CLEAR_LINE if self.writes_to_stream else ''}{text}", file=sys.stderr, flush=True)
 
     def _explain(self, record: logging.LogRecord) -> None:
         # A step that the system kills says nothing itself.
         if record.levelno >= logging.ERROR and (killed := _KILLED.search(record.getMessage())):
-            tqdm.write(
+            self._print(
                 f"{killed.group(1)}: {_HOW.get(killed.group(2), 'a library gave up in the middle, as some do')} when "
                 "memory runs out; run fewer jobs at once (--cores 1), or make pictures smaller (capture.width); what "
-                "is finished is kept",
-                file=sys.stderr,
+                "is finished is kept"
             )
 
     def _write_page(self, on: bool) -> None:
@@ -150,10 +166,19 @@ class LogHandler(LogHandlerBase):
         partial.replace(folder / "progress.html")
 
     def close(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
-        if self._scene and self._run.total and not self.common_settings.dryrun:
-            self._write_page(on=False)
-            keep_seconds(_SECONDS, self._scene, self._run.took)
-            self._scene = ""  # a handler is closed by Snakemake, and again when Python ends
+        """Snakemake closes a handler, and Python does again when it ends."""
+        if not self._ends.is_set() and not self.common_settings.dryrun:
+            self._ends.set()
+            os.environ.pop(RUN, None)
+            if self._bar is not None:
+                self._bar.join()
+            ran = self._scene and self._run.total
+            if ran:
+                self._write_page(on=False)
+                keep_seconds(_SECONDS, self._scene, self._run.took)
+            scene = self._scene if ran else os.environ.get("STUDIORECON_SCENE", "") if self._idle else ""
+            if scene and (last := ending(scene, set(self._run.done) if ran else None)):
+                self._print(last)
+            elif self._bar is not None:
+                print(CLEAR_LINE, end="", file=sys.stderr, flush=True)
         super().close()

@@ -8,6 +8,8 @@ come is DEBUG and only in the step's log file.
 from __future__ import annotations
 
 import logging
+import os
+import shutil
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sized
@@ -20,14 +22,34 @@ T = TypeVar("T")
 WARNING = "warning: "
 """How a line of a log begins that ``warn`` wrote."""
 LOGGER = logging.getLogger("studiorecon")
+RUN = "STUDIORECON_RUN"
+"""Set in the environment of a run's steps: ``bar`` where the run draws its bar on this terminal, ``lines`` elsewhere.
+The run lists the warnings at its end, so that its steps do not show them."""
+CLEAR_LINE = "\r\x1b[K"
+"""What a terminal takes as: begin this line again, empty."""
 _LOG_EVERY_S = 10.0
 
 
 class _Shown(logging.Handler):
-    """Standard output as it is when something is said, whoever has replaced it meanwhile."""
+    """Standard output as it is when something is said, whoever has replaced it meanwhile.
+
+    Beside a run's bar every sentence is one line of the terminal, put in the bar's place; the log has it whole.
+    """
 
     def emit(self, record: logging.LogRecord) -> None:
-        print(self.format(record), flush=True)
+        beside = os.environ.get(RUN, "")
+        if beside and str(record.msg).startswith(WARNING):
+            return
+        text = self.format(record)
+        if beside == "bar" and sys.stdout.isatty():
+            text = f"{CLEAR_LINE}{shortened(text, shutil.get_terminal_size().columns - 1)}"
+        print(text, flush=True)
+
+
+def shortened(text: str, columns: int) -> str:
+    """The text on one line of so many columns, cut at its end."""
+    line = " ".join(text.split())
+    return line if len(line) <= columns else f"{line[: columns - 1]}…"
 
 
 def _shown(step: str) -> logging.Handler:
@@ -77,15 +99,17 @@ def warn(sentence: str) -> None:
 
 def fail(text: str) -> None:
     """Print why a step ends without a result where errors go, and write it to its log."""
-    print(text, file=sys.stderr, flush=True)
+    beside_bar = os.environ.get(RUN) == "bar" and sys.stderr.isatty()
+    print(f"{CLEAR_LINE if beside_bar else ''}{text}", file=sys.stderr, flush=True)
     LOGGER.debug(text)
 
 
 def progress(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
-    """The items, one by one, with a bar on a terminal and a plain line in the log every ten seconds."""
+    """The items, one by one, with a bar on a terminal that has no run's bar, and a plain line in the log every ten
+    seconds."""
     if total is None and isinstance(items, Sized):
         total = len(items)
-    if sys.stderr.isatty():
+    if sys.stderr.isatty() and RUN not in os.environ:
         # Takes half as long to import as numpy, at the start of every step.
         from tqdm import tqdm
 

@@ -338,9 +338,10 @@ def run(
     result["notes"] = json.loads(notes)
     write_json(report, result)
     write_text(doctor, page(scene, result, pictured))
-    for sentence in [*told["sentences"], *result["notes"]]:
+    # The clocks' sentences stand in their own step's words.
+    for sentence in result["notes"]:
         say(sentence)
-    say(f"verdict: {result['verdict']}")
+    say(f"VERDICT: {result['verdict']}")
     for sentence in [*result["advice"], *filter(None, [agreeing(result)])]:
         say(sentence)
     say(f"the page is {doctor}")

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import webbrowser
 from collections.abc import Iterator, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one word; the exit status is Snakemake's, or 1 with a sentence where there is nothing to run."""
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if "--" in given else len(given)
-    options = _parser().parse_args(given[:cut])
+    parser = _parser()
+    options = parser.parse_args(given[:cut])
+    if options.word is None:
+        parser.print_help()
+        return 0
     options.rest = given[cut + 1 :]
     try:
         return options.word(options)
@@ -52,7 +57,9 @@ def _parser() -> argparse.ArgumentParser:
         epilog="What stands behind -- goes to Snakemake: studiorecon run DIR -- "
         "--dry-run --config capture='{width: 960}'",
     )
-    words = parser.add_subparsers(metavar="WORD", required=True)
+    parser.set_defaults(word=None)
+    parser.add_argument("--version", action="version", version=f"studiorecon {_version()}")
+    words = parser.add_subparsers(metavar="WORD")
 
     def word(name: str, does: Any, told: str, runs: bool = True) -> argparse.ArgumentParser:
         made = words.add_parser(
@@ -120,8 +127,15 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _version() -> str:
+    try:
+        return version("studiorecon")
+    except PackageNotFoundError:  # its folder is on the path, and nothing was installed
+        return "not installed"
+
+
 def _demo(options: argparse.Namespace) -> int:
-    return _snakemake("", _DEMO, options, "report/index.html")
+    return _snakemake("", _DEMO, options)
 
 
 def _doctor(options: argparse.Namespace) -> int:
@@ -129,7 +143,7 @@ def _doctor(options: argparse.Namespace) -> int:
     if options.folder.is_dir():
         for sentence in first_findings(options.folder):
             print(sentence, flush=True)
-    return _snakemake("doctor", capture, options, "calibration/doctor.html")
+    return _snakemake("doctor", capture, options)
 
 
 def first_findings(folder: Path) -> Iterator[str]:
@@ -169,16 +183,16 @@ def first_findings(folder: Path) -> Iterator[str]:
 
 def _look(options: argparse.Namespace) -> int:
     options.preset = "look"
-    return _snakemake("look", _capture(options.folder), options, "enhance/orbit.mp4")
+    return _snakemake("look", _capture(options.folder), options)
 
 
 def _run(options: argparse.Namespace) -> int:
-    return _snakemake("", _capture(options.folder), options, "report/index.html")
+    return _snakemake("", _capture(options.folder), options)
 
 
 def _plan(options: argparse.Namespace) -> int:
     if options.folder is not None:
-        return _snakemake("plan", _capture(options.folder), options, "placement/advice.svg")
+        return _snakemake("plan", _capture(options.folder), options)
     if options.room is None:
         raise UserError(
             "give the room, studiorecon plan --room 6x5x2.8 --cameras 4 --hfov 65, or the folder of a capture"
@@ -268,7 +282,7 @@ def _taken(words: Sequence[str], names: Sequence[str]) -> tuple[list[str], list[
     return values, others
 
 
-def _snakemake(target: str, dataset: str, options: argparse.Namespace, page: str) -> int:
+def _snakemake(target: str, dataset: str, options: argparse.Namespace) -> int:
     if importlib.util.find_spec("snakemake") is None:
         raise UserError("Snakemake, which runs the steps, is not installed here: pip install 'studiorecon[run]'")
     budget = getattr(options, "budget", None)
@@ -284,18 +298,7 @@ def _snakemake(target: str, dataset: str, options: argparse.Namespace, page: str
             except KeyboardInterrupt:
                 # Snakemake was told as well, and ends its jobs in order.
                 continue
-    made = Path("results") / _scene(dataset, options.rest) / page
-    if status == 0 and made.is_file():
-        print(
-            f"{made} is "
-            f"there{f'; studiorecon view {options.folder}' if hasattr(options, 'folder') and not target else ''}"
-        )
     return status
-
-
-def _scene(dataset: str, rest: Sequence[str]) -> str:
-    named = [word.partition("=")[2] for word in rest if word.startswith("scene=")]
-    return (named or [Path(dataset).stem if dataset.endswith((".yaml", ".yml")) else Path(dataset).resolve().name])[-1]
 
 
 def finished_scene(folder: str) -> Path:

@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 
+from studiorecon.progress import shortened
+
 KEPT = 12
 """Jobs of one rule and scene whose seconds are remembered."""
 _ENOUGH = 0.9  # share of the jobs left that must have a guess for a plain answer
@@ -106,12 +108,20 @@ class Run:
         return guess if guess is None or self.took.get(rule) else guess * self.pace()
 
     def left_in_words(self, now_s: float) -> str:
-        """What is left, as a person would say it; with its doubt where rules never ran here."""
+        """What is left, as a person would say it; at least so much where rules never ran here."""
         seconds, share = self.remaining(now_s)
         if not share:
-            return "nothing like it ran here before: no telling how long"
+            return "time left not known yet"
         plain = f"{round(seconds / 60)} min" if seconds >= 90 else f"{max(round(seconds / 10) * 10, 10)} s"
-        return f"about {plain} left" if share >= _ENOUGH else f"at least {plain} left: some of it never ran here"
+        return f"{'about' if share >= _ENOUGH else 'at least'} {plain} left"
+
+    def bar(self, now_s: float, columns: int) -> str:
+        """One line of a terminal: how far the run is, what is left, and what runs."""
+        done, width = sum(self.done.values()), 20 if columns >= 100 else 10
+        full = width * done // max(self.total, 1)
+        names = ", ".join(f"{job.rule.replace('_', '.', 1)} {job.of}".strip() for job in self.running.values())
+        said = f"{self.left_in_words(now_s)}; {names}" if names else "starting"
+        return shortened(f"{done}/{self.total} {'█' * full}{'░' * (width - full)} {said}", columns)
 
 
 def read_seconds(path: Path, scene: str) -> dict[str, list[float]]:

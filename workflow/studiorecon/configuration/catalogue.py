@@ -76,7 +76,7 @@ def told(settings: list[Setting], columns: int) -> str:
     lines = []
     for setting in settings:
         choices = f"One of {', '.join(setting.choices)}." if setting.choices else ""
-        words = " ".join(filter(None, (setting.meaning, choices)))
+        words = setting.meaning if choices in setting.meaning else f"{setting.meaning} {choices}".strip()
         lines.append(setting.name if setting.default is None else f"{setting.name} = {setting.default}")
         lines += textwrap.wrap(words, columns, initial_indent="    ", subsequent_indent="    ")
     return "\n".join(lines)

@@ -69,6 +69,6 @@ def run(
     looked = f"{with_what} at {footage.wh[0]}×{footage.wh[1]}, {frames} frames at {footage.fps:g} per second"
     write_raw_detections(found, RawDetections.of(camera, LAYOUT, LANDMARKS, rows, (start, frames), looked))
     if rows:
-        say(f"camera {camera}: {len(rows)} people in {len({row[0] for row in rows})} of {frames} frames ({looked})")
+        say(f"camera {camera}: {len(rows)} detections in {len({row[0] for row in rows})} of {frames} frames ({looked})")
     else:
         warn(f"camera {camera}: nobody was found in any of its {frames} frames ({looked})")

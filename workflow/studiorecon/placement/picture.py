@@ -11,12 +11,15 @@ import numpy as np
 
 from studiorecon.placement.figures import Figures, Judge
 from studiorecon.placement.placing import Move
-from studiorecon.placement.room import HEAD_M, HIPS_M, WIDTH_M
+from studiorecon.placement.room import HEAD_M, HIPS_M, WIDTH_M, Room
 from studiorecon.scene.camera import Camera
 
 _MAP_PX, _GAP_PX, _TOP_PX, _LINE_PX = 430, 50, 92, 19
+_CHARACTER_PX = 7  # of a letter, in the mean
 _CELLS = 44
 _CONE_M = 1.1
+# Where a camera looks in the picture, from right (0°) counter-clockwise in steps of 45 degrees.
+_WAYS = ("right", "far right", "to the far wall", "far left", "left", "near left", "to the near wall", "near right")
 # Number of cameras that see a place at head height, 0 … 4 or more; two is the least that tells depth, three the least
 # that can be checked.
 _COUNTS = (("none", "#b9452f"), ("1", "#dd9a57"), ("2", "#efe0a0"), ("3", "#a3cfa0"), ("4 or more", "#4f9a78"))
@@ -33,11 +36,11 @@ def drawn(title: str, cameras: Sequence[Camera], judge: Judge, figures: Figures,
     lines = [
         *lines_of(figures),
         "",
-        *(_placed(camera, judge) for camera in cameras),
+        *(stands(camera, room) for camera in cameras),
         "",
         *(advised(move) for move in moves),
     ]
-    total_w, total_h = 2 * _MAP_PX + 3 * _GAP_PX, _TOP_PX + high + 70 + _LINE_PX * (len(lines) + 1)
+    total_w, total_h = 2 * _MAP_PX + 3 * _GAP_PX, _TOP_PX + high + 100 + _LINE_PX * (len(lines) + 1)
     counts, errors = _maps(cameras, judge)
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {total_w:.0f} {total_h:.0f}" '
@@ -59,8 +62,8 @@ def drawn(title: str, cameras: Sequence[Camera], judge: Judge, figures: Figures,
         ]
         parts += _cells(cells, scale * width, high)
         parts += _plan(cameras, judge, scale, high, moves)
-        parts += ["</g>", *_legend(left, _TOP_PX + high + 24, legend)]
-    parts += [_text(_GAP_PX, _TOP_PX + high + 70 + _LINE_PX * k, line, "") for k, line in enumerate(lines)]
+        parts += [*_axes(room, scale, high), "</g>", *_legend(left, _TOP_PX + high + 58, legend)]
+    parts += [_text(_GAP_PX, _TOP_PX + high + 100 + _LINE_PX * k, line, "") for k, line in enumerate(lines)]
     return "\n".join([*parts, "</svg>", ""])
 
 
@@ -100,16 +103,15 @@ def advised(move: Move) -> str:
     return f"{move.words[0].upper()}{move.words[1:]}: {100 * move.gain:.0f} % better, the others staying"
 
 
-def _placed(camera: Camera, judge: Judge) -> str:
-    x, y, z = camera.centre_m - np.array(judge.room.low_m)
-    heading, tilt = (
-        np.degrees(np.arctan2(camera.forward[1], camera.forward[0])),
-        np.degrees(np.arcsin(np.clip(camera.forward[2], -1, 1))),
-    )
-    way = f"{abs(tilt):.0f}° {'down' if tilt < 0 else 'up'}"
+def stands(camera: Camera, room: Room) -> str:
+    """Where a camera stands and looks, in words and metres; left, right, near and far as in the picture."""
+    x, y, z = camera.centre_m - np.array(room.low_m)
+    heading = np.degrees(np.arctan2(camera.forward[1], camera.forward[0])) % 360
+    tilt = np.degrees(np.arcsin(np.clip(camera.forward[2], -1, 1)))
+    way = _WAYS[round(heading / 45) % 8]
     return (
-        f"{camera.name}: {x:.2f} m along, {y:.2f} m across, {z:.2f} m high; facing "
-        f"{heading % 360:.0f}° (0° is along), {way}"
+        f"{camera.name}: {x:.2f} m from the left wall, {y:.2f} m from the near one, {z:.2f} m high; looks {way} "
+        f"({heading:.0f}°), {abs(tilt):.0f}° {'down' if tilt < 0 else 'up'}"
     )
 
 
@@ -184,15 +186,32 @@ def _plan(cameras: Sequence[Camera], judge: Judge, scale: float, high: float, mo
     return parts
 
 
-def _legend(left: float, top: float, entries: Sequence[tuple[str, str]]) -> list[str]:
+def _axes(room: Room, scale: float, high: float) -> list[str]:
+    """Marks every metre along the left and the near wall, from their corner, and what the axes are."""
+    width, depth = room.size_m[:2]
     parts = []
-    for k, (words, colour) in enumerate(entries):
-        x = left + k * 72
+    for k in range(int(width) + 1):
+        parts.append(f'<line x1="{k * scale:.1f}" x2="{k * scale:.1f}" y1="{high}" y2="{high + 5}" stroke="#2b2b2b"/>')
+        parts.append(_text(k * scale, high + 18, str(k), "text-anchor='middle' font-size='11'"))
+    for k in range(int(depth) + 1):
+        y = high - k * scale
+        parts.append(f'<line x1="-5" x2="0" y1="{y:.1f}" y2="{y:.1f}" stroke="#2b2b2b"/>')
+        parts.append(_text(-9, y + 4, str(k), "text-anchor='end' font-size='11'"))
+    along = "metres from the left wall (near wall below)"
+    parts.append(_text(width * scale / 2, high + 33, along, "text-anchor='middle' font-size='11'"))
+    turned = f"text-anchor='middle' font-size='11' transform='rotate(-90 -30 {high / 2:.1f})'"
+    return [*parts, _text(-30, high / 2, "metres from the near wall", turned)]
+
+
+def _legend(left: float, top: float, entries: Sequence[tuple[str, str]]) -> list[str]:
+    parts, x = [], left
+    for words, colour in entries:
         parts.append(
             f'<rect x="{x:.1f}" y="{top - 11:.1f}" width="13" height="13" fill="{colour}" '
             'stroke="#2b2b2b" stroke-width="0.5"/>'
         )
         parts.append(_text(x + 18, top, words, ""))
+        x += 18 + _CHARACTER_PX * len(words) + 14
     return parts
 
 

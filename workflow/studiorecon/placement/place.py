@@ -10,7 +10,7 @@ from pathlib import Path
 
 from studiorecon.errors import UserError
 from studiorecon.placement.figures import Judge
-from studiorecon.placement.picture import drawn, lines_of
+from studiorecon.placement.picture import drawn, lines_of, stands
 from studiorecon.placement.placing import lens, placed
 from studiorecon.placement.room import read_room
 from studiorecon.progress import say
@@ -57,5 +57,6 @@ def run(room: str, cameras: int, hfov_deg: list[float], resolution: str, picture
             "figures": dataclasses.asdict(figures),
         },
     )
-    for line in (title, *lines_of(figures)):
+    for line in (title, *(stands(camera, box) for camera in found), *lines_of(figures)):
         say(line)
+    say(f"the picture is {picture}")

@@ -21,6 +21,7 @@ from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import read_frame
 from studiorecon.machine.kernel_cache import compiled_since
 from studiorecon.pages import html
+from studiorecon.pages.ending import read_warnings
 from studiorecon.progress import say, warn
 from studiorecon.report.sections import appendix, comparison_slider, timeline, verdicts
 from studiorecon.report.sections import licences as terms
@@ -244,7 +245,7 @@ def run(
     body.append(sections.settings(configuration))
     body.append(terms.licences(json.loads(configuration), licences))
     of_films = appendix.film_warnings(ledgers, settings.min_measured, settings.max_angle_deg)
-    before = appendix.read_warnings(logs)
+    before = read_warnings(logs)
     body.append(appendix.warnings([*before, *of_films]))
     body.append(appendix.versions(measured["provenance"], spent["machine"]))
     body.append(
@@ -252,8 +253,5 @@ def run(
     )
     write_text(page, html.page(f"{scene}: 4D scene", body, comparison_slider.STYLE))
     say(f"the page is {page.stat().st_size / 1e6:.1f} MB and needs no network: {page}")
-    # The last lines of a run: what a user should know who reads no other.
     for _, sentence in of_films:
         warn(sentence)
-    for step, sentence in before:
-        say(f"{step} warned: {sentence}")

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.pages import html
-from studiorecon.progress import WARNING
 from studiorecon.scene.files import read_table
 
 # What a reader may want to open, below results/<scene>/, and what it holds.
@@ -26,18 +25,6 @@ _FILES = {
     "deliver/player.html": "the scene to move through, in space and time",
     "deliver/scene.glb": "room, people and cameras as one glTF, for three.js, PlayCanvas and Blender",
 }
-
-
-def read_warnings(logs: Path) -> list[tuple[str, str]]:
-    """(step, sentence) of every warning in the logs of a scene's latest jobs; each sentence once, in the order of the
-    files' names."""
-    found: dict[tuple[str, str], None] = {}
-    for log in sorted(logs.rglob("*.log")):
-        step = ".".join(log.relative_to(logs).with_suffix("").parts)
-        for line in log.read_text(encoding="utf-8", errors="replace").splitlines():
-            if line.startswith(WARNING):
-                found[step, line.removeprefix(WARNING)] = None
-    return list(found)
 
 
 def film_warnings(ledgers: Sequence[Path], min_measured: float, max_angle_deg: float) -> list[tuple[str, str]]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +11,7 @@ import numpy as np
 
 from studiorecon.images.encoded import write_png
 from studiorecon.images.metrics import psnr
-from studiorecon.progress import say
+from studiorecon.progress import LOGGER, say
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Num
@@ -30,8 +29,6 @@ class Feedback:
         self.psnrs_db: list[float] = []
         self._label, self._first, self._last, self._previews = label, first, last, previews
         self._tenth = max(1, (last - first) // 10)
-        self._told = time.perf_counter()
-        self._told_at = 0
 
     def record(self) -> dict[str, Float[np.ndarray, " I"]]:
         """What has been added so far, for a checkpoint."""
@@ -40,7 +37,6 @@ class Feedback:
     def resume(self, record: Mapping[str, Float[np.ndarray, " I"]]) -> None:
         """Takes up the ``record`` of an interrupted run."""
         self.losses, self.psnrs_db = record["losses"].tolist(), record["psnrs_db"].tolist()
-        self._told_at = len(self.losses)
 
     def add(self, loss: float, psnr_db: float) -> bool:
         """Records one iteration; True when a tenth is done and ``tell`` is due."""
@@ -67,18 +63,15 @@ class Feedback:
         PSNR is over the pixels ``used`` (H, W) of ``view``, which is a training view: it says that training works, not
         how well unseen views come out.
         """
-        done, now = len(self.losses), time.perf_counter()
-        pace = (done - self._told_at) / max(now - self._told, 1e-9)
-        left_s = (self._last - self._first - done) / max(pace, 1e-9)
+        done = len(self.losses)
         score = psnr(shown, wanted, used)
         on_view = "too few pixels to score" if score is None else f"{score:.2f} dB"
-        say(
-            f"{self._label}: {self._first + done} of {self._last}, {pace:.0f} it/s, loss "
-            f"{np.mean(self.losses[-self._tenth :]):.4f},"
-            f" PSNR {self.last_psnr_db:.2f} dB on what was drawn, {on_view} on training view "
-            f"{view}, {count} Gaussians, {left_s:.0f} s left"
+        told = (
+            f"{self._label}: {self._first + done} of {self._last}, loss {np.mean(self.losses[-self._tenth :]):.4f}, "
+            f"PSNR {self.last_psnr_db:.2f} dB on what was drawn, {on_view} on training view {view}, {count} Gaussians"
         )
-        self._told, self._told_at = now, done
+        # Every tenth is in the log; shown is how it ended.
+        (say if self._first + done == self._last else LOGGER.debug)(told)
         if self._previews is not None:
             percent = round(100 * done / (self._last - self._first))
             # Loaded here: it brings the decoders of films, which take longer to import than a small training to start.
