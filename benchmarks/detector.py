@@ -179,7 +179,6 @@ def single(detector: str, folder: Path) -> dict[str, Any]:
             "capture_yaml": str(described),
             "scene": name,
             "detect": looked,
-            "people": '{"hull": {"use": "never"}}',
             "clocks": '{"sync": "never"}',
         }
         workflow(folder, [f"results/{name}/people/p0.npz"], **given)

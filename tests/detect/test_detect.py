@@ -161,7 +161,7 @@ def walk(frames: int, *walkers: tuple[int, int, float]) -> list[np.ndarray]:
 def test_people_are_followed_forwards_and_back_through_all_pictures() -> None:
     pictures = walk(40, (0, 39, 4.0), (7, 33, -1.0))
     network = MadeNetwork()
-    seen = list(people_in(pictures, network, None, fps=30.0))  # type: ignore[arg-type]
+    seen = list(people_in(pictures, network, [], fps=30.0))  # type: ignore[arg-type]
     assert [len(s) for s in seen] == [1 + (7 <= t <= 33) for t in range(40)]
     # Looked for twice a second only, and one look per person and picture beside.
     assert network.windows <= 4 * len(grid((400, 200)))
@@ -170,8 +170,8 @@ def test_people_are_followed_forwards_and_back_through_all_pictures() -> None:
 
 def test_how_often_is_looked_follows_the_clock_and_not_the_frame_count() -> None:
     slow, fast = MadeNetwork(), MadeNetwork()
-    assert all(len(s) == 1 for s in people_in(walk(20, (0, 19, 12.0)), slow, None, fps=10.0))  # type: ignore[arg-type]
-    assert all(len(s) == 1 for s in people_in(walk(120, (0, 119, 2.0)), fast, None, fps=60.0))  # type: ignore[arg-type]
+    assert all(len(s) == 1 for s in people_in(walk(20, (0, 19, 12.0)), slow, [], fps=10.0))  # type: ignore[arg-type]
+    assert all(len(s) == 1 for s in people_in(walk(120, (0, 119, 2.0)), fast, [], fps=60.0))  # type: ignore[arg-type]
     assert fast.windows <= slow.windows
 
 

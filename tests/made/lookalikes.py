@@ -111,7 +111,7 @@ def looked_at(
                 one.mask,
                 one.region.crop_from_picture(MASK_PX),
             )
-            for t, seen in enumerate(people_in(pictures, network, background, FPS))
+            for t, seen in enumerate(people_in(pictures, network, [background], FPS))
             for one in seen
         ]
         raw = RawDetections.of(camera.name, LAYOUT, LANDMARKS, rows, (0, about.frames), "made")

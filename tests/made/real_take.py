@@ -14,7 +14,7 @@ from studiorecon.capture import frames, manifest
 from studiorecon.clocks.timeline import clock_of, common_moments, timeline_of
 from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.source import open_source
-from studiorecon.people import associate, fit, without_keypoints
+from studiorecon.people import associate, fit
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.plates import clean as plate
 from studiorecon.scene.clocks import write_clocks
@@ -38,7 +38,7 @@ def front_end(
 def front_end_of(
     data: Dataset, root: Path, out: Path, default_settings: Callable[..., dict[str, Any]]
 ) -> tuple[list[str], dict[tuple[str, int], str], dict[str, Any]]:
-    """People, identities and the refinement's report of a dataset with plates for all cameras, keypoints or none; files
+    """People, identities and the refinement's report of a dataset with plates and keypoints for all cameras; files
     in ``out``."""
 
     def load(module: Any, **changed: Any) -> Any:
@@ -69,12 +69,8 @@ def front_end_of(
         load(refine), lenses, out / "manifest.json", found, videos, plates, model, out / "heldout/images.txt", *reports
     )
     scene, body = (model, out / "manifest.json"), root / "resources" / "body.npz"
-    outputs = [out / "with_keypoints.tsv", out / "identities.tsv", out / "association.json", out / "who"]
+    outputs = [out / "people.tsv", out / "identities.tsv", out / "association.json", out / "who"]
     associate.run(load(associate), *scene, found, videos, [], *outputs)
-    fits = []
-    for person in read_people(out / "with_keypoints.tsv"):
-        fits.append(out / f"{person}.npz")
-        fit.run(load(fit), person, *scene, found, [out / f"who/{person}.tsv"], [], [], body, fits[-1])
-    tables = out / "with_keypoints.tsv", fits, videos, plates, body, out / "people.tsv", out / "silhouettes"
-    without_keypoints.run(load(without_keypoints), *scene, *tables)
+    for person in read_people(out / "people.tsv"):
+        fit.run(load(fit), person, *scene, found, [out / f"who/{person}.tsv"], [], body, out / f"{person}.npz")
     return read_people(out / "people.tsv"), read_identities(out / "identities.tsv"), read_json(out / "refinement.json")

@@ -20,18 +20,15 @@ from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.keypoints.tracking import TrackingLimits, tracks, without_duplicates
 from studiorecon.people import associate
 from studiorecon.people.association import picture_change
-from studiorecon.people.silhouettes.silhouette_people import read_standing
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, Manifest, write_footage, write_manifest
 from studiorecon.scene.files import write_json
 from studiorecon.scene.people import (
-    add_people,
     read_detections,
     read_identities,
     read_people,
     write_detections,
     write_identities,
-    write_people,
 )
 from studiorecon.tracks import keypoints as detections
 
@@ -355,14 +352,6 @@ def test_nobody_is_an_empty_table(tmp_path, people_settings):
     assert (tmp_path / "who").is_dir(), "Snakemake waits for the folder"
 
 
-def test_no_keypoints_are_nobody_and_say_so(tmp_path, people_settings, capsys):
-    people, identities = run_association(tmp_path, ring(), [], people_settings(associate.Settings))
-    assert (people, identities) == ([], {})
-    told = capsys.readouterr().out
-    assert "no camera has keypoints: people are looked for in the visual hull alone" in told
-    assert "warning" not in told, "plates may still show somebody"
-
-
 def test_keypoint_files_without_anybody_say_so(tmp_path, people_settings, capsys):
     run_association(
         tmp_path, ring(), detect(ring(), [], 1.0, np.random.default_rng(0)), people_settings(associate.Settings)
@@ -383,19 +372,6 @@ def test_people_in_two_frames_only_are_nobody_and_it_is_said(tmp_path, people_se
     told = capsys.readouterr().out
     assert "warning: nobody of this scene was found: 16 detections" in told
     assert "bring a longer clip" in told
-
-
-def test_people_without_keypoints_stand_below_those_with_and_above_the_rejected(tmp_path):
-    first, everybody = tmp_path / "with_keypoints.tsv", tmp_path / "people.tsv"
-    rows = [("p0", 40, "a,b", 0.87, "keypoints"), ("p1", 40, "a,b", float("nan"), "keypoints")]
-    ghost = ("x0", 3, "a", 0.25, "keypoints", "rejected", "no depth")
-    write_people(first, rows, [ghost])
-    add_people(first, everybody, [])
-    assert everybody.read_bytes() == first.read_bytes()
-    add_people(first, everybody, [("p2", 30, "a,b,c", 0.75, "hull")])
-    write_people(first, [*rows, ("p2", 30, "a,b,c", 0.75, "hull")], [ghost])
-    assert everybody.read_bytes() == first.read_bytes()
-    assert read_people(everybody) == ["p0", "p1", "p2"]
 
 
 def test_the_same_inputs_give_the_same_bytes_and_people_are_numbered_by_appearance(
@@ -486,20 +462,12 @@ def test_somebody_who_stands_among_walkers_is_a_person_however_keypoints_wander(
 @pytest.mark.real
 @pytest.mark.slow
 def test_the_right_people_come_out_of_the_real_takes(real_data, tmp_path, people_settings, default_settings, root):
-    """pose2sim_balancing: one man; in ``multi`` also a woman without keypoints, but neither the bystander nor the
-    ghost's keypoints."""
+    """pose2sim_balancing: one man; in ``multi`` neither the bystander nor the ghost's keypoints."""
     from tests.made.real_take import front_end
 
     people, _, report = front_end(real_data, root, tmp_path, "single", default_settings)
     assert people == ["p0"]
     assert report["after_px"] < 0.9 * report["before_px"]
     people, identities, _ = front_end(real_data, root, tmp_path, "multi", default_settings)
-    assert people == ["p0", "p1"]
+    assert people == ["p0"]
     assert sum(person == "" for person in identities.values()) >= 6  # the ghost in four cameras, the bystander in two
-    woman = read_standing(tmp_path / "multi" / "silhouettes" / "p1.npz")[0]
-    assert woman.name == "p1"
-    assert len(woman.frames) == 100
-    assert woman.start.agreement > 0.7
-    np.testing.assert_allclose(woman.start.state.trans[0, :2], [0.2, -0.4], atol=0.15)
-    # She faces the man, along -x of this world; a silhouette hardly tells that from +x.
-    assert (woman.start.state.local[0, 0] @ [0, 0, 1])[0] < -0.7

@@ -281,7 +281,6 @@ def test_run_writes_the_same_bytes_twice(
             manifest=tmp_path / "manifest.json",
             detections=paths,
             identities=[tmp_path / "identities.tsv"],
-            silhouettes=[],
             readouts=[],
             body=root / "resources/body.npz",
             fit=out,

@@ -7,14 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from studiorecon.body.fitting.basis import State
 from studiorecon.detector.blazepose import LAYOUT
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people.expected import agreement, exchanged, planned
 from studiorecon.people.guessed import across, guessed, laid, turned_round
-from studiorecon.people.silhouettes.facing import Witness, across_of, compare, left_of
-from studiorecon.people.silhouettes.foreground import BACKGROUND, FOREGROUND
-from studiorecon.people.silhouettes.upright import upright
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -114,30 +110,3 @@ def test_without_a_guess_nothing_is_known() -> None:
     assert not turned_round(pair[0], cameras[0], ["p0"] * FRAMES, FPS).any()
     apart = [seen(cameras[0], range(10)), seen(cameras[1], range(10, FRAMES))]
     assert np.isnan(guessed("p0", 0, cameras, apart, who, FRAMES).pixels).all(), "nothing tells the person's size"
-
-
-def facing_state(turn_rad: float) -> State:
-    """The relaxed body at the origin, facing x turned."""
-    return upright(np.zeros(2), 0.0, 1.7, turn_rad, 0.0)
-
-
-def test_the_guess_tells_front_from_back_where_a_silhouette_cannot() -> None:
-    """Somebody stands before plates, no second camera's detector saw them; outlines of both facings agree alike."""
-    camera = ring()[0]
-    found = seen(camera, range(FRAMES))
-    label = np.full(camera.hw, BACKGROUND, np.uint8)
-    columns, rows = np.floor(found.keypoints[0, :, :2]).astype(int).T
-    label[rows.min() : rows.max(), columns.min() : columns.max()] = FOREGROUND
-    shown = {t: [label] for t in range(0, FRAMES, 2)}
-    sides = across_of(shown, [camera], [found], [camera.wh])
-    assert sorted(sides) == list(range(0, FRAMES, 2))
-    front, back = (
-        Witness(0.8, 0.5, 0.0, float(np.mean([sides[t] @ left_of(facing_state(0.02 * t + turn)) for t in sides])))
-        for turn in (0.0, np.pi)
-    )
-    facing = compare(front, back)
-    assert facing.probability > 0.97
-    assert "the detector's guess is" in facing.sentence()
-    assert compare(Witness(0.8, 0.5, 0.0), Witness(0.8, 0.5, 0.0)).probability == 0.5
-    elsewhere = {t: [np.full(camera.hw, BACKGROUND, np.uint8)] for t in shown}
-    assert across_of(elsewhere, [camera], [found], [camera.wh]) == {}

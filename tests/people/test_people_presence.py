@@ -9,14 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from studiorecon.body.model import BodyModel
 from studiorecon.geometry import rotations
 from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
 from studiorecon.people.fitting.presence import STAYS_S, UNSEEN_S, filled, presence, runs
-from studiorecon.people.silhouettes.hull import HullTrack
-from studiorecon.people.silhouettes.silhouette_people import apart_m
-
-from tests.made.masks import standing
 
 RATES = (10.0, 30.0, 60.0)
 LENGTH_S = 20.0
@@ -113,16 +108,6 @@ def test_who_leaves_stands_still_and_is_led_back_while_away() -> None:
     assert not there[36:66].any()
     assert (np.diff(trans_m[35:67, 0]) > 0).all(), "a camera that follows comes along"
     np.testing.assert_allclose(np.diff(trans_m[35:67, 0]), np.diff(trans_m[35:67, 0]).mean())
-
-
-def test_somebody_without_keypoints_may_stand_where_somebody_stood_who_is_away(root) -> None:
-    body = BodyModel.load(root / "resources/body.npz")
-    person = standing("p0", body.identity, np.zeros((9, 2)))
-    track = HullTrack(np.arange(9), np.full((9, 2), 0.1), np.ones(3, bool))
-    assert np.median(apart_m(person, track)) < 0.2
-    left = type(person)(**{**vars(person), "present": np.arange(9) < 3})
-    assert apart_m(left, track)[:3] == pytest.approx(apart_m(person, track)[:3])
-    assert np.isinf(np.median(apart_m(left, track)))
 
 
 def test_short_gaps_are_filled_to_the_bit_as_if_nobody_could_be_away() -> None:

@@ -26,7 +26,6 @@ def test_a_capture_with_everything_needs_no_detector_and_no_network(configured, 
     assert (plan.scene, plan.studio, plan.description) == ("capture", "", "")
     assert plan.cameras == plan.training == plan.sight.watched == plan.sight.timed == CAMERAS
     assert not plan.sight.detected
-    assert not plan.sight.plated
     assert not plan.held_out
     assert not plan.from_people
     assert [Path(f).name for f in plan.calibration] == ["intri.yml", "extri.yml"]
@@ -85,23 +84,13 @@ def test_without_a_calibration_cameras_are_found_from_people(configured, capture
         make_plan(configured(detect={"source": "keypoints"}), home)
 
 
-def test_too_few_clean_plates_show_nobody(configured, capture, home):
-    plates(capture, CAMERAS)
-    assert make_plan(configured(), home).sight.plated == CAMERAS
-    never = {"hull": configured()["people"]["hull"] | {"use": "never"}}
-    assert make_plan(configured(people=never), home).sight.plated == []
-    (capture / "plates" / f"{CAMERAS[0]}.png").unlink()
-    assert make_plan(configured(), home).sight.plated == []
-
-
-def test_clean_plates_alone_are_enough(configured, capture, home):
+def test_clean_plates_alone_show_nobody(configured, capture, home):
     for camera in CAMERAS:
         (capture / "keypoints" / camera).rmdir()
-    blind = configured(detect={"source": "keypoints"})
-    with pytest.raises(UserError, match=r"no 2D keypoints .* of 3 training cameras .* there are 0"):
-        make_plan(blind, home)
     plates(capture, CAMERAS)
-    assert not make_plan(blind, home).sight.somebody
+    with pytest.raises(UserError, match=r"no 2D keypoints .* set it to auto"):
+        make_plan(configured(detect={"source": "keypoints"}), home)
+    assert make_plan(configured(), home).sight.detected == CAMERAS
 
 
 @pytest.mark.parametrize(

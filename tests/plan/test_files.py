@@ -24,7 +24,7 @@ class Asked:
 
     def __init__(self, folder: Path, **finished: Any) -> None:
         self.asked: list[str] = []
-        for name in ("calibration_from_people", "people_associate", "people_without_keypoints", "survey_decide"):
+        for name in ("calibration_from_people", "people_associate", "survey_decide"):
             setattr(self, name, Wildcards(get=self._get(name, finished.get(name))))
 
     def _get(self, name: str, output: Any) -> Any:
@@ -40,10 +40,9 @@ class Asked:
 
 @pytest.fixture
 def found(tmp_path: Path) -> dict[str, Any]:
-    """Two with keypoints, one rejected; one more against the plates; views and exposures called for."""
+    """Two people, one rejected; views and exposures called for."""
     rows = [(name, 9, "left,right", 0.9, "keypoints") for name in ("p0", "p1")]
     write_people(tmp_path / "with.tsv", rows, [("x0", 1, "left", 0.1, "keypoints", "rejected", "no depth")])
-    write_people(tmp_path / "all.tsv", [*rows, ("p2", 9, "left,right", 0.8, "hull")])
     verdicts = {"exposure": "on", "moving_shadows": "on", "dynamic_objects": "undetermined"}
     parts = {name: {"value": 0.5, "verdict": verdict} for name, verdict in (("00", "on"), ("01", "off"), ("02", "on"))}
     decided = [{"effect": effect, "verdict": verdict} for effect, verdict in verdicts.items()]
@@ -54,7 +53,6 @@ def found(tmp_path: Path) -> dict[str, Any]:
     (tmp_path / "decisions.json").write_text(json.dumps({"decisions": decided}))
     return {
         "people_associate": {"people": str(tmp_path / "with.tsv"), "who": "who"},
-        "people_without_keypoints": {"people": str(tmp_path / "all.tsv"), "silhouettes": "silhouettes"},
         "survey_decide": {"decisions": str(tmp_path / "decisions.json")},
     }
 
@@ -123,30 +121,14 @@ def test_cameras_that_people_do_not_place_take_no_part(configured, capture, home
     assert len(fewer.segments(SCENE)) == len(fewer.plan.segments) - 1
 
 
-def test_without_plates_association_alone_says_who_is_there(configured, home, tmp_path, found):
+def test_association_says_who_is_there(configured, home, tmp_path, found):
     asked = Asked(tmp_path, people_associate=found["people_associate"])
     files = files_of(configured(), home, asked)
     assert files.fits(SCENE) == [f"results/capture/people/p{k}.npz" for k in (0, 1)], "the rejected is nobody"
     assert files.people(Wildcards()) == files.people(SCENE), "a target without wildcards is of the run's own scene"
     person = Wildcards(scene="capture", person="p1")
-    assert (files.tracks_of(person), files.silhouettes_of(person)) == (["who/p1.tsv"], [])
+    assert files.tracks_of(person) == ["who/p1.tsv"]
     assert set(asked.asked) == {"people_associate"}
-
-
-def test_who_has_no_keypoints_is_fitted_to_silhouettes_after_those_who_have(configured, capture, home, tmp_path, found):
-    (capture / "plates").mkdir()
-    for camera in ("left", "right", "back"):
-        (capture / "plates" / f"{camera}.png").touch()
-    first = files_of(configured(), home, Asked(tmp_path, people_associate=found["people_associate"]))
-    assert first.fits_with_keypoints(SCENE) == [f"results/capture/people/p{k}.npz" for k in (0, 1)]
-    assert first.tracks_of(Wildcards(scene="capture", person="p0")) == ["who/p0.tsv"], "fitted before the plates speak"
-    assert first.silhouettes_of(Wildcards(scene="capture", person="p0")) == []
-    with pytest.raises(LookupError, match="people_without_keypoints"):
-        first.fits(SCENE)
-    both = files_of(configured(), home, Asked(tmp_path, **found))
-    assert both.people(SCENE) == ["p0", "p1", "p2"]
-    last = Wildcards(scene="capture", person="p2")
-    assert (both.tracks_of(last), both.silhouettes_of(last)) == ([], ["silhouettes/p2.npz"])
 
 
 def test_an_empty_room_asks_nobody(configured, capture, home, tmp_path):

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,20 +89,6 @@ def test_only_cameras_without_keypoint_files_are_looked_at(house: House, dataset
     (dataset / "hidden").rename(dataset / "keypoints/back")
     assert plan["detect_people"] == 1
     assert always["detect_people"] == 3
-
-
-def test_plates_alone_are_enough_to_look_for_people(house: House, dataset: Path) -> None:
-    (dataset / "keypoints").rename(dataset / "hidden")
-    (dataset / "plates").mkdir()
-    for camera in ("left", "right", "back"):
-        (dataset / "plates" / f"{camera}.png").touch()
-    films = [f"results/{dataset.name}/people/overlay/{c}.mp4" for c in ("left", "right", "back")]
-    plan = on(house, dataset).plan(*films, "--configfile", on(house, dataset).overlay(detect={"source": "keypoints"}))
-    shutil.rmtree(dataset / "plates")
-    (dataset / "hidden").rename(dataset / "keypoints")
-    assert plan["people_associate"] == plan["people_without_keypoints"] == 1
-    assert plan["people_overlay"] == 3
-    assert "tracks_keypoints" not in plan
 
 
 def test_without_a_calibration_the_cameras_are_found_from_the_people(house: House, dataset: Path) -> None:

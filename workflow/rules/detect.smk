@@ -29,6 +29,7 @@ if PLAN.sight.measured or not PLAN.sight.bodies:
         input:
             source=files.footage,
             clocks=branch(PLAN.sight.part_used, then="results/{scene}/clocks/clocks.json"),
+            plate=files.given_plate,
             networks=files.detector,
             second=files.second_network,
         output:

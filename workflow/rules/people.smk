@@ -2,7 +2,6 @@
 # The detector looks twice: tracks/ is what a camera alone says, people/detections what all of them together say.
 
 
-# With clean plates of the user's own, those without keypoints follow (people_without_keypoints), and the table is theirs.
 checkpoint people_associate:
     input:
         model=MODEL,
@@ -14,7 +13,7 @@ checkpoint people_associate:
         found=files.found,
         plates=files.own_plates,
     output:
-        people="results/{scene}/people/with_keypoints.tsv" if PLAN.sight.plated else "results/{scene}/people/people.tsv",
+        people="results/{scene}/people/people.tsv",
         identities="results/{scene}/people/identities.tsv",
         association="results/{scene}/people/association.json",
         who=directory("results/{scene}/people/who"),
@@ -156,40 +155,6 @@ if PLAN.sight.detected:
             command("people.second_look")
 
 
-if PLAN.sight.plated:
-
-    # Who stands out from the user's own clean plates beside the bodies of those with keypoints.
-    checkpoint people_without_keypoints:
-        input:
-            model=MODEL,
-            manifest="results/{scene}/capture/manifest.json",
-            associated="results/{scene}/people/with_keypoints.tsv",
-            fits=files.fits_with_keypoints,
-            videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.plated, allow_missing=True),
-            plates=collect("results/{scene}/plates/{camera}.png", camera=files.plated, allow_missing=True),
-            body=files.body,
-            detections=files.detections,
-        output:
-            people="results/{scene}/people/people.tsv",
-            silhouettes=directory("results/{scene}/people/silhouettes"),
-        log:
-            "logs/{scene}/people/without_keypoints.log",
-        benchmark:
-            "timings/{scene}/people/without_keypoints.tsv"
-        container:
-            image("core")
-        threads: 1
-        resources:
-            mem_mb=2000,
-        params:
-            settings=settings("people.without_keypoints"),
-            code=code("people.without_keypoints"),
-        message:
-            "Who stands out from the clean plates and has no keypoints"
-        shell:
-            command("people.without_keypoints")
-
-
 rule people_review:
     input:
         association="results/{scene}/people/association.json",
@@ -220,7 +185,6 @@ rule people_fit:
         manifest="results/{scene}/capture/manifest.json",
         detections=files.detections,
         identities=files.tracks_of,
-        silhouettes=files.silhouettes_of,
         readouts=files.readouts_for,
         body=files.body,
     output:

@@ -70,7 +70,6 @@ SECTIONS: tuple[Section, ...] = (
             "people.associate:Settings",
             "people.fit:Settings",
             "people.fit_settings:Smoothed",
-            "people.fit_settings:Hulled",
         ),
     ),
     Section(

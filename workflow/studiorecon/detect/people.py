@@ -4,6 +4,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
 
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose
 from studiorecon.detector.following import believed, is_few, people_in
@@ -12,12 +16,17 @@ from studiorecon.detector.windows import small, usual
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import decode, stills
 from studiorecon.footage.source import open_source
+from studiorecon.footage.stills import read_plate
+from studiorecon.footage.video import to_bytes
 from studiorecon.keypoints.retiming import part_of
 from studiorecon.progress import progress, say, warn
 from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.files import read_json
 from studiorecon.scene.raw_detections import RawDetections, write_raw_detections
 from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
 # Pictures whose median is the usual one.
 _USUAL = 25
@@ -28,13 +37,14 @@ def run(
     source: Path,
     clocks: list[Path],
     picture_fps: float,
+    plate: list[Path],
     networks: list[Path],
     second: list[Path],
     layout: str,
     found: Written,
 ) -> None:
     """Write who is in the frames of ``source`` to ``found`` (npz): in all, or in those that ``clocks`` (a file, or
-    none) chooses.
+    none) chooses. What differs from the user's own clean ``plate`` (a picture, or none) is looked at more closely.
 
     ``networks``: the detector's file, the landmarks', and the table of the confidence by their visibility;
     ``second``: the user's own network, or none, and ``layout``: of its points.
@@ -57,9 +67,11 @@ def run(
     network = BlazePose(detection, landmarks, own)
     worth = read_json(table)
     pictures = progress(decode(footage, start, count), f"frames of {camera}", total)
-    background, few = usual(glances) if len(glances) > 2 else None, is_few(total, footage.fps)
+    backgrounds = [usual(glances)] if len(glances) > 2 else []
+    backgrounds += [room for path in plate for room in _empty_room(path, footage.wh)]
+    few = is_few(total, footage.fps)
     rows, frames = [], 0
-    for frame, seen in enumerate(people_in(pictures, network, background, footage.fps, few), start):
+    for frame, seen in enumerate(people_in(pictures, network, backgrounds, footage.fps, few), start):
         frames += 1
         for person in seen:
             affine = person.region.crop_from_picture(MASK_PX)
@@ -72,3 +84,14 @@ def run(
         say(f"camera {camera}: {len(rows)} detections in {len({row[0] for row in rows})} of {frames} frames ({looked})")
     else:
         warn(f"camera {camera}: nobody was found in any of its {frames} frames ({looked})")
+
+
+def _empty_room(plate: Path, wh: tuple[int, int]) -> list[Integer[np.ndarray, "h w 3"]]:
+    """The user's clean plate at the size that films of ``wh`` are compared at; none where its shape is another, because
+    it has the calibration's pixels."""
+    width, height = wh
+    room = to_bytes(read_plate(plate)[0])
+    if abs(room.shape[1] * height - room.shape[0] * width) > width:
+        say(f"{plate} has another shape than the film ({width}×{height}): people are not looked for against it")
+        return []
+    return [small(cv2.resize(room, wh, interpolation=cv2.INTER_AREA))]

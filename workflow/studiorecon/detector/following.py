@@ -61,12 +61,13 @@ def follow(
 def people_in(
     pictures: Iterable[Integer[np.ndarray, "H W 3"]],
     network: BlazePose,
-    background: Integer[np.ndarray, "h w 3"] | None,
+    backgrounds: Sequence[Integer[np.ndarray, "h w 3"]],
     fps: float,
     few: bool = False,
 ) -> Iterator[list[Landmarks]]:
-    """Everybody in each of the pictures, in order; ``background`` is the usual picture, if there is one. Of ``few``
-    pictures the first is looked at thoroughly."""
+    """Everybody in each of the pictures, in order; ``backgrounds`` are pictures of the room at the size of
+    ``windows.small``: what differs from one of them is looked at more closely. Of ``few`` pictures the first is looked
+    at thoroughly."""
     walkers: list[Walker] = []
     held: list[np.ndarray] = []
     results: list[list[Landmarks]] = []
@@ -77,9 +78,8 @@ def people_in(
         held.append(picture)
         if number and len(held) < every:
             continue
-        windows = grid((picture.shape[1], picture.shape[0])) + (
-            changed(picture, background) if background is not None else []
-        )
+        windows = grid((picture.shape[1], picture.shape[0]))
+        windows += [window for background in backgrounds for window in changed(picture, background)]
         new = thorough(network, picture) if few and not number else newcomers(network, picture, windows, results[-1])
         found = [Walker(seen, np.zeros(2)) for seen in new]
         walkers += found

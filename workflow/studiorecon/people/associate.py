@@ -73,9 +73,7 @@ def run(
     confirm people who change no picture; ``calibration`` says where in the footage they are.
     """
     cameras, footage = read_model(model.parent), read_manifest(manifest)
-    given: Sequence[Detections] = [read_detections(p) for p in detections] or [_nobody(c.name) for c in cameras]
-    if not detections:
-        say("no camera has keypoints: people are looked for in the visual hull alone")
+    given: Sequence[Detections] = [read_detections(p) for p in detections]
     given, unusable = zip(*(usable(d) for d in given))
     if sum(unusable):
         say(f"{sum(unusable)} keypoints are not finite or at exactly (0, 0), and were left out")
@@ -100,14 +98,14 @@ def run(
             *limits, cameras, given, videos, footage.frames, footage.fps, witnesses
         )
         table = {key: verdict.person for key, verdict in verdicts.items()}
-    if detections and not rows and not any(len(d.frame) for d in given):
+    if not rows and not any(len(d.frame) for d in given):
         warn(
             f"nobody was found in any camera: {footage.frames} frames each of "
             f"{', '.join(d.camera for d in given)} were looked at; if "
             "somebody is there, bring keypoints of another detector; write people: 0 "
             "into capture.yaml if the room is empty"
         )
-    elif detections and not rows and not missed:
+    elif not rows and not missed:
         # Who was left out with a name is told below.
         reasons = Counter(verdict.reason for verdict in verdicts.values())
         warn(
@@ -171,11 +169,6 @@ def _readouts(
                 "keypoints are moved by as much"
             )
     return found
-
-
-def _nobody(camera: str) -> Detections:
-    """The detections of a camera that has none."""
-    return Detections(camera, "body_25", np.zeros(0, int), np.zeros(0, int), np.zeros((0, 25, 3)))
 
 
 def _as_json(

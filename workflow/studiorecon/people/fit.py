@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One person's body over time: fit the body model to the triangulated keypoints of all cameras, fill gaps, smooth.
 
-Somebody without keypoints is fitted to silhouettes instead. Paper §fitting and appendix (smoothing). Shape is shared
-over the sequence (U39); the world is in metres, so there is no scale to estimate unless ``scale`` asks for the paper's
-s* per person (Eq. 3): the ratio of measured to fitted limbs is reported as a check (U36).
+Paper §fitting and appendix (smoothing). Shape is shared over the sequence (U39); the world is in metres, so there is no
+scale to estimate unless ``scale`` asks for the paper's s* per person (Eq. 3): the ratio of measured to fitted limbs is
+reported as a check (U36).
 """
 
 from __future__ import annotations
@@ -22,18 +22,15 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
-from studiorecon.keypoints.layouts import OTHER_SIDE
 from studiorecon.keypoints.retiming import with_all_rows_at_once
-from studiorecon.people.fit_settings import Hulled, Smoothed, Triangulated
+from studiorecon.people.fit_settings import Smoothed, Triangulated
 from studiorecon.people.fitting.fused import fused
 from studiorecon.people.fitting.legs import seated
 from studiorecon.people.fitting.limbs import limb_ratio, size_of
 from studiorecon.people.fitting.points import Points, lift, observations, off_m
 from studiorecon.people.fitting.presence import filled, presence, runs
 from studiorecon.people.fitting.surface_points import surface_of
-from studiorecon.people.silhouettes.silhouette_people import SilhouettePerson, follow_standing, read_standing
 from studiorecon.progress import say
-from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.people import Person, read_detections, read_identities
 from studiorecon.scene.readouts import read_readouts
@@ -124,7 +121,7 @@ class BodyFit:
 
 
 @dataclass(frozen=True)
-class Settings(Triangulated, Smoothed, Hulled):
+class Settings(Triangulated, Smoothed):
     """How points are made, fitted and smoothed."""
 
     fit: BodyFit = setting(BodyFit(), "Fit of the body to the triangulated keypoints.")
@@ -192,44 +189,6 @@ def fit_person(
     return _person(person, *parts, body, fps, settings), result
 
 
-def fit_standing(
-    person: SilhouettePerson, cameras: list[Camera], body: BodyModel, frames: int, fps: float, settings: Settings
-) -> Person:
-    """The body of somebody without keypoints, from silhouettes; raises UserError when too few frames agree."""
-    keys = settings.hull
-    followed = follow_standing(person, cameras, body, fps, keys)
-    local, trans, agreement = np.zeros((frames, 24, 3, 3)), np.zeros((frames, 3)), np.zeros(frames)
-    for t, (state, share) in followed.items():
-        local[t], trans[t], agreement[t] = state.local[0], state.trans[0], share
-    valid = agreement >= keys.min_agreement
-    if valid.sum() < _LEAST_PLAUSIBLE * len(followed):
-        raise UserError(
-            f"person {person.name}: the body agrees with the silhouettes by "
-            f"{keys.min_agreement:g} in only "
-            f"{valid.sum()} of {len(followed)} frames; bring keypoints of this person, or set people.hull.use to never"
-        )
-    # What the outlines do not explain may be anywhere: the less they agree, the less is known.
-    sigma = keys.sigma_m / np.maximum(agreement, 0.1)[:, None] * np.ones(24)
-    facing = person.start.facing
-    # Facing the other way, every joint would be where its partner of the other side is.
-    apart_m = _to_other_side_m(local[valid], trans[valid], person.start.state.betas, body)
-    sigma[valid] = np.hypot(sigma[valid], np.sqrt((1 - facing.probability) / 3) * apart_m)
-    say(
-        f"{person.name}: body measured from silhouettes alone in {valid.sum()} of {frames} frames, agreement "
-        f"{np.median(agreement[valid]):.2f} (median, 1 = identical); joints are known to "
-        f"about {1000 * np.median(sigma[valid]):.0f} mm; "
-        f"{facing.sentence()}"
-    )
-    seen = np.isin(np.arange(frames), person.frames)
-    return _person(person.name, local, trans, person.start.state.betas, valid, seen, sigma, body, fps, settings)
-
-
-def _to_other_side_m(local: np.ndarray, trans_m: np.ndarray, betas: np.ndarray, body: BodyModel) -> np.ndarray:
-    """(F, 24) distance from every joint to its partner of the other side, 0 in the middle, of poses (F, 24, 3, 3)."""
-    joints = body.joints(rotations.log(local).reshape(len(local), 72), betas, trans_m)
-    return np.linalg.norm(joints - joints[:, list(OTHER_SIDE)], axis=-1)
-
-
 def _person(
     name: str,
     local: np.ndarray,
@@ -291,25 +250,17 @@ def run(
     manifest: Path,
     detections: list[Path],
     identities: list[Path],
-    silhouettes: list[Path],
     readouts: list[Path],
     body: Path,
     fit: Written,
 ) -> None:
-    """Fit one person's body to the keypoints of all training cameras, or to the silhouettes in ``silhouettes``.
+    """Fit one person's body to the keypoints of all training cameras.
 
     ``identities`` says which tracks are the person's, ``readouts`` by how much rows look one after the other, if at
-    all; of somebody without keypoints there are ``silhouettes`` instead.
+    all.
     """
     cameras = {c.name: c for c in read_model(model.parent)}
     footage = read_manifest(manifest)
-    if silhouettes:
-        (someone,) = read_standing(silhouettes[0])
-        body_model = BodyModel.load(body)
-        fitted = fit_standing(someone, list(cameras.values()), body_model, footage.frames, footage.fps, settings)
-        say_filled(fitted)
-        write_person(fit, fitted)
-        return
     seen = [read_detections(path) for path in detections]
     missing = [d.camera for d in seen if d.camera not in cameras]
     if missing:

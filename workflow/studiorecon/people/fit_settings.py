@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from studiorecon.configuration.setting import setting
 from studiorecon.geometry.smoothing import Smoothing
 from studiorecon.people.fitting.points import Triangulation
-from studiorecon.people.silhouettes.silhouette_people import HullSettings
 
 
 @dataclass(frozen=True)
@@ -25,10 +24,3 @@ class Smoothed:
     smooth: Smoothing = setting(
         Smoothing(), "Both-way exponential, then Gaussian smoothing of the fitted motion (U40 to U42)."
     )
-
-
-@dataclass(frozen=True)
-class Hulled:
-    """How people without keypoints are found."""
-
-    hull: HullSettings = setting(HullSettings(), "People without keypoints, found against the user's clean plates.")

@@ -38,7 +38,6 @@ _MOST_REJECTED = 40
 _SOURCES = {
     "keypoints": "found by keypoints",
     "corrected": "corrected by hand",
-    "hull": "found by its silhouette against the plates: no keypoints, no tracks to correct",
 }
 _STYLE = """
 main { max-width: 76rem; }
@@ -83,7 +82,7 @@ people whose lines changed are fitted again.</p>
 <h2 style="--c:{{ colour_of(row.person) }}"><span class="who">{{ row.person }}</span>
 <span class="soft">{{ row.frames }} frames,
 confidence {{ row.confidence }}, {{ sources[row.source] }}; seen by {{ row.cameras }}</span></h2>
-{% if row.source != "hull" %}{{ cameras_of(row.person) }}{% endif %}
+{{ cameras_of(row.person) }}
 {% endfor %}
 {% for one in told.left_out %}
 <h2 style="--c:{{ nobody }}"><span class="who">{{ one.name }}</span>

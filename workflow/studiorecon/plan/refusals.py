@@ -10,7 +10,6 @@ from typing import Any
 from studiorecon.calibration.formats import accepted
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.registry import MODELS, of_kind
-from studiorecon.people.silhouettes import MIN_CAMERAS
 from studiorecon.plan.decisions import Plan
 
 
@@ -29,7 +28,7 @@ def refuse(plan: Plan, config: Mapping[str, Any]) -> None:
             f"detect.network names {named}, which does not exist; name an .onnx file, or {known}, or leave it empty"
         )
     if plan.people:
-        _keypoints(plan, MIN_CAMERAS)
+        _keypoints(plan)
     if plan.networks.first_depth and not plan.networks.cameras:
         raise UserError(
             "depth.reference is calibration, which is the depth of the network that finds the cameras, and "
@@ -99,15 +98,13 @@ def _lifting(plan: Plan) -> None:
         )
 
 
-def _keypoints(plan: Plan, least_plates: int) -> None:
+def _keypoints(plan: Plan) -> None:
     sight, dataset = plan.sight, plan.dataset
-    if not sight.somebody and not sight.plated:
-        plates = sum(camera in dataset.plates for camera in plan.training)
+    if not sight.somebody:
         raise UserError(
             f"dataset {dataset.folder} has no 2D keypoints and detect.source is keypoints: set it to auto, put "
-            "keypoints/<camera>/*.json (OpenPose, AlphaPose, MMPose, …) there, or clean plates of "
-            f"{least_plates} training cameras (plates/<camera>.png; there are {plates}), or write people: 0 into "
-            "capture.yaml for an empty room"
+            "keypoints/<camera>/*.json (OpenPose, AlphaPose, MMPose, …) there, or write people: 0 into capture.yaml "
+            "for an empty room"
         )
     blind = [c for c in plan.training if c not in sight.watched]
     if sight.watched and not sight.bodies and blind:

@@ -48,10 +48,6 @@ class Files(Brought):
         """Those whose photos are compared with pictures: the held-out ones, or for want of them those of training."""
         return self.held_out(wildcards) or self.training(wildcards)
 
-    def plated(self, wildcards: Any) -> list[str]:
-        """Those in front of whose clean plates people stand out."""
-        return [camera for camera in self.plan.sight.plated if camera in self.training(wildcards)]
-
     def films(self, wildcards: Any) -> list[str]:
         """Every film; none of held-out cameras where none of them is left."""
         return [film for film in self.plan.films if film != "heldout" or self.held_out(wildcards)]
@@ -71,26 +67,26 @@ class Files(Brought):
     # ---- what cameras saw of people ----
 
     def first_detection(self, wildcards: Any) -> list[str]:
-        """What one camera alone says of people; none when nobody can be there, or only plates show who is."""
-        return [f"results/{wildcards.scene}/tracks/{wildcards.camera}.npz"] if self._somebody else []
+        """What one camera alone says of people; none when nobody can be there."""
+        return [f"results/{wildcards.scene}/tracks/{wildcards.camera}.npz"] if self.plan.people else []
 
     def first_detections(self, wildcards: Any) -> list[str]:
         """The same of every training camera."""
-        cameras = self.training(wildcards) if self._somebody else []
+        cameras = self.training(wildcards) if self.plan.people else []
         return [f"results/{wildcards.scene}/tracks/{camera}.npz" for camera in cameras]
 
     def detection(self, wildcards: Any) -> list[str]:
         """The same of one camera after the second look, which recorded keypoints do not have."""
-        return [self._looked_at(wildcards.scene, wildcards.camera)] if self._somebody else []
+        return [self._looked_at(wildcards.scene, wildcards.camera)] if self.plan.people else []
 
     def detections(self, wildcards: Any) -> list[str]:
         """The same of every training camera after the second look."""
-        cameras = self.training(wildcards) if self._somebody else []
+        cameras = self.training(wildcards) if self.plan.people else []
         return [self._looked_at(self._scene(wildcards), camera) for camera in cameras]
 
     def compared(self, wildcards: Any) -> list[str]:
         """The same as association compares it: with pelvises at the scene's depth where that is asked for."""
-        if not (self._somebody and self.plan.lifted):
+        if not (self.plan.people and self.plan.lifted):
             return self.detections(wildcards)
         return [f"results/{self._scene(wildcards)}/people/lifted/{camera}.npz" for camera in self.training(wildcards)]
 
@@ -105,15 +101,11 @@ class Files(Brought):
     def own_plates(self, wildcards: Any) -> list[str]:
         """Plates of the training cameras of whose empty room the user has brought a picture."""
         brought = [camera for camera in self.training(wildcards) if camera in self.plan.dataset.plates]
-        return [f"results/{self._scene(wildcards)}/plates/{camera}.png" for camera in brought] if self._somebody else []
+        return [f"results/{self._scene(wildcards)}/plates/{camera}.png" for camera in brought if self.plan.people]
 
     def _detected(self, wildcards: Any) -> list[str]:
-        looked = self.plan.sight.detected if self._somebody else []
+        looked = self.plan.sight.detected if self.plan.people else []
         return [camera for camera in self.training(wildcards) if camera in looked]
-
-    @property
-    def _somebody(self) -> bool:
-        return bool(self.plan.people and self.plan.sight.somebody)
 
     def _looked_at(self, scene: str, camera: str) -> str:
         if camera in self.plan.sight.detected:
@@ -142,40 +134,21 @@ class Files(Brought):
         """Why every track is whose it is, and who was left out; none when the room is known to be empty."""
         return [f"results/{wildcards.scene}/people/association.json"] if self.plan.people else []
 
-    def people_with_keypoints(self, wildcards: Any) -> list[str]:
+    def people(self, wildcards: Any) -> list[str]:
         """Ids of the people that association found; none, without asking, when the room is known to be empty."""
         if not self.plan.people:
             return []
         return read_people(Path(self._associated(wildcards).people))
 
-    def people(self, wildcards: Any) -> list[str]:
-        """Ids of everybody: also of those who have no keypoints and stand out from clean plates."""
-        if not self.plan.people or not self.plan.sight.plated:
-            return self.people_with_keypoints(wildcards)
-        return read_people(Path(self._without_keypoints(wildcards).people))
-
     def tracks_of(self, wildcards: Any) -> list[str]:
-        """Which tracks are this person's: a file of their own, so that a change of somebody else's is none of theirs;
-        none of somebody without keypoints."""
-        has_keypoints = wildcards.person in self.people_with_keypoints(wildcards)
-        return [f"{self._associated(wildcards).who}/{wildcards.person}.tsv"] if has_keypoints else []
-
-    def silhouettes_of(self, wildcards: Any) -> list[str]:
-        """Silhouettes of this person, if no keypoints are there."""
-        if self.tracks_of(wildcards):
-            return []
-        return [f"{self._without_keypoints(wildcards).silhouettes}/{wildcards.person}.npz"]
+        """Which tracks are this person's, in a file of their own: a change of somebody else's is none of theirs."""
+        return [f"{self._associated(wildcards).who}/{wildcards.person}.tsv"]
 
     def readouts_for(self, wildcards: Any) -> list[str]:
-        """By how much rows look one after the other, for whoever has keypoints; nothing without
-        ``people.fit.rolling_shutter``."""
-        if not self.config["people"]["fit"]["rolling_shutter"] or not self.tracks_of(wildcards):
+        """By how much rows look one after the other; nothing without ``people.fit.rolling_shutter``."""
+        if not self.config["people"]["fit"]["rolling_shutter"]:
             return []
         return [f"{self._associated(wildcards).who}/readouts.json"]
-
-    def fits_with_keypoints(self, wildcards: Any) -> list[str]:
-        """Body file of everybody with keypoints."""
-        return [f"results/{wildcards.scene}/people/{person}.npz" for person in self.people_with_keypoints(wildcards)]
 
     def fits(self, wildcards: Any) -> list[str]:
         """Body file of every person."""
@@ -239,7 +212,7 @@ class Files(Brought):
 
     def by_itself(self, wildcards: Any) -> list[str]:
         """Who association says is who where the user's own table says otherwise; none without one."""
-        asked = self.corrected and self._somebody
+        asked = self.corrected and self.plan.people
         return [f"results/{self._scene(wildcards)}/people/by_itself/identities.tsv"] if asked else []
 
     def recognition(self, wildcards: Any) -> list[str]:
@@ -340,6 +313,3 @@ class Files(Brought):
 
     def _associated(self, wildcards: Any) -> Any:
         return self.checkpoints.people_associate.get(scene=self._scene(wildcards)).output
-
-    def _without_keypoints(self, wildcards: Any) -> Any:
-        return self.checkpoints.people_without_keypoints.get(scene=self._scene(wildcards)).output

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""In which cameras people are looked for, and by what: recorded keypoints, the detector, a network, or clean plates."""
+"""In which cameras people are looked for, and by what: recorded keypoints, the detector, or a network."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from studiorecon.models.catalogue.selection import CHOICES
-from studiorecon.people.silhouettes import MIN_CAMERAS
 from studiorecon.scene.dataset import Dataset
 
 _LANDMARKS = {"blazepose": "pose_landmark_full.onnx", "blazepose_heavy": "pose_landmark_heavy.onnx"}
@@ -26,10 +25,8 @@ class Sight:
         watched: in which people can be told before there is a calibration.
         checked: those of them that the doctor looks at: nobody is looked for in held-out pictures for its sake.
         timed: those whose people tell, before there is a calibration, when each was started.
-        plated: training cameras with a clean plate of the user's own, where people without keypoints stand out; none
-            when they are too few to find anybody, or when that is switched off.
         part_used: only a part of the footage is used, and the detector looks at that alone.
-        somebody: anything but clean plates can show anybody.
+        somebody: there is anything that can show people.
         detector: names of the detector's files.
     """
 
@@ -39,14 +36,13 @@ class Sight:
     watched: list[str]
     checked: list[str]
     timed: list[str]
-    plated: list[str]
     part_used: bool
     somebody: bool
     detector: list[str]
 
 
 def sight_of(dataset: Dataset, config: Mapping[str, Any]) -> Sight:
-    """How ``detect.source``, ``clocks.sync`` and ``people.hull.use`` have people looked for in this dataset."""
+    """How ``detect.source`` and ``clocks.sync`` have people looked for in this dataset."""
     source = config["detect"]["source"]
     looked_at = {"auto": [c for c in dataset.cameras if c not in dataset.keypoints], "detector": list(dataset.cameras)}
     bodies = "" if source in ("auto", "keypoints", "detector") else source
@@ -68,13 +64,7 @@ def sight_of(dataset: Dataset, config: Mapping[str, Any]) -> Sight:
         checked=checked,
         # Where only a part is used, the clocks must say first which part the detector is to look at.
         timed=[c for c in checked if c not in looked_for or not part_used] if asked else [],
-        plated=_plated(dataset, config["people"]["hull"]),
         part_used=part_used,
         somebody=bool(watched) or bool(bodies),
         detector=["pose_detection.onnx", _LANDMARKS[config["detect"]["detector"]], "confidence.json"],
     )
-
-
-def _plated(dataset: Dataset, hull: Mapping[str, Any]) -> list[str]:
-    plated = [c for c in dataset.training if c in dataset.plates]
-    return plated if hull["use"] == "auto" and len(plated) >= MIN_CAMERAS else []

@@ -131,8 +131,8 @@ def write_people(
     rejected: Sequence[tuple[str, int, str, float, str, str, str]] = (),
 ) -> None:
     """Write ``people.tsv``: person, frames seen, cameras (comma-separated), confidence 0..1, source ("keypoints" or
-    "hull"), status ("person" or "rejected") and the reason of the latter, who stand below the people of the scene under
-    names of their own.
+    "corrected"), status ("person" or "rejected") and the reason of the latter, who stand below the people of the scene
+    under names of their own.
 
     May have no rows: an empty room.
     """
@@ -140,25 +140,6 @@ def write_people(
     write_table(
         path, PEOPLE_COLUMNS, [(p, n, c, f"{confidence:.3f}", *rest) for p, n, c, confidence, *rest in everybody]
     )
-
-
-def add_people(path: Path, extended: Path, rows: list[tuple[str, int, str, float, str]]) -> None:
-    """Write ``extended``: the people of ``path``, then ``rows`` as in ``write_people``, then who was rejected."""
-    table = read_table(path, PEOPLE_COLUMNS)
-    kept = [
-        (row["person"], int(row["frames"]), row["cameras"], float(row["confidence"]), row["source"])
-        for row in table
-        if row["status"] == "person"
-    ]
-    rejected = [
-        (
-            *(row["person"], int(row["frames"]), row["cameras"], float(row["confidence"])),
-            *(row["source"], row["status"], row["reason"]),
-        )
-        for row in table
-        if row["status"] != "person"
-    ]
-    write_people(extended, [*kept, *rows], rejected)
 
 
 def read_people(path: Path) -> list[str]:
