@@ -21,7 +21,6 @@ from studiorecon.people.association.confirmation import Witness
 from studiorecon.people.association.corrected import read_corrected, rows_of
 from studiorecon.people.association.left_out import LeftOut, tell
 from studiorecon.people.association.picture_change import EvidenceLimits
-from studiorecon.people.association.returned import returns, tell_returned
 from studiorecon.people.fit_settings import Triangulated
 from studiorecon.people.fitting.readouts import readouts
 from studiorecon.progress import say, warn
@@ -138,8 +137,6 @@ def run(
         write_identities(who / f"{name}.tsv", {key: person for key, person in table.items() if person == name})
     write_readouts(who / "readouts.json", rows_look)
     tell(missed, newcomer)
-    if not corrected:
-        tell_returned(returns(given, table, videos), footage.fps)
 
 
 def _witnesses(

@@ -3,6 +3,6 @@
 
 ``track_pairs`` (how far apart any two are, in place and by ``postures``) → ``grouping`` (groups chosen whole) →
 ``picture_change``, ``confirmation``, ``proportions``, ``ghosts`` and ``acceptance`` (which of them are people) →
-``left_out`` (who is not among them), ``returned`` (who may have come back). The paper's way instead: ``affinity`` and
+``left_out`` (who is not among them). The paper's way instead: ``affinity`` and
 ``reference_view``. ``corrected``: identities as the user has them.
 """
