@@ -10,19 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.body.model import BodyModel
-from studiorecon.body.person_files import read_person
-from studiorecon.camera_files.colmap import write_model
 from studiorecon.configuration import settings as settings_module
-from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.models import smpl
 from studiorecon.people import fit
 from studiorecon.people.fitting import surface_points
-from studiorecon.people.fitting.fused import fused
 from studiorecon.people.fitting.surface_points import skin_px, surface_of
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.capture import Footage, Manifest, write_manifest
-from studiorecon.scene.people import Detections, read_detections, write_detections, write_identities
+from studiorecon.scene.people import Detections, read_detections, write_detections
 
 from tests.made.network_bodies import seen_by_a_network
 from tests.made.scene import ring
@@ -159,66 +154,6 @@ def test_without_bodies_and_in_another_shape_space_there_is_no_surface(
     # Whom the identities do not name has no surface either.
     nobody = surface_of("p7", found, whose(found), cameras, body, *about)
     assert np.isnan(nobody.points_m).all()
-
-
-@pytest.mark.parametrize("off", [0.0, 0.05])
-def test_the_mean_of_pictures_is_as_wrong_as_they_are(
-    body: BodyModel, truth, cameras: list[Camera], settings: fit.Settings, off: float
-) -> None:
-    """The paper's ablation without multi-view refinement: depths are off by a share of their own, and the mean stays
-    off, says by how much, and is worse than what the same pictures' keypoints and surfaces tell together."""
-    seen = seen_by_a_network(body, truth, cameras, off)
-    mean = fused("p0", seen, whose(seen), cameras, body, FRAMES)
-    joints = body.joints(rotations.log(mean.local).reshape(FRAMES, 72), mean.betas, mean.trans_m)
-    wrong = joints - body.joints(*truth)
-    refined_m = joints_off_m(body, truth, cameras, seen, settings)
-    assert np.linalg.norm(wrong, axis=-1).mean() > (1.5 if off else 0.8) * refined_m
-    assert (mean.cameras == 4).all()
-    told, real = float(np.sqrt((mean.sigma_m**2).mean())), float(np.sqrt((wrong**2).mean()))
-    assert 0.5 * real < told < 2 * real
-    if not off:
-        np.testing.assert_allclose(mean.trans_m, truth[2], atol=1e-6)
-
-
-def test_the_step_writes_the_mean_where_it_is_asked_to(
-    root: Path, tmp_path: Path, cameras: list[Camera], settings: fit.Settings, truth, capsys: pytest.CaptureFixture
-) -> None:
-    smpl.run(write_smpl(tmp_path / "SMPL_NEUTRAL.pkl", BodyModel.load(root / "resources/body.npz")), tmp_path / "b.npz")
-    body = BodyModel.load(tmp_path / "b.npz")
-    write_model(tmp_path / "cameras", cameras)
-    films = [
-        Footage(c.name, False, c.wh, c.intrinsics.tolist(), 24.0, FRAMES, 0, "x", "", c.wh, 0, 0.0, []) for c in cameras
-    ]
-    write_manifest(tmp_path / "manifest.json", Manifest("made", 24.0, FRAMES, tuple(films)))
-    found = seen_by_a_network(body, truth, cameras)
-    for one in found:
-        write_detections(tmp_path / f"{one.camera}.npz", one)
-    write_identities(tmp_path / "identities.tsv", whose(found))
-    files = [tmp_path / f"{one.camera}.npz" for one in found]
-    places = [tmp_path / "identities.tsv"], [], [], tmp_path / "b.npz", tmp_path / "p0.npz"
-    fused_too = replace(settings, fit=replace(settings.fit, solver="fused"))
-    fit.run(fused_too, "p0", tmp_path / "cameras/images.txt", tmp_path / "manifest.json", files, *places)
-    said = capsys.readouterr().out
-    assert "the mean of the bodies that 4 cameras' network saw" in said
-    person = read_person(tmp_path / "p0.npz")
-    assert person.valid.all()
-    assert person.body == body.identity
-    np.testing.assert_allclose(person.trans, truth[2], atol=0.05)
-
-
-def test_a_mean_of_bodies_needs_bodies_of_one_model_in_two_cameras(
-    body: BodyModel, cameras: list[Camera], found: list[Detections]
-) -> None:
-    with pytest.raises(UserError, match="name SMPL's own file as body"):
-        fused("p0", found, whose(found), cameras, replace(body, identity="somebody else"), FRAMES)
-    keypoints = [replace(d, body_pose=None, pelvis=None, body_root=None, body_shape=None) for d in found[1:]]
-    with pytest.raises(UserError, match="no two cameras' networks"):
-        fused("p0", [found[0], *keypoints], whose(found), cameras, body, FRAMES)
-    # One camera in most frames: measured there, and no surer than cameras differ elsewhere.
-    early = [found[0], *(replace(d, track=np.where(d.frame == 2, 0, 9)) for d in found[1:])]
-    mean = fused("p0", early, whose(found), cameras, body, FRAMES)
-    assert mean.cameras.tolist() == [1, 1, 4, 1, 1, 1]
-    assert (mean.sigma_m[0] > 1.5 * mean.sigma_m[2]).all()
 
 
 def test_bodies_survive_their_file(found: list[Detections], tmp_path: Path) -> None:

@@ -24,7 +24,6 @@ from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.retiming import with_all_rows_at_once
 from studiorecon.people.fit_settings import Smoothed, Triangulated
-from studiorecon.people.fitting.fused import fused
 from studiorecon.people.fitting.legs import seated
 from studiorecon.people.fitting.limbs import limb_ratio, size_of
 from studiorecon.people.fitting.points import Points, lift, observations, off_m
@@ -58,10 +57,9 @@ class BodyFit:
         max_beta: deviations from the mean shape beyond which the points are no person's, or the lengths no metres.
     """
 
-    solver: Literal["levenberg_marquardt", "paper", "fused"] = setting(
+    solver: Literal["levenberg_marquardt", "paper"] = setting(
         "levenberg_marquardt",
-        "levenberg_marquardt; the paper's loss to the letter, each frame alone; or the mean of every camera's own "
-        "body without triangulation, its ablation without multi-view refinement.",
+        "levenberg_marquardt; or the paper's loss to the letter, each frame alone.",
         paper="paper; U38",
         letter="paper",
     )
@@ -270,19 +268,6 @@ def run(
         seen = [with_all_rows_at_once(d, took_s[d.camera], cameras[d.camera].wh[1], footage.fps) for d in seen]
     body_model = BodyModel.load(body)
     whose = read_identities(identities[0])
-    if settings.fit.solver == "fused":
-        mean = fused(person, seen, whose, [cameras[d.camera] for d in seen], body_model, footage.frames)
-        seen_in = mean.cameras > 0
-        parts = mean.local, mean.trans_m, mean.betas, seen_in, seen_in, mean.sigma_m
-        fitted = _person(person, *parts, body_model, footage.fps, settings)
-        say(
-            f"{person}: the mean of the bodies that {mean.cameras.max()} cameras' network saw, in "
-            f"{fitted.valid.sum()} of {footage.frames} frames, triangulated nowhere; its joints are known to "
-            f"{1000 * np.median(fitted.sigma[fitted.valid]):.0f} mm by how the cameras differ"
-        )
-        say_filled(fitted)
-        write_person(fit, fitted)
-        return
     names, keypoints = observations(person, seen, whose, body_model, footage.frames)
     points = lift(
         names,
