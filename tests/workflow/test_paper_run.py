@@ -30,7 +30,7 @@ SMALL: dict = {
     "render": {"width": 240},
     "depth": {"sweep_width": 120, "refine_width": 160},
     "views": {"views_per_segment": 6},
-    "background": {"training": {"iterations": 200}, "refinement": {"views": 12}},
+    "background": {"training": {"iterations": 200}},
     "humans": {"iterations": 60, "temporal": {"start": 30, "width": 16}},
 }
 FILES = {"masks": "masks", "depth": "depth", "views": "views", "enhance": "enhance"}
@@ -89,11 +89,8 @@ def test_the_papers_presets_run_whole_on_files_of_every_network(ran: tuple[House
         "depth": {"source": "precomputed", "reference": "planes"} | SMALL["depth"] | brought["depth"],
         "views": {"synthesizer": "precomputed", "people": "bodies"} | SMALL["views"] | brought["views"],
         "enhance": {"enhancer": "precomputed", "flow": "dis"} | brought["enhance"],
-        # LPIPS is the one network that no files can stand for; the refiner is the enhancer.
-        "background": {
-            "training": {"iterations": 200, "lpips": {"weight": 0.0}},
-            "refinement": SMALL["background"]["refinement"],
-        },
+        # LPIPS and the refiner are the networks that no files can stand for.
+        "background": {"training": {"iterations": 200, "lpips": {"weight": 0.0}}, "refinement": {"views": 0}},
         "humans": SMALL["humans"] | {"losses": {"lpips": {"weight": 0.0}}},
         "report": {"lpips": "none"},
     }

@@ -105,7 +105,7 @@ if PLAN.networks.refiner:
         params:
             code=code("background.refined"),
             enhancer=PLAN.networks.refiner,
-            injection=told.recursion("background", config),
+            injection=told.recursion(config),
             flow=config["enhance"]["flow"],
             weights=PLAN.networks.weights,
             device=config["device"],

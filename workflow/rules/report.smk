@@ -3,8 +3,6 @@
 
 rule report_audit:
     input:
-        model=MODEL,
-        background="results/{scene}/background/scene.ply",
         avatars=files.human_avatars,
         films=collect("results/{scene}/enhance/{shot}.decisions.json", shot=files.films, allow_missing=True),
     output:
@@ -14,15 +12,13 @@ rule report_audit:
     benchmark:
         "timings/{scene}/report/audit.tsv"
     container:
-        image(PLAN.networks.drawn_by)
+        image("core")
     threads: 1
     resources:
-        mem_mb=1500,
-        gpu=PLAN.networks.drawing_gpus,
+        mem_mb=500,
     params:
         settings=settings("report.audit"),
         code=code("report.audit"),
-        device=config["device"],
     shell:
         command("report.audit")
 

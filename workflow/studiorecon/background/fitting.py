@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.background.preparation import Photo, Prepared
-from studiorecon.background.refinement import looked_at_from, refined_targets
+from studiorecon.background.preparation import Prepared
+from studiorecon.background.refinement import looked_at_from
 from studiorecon.background.targets import draw_shares
 from studiorecon.background.train_settings import Settings
 from studiorecon.progress import say
@@ -88,20 +88,6 @@ class Training:
         """Where the half-trained room is looked at from; ``path`` is that of the synthesized views."""
         views = [step.camera for step in read_path(path)[0]]
         return looked_at_from(self.cameras, views, self.settings.refinement)
-
-    def refined(self, room_now: Gaussians, photos: Sequence[Photo], path: Path) -> list[Target]:
-        """Views of the half-trained room, enhanced by what the photos show and it misses."""
-        looks = self.looks(path)
-        known = [(p.camera, p.rgb, p.known) for p in photos]
-        drawing = self.drawing()
-        targets, counted = refined_targets(
-            looks, known, self.settings.refinement, lambda camera: drawing.forward(room_now, camera)
-        )
-        say(
-            f"refinement: {len(targets)} views of the room as it is now; the photos correct {counted:.0%} of their "
-            "pixels"
-        )
-        return targets
 
 
 def _network(settings: Settings, lpips: Path, threads: int, device: str) -> Perceptual | None:

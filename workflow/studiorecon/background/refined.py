@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``background.refined``: views of the half-trained room, repaired by a network that is shown the nearest photo, or by
-the recursive module around it (paper, section Iterative Refinement and appendix C)."""
+"""``background.refined``: views of the half-trained room, repaired by the recursive module around a network that is
+shown the nearest photo (paper, section Iterative Refinement and appendix C)."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def run(
     ``plates`` are the rooms without people of ``model``'s cameras, divided by their ``gains``.
 
     ``injection`` are the settings of ``enhance.injection`` as JSON, with which views enter those after them along
-    ``flow``; "none": each is repaired by itself."""
+    ``flow``."""
     steps, fps = read_path(renders_path)
     cameras = read_model(model.parent)
     one_each(cameras, plates=plates)
@@ -57,10 +57,9 @@ def run(
 
     # Of the room nobody has asked for depth: it is for enhancers that carry photos over.
     depths_mm = (np.zeros(step.camera.hw, np.uint16) for step in steps)
-    alone = injection == "none"
-    how = Injection(history=0) if alone else load_settings(Injection, json.loads(injection), "enhance.injection")
-    search = flow_of("dis" if alone else flow, "medium", weights, device)
+    how = load_settings(Injection, json.loads(injection), "enhance.injection")
+    search = flow_of(flow, "medium", weights, device)
     pictures = progress(read_frames(renders, 0, len(steps)), "views of the room", total=len(steps))
     repaired = enhanced(steps, pictures, depths_mm, reference, network, for_path(how, steps), search)
     write_lossless(refined, repaired, fps)
-    say(f"{len(steps)} views of the room as {enhancer} repairs them{'' if alone else ', each after those before it'}")
+    say(f"{len(steps)} views of the room as {enhancer} repairs them, each after those before it")

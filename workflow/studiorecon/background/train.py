@@ -56,7 +56,7 @@ def run(
     asked.
 
     ``half``: the room half-way, the provenance of its Gaussians, and views of it with the path they lie on, which a
-    network has enhanced (``background.half``, ``background.refined``); without them all that happens here.
+    network has enhanced (``background.half``, ``background.refined``), where ``refinement`` asks for views.
 
     ``working`` is a folder of its own: pictures of how it goes, and what a killed run goes on from; ``lpips`` holds the
     weights of the perceptual term.
@@ -70,18 +70,12 @@ def run(
     mark = fingerprint(
         given.settings, [*sources.files(), *(half or [])], code.digest("background.train"), threads, device
     )
-    kept = [
-        Checkpoint(working / name, mark, settings.training.checkpoint_every_s)
-        for name in ("half.checkpoint.npz", "checkpoint.npz")
-    ]
-    start, marks, synthesized = given.start, given.marks, given.synthesized
+    checkpoint = Checkpoint(working / "checkpoint.npz", mark, settings.training.checkpoint_every_s)
+    start, marks, synthesized, begun = given.start, given.marks, given.synthesized, 0
     if half:
         start, marks, looks = read_half(half, settings.refinement.weight)
-        synthesized = synthesized + looks
-    elif training.split:
-        start, marks = training.first_half(given, kept[0])
-        synthesized = synthesized + training.refined(start, given.photos, path)
-    trained = training.fit(start, given.real, synthesized, kept[1], (training.split, settings.training.iterations))
+        synthesized, begun = synthesized + looks, training.split
+    trained = training.fit(start, given.real, synthesized, checkpoint, (begun, settings.training.iterations))
     marks = marks[trained.source]
     scores = _plate_scores(trained.gaussians, given.photos, training)
     say(
@@ -90,8 +84,7 @@ def run(
     )
     write_ply(background, trained.gaussians)
     write_npz(provenance, {"provenance": marks})
-    for checkpoint in kept:
-        checkpoint.remove()
+    checkpoint.remove()
 
 
 def _plate_scores(gaussians: Gaussians, photos: Sequence[Photo], training: Training) -> list[float]:

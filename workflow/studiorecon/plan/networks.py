@@ -28,7 +28,7 @@ class Networks:
         views: a network, "warp" or "precomputed"; people_in_views: finds whom those show; "" where bodies say so.
         compared: the stages that compare pictures by LPIPS.
         enhance: the one whose image the enhancer runs in: enhancer and flow share a process.
-        refiner: the enhancer that repairs views of the half-trained room; "" where photos alone correct them.
+        refiner: the enhancer that repairs views of the half-trained room; "" where none are asked for.
         drawn_by: image of what draws Gaussians: on a GPU, and for LPIPS, it is one of its own, because torch is large.
         drawing_gpus: GPUs that drawing holds.
     """

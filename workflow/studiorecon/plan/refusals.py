@@ -64,6 +64,11 @@ def _calibration(plan: Plan) -> None:
 
 def _enhancement(plan: Plan, config: Mapping[str, Any]) -> None:
     enhance = config["enhance"]
+    if config["background"]["refinement"]["views"] and not plan.networks.refiner:
+        raise UserError(
+            "background.refinement.views asks for views of the half-trained room that a network repairs, and "
+            f"enhance.enhancer is {enhance['enhancer']}: set that to a network (difix, fixer), or the views to 0"
+        )
     for setting, value in (("enhancer", "none"), ("strength", 0)):
         if plan.forced.get("enhancement") == "on" and enhance[setting] == value:
             raise UserError(

@@ -28,11 +28,9 @@ def settings(step: str, config: Mapping[str, Any]) -> str:
     return json.dumps(told(step, section(step, config)), sort_keys=True)
 
 
-def recursion(stage: str, config: Mapping[str, Any]) -> str:
-    """How the recursive module works where the training of the room uses it, as JSON; "none" where the enhancer works
-    alone."""
-    recursive = config[stage]["refinement"]["module"] == "recursive"
-    return json.dumps(section("enhance", config)["injection"], sort_keys=True) if recursive else "none"
+def recursion(config: Mapping[str, Any]) -> str:
+    """How the recursive module works where the training of the room uses it, as JSON."""
+    return json.dumps(section("enhance", config)["injection"], sort_keys=True)
 
 
 def shot_settings(step: str, config: Mapping[str, Any], keys: tuple[str, ...] = ()) -> Callable[[Any], str]:

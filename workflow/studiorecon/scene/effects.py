@@ -148,11 +148,6 @@ def settled(effect: Effect, on: bool, reason: str) -> Decision:
     return replace(effect.decide(None, None, reason), verdict="on" if on else "off")
 
 
-REFINEMENT = Effect(
-    name="refinement",
-    statistic="share of pixels from ±15 % height with alpha below 0.95 or a quarter of the median density of Gaussians",
-    threshold=0.02,
-)
 TEMPORAL_APPEARANCE = Effect(
     name="temporal_appearance",
     statistic="share of body points whose colour residual exceeds 3 times its noise and keeps its sign over time",
@@ -176,4 +171,4 @@ INJECTION = Effect(
     obeyed_by="enhance.shot, which measures it on pairs of pictures of the film before it makes the film",
 )
 # Measured when the scene is trained, and by every film of its own.
-TRAINED, FILMED = (REFINEMENT, TEMPORAL_APPEARANCE), (ENHANCEMENT, INJECTION)
+TRAINED, FILMED = (TEMPORAL_APPEARANCE,), (ENHANCEMENT, INJECTION)

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from studiorecon.scene.effects import (
     ENHANCEMENT,
     INJECTION,
-    REFINEMENT,
     TEMPORAL_APPEARANCE,
     Effect,
     force,
@@ -33,7 +32,7 @@ from studiorecon.survey.effects.surveyed import SurveyedEffect
 from studiorecon.survey.effects.view_dependent_colour import EFFECT as VIEW_DEPENDENT_COLOUR
 from studiorecon.survey.effects.view_synthesis import EFFECT as VIEW_SYNTHESIS
 
-# In the order in which they are decided: each after those that hide it. Four of them only a trained scene shows.
+# In the order in which they are decided: each after those that hide it. Three of them only a trained scene shows.
 EFFECTS: tuple[Effect, ...] = (
     MOVING_CAMERAS,
     PEOPLE,
@@ -43,7 +42,6 @@ EFFECTS: tuple[Effect, ...] = (
     CLOSED_PATH,
     VIEW_SYNTHESIS,
     VIEW_DEPENDENT_COLOUR,
-    REFINEMENT,
     TEMPORAL_APPEARANCE,
     MOVING_SHADOWS,
     DYNAMIC_OBJECTS,
