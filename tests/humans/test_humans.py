@@ -23,7 +23,7 @@ from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.geometry.statistics import Estimate
-from studiorecon.humans import train
+from studiorecon.humans import rest_pose, train
 from studiorecon.humans.crops import (
     IGNORED,
     OUTSIDE,
@@ -286,8 +286,8 @@ def test_a_turning_body_shows_four_cameras_more_sides_than_one_that_stands_still
         poses = np.zeros((frames, 72))
         poses[:, 2] = turn_rad * np.arange(frames)
         motion = RefinedMotion(poses, np.zeros((frames, 3)), np.zeros((24, 3)), np.r_[-1, np.arange(23)])
-        assert train.supported_degree(asked, motion, crops) == degree
-        assert train.supported_degree(replace(asked, sh_cap=False), motion, crops) == 2
+        assert rest_pose.supported_degree(asked, motion, crops) == degree
+        assert rest_pose.supported_degree(replace(asked, sh_cap=False), motion, crops) == 2
 
 
 @pytest.mark.parametrize(("cut_px", "expected"), [(-2, (0, 0)), (0, (0, 0)), (1, (0, 2)), (2, (2, 3)), (5, (5, 6))])

@@ -42,7 +42,7 @@ FOUNDATIONS += ["splatting", "recursive"]
 # What works with any network knows what networks are asked.
 BESIDE = {"recursive": {"models"}}
 GROUND = {"arrays", "configuration", "errors", "machine", "progress"}
-CARD = {"Snakefile", "workflow", "envs", "config", "resources", "tests", "docs", "README.md"}
+CARD = {"Snakefile", "benchmarks", "workflow", "envs", "config", "resources", "tests", "docs", "README.md"}
 DEMANDED_BY_TOOLS = {"pyproject.toml", "LICENSE", "profiles", ".ci", ".gitignore", ".github", "CITATION.cff"}
 MODULES = sorted(p for p in PACKAGE.rglob("*.py"))
 

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A person before training: Gaussians on the surface of the body in its rest pose, coloured by the photos."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.arrays import evenly_spread
+from studiorecon.body.avatar.posing import Posing
+from studiorecon.body.avatar.weight_grid import WeightGrid, build_weight_grid, every_bone, strongest
+from studiorecon.body.model import BodyModel
+from studiorecon.humans.colours import look, nearest_surface
+from studiorecon.humans.crops import Crop
+from studiorecon.humans.refined_motion import HELD, RefinedMotion
+from studiorecon.humans.surface_samples import (
+    SurfaceSamples,
+    fill_unseen,
+    gaussians_on,
+    mirrored,
+    neighbours,
+    started,
+)
+from studiorecon.humans.train_settings import Settings
+from studiorecon.progress import say
+from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
+from studiorecon.scene.people import Person
+from studiorecon.splatting.cpu.harmonics import degree_supported
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
+
+_BONES_KEPT = 4
+NEIGHBOURS = 8
+"""Surface neighbours that an unseen Gaussian takes its colour from."""
+# Pictures that colours start from: enough to see every side of a turning person, few enough to take a second.
+_LOOKS = 160
+# A Gaussian is measured when the weight of its looks passes that of one frontal look from 20 focal lengths per metre.
+_SEEN_WEIGHT = 20.0
+
+
+def skinning_weights(
+    samples: SurfaceSamples,
+    vertices_m: Float[np.ndarray, "V 3"],
+    weights: Float[np.ndarray, "V 24"],
+    settings: Settings,
+) -> tuple[Integer[np.ndarray, "N K"], Float[np.ndarray, "N K"], WeightGrid | None]:
+    """Joints (N, K) and weights (N, K): the surface's own four strongest, or all of the paper's voxel grid, and the
+    grid.
+
+    The grid mixes what is nearer than a voxel (3 cm at 64³), fingers and thighs among it (L06); the surface
+    does not.
+    """
+    if settings.skinning == "surface":
+        return *strongest(samples.weights, _BONES_KEPT), None
+    grid = build_weight_grid(vertices_m, weights, settings.grid_resolution, settings.grid_margin)
+    return *every_bone(grid, samples.points_m), grid
+
+
+def first_colours(
+    samples: SurfaceSamples, posing: Posing, motion: RefinedMotion, crops: Sequence[Crop]
+) -> tuple[Float[np.ndarray, "N 3"], Bool[np.ndarray, " N"]]:
+    """Colours (N, 3) float64 and ``seen`` (N,) bool from up to 160 crops spread over the clip; unseen rows are grey."""
+    sums, weights = np.zeros_like(samples.points_m), np.zeros(len(samples.points_m))
+    chosen = evenly_spread(len(crops), _LOOKS, below=True)
+    points = samples.points_m.astype(np.float32)
+    nothing = np.zeros((len(points), 1, 3), np.float32)
+    unturned = np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1))
+    for crop in (crops[i] for i in chosen):
+        means, _, _ = posing.out(points, unturned, nothing, motion.transforms(crop.frame))
+        normals = np.einsum("nab,nb->na", posing.turn, samples.normals)
+        pixels, depth_m = crop.camera.project(means.astype(np.float64))
+        # A disc covers about its spacing; the nearest surface has to close over the gaps between the points.
+        reach = int(np.ceil(samples.spacing_m * np.mean(crop.camera.focal_px) / max(float(np.median(depth_m)), 0.1)))
+        look(
+            crop,
+            means.astype(np.float64),
+            normals,
+            nearest_surface(pixels, depth_m, crop.camera.hw, reach),
+            sums,
+            weights,
+        )
+    seen = weights > _SEEN_WEIGHT
+    return np.where(seen[:, None], sums / np.maximum(weights, 1e-12)[:, None], 0.5), seen
+
+
+def supported_degree(settings: Settings, motion: RefinedMotion, crops: Sequence[Crop]) -> int:
+    """``sh_degree``, with ``sh_cap`` at most what the directions tell apart from which the turning body is seen
+    (G15)."""
+    looks = [motion.local[c.frame, 0].T @ (c.camera.centre_m - motion.trans_m[c.frame]) for c in crops]
+    return min(settings.sh_degree, degree_supported(np.array(looks))) if settings.sh_cap else settings.sh_degree
+
+
+@dataclass(frozen=True)
+class RestPose:
+    """A person before training: Gaussians on the surface of the body in its rest pose, and what moves them.
+
+    Attributes:
+        vertices_m: (V, 3) the body's surface at rest.
+        samples: where on it the Gaussians are.
+        posing, motion, grid: skinning, fitted motion, and the paper's voxel grid of weights (None: the surface's own).
+        start: the Gaussians, coloured by the photos.
+        seen: (N,) bool, a camera saw the Gaussian.
+    """
+
+    vertices_m: Float[np.ndarray, "V 3"]
+    samples: SurfaceSamples
+    posing: Posing
+    motion: RefinedMotion
+    grid: WeightGrid | None
+    start: Gaussians
+    seen: Bool[np.ndarray, " N"]
+
+
+def rest_pose(
+    settings: Settings,
+    person: str,
+    fitted: Person,
+    body_model: BodyModel,
+    crops: Sequence[Crop],
+    rng: np.random.Generator,
+) -> RestPose:
+    """The person's Gaussians before the first step of training."""
+    rest_m = body_model.rest_vertices(fitted.betas)
+    outside = np.array([name != "inside" for name in body_model.region_names])
+    faces = body_model.faces[outside[body_model.region[body_model.faces[:, 0]]]]
+    samples = started(rest_m, faces, body_model.weights, settings, rng)
+    bones, weights, grid = skinning_weights(samples, rest_m, body_model.weights, settings)
+    posing = Posing(bones, weights)
+    held = () if settings.additions.pose_joints == "all" else HELD
+    motion = RefinedMotion(fitted.poses, fitted.trans, body_model.rest_joints(fitted.betas), body_model.parents, held)
+    colours, seen = first_colours(samples, posing, motion, crops)
+    near, twin = neighbours(samples, NEIGHBOURS), mirrored(samples, 2 * samples.spacing_m)
+    degree = supported_degree(settings, motion, crops)
+    if degree < settings.sh_degree:
+        say(
+            f"{person}: harmonics of degree {degree} instead of {settings.sh_degree}: the "
+            "crops show too few sides of the body (sh_cap)"
+        )
+    start = gaussians_on(samples, degree)
+    start.sh[:, 0] = sh_from_rgb(fill_unseen(colours, seen, near, twin))
+    say(f"{person}: {len(crops)} crops; cameras see {seen.mean():.0%} of {start.count} Gaussians, the rest is inferred")
+    return RestPose(rest_m, samples, posing, motion, grid, start, seen)
