@@ -149,7 +149,6 @@ function makePainter(canvas, scene) {
     // Of the order the part from `from` to `to`: the picture is shown once its last part is drawn.
     draw(view, { exposure = [1, 1, 1], tinted = false, hurried = false, scale = 1, from = 0, to = count } = {}) {
       const [width, height] = view.wh, small = view.wh.map((side) => Math.max(1, Math.round(side * scale)));
-      if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
       const { at, made } = splats, by = [small[0] / width, small[1] / height], { drawing } = scene;
       const focal = view.focal.map((f, k) => f * by[k]), principal = view.principal.map((c, k) => c * by[k]);
       gl.useProgram(made);
@@ -174,11 +173,12 @@ function makePainter(canvas, scene) {
         gl.drawElements(gl.TRIANGLES, 6 * (Math.min(to, count) - from), gl.UNSIGNED_INT, 24 * from);
       }
       if (fence) gl.deleteSync(fence);
-      if (to >= count) this.show(view, exposure, tinted, hurried);
+      if (to >= count) this.show(hurried ? small : view.wh, exposure, tinted, hurried);
       fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
       gl.flush();
     },
-    show({ wh: [width, height] }, exposure, tinted, hurried) {
+    show([width, height], exposure, tinted, hurried) {
+      if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
       gl.disable(gl.BLEND);
       gl.bindFramebuffer(gl.FRAMEBUFFER, null);
       gl.viewport(0, 0, width, height);

@@ -21,9 +21,12 @@ function makePlayer(scene, painter) {
   let before = 0, moved = NaN, noted = 0, pictures = 0;
   // The view that is drawn, when its drawing began, and of the whole picture how many Gaussians are drawn.
   let seen = { due: 0 }, begun = null, whole = Infinity;
-  // So many Gaussians are drawn within the goal: twenty pictures a second, or three without a graphics card.
-  const goal_ms = painter.software ? 300 : 50;
+  // So many Gaussians are drawn within the goal: twenty pictures a second; without a graphics card five, of which
+  // sorting, at the same processor, leaves two to three.
+  const goal_ms = painter.software ? 200 : 50;
   let most = painter.software ? 20000 : 4 * scene.size, slice = most;
+  // Of less than a sixteenth nobody recognises anything.
+  const paced = (was, could) => within((was + could) / 2, scene.size / 16, 4 * scene.size);
   const changed = () => changes++;
 
   const pixels = (side) => Math.max(Math.round(side * Math.min(devicePixelRatio || 1, 2)), 2);
@@ -154,8 +157,8 @@ function makePlayer(scene, painter) {
   // The picture that was begun is there: how fast was that? What it covers may go.
   function finish(now) {
     const could = (begun.count * goal_ms) / Math.max(now - begun.now, 1);
-    if (begun.part) slice = within((slice + could) / 2, 1000, 4 * scene.size);
-    else most = within((most + could) / 2, 1000, 4 * scene.size);
+    if (begun.part) slice = paced(slice, could);
+    else most = paced(most, could);
     if (begun.sorted) [at("picture").hidden, at("poster").hidden, pictures] = [false, true, pictures + 1];
     begun = null;
   }
@@ -174,7 +177,7 @@ function makePlayer(scene, painter) {
     if (sorted !== seen.due && !sorting) sort(most);
     if (hurried && sorting) return;
     if (drawn !== seen.due || fresh) {
-      paint(now, { hurried, scale: hurried ? Math.max(Math.sqrt(most / scene.size), 0.25) : 1 });
+      paint(now, { hurried, scale: hurried ? Math.max(2 ** (Math.round(Math.log2(most / scene.size)) / 2), 0.25) : 1 });
       drawSkeletons(seen.view);
       [drawn, fresh, whole] = [seen.due, false, hurried ? -1 : Infinity];
     } else if (whole < 0) {
