@@ -22,6 +22,7 @@ def doctors_page(name: str) -> str:
     camera = {"wh": (64, 48), "fps": 25.0, "video_frames": 9, "rotation_deg": 0, "brightness": 0.4, "burnt": 0.0}
     report = {
         "verdict": "good",
+        "notes": [f"{name} was not used"],
         "sync": {"sentences": [f"{name} was started first"]},
         "advice": [f"look at {name}"],
         "shown_frame": None,
