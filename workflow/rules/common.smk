@@ -1,5 +1,5 @@
 # What rules ask: PLAN is what was decided (workflow/studiorecon/plan), files are the paths that hang on it.
-# Here stands only what needs Snakemake's own names: config, workflow, local, checkpoints, WorkflowError.
+# Here stands only what needs Snakemake's own names: config, workflow, local, checkpoints.
 
 import json
 import os
@@ -7,11 +7,12 @@ import time
 from pathlib import Path
 
 import yaml
-from snakemake.exceptions import WorkflowError
 from snakemake.logging import logger
 
 from studiorecon import code as package_code
 from studiorecon.errors import UserError
+from studiorecon.machine.fault import fault_sentence, keep_trace
+from studiorecon.machine.refusals import refused
 from studiorecon.plan.left_lock import clear_left_lock
 from studiorecon.models.catalogue.selection import modules_of
 from studiorecon.plan import told
@@ -22,6 +23,7 @@ from studiorecon.plan.decisions import one_of
 from studiorecon.plan.rule_files import Files
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.networks import images_of
+from studiorecon.configuration.overlays import check_overlay
 from studiorecon.configuration.schema import mistakes, typed
 
 HOME = Path(workflow.basedir)
@@ -32,15 +34,33 @@ if HOME.is_relative_to(Path.cwd()):
 
 # libyaml reads it in a tenth of the time that plain Python takes; every start of Snakemake waits for it.
 SCHEMA = yaml.load(
-    (HOME / "workflow/schemas/config.schema.yaml").read_text(), getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    (HOME / "workflow/schemas/config.schema.yaml").read_text(encoding="utf-8"),
+    getattr(yaml, "CSafeLoader", yaml.SafeLoader),
 )
+
+
+def refuse(sentence):
+    """End with a sentence alone: Snakemake would add where in its files it was said."""
+    logger.error(sentence)
+    raise SystemExit(1)
+
+
+def refuse_error(error):
+    """The same for an error: what a user has to know of it."""
+    is_ours = isinstance(error, UserError)
+    refuse(str(error) if is_ours else refused(error) or fault_sentence(error, keep_trace(error)))
 
 
 def check_settings():
     """Read every setting as what the schema says it is; refuse a configuration that breaks it, in a sentence per mistake."""
+    try:
+        for file in workflow.config_settings.configfiles or ():
+            check_overlay(Path(file))
+    except UserError as refusal:
+        refuse(str(refusal))
     config.update(typed(config, SCHEMA))
     if wrong := mistakes(config, SCHEMA):
-        raise WorkflowError("\n".join([*wrong, "config/README.md explains every setting"]))
+        refuse("\n".join([*wrong, "config/README.md explains every setting"]))
 
 
 def decided():
@@ -49,8 +69,8 @@ def decided():
         plan = make_plan(config, HOME)
         refuse_future(plan.dataset.folder, Path("results") / plan.scene, time.time())
         return plan
-    except UserError as refusal:
-        raise WorkflowError(str(refusal)) from None
+    except Exception as error:
+        refuse_error(error)
 
 
 def bought_by_budget():
@@ -64,8 +84,8 @@ def bought_by_budget():
         # workflow.cores is what --cores allows; --lint and --unlock are given no number.
         said = workflow.config_settings.overwrite_config  # of --config and --configfile
         choice = bought(config, said, SCHEMA, decided(), workflow.cores or os.cpu_count() or 1)
-    except UserError as refusal:
-        raise WorkflowError(str(refusal)) from None
+    except Exception as error:
+        refuse_error(error)
     config.update(choice.chosen.config)
     logger.info(choice.sentence())
     return choice.as_json()

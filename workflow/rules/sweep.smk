@@ -9,7 +9,7 @@ def sweep_records(wildcards):
     try:
         rows = read_rows(Path(beside(config["sweep"], HOME)))
     except UserError as refusal:
-        raise WorkflowError(str(refusal)) from None
+        refuse(str(refusal))
     return [f"results/{wildcards.scene}/sweep/{wildcards.table}/{row.name}.json" for row in rows]
 
 

@@ -24,10 +24,12 @@ from pathlib import Path
 from studiorecon.configuration import settings as settings_module
 from studiorecon.configuration.step_settings import section_of
 from studiorecon.errors import UserError
+from studiorecon.machine.fault import fault_sentence, keep_trace
 from studiorecon.machine.libraries import remedy, unloaded
+from studiorecon.machine.output import unbroken_output
 from studiorecon.machine.refusals import refused, short_of_memory
 from studiorecon.models.catalogue.confined import confine
-from studiorecon.progress import fail, logged
+from studiorecon.progress import LOGGER, fail, logged
 
 _MOST_PIXELS = 2**28
 # ``kernel_cache``, by name: what is imported here is part of every step's digest, and where machine code lies changes
@@ -42,10 +44,10 @@ def main(argv: list[str] | None = None) -> int:
     """Run one step; the exit status is 0 when it finished, 1 when it refused or failed."""
     argv = list(sys.argv[1:] if argv is None else argv)
     try:
-        return _main(argv)
+        with unbroken_output():
+            return _main(argv)
     except Exception as error:  # before the step runs, or in its log
-        if (sentence := refused(error)) is None:
-            raise
+        sentence = refused(error) or fault_sentence(error, keep_trace(error))
         print(f"{' '.join(argv[:1])}: {sentence}", file=sys.stderr, flush=True)
         return 1
 
@@ -73,8 +75,9 @@ def _main(argv: list[str]) -> int:
         print(f"studiorecon: there is no step {step!r}; the rules in workflow/rules name them all", file=sys.stderr)
         return 2
     options = _parse(step, run, argv[1:])
-    with logged(step, options.pop("log")):
-        return _run(module, step, options)
+    log = options.pop("log")
+    with logged(step, log):
+        return _run(module, step, options, log)
 
 
 def _keep_to_the_threads_given() -> None:
@@ -104,7 +107,7 @@ def _keep_byte_code() -> None:
         sys.pycache_prefix, sys.dont_write_bytecode = str(Path(".snakemake/bytecode").resolve()), False
 
 
-def _run(module: types.ModuleType, step: str, options: dict) -> int:
+def _run(module: types.ModuleType, step: str, options: dict, log: Path | None) -> int:
     try:
         values = _section(options.pop("settings"), step)
         settings_type = module.Settings if dataclasses.is_dataclass(getattr(module, "Settings", None)) else None
@@ -119,19 +122,15 @@ def _run(module: types.ModuleType, step: str, options: dict) -> int:
         elif unloaded(error) is not None:
             fail(f"{step}: {_sentence(error)}")
         else:
-            fail(f"{traceback.format_exc()}{_fault(step)}")
+            if log is None:
+                print(traceback.format_exc(), file=sys.stderr)
+            LOGGER.debug(traceback.format_exc())
+            fail(f"{step}: {fault_sentence(error, log)}")
     else:
         return 0
     if (note := short_of_memory()) is not None:
         fail(f"{step}: {note}")
     return 1
-
-
-def _fault(step: str) -> str:
-    return (
-        f"{step}: this is a fault of the program, not of your files: please report it with these lines, this step's "
-        "log and the scene's calibration/doctor.json, by the form .github/ISSUE_TEMPLATE/wrong.yml"
-    )
 
 
 def _sentence(error: Exception) -> str:

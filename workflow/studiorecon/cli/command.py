@@ -20,8 +20,12 @@ from typing import Any
 
 from studiorecon.__main__ import main as step_main
 from studiorecon.cli.viewer import Viewer
+from studiorecon.configuration.overlays import check_overlay
 from studiorecon.errors import UserError
 from studiorecon.home import CONFIGURATION, HOME, PRESETS, SCHEMA, SNAKEFILE
+from studiorecon.machine.fault import fault_sentence, keep_trace
+from studiorecon.machine.output import unbroken_output
+from studiorecon.machine.refusals import refused
 
 _DEMO = "resources/studio/demo.yaml"
 _PORT = 8642
@@ -37,16 +41,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help()
         return 0
     options.rest = given[cut + 1 :]
-    try:
-        return options.word(options)
-    except UserError as refusal:
-        print(f"studiorecon: {refusal}", file=sys.stderr)
-        return 1
-    except BrokenPipeError:
-        # Whoever read our words has read enough, as with `studiorecon settings | head`; Python must not try to flush
-        # the rest.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    with unbroken_output():
+        try:
+            return options.word(options)
+        except UserError as refusal:
+            sentence = str(refusal)
+        except Exception as error:
+            sentence = refused(error) or fault_sentence(error, keep_trace(error))
+    print(f"studiorecon: {sentence}", file=sys.stderr)
+    return 1
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -249,6 +252,8 @@ def snakemake_command(target: str, dataset: str, cores: str, preset: str | None,
     config, rest = _taken(rest, ("--config", "-C"))
     overlays, rest = _taken(rest, ("--configfile", "--configfiles"))
     overlays = [*([str(preset_file(preset))] if preset else []), *overlays]
+    for overlay in overlays:
+        check_overlay(Path(overlay))
     command = [
         sys.executable,
         "-m",

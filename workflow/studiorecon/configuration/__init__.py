@@ -7,6 +7,6 @@ config/config.yaml, its schema and the tables of config/README.md (``written``).
 their meaning, for people), and ``letter`` (docs/paper.md: every setting of which the paper speaks, and whether its
 presets take the paper at its word).
 
-On the way back, ``schema`` checks what a user wrote, ``step_settings`` takes of it what one step reads, and
-``settings`` makes the step's dataclass of that.
+On the way back, ``overlays`` opens the files that a user lays over the defaults, ``schema`` checks what a user wrote,
+``step_settings`` takes of it what one step reads, and ``settings`` makes the step's dataclass of that.
 """

@@ -9,12 +9,14 @@ takes the reading that the schema allows.
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from typing import Any
 
 import jsonschema
 
+_INTEGER = re.compile(r"[-+]?(?:0|[1-9]\d*)", re.ASCII)
+_REAL = re.compile(r"[-+]?(?:(?:0|[1-9]\d*)(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _WORDS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
 
 
@@ -77,9 +79,11 @@ def _readings(value: Any, schema: Mapping[str, Any]) -> Iterator[Any]:
         yield int(value)
     yield value
     if isinstance(value, str):
-        for kind in (int, float):
-            with suppress(ValueError):
-                yield kind(value)
+        # Neither 010, which YAML 1.1 reads as 8, nor 1_000.
+        if _INTEGER.fullmatch(value):
+            yield int(value)
+        elif _REAL.fullmatch(value):
+            yield float(value)
         if value.lower() in _WORDS:
             yield _WORDS[value.lower()]
     elif isinstance(value, bool):

@@ -7,12 +7,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from studiorecon.errors import UserError
 from studiorecon.plan.dataset import beside, chosen_dataset
 from studiorecon.plan.decisions import Plan
 from studiorecon.plan.networks import networks_of
 from studiorecon.plan.refusals import refuse
 from studiorecon.plan.sight import sight_of
 from studiorecon.scene.names import checked_name, segment_name
+
+_TAKEN = ("studio", "body")
+"""Folders of results that belong to no scene."""
 
 
 def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
@@ -24,6 +28,11 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
     dataset, sight, networks = chosen.dataset, sight_of(chosen.dataset, config), networks_of(config, home)
     scene = str(config["scene"]) or chosen.studio or dataset.folder.resolve().name
     checked_name(scene, "the scene", "name it with --config scene=NAME")
+    if scene in _TAKEN:
+        raise UserError(
+            f"the scene is called {scene!r}, and results/{scene}/ holds what all scenes share; name it otherwise with "
+            "--config scene=NAME"
+        )
     given_body = beside(config["body"], home)
     source = config["calibration"]["source"]
     position, affinity = (config["people"]["association"][key] for key in ("position", "affinity"))

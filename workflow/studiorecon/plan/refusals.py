@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,17 +12,14 @@ from studiorecon.calibration.formats import accepted
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.registry import MODELS, of_kind
 from studiorecon.plan.decisions import Plan
+from studiorecon.scene.outside import file_size
 
 
 def refuse(plan: Plan, config: Mapping[str, Any]) -> None:
     """Raises UserError for the first thing that is missing or contradicts another."""
     _calibration(plan)
     _enhancement(plan, config)
-    if plan.identities and not Path(plan.identities).is_file():
-        raise UserError(
-            f"people.identities names {plan.identities}, which does not exist; copy "
-            f"results/{plan.scene}/people/identities.tsv there"
-        )
+    _named_files(plan, config)
     if (named := config["detect"]["network"]) and named not in MODELS and not Path(named).is_file():
         known = " or ".join(card.name for card in of_kind("point detector"))
         raise UserError(
@@ -47,6 +45,27 @@ def refuse(plan: Plan, config: Mapping[str, Any]) -> None:
             f"{unseen[0]} has no keypoints: add {unseen[0]}/*.json, set detect.source to auto, leave the camera out "
             "with train: [...] in capture.yaml, or bring a calibration"
         )
+
+
+def _named_files(plan: Plan, config: Mapping[str, Any]) -> None:
+    """Raises UserError for the first file that a setting names and that cannot be read."""
+    named = {"body": plan.given_body, "people.identities": config["people"]["identities"]}
+    for shot, given in config["render"]["shots"].items():
+        where = f"render.shots.{shot}"
+        named |= {f"{where}.{key}": given.get(key, "") for key in ("file", "reference")}
+        named |= {
+            f"{where}.replace.{person}": other
+            for person, other in given.get("replace", {}).items()
+            if not re.fullmatch(r"p\d+|nobody", other)
+        }
+    for setting, file in named.items():
+        if file:
+            try:
+                file_size(Path(file))
+            except UserError as refusal:
+                raise UserError(
+                    f"{setting} names a file that is not there to be read: {refusal}; correct the setting or bring it"
+                ) from None
 
 
 def _calibration(plan: Plan) -> None:

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the command line is given is opened safely, and what fails ends in a sentence."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from studiorecon import __main__ as steps
+from studiorecon.cli import command
+from studiorecon.configuration.overlays import check_overlay
+from studiorecon.detect import chapters
+from studiorecon.errors import UserError
+from studiorecon.machine.fault import FAULTS
+
+OVERLAYS = {
+    "missing": (None, "missing"),
+    "binary": (b"\x8f\x00\xff", "UTF-8"),
+    "a list": (b"[1, 2]", "no settings"),
+    "a setting twice": (b"capture: {width: 64}\ncapture: {width: 96}", "twice"),
+    "octal": (b"capture: {width: 010}", "plain decimal digits"),
+    "sexagesimal in a list": (b"render: {shots: {a: {keys: [1, 12:30]}}}", "plain decimal digits"),
+}
+
+
+@pytest.mark.parametrize(("content", "words"), OVERLAYS.values(), ids=OVERLAYS)
+def test_a_file_of_settings_that_cannot_be_meant_is_refused(tmp_path: Path, content: bytes | None, words: str) -> None:
+    file = tmp_path / "mine.yaml"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(UserError, match=words):
+        check_overlay(file)
+    file.write_text("capture: {width: 64}\nstrict: on\n")
+    check_overlay(file)
+
+
+def test_a_fault_of_a_step_names_place_and_file_and_keeps_its_trace(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    film = tmp_path / "a.mp4"
+    film.touch()
+
+    def fail(path: Path, films: list[Path]) -> None:
+        first = films[0]
+        raise KeyError(first.name)
+
+    monkeypatch.setattr(chapters, "write_chapters", fail)
+    words = ["detect.chapters", "--camera", "a", "--films", str(film), "--joined", str(tmp_path / "x")]
+    log = tmp_path / "step.log"
+    assert steps.main([*words, "--log", str(log)]) == 1
+    said = capsys.readouterr().err
+    for part in ("fault of the program", "KeyError", "detect/chapters.py, line", str(film), "report", str(log)):
+        assert part in said
+    assert "Traceback" not in said
+    assert "Traceback" in log.read_text()
+
+
+def test_a_fault_of_the_command_is_a_sentence_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "finished_scene", lambda folder: 1 / 0)
+    assert command.main(["view", "demo", "--no-browser"]) == 1
+    said = capsys.readouterr().err
+    assert "ZeroDivisionError" in said
+    assert str(FAULTS) in said
+    assert "Traceback" not in said
+    assert "Traceback" in (tmp_path / FAULTS).read_text()
+
+
+@pytest.mark.parametrize(
+    "environment", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}]
+)
+def test_a_terminal_of_ascii_gets_every_sentence(environment: dict[str, str]) -> None:
+    code = "from studiorecon.machine.output import unbroken_output as u\nwith u(): print('320\\xd7180')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, env=os.environ | environment, check=True)
+    assert done.stdout.startswith(b"320")
+    assert done.stdout.isascii()
+
+
+def test_work_goes_on_where_nobody_reads_its_output(tmp_path: Path) -> None:
+    written = tmp_path / "done"
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom studiorecon.machine.output import unbroken_output as u\n"
+        f"with u():\n for k in range(100000): print(k)\n Path({str(written)!r}).touch()"
+    )
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run([sys.executable, "-c", code], stdout=writing, stderr=subprocess.PIPE, check=False)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert written.exists()
