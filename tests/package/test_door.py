@@ -21,8 +21,8 @@ OVERLAYS = {
     "binary": (b"\x8f\x00\xff", "UTF-8"),
     "a list": (b"[1, 2]", "no settings"),
     "a setting twice": (b"capture: {width: 64}\ncapture: {width: 96}", "twice"),
-    "octal": (b"capture: {width: 010}", "plain decimal digits"),
-    "sexagesimal in a list": (b"render: {shots: {a: {keys: [1, 12:30]}}}", "plain decimal digits"),
+    "octal": (b"capture: {width: 010}", "plainly"),
+    "sexagesimal in a list": (b"render: {shots: {a: {keys: [1, 12:30]}}}", "plainly"),
 }
 
 

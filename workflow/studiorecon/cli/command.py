@@ -252,8 +252,6 @@ def snakemake_command(target: str, dataset: str, cores: str, preset: str | None,
     config, rest = _taken(rest, ("--config", "-C"))
     overlays, rest = _taken(rest, ("--configfile", "--configfiles"))
     overlays = [*([str(preset_file(preset))] if preset else []), *overlays]
-    for overlay in overlays:
-        check_overlay(Path(overlay))
     command = [
         sys.executable,
         "-m",
@@ -290,6 +288,8 @@ def _taken(words: Sequence[str], names: Sequence[str]) -> tuple[list[str], list[
 def _snakemake(target: str, dataset: str, options: argparse.Namespace) -> int:
     if importlib.util.find_spec("snakemake") is None:
         raise UserError("Snakemake, which runs the steps, is not installed here: pip install 'studiorecon[run]'")
+    for overlay in _taken(options.rest, ("--configfile", "--configfiles"))[0]:
+        check_overlay(Path(overlay))
     budget = getattr(options, "budget", None)
     command = snakemake_command(target, dataset, options.cores, getattr(options, "preset", None), options.rest)
     command += [] if budget is None else [f"budget_min={budget:g}"]
