@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy
 
 from studiorecon.deliver.finished import FinishedScene
 from studiorecon.deliver.packing import Bytes, along_a_curve
@@ -109,7 +108,7 @@ def gaussians(
         "means": held.levels(own.means_m, 24),
         "quaternions": held.quaternions(own.quaternions),
         "scales": held.levels(own.log_scales, 16),
-        "opacities": held.levels(scipy.special.expit(own.logit_opacities), 16, 0.0, 1.0),
+        "opacities": held.levels(own.opacities, 16, 0.0, 1.0),
         "colours": held.levels(own.sh[:, 0], 16),
         "provenance": held.whole(np.asarray(provenance)[order], 8),
         "reach": 0.0,

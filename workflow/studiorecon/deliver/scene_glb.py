@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy
 
 from studiorecon.deliver.body_colours import body_colours
 from studiorecon.deliver.finished import FinishedScene, read_finished
@@ -45,11 +44,10 @@ _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 def splats(buffer: Buffer, own: Gaussians, provenance: Integer[np.ndarray, " N"]) -> dict[str, Any]:
     """A primitive of N Gaussians: linear scales, opacities in 0..1, unit quaternions (x, y, z, w), harmonics as
     trained (they show display-referred sRGB); ``COLOR_0``, linear, for who draws points."""
-    unit = own.quaternions / np.linalg.norm(own.quaternions, axis=1, keepdims=True).clip(1e-12)
-    opacities = scipy.special.expit(own.logit_opacities).astype(np.float32)
+    opacities = own.opacities
     values = {
         "POSITION": (own.means_m, "VEC3"),
-        f"{NAMES}ROTATION": (np.ascontiguousarray(unit[:, [1, 2, 3, 0]], np.float32), "VEC4"),
+        f"{NAMES}ROTATION": (np.ascontiguousarray(own.unit_quaternions[:, [1, 2, 3, 0]], np.float32), "VEC4"),
         f"{NAMES}SCALE": (np.exp(own.log_scales), "VEC3"),
         f"{NAMES}OPACITY": (opacities[:, None], "SCALAR"),
     }

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy
 
 from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.deliver.body_colours import body_colours
@@ -63,11 +62,10 @@ def add_gaussians(stage: Any, path: str, own: Gaussians, provenance: Integer[np.
     usd = pxr()
     splat = usd.UsdVol.ParticleField3DGaussianSplat.Define(stage, path)
     scales_m = np.exp(own.log_scales)
-    unit = own.quaternions / np.linalg.norm(own.quaternions, axis=1, keepdims=True).clip(1e-12)
     splat.CreatePositionsAttr(_vectors(own.means_m))
-    splat.CreateOrientationsAttr(_quaternions(unit))
+    splat.CreateOrientationsAttr(_quaternions(own.unit_quaternions))
     splat.CreateScalesAttr(_vectors(scales_m))
-    splat.CreateOpacitiesAttr(usd.Vt.FloatArray.FromNumpy(scipy.special.expit(own.logit_opacities).astype(np.float32)))
+    splat.CreateOpacitiesAttr(usd.Vt.FloatArray.FromNumpy(own.opacities))
     splat.CreateRadianceSphericalHarmonicsDegreeAttr(own.sh_degree)
     splat.CreateRadianceSphericalHarmonicsCoefficientsAttr(_vectors(own.sh.reshape(own.count * own.sh.shape[1], 3)))
     if own.count:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.geometry.camera_path import LARGEST_GAP_RAD, scene_centre
+from studiorecon.geometry.camera_path import LARGEST_GAP_RAD, azimuths_rad, order_around, scene_centre
 from studiorecon.render.shots import Time, film_times, level_step, usual_focal
 from studiorecon.render.subjects import Subjects, Target
 from studiorecon.scene.camera import Camera
@@ -53,19 +53,16 @@ def azimuths(
     orbit: Orbit, cameras: Sequence[Camera], centre_m: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, " frames"]:
     """(frames,) azimuth of each picture about the centre: once around, or along the filmed arc and back."""
-    filmed = _azimuth_of(cameras, centre_m)
-    ordered = np.sort(filmed)
-    gaps = np.diff(ordered, append=ordered[0] + 2 * np.pi)
-    widest = int(np.argmax(gaps))
-    if gaps[widest] < LARGEST_GAP_RAD:
+    filmed = azimuths_rad(cameras, centre_m)
+    order, gap_rad = order_around(cameras, centre_m, closed=False)
+    if gap_rad < LARGEST_GAP_RAD:
         return (
             filmed[0]
             + np.radians(orbit.start_deg)
             + np.arange(orbit.frames) / orbit.frames * np.radians(orbit.turn_deg)
         )
-    first = ordered[(widest + 1) % len(ordered)]
     swing = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(orbit.frames) / orbit.frames)
-    return first + (2 * np.pi - gaps[widest]) * swing
+    return filmed[order[0]] + (2 * np.pi - gap_rad) * swing
 
 
 def orbit_steps(
@@ -88,7 +85,7 @@ def orbit_steps(
     offsets = np.array([camera.centre_m - centre for camera in cameras])
     angles = azimuths(orbit, cameras, centre)
     distances = np.interp(
-        angles, _azimuth_of(cameras, centre), np.linalg.norm(offsets[:, :2], axis=1), period=2 * np.pi
+        angles, azimuths_rad(cameras, centre), np.linalg.norm(offsets[:, :2], axis=1), period=2 * np.pi
     )
     height = float(np.mean([camera.centre_m[2] for camera in cameras])) + orbit.rise_m
     radius = distances * orbit.radius * shrink
@@ -99,8 +96,3 @@ def orbit_steps(
     targets = subjects.at(orbit.target, times, name)
     focal = orbit.zoom * usual_focal(cameras, wh[0])
     return [level_step(name, wh, focal, *picture) for picture in zip(eyes, targets, times)]
-
-
-def _azimuth_of(cameras: Sequence[Camera], centre_m: np.ndarray) -> np.ndarray:
-    offsets = np.array([camera.centre_m - centre_m for camera in cameras])
-    return np.arctan2(offsets[:, 1], offsets[:, 0])

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
@@ -62,6 +63,16 @@ class Gaussians:
     @property
     def sh_degree(self) -> int:
         return {1: 0, 4: 1, 9: 2, 16: 3}[self.sh.shape[1]]
+
+    @property
+    def unit_quaternions(self) -> Float[np.ndarray, "N 4"]:
+        """(N, 4) float32 w, x, y, z of length 1."""
+        return self.quaternions / np.linalg.norm(self.quaternions, axis=1, keepdims=True).clip(1e-12)
+
+    @property
+    def opacities(self) -> Float[np.ndarray, " N"]:
+        """(N,) float32 in 0..1."""
+        return scipy.special.expit(self.logit_opacities).astype(np.float32)
 
     def take(self, index: Integer[np.ndarray, " M"] | Bool[np.ndarray, " N"]) -> Gaussians:
         """The Gaussians at ``index`` (integers or a boolean mask), in that order."""

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.geometry.rotations import from_quaternion
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.splatting.train.schedule import TrainingSettings
 
@@ -110,21 +111,10 @@ def grow(
 def _half(gaussians: Gaussians, rng: np.random.Generator) -> Gaussians:
     """Smaller Gaussians drawn from inside the given ones."""
     offsets = rng.normal(size=gaussians.means_m.shape) * np.exp(gaussians.log_scales.astype(np.float64))
-    means = gaussians.means_m + np.einsum("nij,nj->ni", rotations_of(gaussians.quaternions.astype(np.float64)), offsets)
+    means = gaussians.means_m + np.einsum("nij,nj->ni", from_quaternion(gaussians.quaternions), offsets)
     return Gaussians(
         means, gaussians.quaternions, gaussians.log_scales - SPLIT_SHRINK, gaussians.logit_opacities, gaussians.sh
     )
-
-
-def rotations_of(quaternions: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 3 3"]:
-    """(N, 3, 3) from (w, x, y, z) of any norm."""
-    w, x, y, z = (quaternions / np.maximum(np.linalg.norm(quaternions, axis=1, keepdims=True), 1e-12)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def shared_opacity(opacity: Float[np.ndarray, " N"], copies: Integer[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
