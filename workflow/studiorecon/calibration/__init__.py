@@ -6,6 +6,8 @@ metric world, z up, pixel centres at +0.5, with a sentence about every change. I
 
 * ``formats``: one file per format, and the list of them;
 * ``files``: reads the user's files by that list (``names``: cameras of the footage, ``world``: metres, z up);
-* ``network`` and ``from_people`` (with ``room_pictures``): cameras where there are no files;
+* ``choose``: which camera is which film, and where its pixels lie, where that is open: people decide;
+* ``network`` and ``from_people`` (with ``room_pictures``; ``given_lenses`` where lenses are known): cameras where there
+  are no files;
 * ``doctor`` and ``checks``: what clocks, coverage and people say of the calibration, before anything expensive runs.
 """

@@ -4,7 +4,7 @@
 Read in this order:
 
 * ``raw_camera``: one camera of somebody else's file, whether it can be one, and the checks that every reader of such
-  files shares;
+  files shares; ``lens_kinds``: which lens model a name means;
 * ``colmap_models``, ``transforms_json``: the two foreign kinds that more than one stage reads;
 * ``calibration``: the lenses in our own ``calibration.json``;
 * ``colmap``: the undistorted cameras that all later steps read, as COLMAP text.
