@@ -48,7 +48,9 @@ def test_a_format_is_found_by_the_files_it_declares(name: str, tmp_path: Path) -
         for file in names:
             path = folder / file.replace("*", "any")
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text("matrix translation")
+            # What tells a calibration from other files of its ending.
+            xml = "<matrix><K>1</K><R>1</R><translation>1</translation></matrix>"
+            path.write_text(xml if path.suffix == ".xml" else "{K: 1, R: 1, translation: 1} # matrix")
         found = [str(path.relative_to(folder)) for path in find_calibration(folder)]
         assert found == [file.replace("*", "any") for file in names]
 
