@@ -22,11 +22,11 @@ import numpy as np
 from studiorecon.images import metrics
 from studiorecon.images.flow import PRESETS, dis_flow, grey_levels, one_thread
 from studiorecon.images.warp import warp
-from studiorecon.report.sections.solvers import COLUMNS
 from studiorecon.scene.files import write_table
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS, TABLE = ROOT / "benchmarks/results", ROOT / "resources/solvers.tsv"
+COLUMNS = ("solver", "form", "setting", "cost", "cost unit", "error", "error unit", "default")
 HW = (704, 1280)
 WAVES = 60
 

@@ -17,8 +17,9 @@ from studiorecon.pages.ending import read_warnings
 from studiorecon.report.page import learned
 from studiorecon.report.sections import appendix, comparison_slider, timeline
 from studiorecon.report.sections import tables as sections
+from studiorecon.report.sections.judgement import judgement
 from studiorecon.scene.decisions import Decision
-from studiorecon.scene.files import read_json, write_table, write_text
+from studiorecon.scene.files import read_json, write_json, write_table, write_text
 from studiorecon.scene.people import Detections, Person
 
 from tests.made.browser import BROWSER
@@ -84,7 +85,8 @@ def test_the_page_needs_no_network_and_shows_the_numbers(reported: Path) -> None
     shown = [(tag, address) for tag, address in parser.found if not address.startswith("data:")]
     assert {tag for tag, _ in shown} <= {"a"}, "everything that is shown is inside the page"
     for _, address in shown:
-        assert (reported / "report" / address).is_file(), "links lead to files beside the page"
+        there = f'<a id="{address[1:]}"></a>' in text if address.startswith("#") else None
+        assert there or (reported / "report" / address).is_file(), "links lead to headings, and to files beside it"
     assert ("a", "metrics.json") in shown
     assert ("a", "../deliver/player.html") in shown
     assert not re.search(r"@import|url\(", text)
@@ -117,6 +119,92 @@ def test_a_browser_opens_the_page_without_errors_and_shows_the_numbers_of_the_js
         for camera, entry in pictures[version]["psnr"]["cameras"].items():
             assert camera in words
             assert f"{entry['value']:.2f}" in words
+
+
+def test_the_first_screen_is_the_judgement_the_player_and_the_contents(reported: Path) -> None:
+    text = (reported / "report/index.html").read_text(encoding="utf-8")
+    first, _, rest = text.partition('<a id="films"></a>')
+    psnr = read_json(reported / "report/metrics.json")["pictures"]["enhanced"]["psnr"]["value"]
+    assert f"{psnr:.1f} dB PSNR" in first.partition('class="lead">')[2].partition("</p>")[0]
+    assert '<a class="open" href="../deliver/player.html">' in first
+    listed = re.findall(r'<a href="#([^"]+)">', first)
+    assert listed[0] == "films"
+    assert all(f'<a id="{anchor}"></a>' in text for anchor in listed)
+    assert rest.index("<video") < rest.index('class="tile"') < rest.index("<table"), "numbers come after pictures"
+
+
+def values(**found: float | None) -> dict:
+    return {name: {"value": value, "reason": "r", "cameras": {}} for name, value in found.items()}
+
+
+def scored(raw: dict, enhanced: dict) -> dict:
+    bodies = {"mpjpe_world_mm": 21.4, "people": {}}
+    return {"pictures": {"raw": raw, "enhanced": enhanced}, "bodies": bodies, "coverage": {"orbit": {"measured": 0.61}}}
+
+
+UNSEEN = values(psnr=20.0, ssim=0.7, psnr_seen=26.0, psnr_unseen=12.0, share_seen=0.9)
+
+
+@pytest.mark.parametrize(
+    ("pictures", "limits", "helps"),
+    [
+        (UNSEEN, "10% of the room", "studiorecon plan"),
+        (values(psnr=20.0, ssim=0.7, psnr_people=18.0, psnr_background=24.0), "people (18.0 dB", "standard"),
+        (values(psnr=20.0, psnr_seen=20.0, psnr_unseen=19.0, share_seen=0.9), "cameras do see (90%", "standard"),
+        (values(psnr=None), "no camera is held out", "held_out in capture.yaml"),
+    ],
+)
+def test_the_judgement_names_what_limits_and_what_would_help(pictures: dict, limits: str, helps: str) -> None:
+    said = judgement(scored(pictures, pictures))
+    assert limits in said
+    assert helps in said
+    assert "21 mm" in said
+    assert ("61%" in said) == (pictures["psnr"]["value"] is None)
+
+
+@pytest.mark.parametrize("gained", [0.0, 0.3])
+def test_what_is_enhanced_has_a_column_only_where_something_was(gained: float) -> None:
+    metrics = scored(values(psnr=20.0, ssim=0.7), values(psnr=20.0 + gained, ssim=0.7))
+    shown = sections.measures(metrics) + sections.numbers(metrics, {"total": {"seconds": 9.0}})
+    assert ("enhanced" in shown) == (">change<" in shown) == bool(gained)
+    assert f"{20 + gained:.2f} dB" in shown
+
+
+def test_settings_are_lines_and_not_json() -> None:
+    shown = sections.settings(json.dumps({"people": {"fit": {"iterations": 20}}, "rgb": [0, 1]}))
+    assert "people.fit.iterations = 20" in shown
+    assert "rgb = 0, 1" in shown
+    assert "{" not in shown
+
+
+def test_what_was_delivered_is_linked_by_folder(tmp_path: Path) -> None:
+    files = ["README.txt", "bodies/p0.bvh", "bodies/p0.glb", "keypoints/a.json", "keypoints/b.json", "gone.ply"]
+    for name in files[:-1]:
+        write_text(tmp_path / "deliver" / name, "x")
+    write_json(tmp_path / "deliver/manifest.json", {"files": {name: {} for name in files}})
+    shown = appendix.delivered(tmp_path / "deliver", tmp_path / "report/index.html")
+    linked = re.findall(r'href="([^"]+)"', shown)
+    assert linked == ["../deliver/README.txt", "../deliver/bodies/p0.bvh", "../deliver/bodies/p0.glb"]
+    assert "2 more files" in shown
+    assert appendix.delivered(tmp_path / "none", tmp_path / "report/index.html") == ""
+
+
+@pytest.mark.browser
+def test_nothing_is_cut_on_a_phone(reported: Path) -> None:
+    """In a frame as wide as a phone: browsers' own windows are wider."""
+    frame = reported / "report/frame.html"
+    write_text(
+        frame,
+        '<body><iframe id="f" src="index.html" style="width:390px;height:800px;border:0"></iframe><script>'
+        "f.onload = () => { const d = f.contentDocument; for (const x of d.querySelectorAll('details')) x.open = true;"
+        "document.title = [d.documentElement, ...d.querySelectorAll('.scroll')]"
+        ".filter(t => t.scrollWidth > t.clientWidth).length + ' of ' + d.querySelectorAll('.scroll').length; }"
+        "</script></body>",
+    )
+    document, _ = opened(frame, "--allow-file-access-from-files")
+    cut, tables = map(int, re.search(r"<title>(\d+) of (\d+)</title>", document).groups())
+    assert tables > 5
+    assert cut == 0
 
 
 @pytest.mark.browser

@@ -109,6 +109,7 @@ rule report_page:
         decisions=["results/{scene}/survey/decisions.json", "results/{scene}/report/audit.json"],
         refinement="results/{scene}/cameras/refinement.json",
         sheet="results/{scene}/cameras/refinement.png",
+        # Shown by the names that they have: the step finds them beside the manifest.
         plates=collect(
             "results/{scene}/plates/{camera}.png",
             camera=files.training,
@@ -143,7 +144,6 @@ rule report_page:
         identities=files.identities,
         association=files.association,
         paper=files.bundled("resources/paper/results.tsv"),
-        solvers=files.bundled("resources/solvers.tsv"),
         poster="results/{scene}/deliver/player.jpg",
         # Only linked: the page comes last, and counts what they cost.
         linked=[

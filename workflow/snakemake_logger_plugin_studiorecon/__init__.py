@@ -118,7 +118,8 @@ class LogHandler(LogHandlerBase):
         while not self._ends.wait(_DRAWN_EVERY_S):
             with self._drawing:
                 line = self._run.bar(time.monotonic(), shutil.get_terminal_size().columns - 1)
-                print(f"{CLEAR_LINE}{line}", end="", file=sys.stderr, flush=True)
+                # The cursor goes back, so that what a library writes there does not stick to the bar's end.
+                print(f"{CLEAR_LINE}{line}\r", end="", file=sys.stderr, flush=True)
 
     def _print(self, text: str) -> None:
         with self._drawing:

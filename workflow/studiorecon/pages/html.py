@@ -7,6 +7,7 @@ Blocks are templates, so what they are given is escaped; where a block takes HTM
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -19,9 +20,12 @@ from studiorecon.pages.skeleton import filled, page
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
-__all__ = ["bar", "figure", "film", "folded", "heading", "jpeg", "page", "row", "table", "text", "tiles"]
+__all__ = ["bar", "contents", "figure", "film", "folded", "heading", "jpeg", "page", "row", "table", "text", "tiles"]
 
-_HEADING = """<h2>{{ title }}</h2>{% if lead %}<p class="soft">{{ lead }}</p>{% endif %}"""
+_HEADING = """<a id="{{ anchor }}"></a><h2>{{ title }}</h2>{% if lead %}<p class="soft">{{ lead }}</p>{% endif %}"""
+_HEADINGS = re.compile(r'<a id="([^"]*)"></a><h2>(.*?)</h2>')
+_CONTENTS = """<nav class="contents">{% for anchor, title in entries -%}
+<a href="#{{ anchor }}">{{ title }}</a>{%- endfor %}</nav>"""
 _TILES = """<div class="tiles">{% for value, words in entries -%}
 <div class="tile"><b>{{ value }}</b><span>{{ words }}</span></div>{%- endfor %}</div>"""
 _FIGURE = """<figure><img src="{{ address }}" alt="{{ caption }}"><figcaption>{{ caption }}</figcaption></figure>"""
@@ -29,12 +33,14 @@ _ROW = """<div class="row" style="grid-template-columns: repeat({{ columns }}, 1
 {%- for figure in figures %}{{ figure }}{% endfor %}</div>"""
 _FILM = """<figure><video controls loop muted autoplay playsinline><source type="video/mp4" src="{{ address }}"></video>
 <figcaption>{{ caption }}</figcaption></figure>"""
-_TABLE = """<div class="scroll"><table><thead><tr>
+_TABLE = """<div class="scroll"><table{% if wide %} class="wide"{% endif %}><thead><tr>
 {%- for h in header %}<th{% if loop.index0 in numeric %} class=n{% endif %}>{{ h }}</th>{% endfor -%}
 </tr></thead><tbody>
 {%- for row in rows %}<tr>
-{%- for v in row %}<td{% if loop.index0 in numeric %} class=n{% endif %}>{{ v }}</td>{% endfor -%}
+{%- for v in row %}<td{% if loop.index0 in numeric %} class=n{% endif %}
+{%- if wide %} data-of="{{ header[loop.index0] }}"{% endif %}>{{ v }}</td>{% endfor -%}
 </tr>{% endfor %}</tbody></table></div>"""
+_COLUMNS_OF_A_PHONE = 5
 _BAR = """<div class="bar"><i style="width:{{ percent }}%"></i></div>"""
 _FOLDED = """<details><summary>{{ title }}</summary><pre>{{ content }}</pre></details>"""
 
@@ -46,7 +52,13 @@ def text(value: object) -> str:
 
 def heading(title: str, lead: str = "") -> str:
     """A section's heading and, below it, what the reader is looking at."""
-    return str(filled(_HEADING, title=title, lead=lead))
+    return str(filled(_HEADING, title=title, lead=lead, anchor=re.sub(r"\W+", "-", title.lower()).strip("-")))
+
+
+def contents(body: Sequence[str]) -> str:
+    """Links to the headings of the pieces of a page."""
+    found = [(anchor, Markup(title)) for part in body for anchor, title in _HEADINGS.findall(part)]
+    return str(filled(_CONTENTS, entries=found))
 
 
 def tiles(entries: Sequence[tuple[str, str]]) -> str:
@@ -81,9 +93,10 @@ def film(mp4: bytes, caption: str) -> str:
 def table(
     header: Sequence[str], rows: Sequence[Sequence[str]], numeric: Sequence[int] = (), raw: Sequence[int] = ()
 ) -> str:
-    """A table; columns in ``numeric`` are aligned right, cells of columns in ``raw`` are HTML already."""
+    """A table; columns in ``numeric`` are aligned right, cells of columns in ``raw`` are HTML already. On a phone the
+    rows of one with many columns are lists."""
     cells = [[Markup(v) if i in raw else str(v) for i, v in enumerate(r)] for r in rows]
-    return str(filled(_TABLE, header=header, rows=cells, numeric=numeric))
+    return str(filled(_TABLE, header=header, rows=cells, numeric=numeric, wide=len(header) > _COLUMNS_OF_A_PHONE))
 
 
 def bar(share: float) -> str:

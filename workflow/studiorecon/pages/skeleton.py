@@ -42,10 +42,25 @@ td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space:
 .bar { background: var(--wash); border-radius: 4px; min-width: 160px; height: 12px; margin-top: 7px; }
 .bar i { display: block; height: 12px; border-radius: 4px; background: var(--mark); min-width: 2px; }
 .on { color: var(--good); font-weight: 600; } .undetermined { color: var(--warn); font-weight: 600; }
+.contents { display: flex; flex-wrap: wrap; gap: 4px 18px; margin: 18px 0; font-size: 14px; }
+.contents a, .open a { color: var(--mark); }
+.lead { font-size: 18px; max-width: 70ch; }
+.open { position: relative; display: block; } .open figure { margin: 8px 0 14px; }
+.open b { position: absolute; left: 16px; top: 16px; background: var(--mark); color: #fff; border-radius: 8px;
+  padding: 8px 14px; }
 details { margin: 8px 0; } summary { cursor: pointer; }
 @media (max-width: 640px) {
   main { padding: 20px 14px 60px; } h1 { font-size: 24px; }
   .row { grid-template-columns: repeat(2, 1fr) !important; }
+  .tiles { grid-template-columns: 1fr 1fr; gap: 8px; margin: 14px 0; } .tile { padding: 8px 10px; }
+  .tile b { font-size: 20px; } .bar { min-width: 40px; } .lead { font-size: 16px; }
+  table { font-size: 12px; } th { font-size: 11px; } th, td { padding-right: 6px; } td { overflow-wrap: anywhere; }
+  td.n, th.n { white-space: normal; overflow-wrap: break-word; }
+  .wide, .wide tbody, .wide tr { display: block; } .wide thead { display: none; }
+  .wide tr { border-bottom: 1px solid var(--line); padding: 6px 0; }
+  .wide td { display: flex; justify-content: space-between; gap: 14px; border: 0; padding: 2px 0; }
+  .wide td::before { content: attr(data-of); color: var(--soft); }
+  pre { white-space: pre-wrap; overflow-wrap: anywhere; }
 }
 @media print { main { max-width: none; padding: 0; } figure, tr, svg { break-inside: avoid; } video { display: none; } }
 pre { background: var(--wash); border: 1px solid var(--line); border-radius: 8px; padding: 12px; overflow-x: auto;

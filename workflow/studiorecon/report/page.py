@@ -28,9 +28,8 @@ from studiorecon.report.sections import licences as terms
 from studiorecon.report.sections import tables as sections
 from studiorecon.report.sections.cost import cost
 from studiorecon.report.sections.pictures import depth_picture, difference, mask_picture, truth_picture
-from studiorecon.report.sections.solvers import section as solvers_section
-from studiorecon.scene.capture import Manifest, read_manifest
-from studiorecon.scene.decisions import read_decisions
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.decisions import Decision, read_decisions
 from studiorecon.scene.files import read_json, write_json, write_text
 from studiorecon.scene.path import read_path
 from studiorecon.scene.people import read_detections, read_identities
@@ -47,29 +46,49 @@ class Settings:
     max_angle_deg: float = 60.0
 
 
-def strips(
-    capture: Manifest, videos: Sequence[Path], render: Path, enhanced: Path, path: Path, settings: Settings
-) -> tuple[str, list[str]]:
-    """A slider, and rows of photo, raw render, enhanced picture and difference, of a few frames of every held-out
-    camera."""
-    steps, _ = read_path(path)
+@dataclass(frozen=True)
+class Made:
+    """What a run made in ``results/<scene>``, by the names that its rules give every camera's and film's files.
+
+    Attributes:
+        folder: ``results/<scene>``.
+        cameras: training cameras.
+        held_out: cameras that only the report looks at.
+        shots: films.
+    """
+
+    folder: Path
+    cameras: tuple[str, ...]
+    held_out: tuple[str, ...]
+    shots: tuple[str, ...]
+
+    def each(self, pattern: str, names: Sequence[str]) -> list[Path]:
+        """The file of every camera or film; ``{}`` in ``pattern`` is its name."""
+        return [self.folder / pattern.format(name) for name in names]
+
+
+def strips(made: Made, frames: int, enhanced: bool, settings: Settings) -> tuple[str, list[str]]:
+    """A slider, and rows of photo, render, enhanced picture where it differs, and difference, of a few frames of every
+    held-out camera."""
+    render, final_film = made.folder / "render/heldout.mkv", made.folder / "enhance/heldout.mkv"
+    steps, _ = read_path(made.folder / "render/heldout.json")
     rows, moments = [], []
-    for video in videos:
+    for video in made.each("capture/{}.mkv", made.held_out):
         camera = video.stem
         first = next(i for i, step in enumerate(steps) if step.segment == camera)
-        for frame in spread(capture.frames, settings.strip_frames):
+        for frame in spread(frames, settings.strip_frames):
             photo, raw = read_frame(video, frame), read_frame(render, first + frame)
-            final = read_frame(enhanced, first + frame)
+            final = read_frame(final_film, first + frame)
             raw, final = (picture[: photo.shape[0], : photo.shape[1]] for picture in (raw, final))
             about = f"{camera}, frame {frame}"
-            made = {"photo": photo, "enhanced": final, "render": raw}
-            shown = {name: html.jpeg(picture, settings.picture_width) for name, picture in made.items()}
+            versions = {"photo": photo, **({"enhanced": final} if enhanced else {}), "render": raw}
+            shown = {name: html.jpeg(picture, settings.picture_width) for name, picture in versions.items()}
             moments.append((about, shown))
-            captions = {"photo": f"{about}: photo", "render": "render", "enhanced": "enhanced"}
+            captions = {"photo": f"{about}: photo", "render": "render"} | ({"enhanced": "enhanced"} if enhanced else {})
             figures = [html.figure(shown[name], caption) for name, caption in captions.items()]
             missed = html.jpeg(difference(final, photo), settings.picture_width)
             rows.append(html.row([*figures, html.figure(missed, "difference × 3")]))
-    return comparison_slider.slider(moments, "photo", "enhanced"), rows
+    return comparison_slider.slider(moments, "photo", "enhanced" if enhanced else "render"), rows
 
 
 def player(poster: Path, page: Path) -> str:
@@ -77,9 +96,9 @@ def player(poster: Path, page: Path) -> str:
     address = html.text(Path(os.path.relpath(poster.with_suffix(".html"), page.parent)).as_posix())
     picture_bgr = cv2.imread(str(poster))
     assert picture_bgr is not None
-    picture = html.jpeg(picture_bgr[..., ::-1], 1600)
     told = "The scene to move through: orbit, stand at a camera, stop time, see what is measured and what is invented."
-    return f'<a href="{address}">{html.figure(picture, f"▶ {told}")}</a>'
+    figure = html.figure(html.jpeg(picture_bgr[..., ::-1], 1600), told)
+    return f'<a class="open" href="{address}"><b>▶ Open the scene</b>{figure}</a>'
 
 
 def spread(frames: int, wanted: int) -> list[int]:
@@ -142,6 +161,80 @@ def learned(listed_s: Mapping[str, float], spent: Mapping[str, Any]) -> dict[str
     return {"listed_s": sum(listed_s[stage] for stage in both), "spent_s": sum(taken_s[stage] for stage in both)}
 
 
+def spent_on(benchmarks: Path, budget: Mapping[str, Any]) -> dict[str, Any]:
+    """What the run cost, on which machine, and what a later prediction learns of it."""
+    spent = cost(benchmarks)
+    spent["machine"] = {
+        "system": platform.system(),
+        "processor": platform.machine(),
+        "python": platform.python_version(),
+    }
+    if budget:
+        # Kernels are compiled once: a run that had to is no guide to the next one.
+        began_s = min((path.stat().st_mtime for path in benchmarks.rglob("*.tsv")), default=0.0)
+        if not compiled_since(began_s):
+            spent["budget"] = learned(budget["listed_s"], spent)
+    return spent
+
+
+def films_section(made: Made, frames: int, enhanced: bool, settings: Settings) -> tuple[list[str], list[str]]:
+    """The films with the slider between photo and picture, and the strips of the held-out cameras."""
+    after = ", enhanced" if enhanced else ""
+    films = [
+        html.film(film.read_bytes(), f"Shot {film.stem}{after}") for film in made.each("enhance/{}.mp4", made.shots)
+    ]
+    slider, rows = "", list[str]()
+    if "heldout" in made.shots and made.held_out:
+        slider, rows = strips(made, frames, enhanced, settings)
+    shown = [*films[:1], slider, *([html.row(films[1:], 2)] if films[1:] else [])]
+    return [html.heading("Films"), *shown] if films else [], rows
+
+
+def people_section(
+    made: Made,
+    frames: int,
+    measured: Mapping[str, Any],
+    fits: Sequence[Path],
+    detections: Sequence[Path],
+    identities: Sequence[Path],
+    left_out: Sequence[Path],
+    masks: Sequence[Path],
+    width: int,
+) -> list[str]:
+    """Everybody: joint errors, who is seen when, whom association left out, and masks."""
+    bodies = [read_person(path) for path in fits]
+    parts = [sections.people(measured), timeline.surety(bodies, measured["jitter"])]
+    if identities:
+        names, whose = [person.name for person in bodies], read_identities(identities[0])
+        found = [read_detections(path) for path in detections]
+        parts.append(timeline.strip(timeline.frames_seen(found, whose, names, frames), names))
+    parts += [sections.left_out(read_json(path)["left_out"]) for path in left_out]
+    if masks:
+        videos = [made.folder / "capture" / f"{mask.stem}.mkv" for mask in masks]
+        parts.append(html.row(mask_pictures(videos, masks, frames // 2, width), min(len(masks), 4)))
+    return parts
+
+
+def room_section(made: Made, width: int) -> list[str]:
+    """What the cameras see without people, and how far away it is."""
+    plates, depths = made.each("plates/{}.png", made.cameras), made.each("depth/{}.exr", made.cameras)
+    lead = "What the cameras see without people, and how far away it is."
+    return [html.heading("The room", lead), html.row(room_pictures(plates, depths, width), min(len(plates), 4))]
+
+
+def cameras_section(made: Made, measured: Mapping[str, Any], decided: Sequence[Mapping[str, Decision]]) -> list[str]:
+    """How well the cameras explain what they saw, and how much of the stage they see."""
+    sheet_bgr = cv2.imread(str(made.folder / "cameras/refinement.png"))
+    assert sheet_bgr is not None
+    sheet = html.jpeg(sheet_bgr[..., ::-1], 1600)
+    refinement = read_json(made.folder / "cameras/refinement.json")
+    return [
+        sections.cameras(refinement, sheet),
+        sections.overlap(measured["rig"]),
+        sections.coverage(decided),
+    ]
+
+
 def run(
     settings: Settings,
     scene: str,
@@ -150,21 +243,8 @@ def run(
     metrics: Path,
     recognition: list[Path],
     decisions: list[Path],
-    refinement: Path,
-    sheet: Path,
-    plates: list[Path],
-    depths: list[Path],
-    training_videos: list[Path],
     masks: list[Path],
     films: list[Path],
-    renders: list[Path],
-    paths: list[Path],
-    ledgers: list[Path],
-    truth_maps: list[Path],
-    heldout_videos: list[Path],
-    heldout_render: list[Path],
-    heldout_enhanced: list[Path],
-    heldout_path: list[Path],
     fits: list[Path],
     detections: list[Path],
     identities: list[Path],
@@ -176,82 +256,54 @@ def run(
     budget: str,
     licences: Place,
     paper: Path,
-    solvers: Path,
-    poster: Path | None,
+    poster: Path,
     costs: Written,
     page: Written,
 ) -> None:
-    """Write the page; lists of optional files may be empty, and the page then says what is missing."""
-    capture, measured, spent = read_manifest(manifest), read_json(metrics), cost(benchmarks)
-    spent["machine"] = {
-        "system": platform.system(),
-        "processor": platform.machine(),
-        "python": platform.python_version(),
-    }
-    chosen = json.loads(budget)
-    if chosen:
-        # Kernels are compiled once: a run that had to is no guide to the next one.
-        began_s = min((path.stat().st_mtime for path in benchmarks.rglob("*.tsv")), default=0.0)
-        if not compiled_since(began_s):
-            spent["budget"] = learned(chosen["listed_s"], spent)
+    """Write the page; lists of optional files may be empty, and the page then says what is missing. The other files
+    that it shows bear the names of ``results/<scene>``."""
+    capture, measured, chosen = read_manifest(manifest), read_json(metrics), json.loads(budget)
+    spent = spent_on(benchmarks, chosen)
     write_json(costs, spent)
+    names = tuple(camera.name for camera in read_model(model.parent)), tuple(f.camera for f in capture.held_out)
+    made = Made(manifest.parents[1], *names, tuple(film.stem for film in films))
     width, decided = settings.picture_width, [read_decisions(path) for path in decisions]
-    body = [sections.head(scene, capture, len(read_model(model.parent)), measured, spent)]
-    shown = [html.film(film.read_bytes(), f"Shot {film.stem}, enhanced") for film in films]
-    rows: list[str] = []
-    if heldout_render and heldout_enhanced:
-        slider, rows = strips(
-            capture, heldout_videos, heldout_render[0], heldout_enhanced[0], heldout_path[0], settings
-        )
-        shown.insert(1, slider)
-    body += [player(poster, page) if poster else "", *shown[:2], html.row(shown[2:], 2) if shown[2:] else ""]
-    body.append(
-        html.heading(
-            "Against the held-out cameras",
-            "Cameras that no stage but this report has looked at. Differences are amplified.",
-        )
+    ledgers = made.each("render/{}.tsv", made.shots)
+    enhanced = len(sections.versions_of(measured)) > 1
+    shown, rows = films_section(made, capture.frames, enhanced, settings)
+    what = "Blue: seen by a camera. Yellow: inferred from its surroundings. Red: invented, nobody saw it."
+    renders, paths, maps = (made.each(f"render/{{}}.{ending}", made.shots) for ending in ("mkv", "json", "truth.mkv"))
+    truth = truth_pictures(renders, paths, maps, measured, width)
+    before, of_films = (
+        read_warnings(logs),
+        appendix.film_warnings(ledgers, settings.min_measured, settings.max_angle_deg),
     )
-    body += rows
-    body.append(sections.measures(measured))
-    body.append(sections.paper(measured, read_json(recognition[0]) if recognition else {}, paper))
-    body.append(sections.people(measured))
-    bodies = [read_person(path) for path in fits]
-    body.append(timeline.surety(bodies, measured["jitter"]))
-    if identities:
-        names = [person.name for person in bodies]
-        whose, found = read_identities(identities[0]), [read_detections(path) for path in detections]
-        body.append(timeline.strip(timeline.frames_seen(found, whose, names, capture.frames), names))
-    body += [sections.left_out(read_json(path)["left_out"]) for path in association]
-    if masks:
-        body.append(html.row(mask_pictures(training_videos, masks, capture.frames // 2, width), min(len(masks), 4)))
-    body.append(
-        html.heading(
-            "What is measured",
-            "Blue: seen by a camera. Yellow: inferred from its surroundings. Red: invented, nobody saw it.",
-        )
-    )
-    body += truth_pictures(renders, paths, truth_maps, measured, width)
-    body.append(html.heading("The room", "What the cameras see without people, and how far away it is."))
-    body.append(html.row(room_pictures(plates, depths, width), min(len(plates), 4)))
-    sheet_bgr = cv2.imread(str(sheet))
-    assert sheet_bgr is not None
-    body.append(sections.cameras(read_json(refinement), html.jpeg(sheet_bgr[..., ::-1], 1600)))
-    body.append(sections.overlap(measured["rig"]))
-    body.append(sections.coverage(decided))
-    body.append(verdicts.decisions(decided, spent))
-    body.append(sections.reached(measured, spent, chosen))
-    body.append(sections.costs(spent))
-    body.append(solvers_section(solvers))
-    body.append(sections.settings(configuration))
-    body.append(terms.licences(json.loads(configuration), licences))
-    of_films = appendix.film_warnings(ledgers, settings.min_measured, settings.max_angle_deg)
-    before = read_warnings(logs)
-    body.append(appendix.warnings([*before, *of_films]))
-    body.append(appendix.versions(measured["provenance"], spent["machine"]))
-    body.append(
-        appendix.links(page.parents[1], page, [metrics, costs, *decisions, refinement, *identities, *linked], ledgers)
-    )
-    write_text(page, html.page(f"{scene}: 4D scene", body, comparison_slider.STYLE))
+    lead = "Cameras that no stage but this report has looked at. Differences are amplified."
+    files = [metrics, costs, *decisions, made.folder / "cameras/refinement.json", *identities, *linked]
+    body = [
+        *shown,
+        html.heading("Against the held-out cameras", lead),
+        *rows,
+        sections.numbers(measured, spent),
+        sections.measures(measured),
+        sections.paper(measured, read_json(recognition[0]) if recognition else {}, paper),
+        *people_section(made, capture.frames, measured, fits, detections, identities, association, masks, width),
+        html.heading("What is measured", what),
+        *truth,
+        *room_section(made, width),
+        *cameras_section(made, measured, decided),
+        verdicts.decisions(decided, spent),
+        sections.reached(measured, spent, chosen),
+        sections.costs(spent),
+        appendix.delivered(poster.parent, page),
+        appendix.warnings([*before, *of_films]),
+        appendix.links(made.folder, page, files, ledgers),
+        sections.settings(configuration),
+        terms.licences(json.loads(configuration), licences),
+        appendix.versions(measured["provenance"], spent["machine"]),
+    ]
+    first = [sections.head(scene, capture, len(made.cameras), measured), player(poster, page), html.contents(body)]
+    write_text(page, html.page(f"{scene}: 4D scene", [*first, *body], comparison_slider.STYLE))
     say(f"the page is {page.stat().st_size / 1e6:.1f} MB and needs no network: {page}")
     for _, sentence in of_films:
         warn(sentence)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.pages import html
-from studiorecon.scene.files import read_table
+from studiorecon.scene.files import read_json, read_table
 
 # What a reader may want to open, below results/<scene>/, and what it holds.
 _FILES = {
@@ -78,6 +78,30 @@ def versions(provenance: Mapping[str, Any], machine: Mapping[str, str]) -> str:
         "masks of people": provenance["masks"],
     }
     return html.heading("Versions") + html.table(["what", "which"], [[k, str(v)] for k, v in told.items()])
+
+
+def delivered(folder: Path, page: Path) -> str:
+    """Links to everything in ``deliver/`` that is there to be opened, a line per folder; keypoints and pictures, which
+    are many, by their number."""
+    manifest = folder / "manifest.json"
+    if not manifest.is_file():
+        return ""
+    groups: dict[str, list[str]] = {}
+    for name in ("scene.glb", "player.html", *read_json(manifest)["files"]):
+        if (folder / name).is_file():
+            groups.setdefault(name.partition("/")[0] if "/" in name else "", []).append(name)
+    items = []
+    for group, names in sorted(groups.items()):
+        opened = [name for name in names if not name.startswith("keypoints/") and not name.endswith(".png")]
+        linked = [
+            f'<a href="{html.text(Path(os.path.relpath(folder / name, page.parent)).as_posix())}">'
+            f"{html.text(name.removeprefix(f'{group}/'))}</a>"
+            for name in opened
+        ]
+        more = [f"{len(names) - len(opened)} more files"] if len(names) > len(opened) else []
+        items.append(f"<li>{html.text(f'{group}/: ' if group else '')}{', '.join([*linked, *more])}</li>")
+    lead = "Beside this page, in deliver/; README.txt there says what is what."
+    return html.heading("Files for other programs", lead) + f"<ul>{''.join(items)}</ul>"
 
 
 def links(results: Path, page: Path, files: Sequence[Path], ledgers: Sequence[Path]) -> str:

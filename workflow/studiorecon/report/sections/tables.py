@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from studiorecon.pages import html
+from studiorecon.report.sections.judgement import judgement
 from studiorecon.report.sections.paper import table as paper_table
 from studiorecon.scene.capture import Manifest
 from studiorecon.scene.decisions import Decision
@@ -69,38 +70,56 @@ def duration(seconds: float | None) -> str:
     return f"{seconds:.1f} s" if seconds < 60 else f"{int(seconds // 60)} min {round(seconds % 60):02d} s"
 
 
-def head(scene: str, capture: Manifest, cameras: int, metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
-    """Title, one sentence on the capture, and the numbers a reader asks for first."""
-    people = metrics["bodies"].get("people") or {}
+def versions_of(metrics: Mapping[str, Any]) -> tuple[str, ...]:
+    """The versions of films that differ: ``raw`` and ``enhanced``, or ``enhanced`` alone, which then is the render."""
+    raw, final = (
+        {name: found["value"] for name, found in metrics["pictures"].get(version, {}).items()}
+        for version in ("raw", "enhanced")
+    )
+    return ("raw", "enhanced") if raw and final and raw != final else ("enhanced",)
+
+
+def _title(version: str, versions: Sequence[str]) -> str:
+    return version if len(versions) > 1 else "value"
+
+
+def head(scene: str, capture: Manifest, cameras: int, metrics: Mapping[str, Any]) -> str:
+    """Title, the sentence that judges, and one on the capture."""
     held_out = len(capture.held_out)
-    lead = f"{cameras} training cameras, {held_out} held out, {capture.frames} frames at {capture.fps:g} per second."
-    raw, final = (metrics["pictures"].get(name, {}).get("psnr", {}) for name in ("raw", "enhanced"))
-    entries = [
-        (shown(final.get("value"), 2, "dB"), "PSNR at held-out cameras, enhanced"),
-        (shown(raw.get("value"), 2, "dB"), "PSNR at held-out cameras, raw render"),
-        (
-            shown(metrics["bodies"]["mpjpe_world_mm"], 0, "mm"),
-            f"mean joint error in the world, {len(people)} people" if people else "mean joint error",
-        ),
-        (duration(spent["total"]["seconds"]), "all jobs together, one after the other"),
-    ]
-    return f"<h1>{html.text(scene)}</h1><p class=soft>{html.text(lead)}</p>" + html.tiles(entries)
+    about = f"{cameras} training cameras, {held_out} held out, {capture.frames} frames at {capture.fps:g} per second."
+    return (
+        f'<h1>{html.text(scene)}</h1><p class="lead">{html.text(judgement(metrics))}</p>'
+        f'<p class="soft">{html.text(about)}</p>'
+    )
+
+
+def numbers(metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
+    """The numbers that a reader asks for first."""
+    people, versions = metrics["bodies"].get("people") or {}, versions_of(metrics)
+    entries = []
+    for version in reversed(versions):
+        found = metrics["pictures"].get(version, {}).get("psnr", {})
+        of = "" if len(versions) == 1 else ", enhanced" if version == "enhanced" else ", raw render"
+        entries.append((shown(found.get("value"), 2, "dB"), f"PSNR at held-out cameras{of}"))
+    joints = f"mean joint error in the world, {len(people)} people" if people else "mean joint error"
+    entries.append((shown(metrics["bodies"]["mpjpe_world_mm"], 0, "mm"), joints))
+    entries.append((duration(spent["total"]["seconds"]), "all jobs together, one after the other"))
+    return html.tiles(entries)
 
 
 def measures(metrics: Mapping[str, Any]) -> str:
-    """The table of picture measures, raw beside enhanced, and the values per camera on demand."""
+    """The table of picture measures, raw beside enhanced where they differ, and the values per camera on demand."""
     rows = []
     reasons: dict[str, list[str]] = {}
-    pictures = metrics["pictures"]
+    pictures, versions = metrics["pictures"], versions_of(metrics)
     for name, title, unit, digits, meaning in _MEASURES:
-        raw, final = (
-            pictures.get(version, {}).get(name, {"value": None, "reason": ""}) for version in ("raw", "enhanced")
-        )
+        found = [pictures.get(version, {}).get(name, {"value": None, "reason": ""}) for version in versions]
         photo = pictures.get("photo", {}).get(name, {}).get("value")
-        change = (
-            "" if raw["value"] is None or final["value"] is None else f"{final['value'] - raw['value']:+.{digits}f}"
-        )
-        rows.append([title, shown(raw["value"], digits, unit), shown(final["value"], digits, unit), change, meaning])
+        raw, final = found[0], found[-1]
+        change = [] if len(versions) == 1 else [""]
+        if change and raw["value"] is not None and final["value"] is not None:
+            change = [f"{final['value'] - raw['value']:+.{digits}f}"]
+        rows.append([title, *(shown(entry["value"], digits, unit) for entry in found), *change, meaning])
         if photo is not None:
             rows[-1][-1] += f" (the photos themselves: {photo:.{digits}f})"
         if final["value"] is None and final["reason"]:
@@ -108,29 +127,22 @@ def measures(metrics: Mapping[str, Any]) -> str:
     notes = "".join(
         f"<p class=soft>Not measured: {html.text(', '.join(n))}: {html.text(r)}.</p>" for r, n in reasons.items()
     )
+    of_each = [(version, measure, digits) for version in versions for measure, digits in (("psnr", 2), ("ssim", 4))]
     each = [
-        [
-            camera,
-            *(
-                shown(_camera(pictures, version, measure, camera), d)
-                for version in ("raw", "enhanced")
-                for measure, d in (("psnr", 2), ("ssim", 4))
-            ),
-        ]
-        for camera in pictures.get("raw", {}).get("psnr", {}).get("cameras", {})
+        [camera, *(shown(_camera(pictures, version, measure, camera), d) for version, measure, d in of_each)]
+        for camera in pictures.get(versions[-1], {}).get("psnr", {}).get("cameras", {})
     ]
-    per_camera = (
-        html.table(["camera", "raw PSNR", "raw SSIM", "enhanced PSNR", "enhanced SSIM"], each, numeric=range(1, 5))
-        if each
-        else ""
-    )
+    header = [f"{version if len(versions) > 1 else ''} {measure.upper()}".strip() for version, measure, _ in of_each]
+    per_camera = html.table(["camera", *header], each, numeric=range(1, 1 + len(header))) if each else ""
     # A camera that was moved, or that nobody could check: what its scores are worth.
     notes += "".join(
         f"<p class=soft>{html.text(c['sentence'][:1].upper() + c['sentence'][1:])}.</p>"
         for c in metrics.get("held_out_cameras", ())
         if c["turned_deg"] or not c["checked"]
     )
-    return html.table(["measure", "raw", "enhanced", "change", "of what"], rows, numeric=(1, 2, 3)) + per_camera + notes
+    columns = [*(_title(version, versions) for version in versions), *(["change"] if len(versions) > 1 else [])]
+    table = html.table(["measure", *columns, "of what"], rows, numeric=range(1, 1 + len(columns)))
+    return table + per_camera + notes
 
 
 def paper(metrics: Mapping[str, Any], recognised: Mapping[str, Any], rows: Path) -> str:
@@ -140,8 +152,9 @@ def paper(metrics: Mapping[str, Any], recognised: Mapping[str, Any], rows: Path)
         "The paper's methods were measured on other data, so that no column says which "
         "is better here; it shows what is usual."
     )
-    header, lines = paper_table(metrics, recognised, rows)
-    return html.heading("Beside the paper", lead) + html.table(header, lines, numeric=range(1, len(header) - 1))
+    header, lines = paper_table(metrics, recognised, rows, versions_of(metrics))
+    table = html.table(header, lines, numeric=range(1, len(header) - 1))
+    return f"<details><summary>Beside the paper's tables</summary><p>{html.text(lead)}</p>{table}</details>"
 
 
 def people(metrics: Mapping[str, Any]) -> str:
@@ -195,8 +208,7 @@ def left_out(those: Sequence[Mapping[str, Any]]) -> str:
 
 
 def cameras(doctor: Any, sheet: str) -> str:
-    """The camera doctor's sheet and what it found."""
-    found = json.dumps(doctor, indent=1, sort_keys=True)
+    """How well the cameras explain the keypoints, and the contact sheet."""
     lead = "How well the calibration explains what the cameras saw."
     errors = zip(
         doctor.get("cameras", ()), doctor.get("before_px_per_camera") or (), doctor.get("after_px_per_camera") or ()
@@ -209,7 +221,6 @@ def cameras(doctor: Any, sheet: str) -> str:
         + (html.table(header, rows, numeric=(1, 2)) if rows else "")
         + _edges(doctor.get("edges"))
         + html.figure(sheet, "contact sheet of all cameras")
-        + html.folded("Everything the doctor found", found)
     )
 
 
@@ -326,10 +337,19 @@ def costs(spent: Mapping[str, Any]) -> str:
 
 
 def settings(configuration: str) -> str:
-    """Every setting of the run."""
+    """Every setting of the run, a line each."""
     return html.heading("Settings") + html.folded(
-        "All settings of this run", json.dumps(json.loads(configuration), indent=1, sort_keys=True)
+        "All settings of this run", "\n".join(_lines(json.loads(configuration), ""))
     )
+
+
+def _lines(values: Mapping[str, Any], above: str) -> Iterator[str]:
+    for name, value in sorted(values.items()):
+        if isinstance(value, Mapping) and value:
+            yield from _lines(value, f"{above}{name}.")
+        else:
+            listed = ", ".join(map(str, value)) if isinstance(value, Sequence) and not isinstance(value, str) else value
+            yield f"{above}{name} = {listed}"
 
 
 def _camera(pictures: Mapping[str, Any], version: str, measure: str, camera: str) -> float | None:
