@@ -120,6 +120,16 @@ def test_what_is_not_used_is_named_with_the_reason(made: Callable[..., Path], ex
     assert words in note
 
 
+def test_previews_beside_films_are_no_cameras(tmp_path: Path) -> None:
+    (tmp_path / "videos").mkdir()
+    for number, name in enumerate(("a.mp4", "b.mp4", "GL010101.LRV", "LRV_b.mp4", "c.unknown")):
+        made = grey_film(tmp_path / "film.mp4", range(3 + number))
+        made.rename(tmp_path / "videos" / name)
+    found = open_dataset(tmp_path)
+    assert list(found.footage) == ["a", "b", "c"], "what holds a film is one, whatever its suffix"
+    assert ["preview" in note for note in found.notes] == [True, True]
+
+
 def test_a_camera_that_train_leaves_out_is_named(made: Callable[..., Path]) -> None:
     folder = made(f"{FILMS} videos/c.mp4 keypoints/a.json keypoints/b.json keypoints/c.json")
     (folder / "capture.yaml").write_text("train: [a, b]\n")

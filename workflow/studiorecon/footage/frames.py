@@ -182,14 +182,19 @@ def _video_frames(source: FootageSource) -> Iterator[av.VideoFrame]:
         if without_thread(error):
             raise
         raise UserError(
-            f"{source.path} cannot be read after its {done} first frames ({error.strerror or error}); copy it again, "
-            f"or use what is there with frames: {{count: {done}}} in capture.yaml"
+            f"{source.path} cannot be read after its {done} first frames ({error.strerror or error}); copy it again"
+            f"{_or_the_part_before(done)}"
         ) from None
     if done < source.frames:
         raise UserError(
-            f"{source.path} cannot be read beyond its {done} first frames of {source.frames}; copy it again, or use "
-            f"what is there with frames: {{count: {done}}} in capture.yaml"
+            f"{source.path} cannot be read beyond its {done} first frames of {source.frames}; copy it again"
+            f"{_or_the_part_before(done)}"
         )
+
+
+def _or_the_part_before(frames: int) -> str:
+    """The advice to use so many first frames, of which one alone is refused."""
+    return f", or use the part before with frames: {{count: {frames}}} in capture.yaml" if frames > 1 else ""
 
 
 def _of_one_size(source: FootageSource, frames: Iterator[av.VideoFrame]) -> Iterator[av.VideoFrame]:
@@ -205,8 +210,8 @@ def _of_one_size(source: FootageSource, frames: Iterator[av.VideoFrame]) -> Iter
         if (frame.width, frame.height) != source.form.wh:
             (width, height), (expected, high) = (frame.width, frame.height), source.form.wh
             raise UserError(
-                f"{source.path}: frame {at} is {width}×{height} in a film of {expected}×{high}; cut the film there, or "
-                f"use the part before with frames: {{count: {at}}} in capture.yaml"
+                f"{source.path}: frame {at} is {width}×{height} in a film of {expected}×{high}; cut the film there"
+                f"{_or_the_part_before(at)}"
             )
         yield frame
 

@@ -25,8 +25,14 @@ _INSTA360 = re.compile(r"(?P<before>VID_\d{8}_\d{6}_\d\d)_(?P<chapter>\d{3})", r
 # Names that cameras count on by themselves: Sony's C0001, DJI_0001, AVCHD's 00001, Canon's MVI_0001, Panasonic's.
 _COUNTED = re.compile(r"(?P<before>C|DJI_(?:\d+_)?|MVI_|DSC_?|MOV|CLIP|P|)(?P<chapter>\d{4,7})(?:_D)?", re.IGNORECASE)
 _PART = re.compile(r"(?P<before>.*?)[-_ .]?(?:part|teil)?[-_ .]?(?P<chapter>\d{1,3})", re.IGNORECASE)
+_PREVIEWS = {".lrv", ".lrf", ".thm", ".insv", ".360"}
 # Bytes at which recorders begin the next file: 2 and 4 GB, in all readings of GB.
 _FULL_BYTES = ((1_930_000_000, 2_200_000_000), (3_400_000_000, 4_400_000_000))
+
+
+def is_preview(path: Path) -> bool:
+    """Whether a file is one of those that GoPro, DJI and Insta360 write beside a film to look at, or its raw data."""
+    return path.suffix.lower() in _PREVIEWS or path.name.startswith("LRV_")
 
 
 @dataclass(frozen=True)
@@ -75,7 +81,7 @@ def find_recordings(folder: Path, chapters: Mapping[str, Sequence[str]]) -> Reco
 
 
 def _films(folder: Path) -> list[Path]:
-    return [p for p in sorted(folder.iterdir()) if not of_the_system(p) and is_film(p)]
+    return [p for p in sorted(folder.iterdir()) if not of_the_system(p) and not is_preview(p) and is_film(p)]
 
 
 def _film_per_folder(place: Path, folder: Path, chapters: Mapping[str, Sequence[str]]) -> Recordings | None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from studiorecon.calibration.formats.lenses import why_not
 from studiorecon.footage.kinds import film_suffixes
+from studiorecon.plan.films import is_preview
 from studiorecon.plan.pairing import stem_of
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset
 from studiorecon.scene.names import folded, of_the_system
@@ -16,7 +17,6 @@ from studiorecon.scene.names import folded, of_the_system
 _MOST_SENTENCES = 30
 _MOST_COUNTED = 1000
 _BY_SUFFIX: Mapping[str, str] = {
-    **dict.fromkeys((".lrv", ".lrf", ".thm", ".insv", ".360"), "a camera's own preview or raw file; bring its .mp4"),
     **dict.fromkeys((".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg"), "sound is heard from the films themselves"),
     **dict.fromkeys((".gz", ".zip", ".7z", ".rar", ".tar", ".bz2", ".xz"), "it is packed; unpack it"),
     **dict.fromkeys((".part", ".crdownload", ".tmp", ".download"), "a download that did not end; fetch it again"),
@@ -98,6 +98,8 @@ def _reason(path: Path, dataset: Dataset, place: Path, left_out: set[str]) -> st
             return f"{_NO_NAME} ({first.name}); cameras are {', '.join(dataset.footage)}"
         return _reason_of_name(path, dataset) or _reason(first, dataset, place, left_out)
     suffix = path.suffix.lower()
+    if is_preview(path):
+        return "a camera's own preview or raw file; bring its .mp4"
     if suffix in film_suffixes():
         return f"films are taken from {place.name}/, one per camera; put it there"
     return (
@@ -105,6 +107,7 @@ def _reason(path: Path, dataset: Dataset, place: Path, left_out: set[str]) -> st
         or _reason_of_name(path, dataset)
         or (f"pictures are read from images/<camera>/{', not beside films' * (place in path.parents)}")
         * (suffix in PICTURE_SUFFIXES)
+        or why_not(path, dataset.calibration)
         or _reason_of_calibration(path, dataset) * (suffix in _CALIBRATION_SUFFIXES)
         or (f"no film ends in {path.suffix or 'nothing'}" if path.parent == place else "no file of a kind that is read")
     )
@@ -123,8 +126,6 @@ def _reason_of_name(path: Path, dataset: Dataset) -> str:
 
 
 def _reason_of_calibration(path: Path, dataset: Dataset) -> str:
-    if reason := why_not(path, dataset.calibration):
-        return reason
     named = f"write calibration: {path.relative_to(dataset.folder).as_posix()} into capture.yaml"
     if dataset.calibration:
         return f"the calibration is {', '.join(file.name for file in dataset.calibration)}; if it is this one, {named}"
