@@ -30,30 +30,36 @@ rule background_kernels:
         command("background.kernels")
 
 
+# What the room is trained on, in one job or in two halves.
+ROOM = {
+    "model": MODEL,
+    "plates": collect(
+        "results/{scene}/plates/{camera}.png",
+        camera=files.training,
+        allow_missing=True,
+    ),
+    "depths": collect(
+        "results/{scene}/depth/{camera}.exr",
+        camera=files.training,
+        allow_missing=True,
+    ),
+    "room_box": "results/{scene}/depth/room.json",
+    "gains": files.gains,
+    "specularity": files.specularity,
+    "path": "results/{scene}/views/path.json",
+    "views": files.views,
+    "supports": files.view_masks,
+    "videos": files.first_pictures,
+    "masks": files.first_masks,
+}
+
+
 if PLAN.networks.refiner:
 
     # Half-way a network repairs views of the room: it has an image and a GPU of its own, so the training is two jobs with the network's between.
     rule background_half:
         input:
-            model=MODEL,
-            plates=collect(
-                "results/{scene}/plates/{camera}.png",
-                camera=files.training,
-                allow_missing=True,
-            ),
-            depths=collect(
-                "results/{scene}/depth/{camera}.exr",
-                camera=files.training,
-                allow_missing=True,
-            ),
-            room_box="results/{scene}/depth/room.json",
-            gains=files.gains,
-            specularity=files.specularity,
-            path="results/{scene}/views/path.json",
-            views=files.views,
-            supports=files.view_masks,
-            videos=files.first_pictures,
-            masks=files.first_masks,
+            **ROOM,
             kernels="results/{scene}/background/kernels.txt",
         output:
             half="results/{scene}/background/half.ply",
@@ -115,25 +121,7 @@ if PLAN.networks.refiner:
 
 rule background_train:
     input:
-        model=MODEL,
-        plates=collect(
-            "results/{scene}/plates/{camera}.png",
-            camera=files.training,
-            allow_missing=True,
-        ),
-        depths=collect(
-            "results/{scene}/depth/{camera}.exr",
-            camera=files.training,
-            allow_missing=True,
-        ),
-        room_box="results/{scene}/depth/room.json",
-        gains=files.gains,
-        specularity=files.specularity,
-        path="results/{scene}/views/path.json",
-        views=files.views,
-        supports=files.view_masks,
-        videos=files.first_pictures,
-        masks=files.first_masks,
+        **ROOM,
         half=files.half_trained,
         kernels="results/{scene}/background/kernels.txt",
     output:
