@@ -10,6 +10,7 @@ import pytest
 from studiorecon.calibration.choose import chosen
 from studiorecon.calibration.files import Settings
 from studiorecon.calibration.formats.reading import Reading
+from studiorecon.calibration.given_lenses import ideal, posed, straight
 from studiorecon.calibration.names import pairings
 from studiorecon.camera_files.raw_camera import RawCamera
 from studiorecon.errors import UserError
@@ -234,3 +235,25 @@ def test_no_camera_decides_the_unit_of_all(far):
     assert len(chosen(raw, "x", left, [(1280, 704)] * len(left), nobody[: len(left)], {}, Settings()).lenses) == len(
         left
     )
+
+
+def test_points_seen_through_a_known_lens_are_straightened_before_poses_are_found():
+    """Lenses without poses: a point through the lens lands where the ideal pinhole has it, and the pose comes back."""
+    camera = rig(("a",))[0]
+    distortion = np.array([-0.2, 0.05, 0.002, -0.001, 0, 0, 0, 0])
+    k = np.array([[900.0, 0, 660], [0, 920, 340], [0, 0, 1]])
+    lens = Lens("a", camera.wh, k, "opencv", distortion, np.eye(4), np.eye(2, 3))
+    seen = detect([camera], PEOPLE, 0.0, np.random.default_rng(0))[0]
+    rays = (seen.keypoints[..., :2] - camera.principal_px) / camera.focal_px
+    points = seen.keypoints.copy()
+    points[..., :2] = distort(rays, "opencv", distortion) * [900, 920] + [660, 340]
+    found = straight(replace(seen, keypoints=points), lens, camera.wh)
+    wanted = ideal(lens, camera.wh)
+    present = found.keypoints[..., 2] > 0
+    assert present.any()
+    expected = rays * wanted.focal_px + wanted.principal_px
+    assert np.abs(found.keypoints[..., :2] - expected)[present].max() < 1e-6
+    longer = replace(wanted, intrinsics=wanted.intrinsics * [[1.01, 1, 1], [1, 1.01, 1], [1, 1, 1]])
+    back = posed(lens, replace(longer, camera_from_world=camera.camera_from_world))
+    assert np.allclose(np.diag(back.intrinsics)[:2], [909, 929.2])
+    assert np.array_equal(back.camera_from_world, camera.camera_from_world)

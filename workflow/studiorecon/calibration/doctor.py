@@ -123,6 +123,7 @@ def examined(
     found_lags = clocks.lags(window, cameras, _LAG_FRAMES, settings.gate_m) if people else []
     report: dict[str, Any] = {
         "cameras": names,
+        "notes": [],
         "lengths": _wrong_lengths(cameras, detections, seen, few, settings) if people else None,
         "people": people,
         "without_keypoints": [a["camera"] for a in about if not a["keypoints"]],

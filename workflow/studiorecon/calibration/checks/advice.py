@@ -44,8 +44,11 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
     refuses.
     """
     refused = [report["sync"]["refusal"]] if report["sync"]["refusal"] else []
-    if report["lengths"]:
-        # Nothing else can be said in lengths that are not metres.
+    unit_known = any(
+        row["hypothesis"].startswith("lengths") and row["score"] > _LEAST_AGREEMENT for row in report["hypotheses"]
+    )
+    if report["lengths"] and not unit_known:
+        # Nothing else can be said in lengths that are not metres; a setting for their unit is said below.
         return "wrong", [*refused, report["lengths"]]
     with_keypoints = len(report["cameras"]) - len(report["without_keypoints"])
     alone = report["people"] and len(report["sees_nobody"]) >= with_keypoints - 1
