@@ -22,7 +22,7 @@ from studiorecon.calibration.files import lenses_of, pairings_of
 from studiorecon.calibration.formats.reading import Reading
 from studiorecon.calibration.names import Pairing, for_other_cameras
 from studiorecon.footage.source import open_source
-from studiorecon.geometry.film_places import Place, places
+from studiorecon.geometry.film_places import Place, for_square_pixels, places
 from studiorecon.geometry.lens import unseen_share
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.reading import undistorted
@@ -108,15 +108,18 @@ def chosen(
     people: Sequence[Detections],
     pixel_maps: dict[str, Sequence[float]],
     settings: Settings,
+    stored: Sequence[tuple[int, int]] = (),
 ) -> Choice:
-    """The lenses of ``cameras``, whose films have ``sizes``, as names, sizes and ``people`` (by frames of the films)
-    have them.
+    """The lenses of ``cameras``, whose films have ``sizes`` as shown and ``stored`` ones where those differ, as
+    names, sizes and ``people`` (by frames of the films) have them.
 
     Raises UserError for names that neither match nor are decided by people, and for sizes of other shapes.
     """
 
     def read(pairing: Pairing) -> tuple[list[Lens], list[str], bool]:
-        return lenses_of(reading, source, cameras, pixel_maps, settings, pairing)
+        lenses, notes, floor_known = lenses_of(reading, source, cameras, pixel_maps, settings, pairing)
+        square = [for_square_pixels(lens, *both) for lens, *both in zip(lenses, stored or sizes, sizes, strict=True)]
+        return [lens for lens, _ in square], notes + [note for _, note in square if note], floor_known
 
     def usual(lenses: Sequence[Lens]) -> list[Lens]:
         return [places(lens, wh)[0].lens for lens, wh in zip(lenses, sizes, strict=True)]
@@ -176,12 +179,13 @@ def run(
     content = read_content(read)
     with as_written(read):
         reading = Reading.from_json({k: v for k, v in content.items() if k != "source"})
-    sizes = [open_source(source, picture_fps).wh for source in sources]
+    films = [open_source(source, picture_fps) for source in sources]
+    sizes, stored = [film.wh for film in films], [film.stored_wh for film in films]
     seen = {d.camera: d for d in map(read_detections, sightings)}
     nobody = np.zeros(0, dtype=int)
     people = [seen.get(c) or Detections(c, "coco17", nobody, nobody, np.zeros((0, 17, 3))) for c in cameras]
     maps = json.loads(pixel_maps or "{}")
-    choice = chosen(reading, content["source"], cameras, sizes, people, maps, settings)
+    choice = chosen(reading, content["source"], cameras, sizes, people, maps, settings, stored)
     doubts = []
     for lens, wh in zip(choice.lenses, sizes, strict=True):
         if share := unseen_share(lens, wh):

@@ -50,6 +50,29 @@ def places(lens: Lens, source_wh: tuple[int, int]) -> list[Place]:
     return found
 
 
+def for_square_pixels(lens: Lens, stored_wh: tuple[int, int], shown_wh: tuple[int, int]) -> tuple[Lens, str]:
+    """The lens for the picture as shown of a film of ``stored_wh`` pixels that are not square, and the sentence about
+    which of the two its calibration is for; unchanged, with "", for square pixels.
+
+    The calibration's size says which, or where it has none the ratio of its focal lengths.
+    """
+    if stored_wh == shown_wh or not np.array_equal(lens.calibration_from_video, np.eye(2, 3)):
+        return lens, ""
+    stretch = np.array(shown_wh) / np.array(stored_wh)
+    if 0 in lens.wh:
+        ratio = np.log(lens.intrinsics[0, 0] / lens.intrinsics[1, 1])
+        is_shown = abs(ratio) <= abs(ratio + np.log(stretch[0] / stretch[1]))
+    else:
+        is_shown = same_shape(lens.wh, shown_wh) or not same_shape(lens.wh, stored_wh)
+    stored, shown = (f"{width}×{height}" for width, height in (stored_wh, shown_wh))
+    named = f"camera {lens.name}: its calibration is for the picture as"
+    if is_shown:
+        return lens, f"{named} shown, {shown}, not as stored, {stored}"
+    width, height = (round(side) for side in np.array(lens.wh) * stretch)
+    square = replace(lens, wh=(width, height), intrinsics=np.diag([*stretch, 1.0]) @ lens.intrinsics)
+    return square, f"{named} stored, {stored}, not as shown, {shown}"
+
+
 def _padded(lens: Lens, source_wh: tuple[int, int]) -> Iterator[Place]:
     calibrated, film = np.array(lens.wh, float), np.array(source_wh, float)
     ratios = film / calibrated
