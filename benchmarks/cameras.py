@@ -170,9 +170,9 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
         maps = json.dumps(dict(dataset.pixel_maps))
         imported(loaded(calibration.Settings), list(dataset.calibration), list(MAN), maps, out / "calibration.json")
         for c in MAN:
-            about = dataset.keypoint_layout, dataset.keypoint_first_frame, dataset.footage[c]
+            about = dataset.keypoint_layout, str(dataset.keypoint_first_frame.get(c, "auto")), dataset.footage[c]
             pixel_map = json.dumps(dataset.pixel_maps[c])
-            found = out / f"{c}.npz", out / f"{c}.json"
+            found = out / f"{c}.npz", out / f"{c}.recorded.npz", out / f"{c}.json", [], []
             sightings.run(loaded(tracks_keypoints.Settings), c, [dataset.keypoints[c]], *about, 60.0, pixel_map, *found)
         footage, seen = [dataset.footage[c] for c in MAN], [out / f"{c}.npz" for c in MAN]
         clocks.run(

@@ -266,13 +266,12 @@ def demo_together(take: Filmed) -> dict[str, Any]:
 
 def the_man(data: Path, camera: str) -> np.ndarray:
     """(T, 12, 3) the surest person of every frame of one camera of the take, homogeneous pixels, NaN where unsure."""
-    entries, _ = read_keypoints(data / "pose2sim_balancing/pose2d_body25b_single" / camera)
-    track = np.full((max(e.frame for e in entries) + 1, 12, 3), np.nan)
+    given = read_keypoints(data / "pose2sim_balancing/pose2d_body25b_single" / camera)
+    track = np.full((int(given.frame.max()) + 1, 12, 3), np.nan)
     surest: dict[int, np.ndarray] = {}
-    for entry in entries:
-        points = entry.keypoints[stable_indices("body_25b")]
-        if entry.frame not in surest or points[:, 2].sum() > surest[entry.frame][:, 2].sum():
-            surest[entry.frame] = points
+    for frame, points in zip(given.frame.tolist(), given.keypoints[:, stable_indices("body_25b")]):
+        if frame not in surest or points[:, 2].sum() > surest[frame][:, 2].sum():
+            surest[frame] = points
     for frame, points in surest.items():
         track[frame] = np.where(points[:, 2:] > 0.4, np.column_stack([points[:, :2], np.ones(12)]), np.nan)
     return track

@@ -156,9 +156,10 @@ def test_of_a_real_man_s_two_calibrations_edges_contradict_the_hand_picked_one(
     calibrated = out / "calibration.json"
     files.run(loaded(files.Settings), [take / "calibration" / file], names, maps, calibrated)
     for c in names:
-        recorded = dataset.keypoint_layout, dataset.keypoint_first_frame, dataset.footage[c], 60.0
+        first = str(dataset.keypoint_first_frame.get(c, "auto"))
+        recorded = dataset.keypoint_layout, first, dataset.footage[c], 60.0
         told = json.dumps(dataset.pixel_maps[c])
-        found = out / f"{c}.npz", out / f"{c}.json"
+        found = out / f"{c}.npz", out / f"{c}.recorded.npz", out / f"{c}.json", [], []
         keypoints.run(loaded(tracks_keypoints.Settings), c, [dataset.keypoints[c]], *recorded, told, *found)
     footage, seen = [dataset.footage[c] for c in names], [out / f"{c}.npz" for c in names]
     clocks = out / "clocks.json", out / "sync.json"

@@ -90,8 +90,8 @@ def examine(default_settings: Callable[..., dict[str, Any]]) -> Callable[..., di
         imported(reading, list(data.calibration), list(data.cameras), "{}", out / "calibration.json")
         people = settings_module.load(tracks_keypoints.Settings, default_settings("tracks"), "tracks")
         for c, path in data.keypoints.items():
-            files = out / f"{c}.npz", out / f"{c}.json"
-            about = data.keypoint_layout, data.keypoint_first_frame, data.footage[c]
+            files = out / f"{c}.npz", out / f"{c}.recorded.npz", out / f"{c}.json", [], []
+            about = data.keypoint_layout, str(data.keypoint_first_frame.get(c, "auto")), data.footage[c]
             sightings.run(people, c, [path], *about, 30.0, "[]", *files)
         clocks.run(
             settings_module.load(clocks.Settings, default_settings("clocks"), "clocks"),

@@ -33,6 +33,7 @@ from studiorecon.tracks import keypoints
 
 from tests.defaults import loaded
 from tests.made.cameras import LIMITS, ring, walk
+from tests.made.recorded import taken_over
 
 BUNDLE, GAIN = BundleSettings(), 0.1
 TRUE = ring(5)[4]
@@ -123,9 +124,10 @@ def test_a_real_held_out_camera_is_put_right_by_a_real_man(
         out = tmp_path / f"{name}.mkv", tmp_path / f"{name}.json"
         section = settings_module.load(frames.Settings, default_settings("capture"), "capture")
         frames.run(section, data.footage[name], lenses, tmp_path / "clocks.json", name, 0, 0, *out)
-        about = data.keypoints[name], data.keypoint_layout, data.keypoint_first_frame
+        about = data.keypoint_layout, data.keypoint_first_frame.get(name, 0)
+        recorded = taken_over(data.keypoints[name], tmp_path / f"{name}.recorded.npz", *about)
         section = settings_module.load(keypoints.Settings, default_settings("tracks"), "tracks")
-        keypoints.run(section, name, *about, out[1], lenses, tmp_path / f"{name}.npz")
+        keypoints.run(section, name, recorded, out[1], lenses, tmp_path / f"{name}.npz")
     manifest.run("take", [tmp_path / f"{name}.json" for name in names], manifests)
     whole = [read_detections(tmp_path / f"{name}.npz") for name in names]
     given = refine.cameras_of(list(read_lenses(lenses).values()), read_manifest(manifests).training)

@@ -67,10 +67,10 @@ def test_names_of_other_programs(theirs: str, ours: str) -> None:
 
 def test_mediapipe_s_table_comes_back(tmp_path: Path) -> None:
     given = planted(4, 1, 33)
-    entries, kind = read_keypoints(write(tmp_path / "camDLC.csv", MEDIAPIPE, given))
-    assert kind == "DeepLabCut"
-    assert [e.frame for e in entries] == [0, 1, 2, 3]
-    np.testing.assert_array_equal(np.array([e.keypoints for e in entries]), given[:, 0])
+    found = read_keypoints(write(tmp_path / "camDLC.csv", MEDIAPIPE, given))
+    assert found.program == "DeepLabCut"
+    assert found.frame.tolist() == [0, 1, 2, 3]
+    np.testing.assert_array_equal(found.keypoints, given[:, 0])
     assert choose_layout(given[:, 0], "auto", "x")[0] == "blazepose33"
 
 
@@ -81,16 +81,15 @@ def test_several_people_in_any_order_of_parts(tmp_path: Path, capsys: pytest.Cap
     given[1, 1] = np.nan  # the second person is not seen in frame 1
     written = np.concatenate([given[:, :, order], given[:, :, :1]], 2)
     path = write(tmp_path / "k.csv", [names[k] for k in order] + ["tail"], written, True)
-    entries, _ = read_keypoints(path)
-    assert [(e.frame, e.identity) for e in entries] == [(0, 0), (0, 1), (1, 0), (2, 0), (2, 1)]
-    for entry in entries:
-        np.testing.assert_array_equal(entry.keypoints, given[entry.frame, entry.identity])
+    found = read_keypoints(path)
+    assert found.frame.tolist() == [0, 0, 1, 2, 2]
+    np.testing.assert_array_equal(found.keypoints, given[[0, 0, 1, 2, 2], [0, 1, 0, 0, 1]])
     assert "tail are not in the layout coco17" in capsys.readouterr().out + capsys.readouterr().err
 
 
 def test_what_cannot_be_read_is_refused(tmp_path: Path) -> None:
     (tmp_path / "k.h5").write_bytes(b"\x89HDF")
-    with pytest.raises(UserError, match=r"DeepLabCut's HDF5.*save_as_csv=True"):
+    with pytest.raises(UserError, match=r"HDF5.*save_as_csv=True"):
         read_keypoints(tmp_path / "k.h5")
     path = tmp_path / "k.csv"
     path.write_text("x,y\n1,2\n")

@@ -48,20 +48,19 @@ def written(folder: Path, content: Any) -> Path:
     ids=["javascript", "tasks", "numbered", "protobuf"],
 )
 def test_landmarks_come_back_in_pixels(tmp_path: Path, content: Any) -> None:
-    entries, kind = read_keypoints(written(tmp_path, content), WH)
-    assert kind == "MediaPipe"
-    entries.sort(key=lambda e: e.frame)
-    assert [e.frame for e in entries] == [0, 0, 2]
-    for entry, seed in zip(entries, (0, 1, 2), strict=True):
-        np.testing.assert_allclose(entry.keypoints, in_pixels(person(seed)), atol=1e-9)
-    assert choose_layout(np.stack([e.keypoints for e in entries]), "auto", "cam1.json")[0] == "blazepose33"
+    found = read_keypoints(written(tmp_path, content), WH)
+    assert found.program == "MediaPipe"
+    assert found.frame.tolist() == [0, 0, 2]
+    for own, seed in zip(found.keypoints, (0, 1, 2), strict=True):
+        np.testing.assert_allclose(own, in_pixels(person(seed)), atol=1e-9)
+    assert choose_layout(found.keypoints, "auto", "cam1.json")[0] == "blazepose33"
 
 
 def test_one_person_of_the_older_solutions(tmp_path: Path) -> None:
     content = [{"pose_landmarks": {"landmark": person(3)}}, {"pose_landmarks": None}, {"pose_landmarks": person(4)}]
-    entries, _ = read_keypoints(written(tmp_path, content), WH)
-    assert [e.frame for e in entries] == [0, 2]
-    np.testing.assert_allclose(entries[1].keypoints, in_pixels(person(4)), atol=1e-9)
+    found = read_keypoints(written(tmp_path, content), WH)
+    assert (found.pictures.tolist(), found.frame.tolist()) == ([0, 1, 2], [0, 2])
+    np.testing.assert_allclose(found.keypoints[1], in_pixels(person(4)), atol=1e-9)
 
 
 @pytest.mark.parametrize(

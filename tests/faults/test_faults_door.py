@@ -26,8 +26,11 @@ from tests.faults.readers import NIGHTLY, SAMPLE, Reader, damaged, npy, npz, of_
 
 
 def keypoints_right(path: Path) -> None:
-    entries, _ = read_keypoints(path)
-    assert all(e.keypoints.ndim == 2 and e.keypoints.shape[1] == 3 and e.keypoints.dtype == float for e in entries)
+    found = read_keypoints(path)
+    assert found.keypoints.shape[0::2] == (len(found.frame), 3)
+    assert found.keypoints.dtype == float
+    assert np.isin(found.frame, found.pictures).all()
+    assert (np.diff(found.frame) >= 0).all()
 
 
 def calibration_right(path: Path) -> None:

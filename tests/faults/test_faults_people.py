@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.configuration import settings as settings_module
-from studiorecon.keypoints.readers import KeypointEntry
 from studiorecon.people import associate
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.people import read_identities, read_people, write_detections
+from studiorecon.scene.recorded import Recorded
 from studiorecon.tracks import keypoints as detections
 
 from tests.made.cameras import detect, ring, walk
@@ -89,8 +89,8 @@ def test_detections_keep_their_tracks_and_what_was_not_hit(take, default_setting
     values, hit = poisoned(found.keypoints, poison, np.random.default_rng(3))
 
     def read(keypoints: np.ndarray):
-        entries = [KeypointEntry(int(t), k, -1) for t, k in zip(found.frame, keypoints)]
-        return detections.detections_of(entries, "coco17", lens, footage(camera.name, camera.wh), 0, options)
+        given = Recorded("made", np.unique(found.frame), found.frame, keypoints, True, "coco17")
+        return detections.detections_of(given, lens, footage(camera.name, camera.wh), options)
 
     before, after = read(np.nan_to_num(found.keypoints)), read(values)
     assert np.array_equal(after.frame, before.frame)

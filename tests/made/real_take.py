@@ -24,6 +24,7 @@ from studiorecon.scene.people import read_identities, read_people
 from studiorecon.tracks import keypoints as detections
 
 from tests.made.imported import imported
+from tests.made.recorded import taken_over
 
 
 def front_end(
@@ -57,8 +58,9 @@ def front_end_of(
     manifest.run(out.name, [out / f"{n}.json" for n in names], out / "manifest.json")
     found = [out / f"{n}.npz" for n in names if data.keypoints]
     for name, path in zip(names, found):
-        about = data.keypoints[name], data.keypoint_layout, data.keypoint_first_frame
-        detections.run(load(detections), name, *about, out / f"{name}.json", lenses, path)
+        about = data.keypoint_layout, data.keypoint_first_frame.get(name, 0)
+        recorded = taken_over(data.keypoints[name], out / f"{name}.recorded.npz", *about)
+        detections.run(load(detections), name, recorded, out / f"{name}.json", lenses, path)
     model = out / "model" / "images.txt"
     reports = [out / "refinement.json", out / "refinement.png"]
     plates = [out / "plates" / f"{n}.png" for n in names]

@@ -33,6 +33,7 @@ from studiorecon.scene.people import (
 from studiorecon.tracks import keypoints as detections
 
 from tests.made.cameras import detect, owner, ring, walk
+from tests.made.recorded import taken_over
 
 FRAMES = 30
 
@@ -79,9 +80,9 @@ def test_openpose_folders_are_read_by_the_last_integer_and_stray_files_and_empty
     full = {"people": [{"pose_keypoints_2d": skeleton(50, 60).reshape(-1).tolist()}, {"pose_keypoints_2d": []}]}
     (tmp_path / "take2_cam.000000000007_keypoints.json").write_text(json.dumps(full))
     (tmp_path / "take2_cam.000000000009_keypoints.json.old").write_text("{")
-    entries, kind = read_keypoints(tmp_path)
-    assert kind == "OpenPose"
-    assert [(e.frame, e.keypoints.shape) for e in entries] == [(7, (17, 3))]
+    found = read_keypoints(tmp_path)
+    assert found.program == "OpenPose"
+    assert (found.frame.tolist(), found.keypoints.shape) == ([7], (1, 17, 3))
 
 
 @pytest.mark.parametrize("form", ["alphapose", "mmpose", "mmpose folder", "npz", "easymocap"])
@@ -111,10 +112,9 @@ def test_every_format_gives_the_same_detection(tmp_path, form):
     else:
         path = tmp_path
         (path / "000012.json").write_text(json.dumps({"annots": [{"personID": 3, "keypoints": person.tolist()}]}))
-    entries, _ = read_keypoints(path)
-    assert len(entries) == 1
-    assert entries[0].frame == 12
-    assert np.allclose(entries[0].keypoints, person)
+    found = read_keypoints(path)
+    assert found.frame.tolist() == [12]
+    assert np.allclose(found.keypoints[0], person)
 
 
 @pytest.mark.parametrize(
@@ -191,9 +191,7 @@ def test_detections_become_undistorted_working_pixels(tmp_path, people_settings)
             detections.run(
                 options,
                 "cam",
-                tmp_path / "k",
-                "coco17",
-                0,
+                taken_over(tmp_path / "k", tmp_path / "k.npz", "coco17"),
                 tmp_path / "cam.json",
                 tmp_path / "calibration.json",
                 tmp_path / "d.npz",
@@ -210,7 +208,7 @@ def test_detections_become_undistorted_working_pixels(tmp_path, people_settings)
             assert np.allclose(found.keypoints[0, 0, :2], expected)
 
 
-def test_keypoints_numbered_beside_the_clip_are_refused(tmp_path, people_settings):
+def test_keypoints_of_frames_that_are_not_used_are_told(capsys, tmp_path, people_settings):
     lens = Lens("cam", (640, 480), np.eye(3), "opencv", np.zeros(5), np.eye(4), np.eye(2, 3))
     write_json(tmp_path / "calibration.json", {"lenses": [lens.as_json()]})
     write_footage(tmp_path / "cam.json", footage())
@@ -222,9 +220,10 @@ def test_keypoints_numbered_beside_the_clip_are_refused(tmp_path, people_setting
         people_settings(detections.Settings),
         [tmp_path / n for n in ("cam.json", "calibration.json", "d.npz")],
     )
-    with pytest.raises(UserError, match=r"5000 to 5000.*keypoint_first_frame"):
-        detections.run(options, "cam", tmp_path / "k", "coco17", 0, *files)
-    detections.run(options, "cam", tmp_path / "k", "coco17", 4990, *files)
+    detections.run(options, "cam", taken_over(tmp_path / "k", tmp_path / "k.npz", "coco17"), *files)
+    assert not len(read_detections(files[-1]).frame)
+    assert "none of its 1 recorded people, in frames 5000 to 5000" in "".join(capsys.readouterr())
+    detections.run(options, "cam", taken_over(tmp_path / "k", tmp_path / "k.npz", "coco17", 4990), *files)
     assert read_detections(files[-1]).frame.tolist() == [10]
 
 

@@ -54,9 +54,11 @@ if PLAN.sight.measured or not PLAN.sight.bodies:
 rule detect_keypoints:
     input:
         keypoints=files.keypoints,
+        others=files.other_keypoints,
         source=files.footage,
     output:
         sightings="results/{scene}/detect/keypoints/{camera}.npz",
+        recorded="results/{scene}/detect/recorded/{camera}.npz",
         size="results/{scene}/detect/keypoints/{camera}.json",
     log:
         "logs/{scene}/detect/keypoints/{camera}.log",
@@ -66,12 +68,13 @@ rule detect_keypoints:
         image("core")
     threads: 1
     resources:
-        mem_mb=500,
+        mem_mb=1000,
     params:
         settings=settings("detect.keypoints"),
         code=code("detect.keypoints"),
         layout=PLAN.dataset.keypoint_layout,
-        first_frame=PLAN.dataset.keypoint_first_frame,
+        other_cameras=lambda wildcards: files.others_recorded(wildcards.camera),
+        first_frame=lookup("{camera}", within={c: str(PLAN.dataset.keypoint_first_frame.get(c, "auto")) for c in PLAN.cameras}),
         picture_fps=config["capture"]["picture_fps"],
         pixel_map=lookup("{camera}", within={c: json.dumps(PLAN.dataset.pixel_maps.get(c, [])) for c in PLAN.cameras}),
     shell:

@@ -33,7 +33,7 @@ else:
 
     rule tracks_keypoints:
         input:
-            keypoints=files.keypoints,
+            keypoints=files.read_keypoints,
             clocks="results/{scene}/clocks/clocks.json",
             footage="results/{scene}/capture/{camera}.json",
             calibration="results/{scene}/calibration/calibration.json",
@@ -51,7 +51,5 @@ else:
         params:
             settings=settings("tracks.keypoints"),
             code=code("tracks.keypoints"),
-            layout=PLAN.dataset.keypoint_layout,
-            first_frame=PLAN.dataset.keypoint_first_frame,
         shell:
             command("tracks.keypoints")

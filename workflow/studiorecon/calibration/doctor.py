@@ -76,13 +76,15 @@ def examined(
     sync: Mapping[str, Any] | None = None,
     doubts: Sequence[str] = (),
     rooms: Sequence[RoomPicture | None] = (),
+    keypoints: Mapping[str, Sequence[str]] | None = None,
 ) -> tuple[dict[str, Any], Float[np.ndarray, "N 3"]]:
     """The report (what goes into doctor.json) and the triangulated points (N, 3) of the frame that shows most of them.
 
     ``detections`` of cameras without keypoints are empty. ``lens_readings``: cameras and detections if the lens were
     another model, by the names of ``hypotheses.LENS_READINGS``. ``sync``: what was found about clocks before
     (``sentences``, and the ``refusal`` that awaits the footage, or ""). ``doubts``: what the calibration says of
-    itself. ``rooms``: the room without people as each camera sees it, None where nobody looked.
+    itself. ``keypoints``: what their comparison with the films says, sentences of what was ``refused`` and ``told``.
+    ``rooms``: the room without people as each camera sees it, None where nobody looked.
     """
     names = [c.name for c in cameras]
     frames = min(int(a["frames"]) for a in about)
@@ -142,6 +144,7 @@ def examined(
             for lag in found_lags
         },
         "sync": dict(sync or {"sentences": [], "refusal": ""}),
+        "keypoints": {key: list((keypoints or {}).get(key, [])) for key in ("refused", "told")},
         "footage": {a["camera"]: dict(a) for a in about},
         "facts": sanity.facts(cameras),
         "oddities": [*doubts, *sanity.oddities(cameras)],
@@ -282,7 +285,8 @@ def run(
     if unknown := [c for c in cameras if c not in lenses]:
         raise UserError(f"camera {unknown[0]} is not in {calibration} (that has {', '.join(lenses)})")
     found, common = read_json(sync), usable(read_clocks(clocks))
-    heights = {v["camera"]: int(v["wh"][1]) for v in map(read_json, sizes)}
+    decided = [read_json(path) for path in sizes]
+    heights = {v["camera"]: int(v["wh"][1]) for v in decided}
     seen = {d.camera: on_common_clock(d, common, heights[d.camera]) for d in map(read_detections, sightings)}
     raw = [seen.get(c, nobody(c)) for c in cameras]
     moments = [common.source_frames(c) for c in cameras]
@@ -328,7 +332,12 @@ def run(
     # Whoever filmed people, or everybody: held-out pictures are not looked at for the room's sake.
     asked = [c in seen or not seen for c in cameras]
     rooms = _rooms(sources, pinholes, [lenses[c] for c in cameras], moments, asked)
-    result, points = examined(pinholes, detections, about, settings, readings, told, told_of.get("doubts", []), rooms)
+    compared = {
+        "refused": [v["refusal"] for v in decided if v.get("refusal")],
+        "told": [sentence for v in decided for sentence in v.get("told", [])],
+    }
+    doubts = told_of.get("doubts", [])
+    result, points = examined(pinholes, detections, about, settings, readings, told, doubts, rooms, compared)
     pictures = [both[-1] for both in looks]
     if result["shown_frame"] is not None:
         pictures = [glimpses(film, [int(of[result["shown_frame"]])])[0] for film, of in zip(films, moments)]

@@ -283,7 +283,10 @@ def run(
     common = read_clocks(clocks)
     if common.refusal:
         raise UserError(common.refusal)
-    size_of = {v["camera"]: (int(v["wh"][0]), int(v["wh"][1])) for v in map(read_json, sizes)}
+    told_of = [read_json(path) for path in sizes]
+    if refused := [v["refusal"] for v in told_of if v.get("refusal")]:
+        raise UserError(refused[0])
+    size_of = {v["camera"]: (int(v["wh"][0]), int(v["wh"][1])) for v in told_of}
     detections = [on_common_clock(d, common, size_of[d.camera][1]) for d in map(read_detections, sightings)]
     wh = [size_of[d.camera] for d in detections]
     if not any(len(d.frame) for d in detections):
@@ -293,7 +296,7 @@ def run(
         )
     warn("there is no calibration: the cameras are found from the people (calibration.source)")
     fitted = BodyModel.load(body)
-    maps = {v["camera"]: v.get("pixel_map") for v in map(read_json, sizes)}
+    maps = {v["camera"]: v.get("pixel_map") for v in told_of}
     known = lenses_of_cameras(lenses, size_of, maps)
     detections = [straight(d, known[d.camera], size_of[d.camera]) if d.camera in known else d for d in detections]
     given_px = {c: ideal(lens, size_of[c]).focal_px[0] for c, lens in known.items()} | json.loads(focal_px or "{}")

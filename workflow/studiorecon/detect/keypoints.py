@@ -5,16 +5,22 @@ calibration."""
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from studiorecon.detect.film_motion import motion_in
 from studiorecon.errors import UserError
 from studiorecon.footage.source import FootageSource, open_source
 from studiorecon.geometry.lens import mapped_lens
+from studiorecon.keypoints.film_check import BORNE_OUT, Film, checked
 from studiorecon.keypoints.layout_choice import choose_layout
-from studiorecon.keypoints.readers import KeypointEntry, read_keypoints
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.keypoints.numbering import numberings
+from studiorecon.keypoints.possible_readings import affine
+from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.keypoints.reading import Settings, detections_of, detections_of_found
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Lens
@@ -22,7 +28,11 @@ from studiorecon.scene.capture import Footage
 from studiorecon.scene.files import write_json
 from studiorecon.scene.people import Detections, write_detections
 from studiorecon.scene.raw_detections import is_found, read_raw_detections
+from studiorecon.scene.recorded import Recorded, write_recorded
 from studiorecon.signature import Written
+
+# Of whoever is seen by nobody, any layout will do.
+_NOBODYS = "body_25"
 
 
 def run(
@@ -30,72 +40,126 @@ def run(
     camera: str,
     keypoints: list[Path],
     layout: str,
-    first_frame: int,
+    first_frame: str,
     source: Path,
     picture_fps: float,
     pixel_map: str,
     sightings: Written,
+    recorded: Written,
     size: Written,
+    others: list[Path],
+    other_cameras: list[str],
 ) -> None:
-    """Write the tracks of ``camera``, by the frames of its footage, to ``sightings`` (npz) and the video's size to
-    ``size`` (JSON).
+    """Write the tracks of ``camera``, by the frames of its footage, to ``sightings`` (npz), the keypoints as they were
+    recorded, in its film's frames and pixels, to ``recorded`` (npz), the video's size and what was decided about
+    keypoints to ``size`` (JSON).
 
     ``picture_fps`` is the rate of a folder of pictures; ``pixel_map`` (JSON): [scale, x, y] of ``Dataset.pixel_maps``,
-    or []. ``keypoints`` are one file or folder, or one for every chapter of ``source``, each counted from
-    ``first_frame`` on.
+    or []; ``first_frame``: number of the film's first frame in the keypoint files, or "auto". ``keypoints`` are one
+    file or folder, or one for every chapter of ``source``. ``others``: keypoints of ``other_cameras``, looked at where
+    those of ``camera`` do not fit its film.
     """
+    about = {"camera": camera, "wh": [0, 0], "pixel_map": json.loads(pixel_map), "refusal": "", "told": []}
     try:
         filmed = open_source(source, picture_fps)
     except UserError as refusal:
         # Decoding refuses it by name; the other cameras' clocks do not wait for that.
         warn(f"camera {camera}: {refusal}; until then it sees nobody")
-        _write_nobody(camera, (0, 0), pixel_map, sightings, size)
-        return
-    wh = filmed.wh
-    if is_found(keypoints[0]):
-        whole = read_raw_detections(keypoints[0])
-        about = {"camera": camera, "wh": list(wh), "pixel_map": json.loads(pixel_map)}
-        found = detections_of_found(whole, *_as_filmed(camera, filmed, sum(whole.looked), pixel_map), settings)
-        say(f"camera {camera}: {len(found.frame)} sightings ({whole.note}), {len(np.unique(found.track))} tracks")
-        write_detections(sightings, found)
-        write_json(size, about)
-        return
-    entries, kind = _of_chapters(keypoints, filmed)
-    where = ", ".join(map(str, keypoints))
-    if not entries:
-        say(f"{where} ({kind}) holds no person: camera {camera} sees nobody")
-        _write_nobody(camera, wh, pixel_map, sightings, size)
-        return
-    frames = max(e.frame for e in entries) - first_frame + 1
-    if frames < 2:
-        raise UserError(
-            f"{where}: no detection belongs to a frame of camera {camera}; set keypoint_first_frame in capture.yaml"
-        )
-    chosen, note = choose_layout(np.stack([e.keypoints for e in entries]), layout, where)
+        found, own = _nobody(camera), _none("", "")
+    else:
+        about["wh"] = list(filmed.wh)
+        if is_found(keypoints[0]):
+            whole = read_raw_detections(keypoints[0])
+            found = detections_of_found(whole, *_as_filmed(camera, filmed, sum(whole.looked), pixel_map), settings)
+            own, what = _none(whole.note, ""), whole.note
+        else:
+            rest = dict(zip(other_cameras, others, strict=True))
+            first = None if first_frame == "auto" else int(first_frame)
+            own, told = _compared(settings, camera, keypoints, rest, layout, first, filmed, pixel_map)
+            about |= {"refusal": own.refusal, "told": told}
+            frames = int(own.pictures[-1]) + 1 if len(own.pictures) else 0
+            found = detections_of(own, *_as_filmed(camera, filmed, frames, pixel_map), settings)
+            found = _nobody(camera) if own.refusal else found
+            what = f"{own.program}, {own.layout}"
+        say(f"camera {camera}: {len(found.frame)} sightings ({what}), {len(np.unique(found.track))} tracks")
+    write_detections(sightings, found)
+    write_recorded(recorded, own)
+    write_json(size, about)
+
+
+def _compared(
+    settings: Settings,
+    camera: str,
+    paths: Sequence[Path],
+    others: Mapping[str, Path],
+    layout: str,
+    first_frame: int | None,
+    filmed: FootageSource,
+    pixel_map: str,
+) -> tuple[Recorded, list[str]]:
+    """The keypoints of a file in the frames and pixels of the film, as far as that bears them out, and what is said."""
+    given, path = _of_chapters(paths, filmed, first_frame), ", ".join(map(str, paths))
+    if not len(given.frame):
+        warn(f"{path} ({given.program}) holds no person: camera {camera} sees nobody, and only shows the room")
+        return _none(given.program, layout), []
+    chosen, note = choose_layout(given.keypoints, layout, path)
     if note:
         say(note)
-    lens, footage = _as_filmed(camera, filmed, frames, pixel_map)
-    found = detections_of(entries, chosen, lens, footage, first_frame, settings)
-    say(f"camera {camera}: {len(found.frame)} sightings ({kind}, {chosen}), {len(np.unique(found.track))} tracks")
-    write_detections(sightings, found)
-    write_json(size, {"camera": camera, "wh": list(wh), "pixel_map": json.loads(pixel_map)})
+    numbers = numberings(given.pictures, filmed.frames, filmed.fps, first_frame, given.counted)
+    shown = np.concatenate([one.frame_of[np.isin(given.pictures, given.frame)] for one in numbers.possible])
+    motion = motion_in(filmed, int(shown.min()), int(shown.max()))
+    mapped = json.loads(pixel_map) if settings.keypoint_pixels != "video" else []
+    scale, x, y = mapped or (1.0, 0.0, 0.0)
+    centre = 0.5 - settings.keypoint_centres
+    film = Film(camera, filmed.wh, filmed.frames, motion, affine(scale, scale, x, y), centre)
+
+    def theirs() -> Mapping[str, Recorded]:
+        found = {}
+        for name, place in others.items():
+            one = read_keypoints(place, filmed.wh)
+            usual = numberings(one.pictures, filmed.frames, filmed.fps, first_frame, one.counted).possible[0]
+            found[name] = one.renumbered(usual.frame_of, filmed.frames)
+        return found
+
+    verdict = checked(replace(given, layout=chosen), numbers, film, theirs)
+    for sentence in [*verdict.told, *filter(None, [verdict.refusal])]:
+        warn(sentence)
+    if verdict.lift is not None and verdict.lift > BORNE_OUT and not verdict.refusal:
+        say(f"camera {camera}: its keypoints follow what moves in its film (agreement {verdict.lift:.2f} of 1)")
+    return replace(verdict.recorded, refusal=verdict.refusal), list(verdict.told)
 
 
-def _of_chapters(keypoints: list[Path], filmed: FootageSource) -> tuple[list[KeypointEntry], str]:
-    """What ``read_keypoints`` gives of all files, by the frames of the whole film."""
-    found: list[KeypointEntry] = []
-    before = 0
-    for path, film in zip(keypoints, filmed.parts if len(keypoints) > 1 else [filmed], strict=True):
-        entries, kind = read_keypoints(path, filmed.wh)
-        found += [replace(entry, frame=entry.frame + before) for entry in entries]
-        before += film.frames
-    return found, kind
+def _of_chapters(paths: Sequence[Path], filmed: FootageSource, first_frame: int | None) -> Recorded:
+    """What ``read_keypoints`` gives of one file, or of one for each chapter, by the frames of the whole film."""
+    if len(paths) == 1:
+        return read_keypoints(paths[0], filmed.wh)
+    found, before = list[Recorded](), 0
+    for path, part in zip(paths, filmed.parts, strict=True):
+        one = read_keypoints(path, filmed.wh)
+        usual = numberings(one.pictures, part.frames, part.fps, first_frame, one.counted).possible[0]
+        in_part = one.renumbered(usual.frame_of, part.frames)
+        found.append(replace(in_part, frame=in_part.frame + before, pictures=in_part.pictures + before))
+        before += part.frames
+    somebody = [one for one in found if len(one.frame)] or found[:1]
+    if len({one.keypoints.shape[1] for one in somebody}) > 1:
+        raise UserError(
+            f"{paths[0]} and the keypoints of its later chapters have different numbers of keypoints; run the detector "
+            "with one model on all of them"
+        )
+    pictures, frame = (np.concatenate([getattr(one, name) for one in found]) for name in ("pictures", "frame"))
+    return replace(found[0], pictures=pictures, frame=frame, keypoints=np.concatenate([s.keypoints for s in somebody]))
 
 
-def _write_nobody(camera: str, wh: tuple[int, int], pixel_map: str, sightings: Path, size: Path) -> None:
+def _none(program: str, layout: str) -> Recorded:
+    """Nobody's keypoints."""
+    name = layout if layout in LAYOUTS else _NOBODYS
     nobody = np.zeros(0, dtype=np.int64)
-    write_detections(sightings, Detections(camera, "coco17", nobody, nobody, np.zeros((0, 17, 3))))
-    write_json(size, {"camera": camera, "wh": list(wh), "pixel_map": json.loads(pixel_map)})
+    return Recorded(program, nobody, nobody, np.zeros((0, len(LAYOUTS[name].keypoints), 3)), True, name)
+
+
+def _nobody(camera: str) -> Detections:
+    own = _none("", "coco17")
+    return Detections(camera, own.layout, own.frame, own.frame, own.keypoints)
 
 
 def _as_filmed(camera: str, filmed: FootageSource, frames: int, pixel_map: str) -> tuple[Lens, Footage]:

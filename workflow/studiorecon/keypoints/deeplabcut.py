@@ -24,7 +24,7 @@ from studiorecon.scene.outside import read_text
 from studiorecon.scene.values import shown
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Integer
+    from jaxtyping import Float
 
 _COORDS = ("x", "y", "likelihood")
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
@@ -37,31 +37,26 @@ _WORDS = {
 _LEAST = 6
 
 
-def read_deeplabcut(
-    path: Path,
-) -> tuple[Integer[np.ndarray, " D"], Integer[np.ndarray, " D"], Float[np.ndarray, "D K 3"]]:
-    """Frames, people and keypoints of everybody seen in a frame, in the order of the smallest layout that has all parts
-    that any has.
+def read_deeplabcut(path: Path) -> dict[int, list[Float[np.ndarray, "K 3"]]]:
+    """Frame → keypoints of everybody seen in it, in the order of the smallest layout that has all parts that any has.
 
     Raises UserError with the line for a table of another kind, a cell that is no number, and names of no person.
     """
     names, columns, rows = _table(path)
     people = list(dict.fromkeys(individual for individual, _, _ in columns))
     layout, place = _layout(names, path)
-    frames, who, found = [], [], []
+    found: dict[int, list[np.ndarray]] = {}
     for line, cells in rows:
         frame, values = _values(path, line, cells, len(columns))
+        if frame in found:
+            raise UserError(f"{path}, line {line}: frame {frame} comes twice; keep one row per frame")
         persons = np.zeros((len(people), len(LAYOUTS[layout].keypoints), 3))
         for (individual, part, coordinate), value in zip(columns, values):
             if part in place:
                 persons[people.index(individual), place[part], coordinate] = value
         persons[~np.isfinite(persons).all(-1)] = 0.0
-        for person in np.flatnonzero((persons[..., 2] > 0).any(-1)):
-            frames.append(frame)
-            who.append(int(person) if len(people) > 1 else -1)
-            found.append(persons[person])
-    count = len(LAYOUTS[layout].keypoints)
-    return np.array(frames, np.int64), np.array(who, np.int64), np.array(found, float).reshape(len(found), count, 3)
+        found[frame] = list(persons[(persons[..., 2] > 0).any(-1)])
+    return found
 
 
 def canonical(part: str) -> str:
@@ -84,6 +79,11 @@ def _table(path: Path) -> tuple[list[str], list[tuple[str, str, int]], list[tupl
     header: dict[str, list[str]] = {}
     while lines and (row := lines[0][1][0].strip()) in _HEADERS and row not in header:
         header[row] = [cell.strip() for cell in lines.pop(0)[1][1:]]
+    if lines and "frame_idx" in lines[0][1]:
+        raise UserError(
+            f"{path} is SLEAP's analysis table, which is not read: write its tracks as an array keypoints (frames, "
+            "people, points, 3) of an .npz"
+        )
     if not {"scorer", "bodyparts", "coords"} <= header.keys():
         raise UserError(
             f"{path} does not begin with rows of scorer, bodyparts and coords; a CSV of keypoints must be DeepLabCut's"
@@ -122,7 +122,7 @@ def _layout(names: Sequence[str], path: Path) -> tuple[str, dict[str, int]]:
 
 
 def _values(path: Path, line: int, cells: list[str], count: int) -> tuple[int, list[float]]:
-    number = re.search(r"(\d{1,15})(?:\.\w+)?$", cells[0].strip())
+    number = re.search(r"(\d{1,18})(?:\.\w+)?$", cells[0].strip())
     if number is None or len(cells) != count + 1:
         raise UserError(
             f"{path}, line {line}: it holds {len(cells)} cells and begins with {shown(cells[0])}; a frame's "

@@ -9,13 +9,13 @@ null.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.keypoints.file_numbers import MOST_NUMBER
 from studiorecon.scene.values import numbers, shown, whole
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 _NAMES = ("pose_landmarks", "poseLandmarks", "landmarks")
 # Landmarks beyond the picture's border are guessed, but not whole pictures away; pixels are far larger.
 _MOST_SHARE = 3.0
-_MOST_FRAME = 10**15
 
 
 def is_mediapipe(content: Any) -> bool:
@@ -33,17 +32,25 @@ def is_mediapipe(content: Any) -> bool:
     return bool(frames) and all(isinstance(one, dict) and any(name in one for name in _NAMES) for one in frames)
 
 
-def read_mediapipe(
-    content: Any, picture_wh: tuple[int, int], path: Path
-) -> Iterator[tuple[int, Float[np.ndarray, "33 3"]]]:
-    """Frame and (33, 3) x, y in pixels of a picture of ``picture_wh`` and visibility, for everybody in every picture.
+def read_mediapipe(content: Any, picture_wh: tuple[int, int], path: Path) -> dict[int, list[Float[np.ndarray, "33 3"]]]:
+    """Frame → (33, 3) x, y in pixels of a picture of ``picture_wh`` and visibility, of everybody in it.
 
     An entry's ``frame`` counts where it has one, else its place. Raises UserError naming file and frame.
     """
+    found: dict[int, list[np.ndarray]] = {}
     for place, one in enumerate(_frames(content)):
-        frame = whole(one.get("frame", place), f"{path}: frame of entry {place}", 0, _MOST_FRAME)
-        for person in _people(next(one[name] for name in _NAMES if name in one), f"{path}, frame {frame}"):
-            yield frame, _points(person, picture_wh, f"{path}, frame {frame}")
+        frame = whole(one.get("frame", place), f"{path}: frame of entry {place}", 0, MOST_NUMBER)
+        if frame in found:
+            raise UserError(f"{path}: frame {frame} comes twice; keep one entry per picture")
+        where = f"{path}, frame {frame}"
+        people = _people(next(one[name] for name in _NAMES if name in one), where)
+        found[frame] = [_points(person, picture_wh, where) for person in people]
+    return found
+
+
+def counts_frames(content: Any) -> bool:
+    """Whether the entries have no numbers of their own, so that their places count."""
+    return not any("frame" in one for one in _frames(content))
 
 
 def _frames(content: Any) -> list[Any]:

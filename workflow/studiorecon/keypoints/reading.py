@@ -10,7 +10,6 @@ import numpy as np
 
 from studiorecon.configuration.setting import setting
 from studiorecon.geometry.lens import calibration_from_video_pixels, working_from_calibration, working_from_video
-from studiorecon.keypoints.readers import KeypointEntry
 from studiorecon.keypoints.steadying import steadied
 from studiorecon.keypoints.tracking import TrackingLimits, tracks, without_duplicates
 from studiorecon.progress import say
@@ -18,9 +17,10 @@ from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections
 from studiorecon.scene.raw_detections import RawDetections
+from studiorecon.scene.recorded import Recorded
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Integer, Num
+    from jaxtyping import Num
 
 
 @dataclass(frozen=True)
@@ -47,18 +47,6 @@ class Settings(Detected):
     )
     keypoint_centres: float = 0.0
     tracking: TrackingLimits = TrackingLimits()
-
-
-def to_arrays(
-    entries: list[KeypointEntry], footage: Footage, first_frame: int
-) -> tuple[Integer[np.ndarray, " D"], Float[np.ndarray, "D K 3"]]:
-    """Working frames and recorded keypoints of the detections that fall into the working frames."""
-    offset = first_frame + footage.first_source_frame
-    inside = [e for e in entries if 0 <= e.frame - offset < footage.frames]
-    inside.sort(key=lambda e: e.frame)
-    count = len(entries[0].keypoints) if entries else 0
-    frames = np.array([e.frame - offset for e in inside], dtype=np.int64)
-    return frames, np.array([e.keypoints for e in inside], dtype=np.float64).reshape(len(inside), count, 3)
 
 
 def to_working_pixels(
@@ -95,15 +83,15 @@ def unusable(keypoints: Num[np.ndarray, "D K 3"]) -> int:
     return int((broken | ~np.isfinite(keypoints[..., 2])).sum())
 
 
-def detections_of(
-    entries: list[KeypointEntry], layout: str, lens: Lens, footage: Footage, first_frame: int, settings: Settings
-) -> Detections:
-    """Detections of one camera with track ids; ``first_frame``: number in the keypoint files of the video's first
-    frame."""
-    frame, recorded = to_arrays(entries, footage, first_frame)
-    keypoints = to_working_pixels(recorded, lens, footage, settings)
-    if broken := unusable(recorded):
-        say(f"camera {footage.camera}: {broken} of {recorded[..., 0].size} keypoints are not finite, and were left out")
+def detections_of(recorded: Recorded, lens: Lens, footage: Footage, settings: Settings) -> Detections:
+    """Detections of one camera with track ids; ``recorded`` in its film's frames, with a layout."""
+    frame = recorded.frame - footage.first_source_frame
+    inside = (frame >= 0) & (frame < footage.frames)
+    frame, given = frame[inside], recorded.keypoints[inside]
+    keypoints = to_working_pixels(given, lens, footage, settings)
+    if broken := unusable(given):
+        say(f"camera {footage.camera}: {broken} of {given[..., 0].size} keypoints are not finite, and were left out")
+    layout = recorded.layout
     return followed(Detections(footage.camera, layout, frame, np.zeros_like(frame), keypoints), settings, footage.fps)
 
 

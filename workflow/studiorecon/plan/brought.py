@@ -118,6 +118,23 @@ class Brought:
         recorded = self.plan.dataset.chapter_keypoints.get(camera, (self.plan.dataset.keypoints[camera],))
         return [self.in_dataset(path) for path in recorded]
 
+    def read_keypoints(self, wildcards: Any) -> list[str]:
+        """The same once recorded ones have been read and compared with their film."""
+        if wildcards.camera in (*self.plan.sight.detected, *self.plan.sight.measured):
+            return self.keypoints(wildcards)
+        return [f"results/{wildcards.scene}/detect/recorded/{wildcards.camera}.npz"]
+
+    def others_recorded(self, camera: str) -> list[str]:
+        """The other cameras with recorded keypoints, if this one's are used: whose they are may have been mixed up."""
+        looked_for = (*self.plan.sight.detected, *self.plan.sight.measured)
+        if camera in looked_for:
+            return []
+        return [c for c in self.plan.dataset.keypoints if c != camera and c not in looked_for]
+
+    def other_keypoints(self, wildcards: Any) -> list[str]:
+        """Their files and folders."""
+        return [self.in_dataset(self.plan.dataset.keypoints[c]) for c in self.others_recorded(wildcards.camera)]
+
     def given_bodies(self, wildcards: Any) -> list[str]:
         """The user's file of a network's bodies of one camera, if that is where they come from."""
         if self.plan.sight.bodies != "precomputed":

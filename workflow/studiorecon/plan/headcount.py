@@ -51,8 +51,7 @@ def seen_twice(counts: Sequence[int]) -> int:
 
 
 def _recorded(path: Path, wh: tuple[int, int]) -> int:
-    entries, _ = read_keypoints(path, wh)
-    _, per_frame = np.unique([entry.frame for entry in entries], return_counts=True)
+    _, per_frame = np.unique(read_keypoints(path, wh).frame, return_counts=True)
     return int(np.median(per_frame)) if len(per_frame) else 0
 
 

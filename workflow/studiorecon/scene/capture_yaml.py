@@ -26,8 +26,8 @@ LEAST_HEIGHT_M, MOST_HEIGHT_M = 0.5, 2.8
 MOST_DISTANCE_M = 1000.0
 # Eleven days at 100 frames per second.
 _MOST_FRAMES = 10**8
-# Numbers in file names may be nanoseconds since 1970.
-_MOST_FIRST_FRAME = 10**18
+# Nanoseconds since 1970 have 19 digits; more fit no integer.
+_MOST_NUMBER = 2**63 - 1
 # Pictures of other sizes than the calibration's: from a thumbnail to four times 4K; no picture is wider than 16,384 px.
 LEAST_PIXEL_SCALE, MOST_PIXEL_SCALE, MOST_PIXEL_OFFSET = 0.05, 20.0, 16384.0
 # What only counts without a calibration, and what says something about recorded keypoints.
@@ -145,10 +145,18 @@ def starts_of(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[
     return found if given else {}
 
 
-def keypoint_first_frame(description: dict[str, Any]) -> int:
-    """The number in the keypoint files that belongs to the first frame, 0 when there is none."""
-    key = "keypoint_first_frame"
-    return whole(description.get(key, 0), f"capture.yaml: {key}", -_MOST_FIRST_FRAME, _MOST_FIRST_FRAME)
+def first_numbers(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, int]:
+    """camera → ``keypoint_first_frame``; one number is everybody's."""
+    given = description.get("keypoint_first_frame")
+    if given is None:
+        return {}
+    table = given if isinstance(given, dict) else dict.fromkeys(footage, given)
+    return {
+        _check_named(camera, "keypoint_first_frame", footage): whole(
+            value, f"capture.yaml: keypoint_first_frame of {camera}", -_MOST_NUMBER, _MOST_NUMBER
+        )
+        for camera, value in table.items()
+    }
 
 
 def focal_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:

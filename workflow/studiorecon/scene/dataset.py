@@ -24,7 +24,8 @@ class Dataset:
         keypoints: camera → folder of JSON files, or one file. Cameras without recorded keypoints are absent.
         chapter_keypoints: camera → one such entry per chapter, where they were recorded chapter by chapter.
         keypoint_layout: name of the layout, or ``"auto"``.
-        keypoint_first_frame: the number in the keypoint files that belongs to the first frame of the videos.
+        keypoint_first_frame: camera → the number in its keypoint files that belongs to the first frame of its video,
+            where capture.yaml says it.
         plates, masks, depth: camera → file or folder, where the user brings them.
         identities: a corrected ``identities.tsv`` (camera, track, person), or None.
         pixel_maps: camera → (scale, x, y) with p_video = scale · p_calibration + (x, y), pixel centres at +0.5, for
@@ -49,7 +50,7 @@ class Dataset:
     calibration: tuple[Path, ...]
     keypoints: Mapping[str, Path]
     keypoint_layout: str
-    keypoint_first_frame: int
+    keypoint_first_frame: Mapping[str, int]
     plates: Mapping[str, Path]
     masks: Mapping[str, Path]
     depth: Mapping[str, Path]

@@ -161,7 +161,7 @@ def planned_dataset(description: Description, folder: Path, truth: Path) -> Data
         calibration=tuple(folder / name for name in CALIBRATION_FILES[description.calibration.format]),
         keypoints={name: folder / "keypoints" / name for name in training} if description.keypoints else {},
         keypoint_layout="body_25",
-        keypoint_first_frame=0,
+        keypoint_first_frame={},
         plates={name: folder / "plates" / f"{name}.png" for name in training} if description.plates else {},
         masks={},
         depth={},

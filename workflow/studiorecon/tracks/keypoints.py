@@ -9,15 +9,14 @@ import numpy as np
 
 from studiorecon.camera_files.calibration import lens_of
 from studiorecon.errors import UserError
-from studiorecon.keypoints.layout_choice import choose_layout
-from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.keypoints.reading import Settings, detections_of, detections_of_found
 from studiorecon.keypoints.retiming import at_the_scene_s_moments, part_used
-from studiorecon.progress import say
+from studiorecon.progress import say, warn
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.people import Detections, write_detections
 from studiorecon.scene.raw_detections import is_found, read_raw_detections
+from studiorecon.scene.recorded import read_recorded
 from studiorecon.signature import Written
 
 
@@ -25,46 +24,35 @@ def run(
     settings: Settings,
     camera: str,
     keypoints: Path,
-    layout: str,
-    first_frame: int,
     footage: Path,
     calibration: Path,
     detections: Written,
     clocks: Path | None = None,
 ) -> None:
-    """Read the ``keypoints`` of ``camera``, recorded (numbered from ``first_frame`` on) or the detector's; write
+    """Read the ``keypoints`` of ``camera``, recorded ones as ``detect.keypoints`` wrote them or the detector's; write
     ``detections`` (npz).
 
     ``clocks`` say which picture shows which of the scene's moments; without them one after the other, as the footage
-    was used.
+    was used. Raises UserError where the film does not bear out what was recorded.
     """
     used = read_footage(footage)
     common = read_clocks(clocks) if clocks else None
-    found = part_used(used, common)
+    part = part_used(used, common)
     lens = lens_of(calibration, camera)
     if is_found(keypoints):
         whole = read_raw_detections(keypoints)
-        result = at_the_scene_s_moments(detections_of_found(whole, lens, found, settings), used, common)
-        _tell(result, whole.note, used)
-        write_detections(detections, result)
-        return
-    entries, kind = read_keypoints(keypoints, used.source_wh)
-    if not entries:
-        say(f"{keypoints} ({kind}) holds no person: camera {camera} sees nobody")
-        chosen = "body_25" if layout == "auto" else layout
+        found, kind = detections_of_found(whole, lens, part, settings), whole.note
     else:
-        chosen, note = choose_layout(np.stack([e.keypoints for e in entries]), layout, str(keypoints))
-        if note:
-            say(note)
-    result = at_the_scene_s_moments(detections_of(entries, chosen, lens, found, first_frame, settings), used, common)
-    if entries and not len(result.frame):
-        numbers = sorted({e.frame for e in entries})
-        raise UserError(
-            f"{keypoints}: no detection falls into the {found.frames} working frames of "
-            f"camera {camera} (files are numbered "
-            f"{numbers[0]} to {numbers[-1]}); write the number of the video's first frame into capture.yaml as "
-            "keypoint_first_frame"
-        )
+        recorded = read_recorded(keypoints)
+        if recorded.refusal:
+            raise UserError(recorded.refusal)
+        found, kind = detections_of(recorded, lens, part, settings), recorded.program
+        if len(recorded.frame) and not len(found.frame):
+            warn(
+                f"camera {camera}: none of its {len(recorded.frame)} recorded people, in frames {recorded.frame[0]} to "
+                f"{recorded.frame[-1]} of its film, is in the part that is used; it only shows the room"
+            )
+    result = at_the_scene_s_moments(found, used, common)
     _tell(result, kind, used)
     write_detections(detections, result)
 

@@ -33,7 +33,7 @@ HEADLINES = {
     "check": "The calibration fits the people. Some things are worth a look before the long run.",
     "cannot tell": "Nobody can tell whether this calibration is right: what was found also fits a "
     "wrong one, or nothing could be compared.",
-    "wrong": "This calibration does not fit the people as it was read. The long run would refuse it.",
+    "wrong": "Calibration, keypoints and pictures do not fit as they were read. The long run would refuse them.",
 }
 
 
@@ -85,6 +85,9 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
             off += told
         else:
             rest = told + rest
+    # Before any camera is blamed: what pictures say of keypoints.
+    compared = report.get("keypoints", {"refused": [], "told": []})
+    wrong, rest = compared["refused"] or wrong, rest + compared["told"]
     name = (
         "wrong" if wrong else "cannot tell" if unclear else "usable" if off else "check" if rest or refused else "good"
     )

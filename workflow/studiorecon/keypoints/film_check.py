@@ -1,0 +1,340 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which reading of recorded keypoints their film bears out: the one that is used, what is said about it, or why none
+is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.keypoints.motion import Motion
+from studiorecon.keypoints.numbering import Numbering, Numberings
+from studiorecon.keypoints.on_film import Movers, Score, best, frozen, movers, score, upside_down
+from studiorecon.keypoints.possible_readings import Reading, affine, applied, shares, sizes, turned
+from studiorecon.scene.recorded import Recorded
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
+
+# Another reading is right when keypoints lie this much nearer to what moves, as a lift and a share of its own, and so
+# many standard deviations more surely. Over 24 made films the right reading had 0.45 to 0.95, others less than half.
+_LIFT, _GAIN, _SHARE_LEFT, _SIGMAS = 0.4, 0.2, 0.65, 4.0
+# Of two likely numberings one is right when it is so many deviations better.
+_NUMBER_SIGMAS = 3.0
+BORNE_OUT = 0.3
+"""Lift from which a film bears keypoints out; below it, other cameras' keypoints are compared with it too."""
+# No reading fits: nothing above chance, though somebody moves in keypoints and film alike.
+_CHANCE, _CHANCE_SIGMAS, _CHANCE_POINTS = 0.1, 2.0, 200
+_SHIFTS = 60
+# Less than this is a detector's smoothing.
+_LEAST_SHIFT = 2
+# Detectors guess somewhat beyond the border; so many keypoints beyond it are of another picture.
+_OUTSIDE = 0.5
+# Shares may lie somewhat beyond the border too, those from 0 a little below it; pixels of a film are far larger.
+_SHARES_WITHIN, _BELOW_0, _SMALLEST_PX = 3.0, -0.1, 32
+_UPSIDE_DOWN = 0.9
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How keypoints are read.
+
+    Attributes:
+        recorded: them, in the film's frames and in the pixels that they should have been in.
+        told: sentences about what was decided, or could not be.
+        refusal: why they cannot be used; "" where they can.
+        lift: of the reading that is used; None where nobody moves enough to tell.
+    """
+
+    recorded: Recorded
+    told: tuple[str, ...]
+    refusal: str
+    lift: float | None
+
+
+@dataclass(frozen=True)
+class Film:
+    """What keypoints are compared with.
+
+    Attributes:
+        camera: name; wh, frames: of its film; motion: in it, None where it cannot be looked at.
+        map: (2, 3) from recorded pixels, centres at +0.5, to the film's; centre: what is added to reach +0.5.
+    """
+
+    camera: str
+    wh: tuple[int, int]
+    frames: int
+    motion: Motion | None
+    map: Float[np.ndarray, "2 3"]
+    centre: float
+
+
+@dataclass(frozen=True)
+class _Hypothesis:
+    reading: Reading
+    numbering: Numbering
+    shift: int
+    score: Score
+
+
+def _clearly_better(one: Score, other: Score) -> bool:
+    """Whether keypoints lie on what moves under one reading, and under the other do not."""
+    return (
+        one.enough
+        and one.lift > _LIFT
+        and one.lift - other.lift > _GAIN
+        and other.lift < _SHARE_LEFT * one.lift
+        and one.over(other) > _SIGMAS
+    )
+
+
+Others = Callable[[], Mapping[str, Recorded]]
+
+
+def checked(recorded: Recorded, numbers: Numberings, film: Film, others: Others) -> Verdict:
+    """``recorded`` as its film bears it out. ``others``: keypoints of the other cameras by name, in frames of their own
+    films, asked for only where nothing else explains this one."""
+    usual = numbers.possible[0]
+    if not len(recorded.frame):
+        return Verdict(recorded.renumbered(usual.frame_of, film.frames), (), "", None)
+    as_read = Reading("pixels of the film", film.map @ np.vstack([affine(1, 1, film.centre, film.centre), [0, 0, 1]]),
+                      True)  # fmt: skip
+    plain = _plain(recorded.keypoints, as_read, film)
+    judge = _Judge(recorded, film, movers(recorded.keypoints, recorded.frame), plain[0] is not as_read)
+    numbering, told = judge.numbering(numbers, plain)
+    if numbering is None:
+        return Verdict(recorded.renumbered(usual.frame_of, film.frames), (), told, None)
+    chosen = judge.best(plain, numbering)
+    said = [told] if told else []
+    refusal = ""
+    wrong = judge.alternative(chosen, as_read) if chosen.score.enough else None
+    if wrong is not None:
+        chosen, refusal = judge.taken(wrong, chosen)
+    elif frozen(recorded.keypoints, recorded.frame) and film.motion is not None and film.motion.busy:
+        refusal = (
+            f"the keypoints of camera {film.camera} are the same numbers in every picture, and its pictures change; "
+            "write every frame's own"
+        )
+    elif chosen.score.enough and chosen.score.lift < BORNE_OUT:
+        refusal = judge.of_another(chosen, others) or judge.unexplained(chosen)
+    if chosen.reading is not as_read and not refusal:
+        said.append(f"the keypoints of camera {film.camera} are read as {chosen.reading.words}{judge.evidence(chosen)}")
+    if chosen.shift and not refusal:
+        said.append(judge.shifted(chosen))
+    if not refusal and not (chosen.score.enough and chosen.score.lift > _LIFT):
+        said += _of_heads(recorded, film.camera)
+    refusal = refusal or _outside(recorded.keypoints, chosen.reading, film)
+    frame_of = chosen.numbering.frame_of - chosen.shift
+    if (
+        not refusal
+        and not ((frame_of >= 0) & (frame_of < film.frames))[np.searchsorted(recorded.pictures, recorded.frame)].any()
+    ):
+        refusal = (
+            f"no person of the keypoints of camera {film.camera} (numbers {recorded.frame[0]} to {recorded.frame[-1]}) "
+            f"is in one of its film's {film.frames} frames; write the number of its first frame into capture.yaml: "
+            f"keypoint_first_frame: {{{film.camera}: {recorded.frame[0]}}}"
+        )
+    moved = _in_film_pixels(recorded, chosen.reading, as_read)
+    lift = chosen.score.lift if chosen.score.enough else None
+    return Verdict(moved.renumbered(frame_of, film.frames), tuple(said), refusal, lift)
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """Scores of one camera's keypoints under any reading."""
+
+    recorded: Recorded
+    film: Film
+    moving: Movers
+    in_shares: bool
+
+    def under(self, reading: Reading, numbering: Numbering, shift: int = 0) -> _Hypothesis:
+        motion = self.film.motion
+        if motion is None:
+            return _Hypothesis(reading, numbering, shift, Score(0.0, 0.0, np.zeros(0), 0))
+        frame = numbering.frame_of[np.searchsorted(self.recorded.pictures, self.recorded.frame)] - shift
+        return _Hypothesis(reading, numbering, shift, score(self.moving, frame, reading.film_from_recorded, motion))
+
+    def best(self, readings: Sequence[Reading], numbering: Numbering) -> _Hypothesis:
+        """The best of ``readings``; the first where the film does not tell."""
+        tried = [self.under(reading, numbering) for reading in readings]
+        index, top = best(enumerate(h.score for h in tried))
+        return tried[index] if top.enough and top.over(tried[0].score) > _NUMBER_SIGMAS else tried[0]
+
+    def numbering(self, numbers: Numberings, plain: Sequence[Reading]) -> tuple[Numbering | None, str]:
+        """The numbering that the film bears out, and a sentence where there was a choice; None and why where there is
+        none."""
+        camera, first = self.film.camera, numbers.possible[0]
+        tried = [self.best(plain, one) for one in numbers.possible]
+        index, top = best(enumerate(h.score for h in tried))
+        if index == 0:
+            sure = top.enough and all(top.over(h.score) > _NUMBER_SIGMAS for h in tried[1:])
+        elif numbers.certain:
+            sure = _clearly_better(top, tried[0].score)
+        else:
+            sure = top.enough and top.over(tried[0].score) > _NUMBER_SIGMAS
+        by = "" if index == 0 and numbers.certain else ", as what moves in its pictures says"
+        index, sure, by = (0, True, "") if numbers.certain and not sure else (index, sure, by)
+        pictures = self.recorded.pictures
+        span = f"the keypoints of camera {camera} are numbered {pictures[0]} to {pictures[-1]}, and its film has "
+        span += f"{self.film.frames} frames"
+        remedy = f"write keypoint_first_frame: {{{camera}: NUMBER}} into capture.yaml"
+        if sure:
+            words = numbers.possible[index].words
+            return numbers.possible[index], f"{span}: {words}{by}" if words else ""
+        if not numbers.believed:
+            return None, f"{span}, which does not say which is its first frame: {remedy}, such as {first.first}"
+        how = first.words or "number 0 is taken for its first frame"
+        return first, f"{span}: {how}, and its pictures do not tell; where that is wrong, {remedy}"
+
+    def alternative(self, now: _Hypothesis, as_read: Reading) -> _Hypothesis | None:
+        """Another reading that is clearly right where ``now`` is clearly not."""
+        wh, unit = self.film.wh, now.reading.film_from_recorded
+        on_its_side = affine(wh[1], wh[0]) if self.in_shares else unit
+        readings = turned(wh, unit, on_its_side)
+        if not self.in_shares:
+            readings += sizes(wh, self.film.centre)
+        tried = [self.under(reading, now.numbering) for reading in readings]
+        tried += [self.under(now.reading, now.numbering, s) for s in range(-_SHIFTS, _SHIFTS + 1) if s]
+        index, top = best(enumerate(h.score for h in tried))
+        right = _clearly_better(top, now.score)
+        found = tried[index]
+        return found if right and (not found.shift or abs(found.shift) >= _LEAST_SHIFT) else None
+
+    def taken(self, right: _Hypothesis, now: _Hypothesis) -> tuple[_Hypothesis, str]:
+        """The hypothesis that is used, and why none is: what may lose left and right, or is not told exactly, stops the
+        run."""
+        camera = self.film.camera
+        if right.shift:
+            near = [self.under(right.reading, right.numbering, right.shift + s) for s in (-1, 1)]
+            if all(right.score.over(h.score) > _NUMBER_SIGMAS for h in near):
+                return right, ""
+            first = right.numbering.first + right.shift
+            return now, (
+                f"the keypoints of camera {camera} lie on what moves in its pictures if they are numbered about "
+                f"{abs(right.shift)} frames {'later' if right.shift > 0 else 'earlier'}{self.evidence(right, now)}; "
+                f"write the number of its first frame into capture.yaml: keypoint_first_frame: {{{camera}: {first}}}"
+            )
+        if right.reading.lossless:
+            rivals = [
+                h for r in sizes(self.film.wh, self.film.centre) if (h := self.under(r, right.numbering)).score.enough
+                and h.reading.words != right.reading.words and not right.score.over(h.score) > 1.0
+            ]  # fmt: skip
+            if not rivals:
+                return right, ""
+            return now, (
+                f"the keypoints of camera {camera} are of another picture size: {right.reading.words}, or "
+                f"{rivals[0].reading.words}{self.evidence(right, now)}; write them in pixels of its film, "
+                f"{self.film.wh[0]}×{self.film.wh[1]}"
+            )
+        return now, (
+            f"the keypoints of camera {camera} look {right.reading.words}{self.evidence(right, now)}; write them as "
+            f"its film shows people, x from the left and y from the top, and run again"
+        )
+
+    def by_chance(self, found: Score) -> bool:
+        """Whether keypoints of people who move lie on what moves in the film no more than by chance."""
+        motion = self.film.motion
+        return (
+            motion is not None
+            and motion.busy
+            and found.points >= _CHANCE_POINTS
+            and found.lift < _CHANCE
+            and found.sigmas < _CHANCE_SIGMAS
+        )
+
+    def of_another(self, now: _Hypothesis, others: Others) -> str:
+        """Whose keypoints these pictures fit clearly better; "" where nobody's do."""
+        camera, motion = self.film.camera, self.film.motion
+        assert motion is not None
+        for other, seen in others().items():
+            fits = score(movers(seen.keypoints, seen.frame), seen.frame, now.reading.film_from_recorded, motion)
+            if _clearly_better(fits, now.score):
+                return (
+                    f"the film of camera {camera} shows what the keypoints of camera {other} say "
+                    f"({fits.hit:.0%} of them lie on what moves, {now.score.hit:.0%} of its own): exchange the films "
+                    "or the keypoints of the two"
+                )
+        return ""
+
+    def unexplained(self, now: _Hypothesis) -> str:
+        """That keypoints lie on what moves no more than by chance; "" where they do, if poorly."""
+        if not self.by_chance(now.score):
+            return ""
+        camera = self.film.camera
+        return (
+            f"the keypoints of camera {camera} do not lie on what moves in its pictures ({now.score.hit:.0%}, as by "
+            "chance), in no order of frames, size or turn that was tried: bring those of this film, in the order of "
+            "its frames, or leave the camera out (train: [...] in capture.yaml)"
+        )
+
+    def evidence(self, right: _Hypothesis, now: _Hypothesis | None = None) -> str:
+        """What the film says, in brackets."""
+        if not right.score.enough:
+            return ""
+        before = f", {now.score.hit:.0%} as they are" if now else ""
+        return f" ({right.score.hit:.0%} of those who move lie on what moves in its pictures{before})"
+
+    def shifted(self, right: _Hypothesis) -> str:
+        """That frames were counted otherwise."""
+        first = right.numbering.first + right.shift
+        return (
+            f"the keypoints of camera {self.film.camera} are read so that number {first} is its film's first "
+            f"frame{self.evidence(right)}"
+        )
+
+
+def _plain(keypoints: Num[np.ndarray, "D K 3"], as_read: Reading, film: Film) -> list[Reading]:
+    """What the unit of keypoints may be by their extent alone, the likeliest first."""
+    points = np.abs(_points(keypoints))
+    if not len(points) or np.quantile(points, 0.99) > _SHARES_WITHIN or min(film.wh) < _SMALLEST_PX:
+        return [as_read]
+    both = shares(film.wh)
+    return [both[1], both[0]] if np.quantile(_points(keypoints), 0.05) < _BELOW_0 else both
+
+
+def _outside(keypoints: Num[np.ndarray, "D K 3"], reading: Reading, film: Film) -> str:
+    """That most keypoints lie beyond the film's border under ``reading``; "" where they do not."""
+    points = _points(keypoints)
+    shown = applied(reading.film_from_recorded, points)
+    outside = float(((shown < 0) | (shown > film.wh)).any(-1).mean()) if len(points) else 0.0
+    if outside <= _OUTSIDE:
+        return ""
+    high = points.max(0)
+    return (
+        f"{outside:.0%} of the keypoints of camera {film.camera} lie outside of its {film.wh[0]}×{film.wh[1]} film "
+        f"(they reach {high[0]:.0f}, {high[1]:.0f}): they are of another picture size; write them in pixels of the film"
+    )
+
+
+def _points(keypoints: Num[np.ndarray, "D K 3"]) -> Float[np.ndarray, "N 2"]:
+    """(N, 2) those that are there."""
+    there = np.isfinite(keypoints).all(-1) & (keypoints[..., 2] > 0) & (keypoints[..., :2] != 0).any(-1)
+    return keypoints[there][:, :2]
+
+
+def _in_film_pixels(recorded: Recorded, reading: Reading, as_read: Reading) -> Recorded:
+    """``recorded`` with coordinates that, read as they should have been written, lie where ``reading`` puts them."""
+    if reading is as_read:
+        return recorded
+    inverse = np.linalg.inv(np.vstack([as_read.film_from_recorded, [0, 0, 1.0]]))[:2]
+    missing = (recorded.keypoints[..., :2] == 0).all(-1) | ~(recorded.keypoints[..., 2] > 0)
+    points = applied(inverse, applied(reading.film_from_recorded, recorded.keypoints[..., :2]))
+    points = np.where(missing[..., None], recorded.keypoints[..., :2], points)
+    moved = np.concatenate([points, recorded.keypoints[..., 2:]], axis=-1)
+    return Recorded(recorded.program, recorded.pictures, recorded.frame, moved, recorded.counted, recorded.layout)
+
+
+def _of_heads(recorded: Recorded, camera: str) -> list[str]:
+    """That everybody stands on their head, where the film does not say whether they do."""
+    lower = upside_down(recorded.keypoints, LAYOUTS[recorded.layout].keypoints if recorded.layout else ())
+    if len(lower) < 10 or lower.mean() < _UPSIDE_DOWN:
+        return []
+    return [
+        f"{lower.mean():.0%} of the people in the keypoints of camera {camera} have their head below their feet, and "
+        "its pictures do not tell whether they stand so: see whether y is counted from the top"
+    ]

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a film's pictures differ from how it usually looks: cheap, small, and blind for whoever stands still."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
+
+SMALL_PX = 320
+"""Longer side of the pictures that are compared: a wrist of somebody who fills half the picture has 4 pixels."""
+# A pixel differs when it does by so many noise deviations, and so many of 255 levels, which compression costs.
+_SIGMAS, _LEAST_LEVELS = 6.0, 12.0
+# Keypoints this far from what differs lie beside it; in between they count in part. Detectors err by a percent.
+_REACH_PX = 4.0
+_SIGMA_OF_MEDIAN = 1.4826
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What differs from usual in some frames of a film.
+
+    Attributes:
+        frame: (S,) int, ascending, the frames.
+        near: (S, h, w) 1 where a picture differs from usual, falling to 0 within a few pixels.
+        wh: size of the film.
+    """
+
+    frame: Integer[np.ndarray, " S"]
+    near: Float[np.ndarray, "S h w"]
+    wh: tuple[int, int]
+
+    def at(self, sample: Integer[np.ndarray, " N"], pixels: Num[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
+        """How near to what differs ``pixels`` of the film (centres at +0.5) lie in frame ``frame[sample]``, and on
+        average over all frames; 0 outside of the picture."""
+        rows, columns = self.near.shape[1:]
+        place = np.floor(pixels * [columns / self.wh[0], rows / self.wh[1]])
+        inside = ((place >= 0) & (place < [columns, rows])).all(-1)
+        column, row = np.where(inside[:, None], place, 0).astype(np.int64).T
+        usual = self.near.mean(0)
+        return np.where(inside[:, None], np.column_stack([self.near[sample, row, column], usual[row, column]]), 0.0)
+
+    @property
+    def busy(self) -> bool:
+        """Whether something about as large as a person differs in half of the frames or more."""
+        return bool(np.median((self.near == 1).mean(axis=(1, 2))) > _LEAST_BUSY)
+
+
+# Share of a picture that a person has who is a tenth of it high.
+_LEAST_BUSY = 0.001
+
+
+def small(picture: Integer[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "h w 3"]:
+    """A picture with a longer side of at most ``SMALL_PX``."""
+    scale = SMALL_PX / max(picture.shape[:2])
+    size = max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale))
+    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA) if scale < 1 else picture
+
+
+def motion_of(frame: Sequence[int], pictures: Sequence[Integer[np.ndarray, "h w 3"]], wh: tuple[int, int]) -> Motion:
+    """Motion in ``pictures`` (``small``) of the frames ``frame`` of a film of size ``wh``."""
+    stack = np.stack(pictures)
+    levels = np.stack([cv2.GaussianBlur(p, (3, 3), 0) for p in stack]).astype(np.float32)
+    apart = levels - np.median(levels, axis=0)
+    apart -= np.median(apart, axis=(1, 2), keepdims=True)  # exposure that follows the scene
+    apart = np.abs(apart).max(-1)
+    noise = _SIGMA_OF_MEDIAN * float(np.median(apart))
+    differs = (apart > max(_SIGMAS * noise, _LEAST_LEVELS)).astype(np.uint8)
+    near = [
+        np.clip(1 - cv2.distanceTransform(1 - cv2.medianBlur(one, 3), cv2.DIST_L2, 3) / _REACH_PX, 0, 1)
+        if one.any()
+        else np.zeros(one.shape)
+        for one in differs
+    ]
+    return Motion(np.asarray(frame, dtype=np.int64), np.stack(near), wh)

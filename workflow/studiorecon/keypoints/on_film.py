@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Do recorded keypoints lie on what moves in the film, and under which reading of their numbers?
+
+One measurement for everything that may be mixed up: the numbering, the unit and size of the picture, mirrored and
+turned pictures, exchanged coordinates, another camera's film. Whoever moves makes the picture differ from usual where
+they are, and only there: the *lift* of a reading is how much nearer to such places its keypoints lie in their own
+frames than in others, 0 for chance and 1 at best. Whoever stands still says nothing, and then nothing is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from studiorecon.keypoints.motion import Motion
+from studiorecon.keypoints.possible_readings import applied
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Num
+
+# Keypoints surer than this count, of the body alone: layouts list hands and faces last.
+_SURE, _BODY_POINTS = 0.3, 26
+# Places that a body covers in more of the looked-at frames than this are no evidence: who stands there is usual.
+_USUAL_SHARE = 0.4
+# Less evidence than so many keypoints, in so many frames, says nothing.
+LEAST_POINTS, LEAST_FRAMES = 60, 8
+# Side of the grid on which bodies are drawn to see who moves.
+_GRID = 64
+
+
+@dataclass(frozen=True)
+class Score:
+    """How well keypoints fit a film under one reading.
+
+    Attributes:
+        lift: mean over frames; 0 where there are none.
+        hit: share of them that lie on what moves.
+        per_frame: (S,) lift in every looked-at frame of the film; NaN where no keypoint counts.
+        points: how many keypoints count.
+    """
+
+    lift: float
+    hit: float
+    per_frame: Float[np.ndarray, " S"]
+    points: int
+
+    @property
+    def enough(self) -> bool:
+        """Whether it rests on enough keypoints and frames."""
+        return self.points >= LEAST_POINTS and int(np.isfinite(self.per_frame).sum()) >= LEAST_FRAMES
+
+    @property
+    def sigmas(self) -> float:
+        """By how many standard deviations the lift is above chance."""
+        return _sigmas(self.per_frame)
+
+    def over(self, other: Score) -> float:
+        """By how many standard deviations this one is better than another, in frames that both speak of."""
+        return _sigmas(self.per_frame - other.per_frame)
+
+
+def _sigmas(values: np.ndarray) -> float:
+    """Mean over standard deviation of the mean; neighbours in time are no two witnesses, so frames count in pairs."""
+    known = values[np.isfinite(values)]
+    if len(known) < LEAST_FRAMES:
+        return 0.0
+    pairs = known[: len(known) // 2 * 2].reshape(-1, 2).mean(-1)
+    spread = float(pairs.std(ddof=1)) / np.sqrt(len(pairs))
+    return float(known.mean()) / max(spread, 1e-3)
+
+
+@dataclass(frozen=True)
+class Movers:
+    """Keypoints of people who move, one per row: N of them.
+
+    Attributes:
+        person: (N,) which detection each belongs to; points: (N, 2) as recorded.
+    """
+
+    person: Integer[np.ndarray, " N"]
+    points: Float[np.ndarray, "N 2"]
+
+
+def movers(keypoints: Num[np.ndarray, "D K 3"], frame: Integer[np.ndarray, " D"]) -> Movers:
+    """The sure keypoints that lie where bodies are seldom, in whichever unit they are."""
+    body = keypoints[:, :_BODY_POINTS]
+    sure = np.isfinite(body).all(-1) & (body[..., 2] > _SURE) & (body[..., :2] != 0).any(-1)
+    person, which = np.nonzero(sure)
+    points = body[person, which, :2]
+    if not len(points):
+        return Movers(person, points)
+    low, high = points.min(0), points.max(0)
+    grid = np.clip((points - low) / np.maximum(high - low, 1e-9) * (_GRID - 1), 0, _GRID - 1).round().astype(np.int32)
+    covered = _covered(grid, person, frame)
+    return Movers(*(a[covered[grid[:, 1], grid[:, 0]] <= _USUAL_SHARE] for a in (person, points)))
+
+
+def _covered(grid: np.ndarray, person: np.ndarray, frame: np.ndarray) -> Float[np.ndarray, "G G"]:
+    """(G, G) in which share of up to 64 frames somebody's outline covers a cell."""
+    frames = np.unique(frame)
+    chosen = frames[np.unique(np.linspace(0, len(frames) - 1, 64).round().astype(int))]
+    total = np.zeros((_GRID, _GRID))
+    for one in chosen:
+        drawn = np.zeros((_GRID, _GRID), np.uint8)
+        for who in np.flatnonzero(frame == one):
+            outline = grid[person == who]
+            if len(outline):
+                cv2.fillConvexPoly(drawn, cv2.convexHull(outline), 1)
+        total += drawn
+    return total / len(chosen)
+
+
+def score(
+    moving: Movers,
+    frame: Integer[np.ndarray, " D"],
+    film_from_recorded: Num[np.ndarray, "2 3"],
+    motion: Motion,
+) -> Score:
+    """How well ``moving`` fit ``motion`` if detection d shows frame ``frame[d]`` of the film and the map is right."""
+    shown = frame[moving.person] if len(moving.person) else np.zeros(0, np.int64)
+    sample = np.clip(np.searchsorted(motion.frame, shown), 0, len(motion.frame) - 1)
+    counted = motion.frame[sample] == shown
+    sample = sample[counted]
+    here = motion.at(sample, applied(film_from_recorded, moving.points[counted]))
+    number = np.bincount(sample, minlength=len(motion.frame))
+    lift = np.bincount(sample, here[:, 0] - here[:, 1], minlength=len(motion.frame))
+    per_frame = np.where(number > 0, lift / np.maximum(number, 1), np.nan)
+    if not len(sample):
+        return Score(0.0, 0.0, per_frame, 0)
+    return Score(float(np.nanmean(per_frame)), float(here[:, 0].mean()), per_frame, len(sample))
+
+
+def best(scores: Iterable[tuple[int, Score]]) -> tuple[int, Score]:
+    """The index and score of the largest lift; the first of equal ones."""
+    return max(scores, key=lambda one: one[1].lift)
+
+
+def upside_down(keypoints: Num[np.ndarray, "D K 3"], names: Sequence[str]) -> Bool[np.ndarray, " D"]:
+    """(D,) of whom head and both ankles are seen: whether the head is lower."""
+    at = {name: k for k, name in enumerate(names)}
+    if not {"nose", "left_ankle", "right_ankle"} <= at.keys():
+        return np.zeros(0, bool)
+    parts = keypoints[:, [at["nose"], at["left_ankle"], at["right_ankle"]]]
+    seen = (parts[..., 2] > _SURE).all(-1)
+    return parts[seen, 0, 1] > parts[seen, 1:, 1].max(-1)
+
+
+def frozen(keypoints: Num[np.ndarray, "D K 3"], frame: Integer[np.ndarray, " D"]) -> bool:
+    """Whether every picture has the very same numbers, which no detector gives of a film."""
+    frames, count = np.unique(frame, return_counts=True)
+    if len(frames) < LEAST_FRAMES or len(set(count.tolist())) > 1:
+        return False
+    stacked = keypoints.reshape(len(frames), -1)
+    return bool(np.array_equal(stacked, np.broadcast_to(stacked[:1], stacked.shape), equal_nan=True))

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What programs write about one picture → keypoints of everybody in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.scene.values import listed, numbers, shown
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+# Key of the list of people → (program, keys of somebody's keypoints). OpenPose's names changed with its versions.
+_LISTS = {
+    "people": ("OpenPose", ("pose_keypoints_2d", "pose_keypoints", "body_parts")),
+    "bodies": ("AlphaPose", ("joints",)),
+    "annots": ("EasyMocap", ("keypoints",)),
+    "instances": ("MMPose", ("keypoints",)),
+    "predictions": ("MMPose", ("keypoints",)),
+}
+# Beginnings of keys that hold faces and hands.
+_PARTS = ("face", "hand", "left", "righ")
+
+
+def is_picture(content: Any) -> bool:
+    """Whether ``content`` is a mapping that tells of one picture's people."""
+    return isinstance(content, Mapping) and any(key in content for key in _LISTS)
+
+
+def people_in(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]], str]:
+    """Keypoints (x, y, score) of everybody in one picture, and the program that writes so.
+
+    ``content`` is a mapping with a list of people, or MMPose's bare list, nested or not. Whoever is null or empty, or
+    has null for keypoints, is nobody. Raises UserError that begins with ``where``.
+    """
+    key = next((key for key in _LISTS if isinstance(content, Mapping) and key in content), None)
+    if key is None and not isinstance(content, list):
+        raise UserError(
+            f"{where} is neither OpenPose's ({{people: […]}}), EasyMocap's ({{annots: […]}}) nor MMPose's ([…]) content"
+        )
+    program, keys = _LISTS[key or "instances"]
+    people = listed(content[key] if key else content, f"{where}: {key or 'the list'}", "[{…}, {…}]")
+    if program == "MMPose" and any(isinstance(one, list) for one in people):
+        people = [person for inner in people for person in (inner if isinstance(inner, list) else [inner])]
+    found = []
+    for place, person in enumerate(people):
+        if person is None:
+            continue
+        who = f"{where}: entry {place} of {key or 'the list'}"
+        if not isinstance(person, Mapping):
+            raise UserError(f"{who} is {shown(person)}; it must be one person's keypoints, or null for nobody")
+        given = next((person[name] for name in keys if name in person), ...)
+        if given is ... and (others := [k for k in person if "keypoints" in str(k) and str(k)[:4] not in _PARTS]):
+            raise UserError(f"{who} has no {keys[0]}, but {others[0]}; write the body's keypoints under the former")
+        if given is not None and given is not ... and len(points := _points(given, person, who)):
+            found.append(points)
+    return found, program
+
+
+def _points(given: Any, person: Mapping[Any, Any], where: str) -> np.ndarray:
+    """(K, 3) of one person: triples in one row or in rows of three, or pairs beside ``keypoint_scores``."""
+    points = numbers(given, f"{where}: keypoints", finite=False)
+    points = points[0] if points.ndim == 3 and len(points) == 1 else points
+    if points.ndim == 2 and points.shape[1] == 2:
+        scores = person.get("keypoint_scores")
+        score = np.ones(len(points)) if scores is None else numbers(scores, f"{where}: keypoint_scores", finite=False)
+        if score.size != len(points):
+            raise UserError(f"{where} has {len(points)} keypoints and {score.size} scores; one for each is needed")
+        return np.column_stack([points, score.reshape(-1)])
+    if points.ndim > 2 or points.size % 3 or (points.ndim == 2 and points.size and points.shape[1] != 3):
+        raise UserError(
+            f"{where}: keypoints are an array {points.shape}; they must be triples of x, y, score, or pairs of x, y"
+        )
+    return points.reshape(-1, 3)

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keypoints that the user recorded with another detector, of one camera: ``detect/recorded/<camera>.npz``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.scene.files import write_npz
+from studiorecon.scene.intermediate import as_written, read_arrays
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Num
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """2D keypoints of everybody in the pictures of one camera, as their file holds them; D people over P pictures.
+
+    Attributes:
+        program: whose format the file has.
+        pictures: (P,) int, ascending, numbers of all pictures that the file tells of, with people or without.
+        frame: (D,) int, ascending, number of the picture that shows each person, one of ``pictures``.
+        keypoints: (D, K, 3) float64 x, y, score; NaN where the file holds no number. A score of 0 or less = missing.
+        counted: whether the numbers count the film's frames from 0 by the format itself, not by somebody's file names.
+        layout: name of the keypoint layout (``keypoints/layouts.py``); "" = not known yet.
+        refusal: why the film bears them out under no reading; "" where they can be used.
+    """
+
+    program: str
+    pictures: Integer[np.ndarray, " P"]
+    frame: Integer[np.ndarray, " D"]
+    keypoints: Float[np.ndarray, "D K 3"]
+    counted: bool = False
+    layout: str = ""
+    refusal: str = ""
+
+    def only(self, which: Bool[np.ndarray, " D"]) -> Recorded:
+        """The people that ``which`` chooses; the pictures stay."""
+        return replace(self, frame=self.frame[which], keypoints=self.keypoints[which])
+
+    def renumbered(self, frame_of: Num[np.ndarray, " P"], frames: int) -> Recorded:
+        """With the film's frames, 0 … ``frames`` - 1, as numbers: picture p shows frame ``frame_of[p]``; who is in
+        pictures beyond the film is left out."""
+        inside = (frame_of >= 0) & (frame_of < frames)
+        place = np.searchsorted(self.pictures, self.frame)
+        shown = np.asarray(frame_of, dtype=np.int64)[place] if len(place) else self.frame
+        kept = inside[place] if len(place) else np.zeros(0, bool)
+        order = np.argsort(shown[kept], kind="stable")
+        return replace(
+            self,
+            pictures=np.unique(np.asarray(frame_of, dtype=np.int64)[inside]),
+            frame=shown[kept][order],
+            keypoints=self.keypoints[kept][order],
+            counted=True,
+        )
+
+
+def write_recorded(path: Path, recorded: Recorded) -> None:
+    write_npz(path, {name: getattr(recorded, name) for name in Recorded.__dataclass_fields__})
+
+
+def read_recorded(path: Path) -> Recorded:
+    """What ``detect.keypoints`` wrote. Raises UserError naming the file where it is missing or damaged."""
+    data = read_arrays(path, gaps=("keypoints",))
+    with as_written(path):
+        found = Recorded(
+            str(data["program"]), data["pictures"], data["frame"], data["keypoints"], bool(data["counted"]),
+            str(data["layout"]), str(data["refusal"]),
+        )  # fmt: skip
+        if not (
+            found.keypoints.ndim == 3
+            and found.keypoints.shape[0::2] == (len(found.frame), 3)
+            and found.frame.dtype.kind == found.pictures.dtype.kind == "i"
+            and np.isin(found.frame, found.pictures).all()
+        ):
+            raise ValueError("its arrays do not fit together")
+    return found
