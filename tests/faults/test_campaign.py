@@ -1,14 +1,62 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The campaign's own measure of memory sees what a reader holds meanwhile, and lets go of it."""
+"""Damaged files end in a sentence, in a right result, or in one that says what is missing from it; nothing is silent
+that can be known."""
 
 from __future__ import annotations
 
+import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from studiorecon.errors import UserError
+from studiorecon.keypoints.readers import MOST_PEOPLE_PER_PICTURE, read_keypoints
+from studiorecon.scene.intermediate import read
+from studiorecon.scene.names import checked_name
+from studiorecon.scene.numbered import gaps_named, pictures_in
+from studiorecon.scene.outside import read_npz
+from studiorecon.scene.schema import real
 
-from tests.faults.campaign import most_held_mb
+from tests.faults.campaign import Subject, most_held_mb, outcomes, same, verdict, wrong
+from tests.faults.contents import npy, npz
+from tests.faults.nouns import NOUNS
+from tests.faults.rules import HARMLESS, NAMES
+from tests.faults.user_files import OPENPOSE, READERS, Reader
+
+EVERY = {**NOUNS, **READERS}
+assert len(EVERY) == len(NOUNS) + len(READERS)
+# The plain suite takes one damage in so many; the night takes all, and more changed bytes.
+SAMPLE, SAMPLED_BYTES, NIGHTLY_BYTES = 7, 10, 2000
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_sample_of_damage(name: str) -> None:
+    ended = list(outcomes(EVERY[name], SAMPLED_BYTES, SAMPLE, sum(map(ord, name))))
+    assert not [one for one in ended if wrong(name, *one)]
+    assert ended
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EVERY)
+def test_every_damage(name: str) -> None:
+    assert not [one for one in outcomes(EVERY[name], NIGHTLY_BYTES) if wrong(name, *one)]
+
+
+@pytest.mark.parametrize("name", NOUNS)
+def test_a_whole_file_and_another_one_are_read(name: str, tmp_path: Path) -> None:
+    subject = Subject.of_noun(NOUNS[name], tmp_path)
+    right = subject.read(subject.path)
+    assert same(right, subject.read(subject.path))
+    assert verdict(subject, subject.whole, right) == "right"
+    assert subject.other != subject.whole
+
+
+@pytest.mark.parametrize("kind", HARMLESS)
+@pytest.mark.parametrize("reader", [r for r in READERS.values() if r.text], ids=lambda reader: reader.name)
+def test_what_editors_do_to_text_does_no_harm(reader: Reader, kind: str, tmp_path: Path) -> None:
+    right = reader.right(reader.written(tmp_path, reader.whole))
+    assert same(right, reader.right(reader.written(tmp_path, HARMLESS[kind](reader.whole))))
 
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="only Linux tells")
@@ -17,3 +65,53 @@ def test_memory_that_is_held_for_a_moment_is_seen() -> None:
     np.ones(20_000_000, np.float64).sum()
     assert most_held_mb() - before > 140
     assert most_held_mb(anew=True) - before < 60
+
+
+def test_two_readings_that_differ_are_told_apart() -> None:
+    one = {"a": np.array([1.0, np.nan]), "b": ["x", 3]}
+    assert same(one, {"a": np.array([1.0, np.nan]), "b": ["x", 3]})
+    for other in ({"a": np.array([1.0, 2.0]), "b": ["x", 3]}, {"a": one["a"], "b": ["y", 3]}, {"a": one["a"]}):
+        assert not same(one, other)
+
+
+def test_a_damaged_file_is_named_with_its_field_and_what_is_expected(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    path.write_bytes(npz(first=np.zeros((3, 2)), second=np.zeros(4)))
+    with pytest.raises(UserError, match=r"a\.npz .*second .*\(4,\).*N = 3.*delete it"):
+        read(path, {"first": real("N 2"), "second": real("N")})
+
+
+def test_a_crowd_beyond_the_limit_is_refused_with_its_frame(tmp_path: Path) -> None:
+    people = OPENPOSE["people"][1:] * (MOST_PEOPLE_PER_PICTURE + 1)
+    (tmp_path / "cam_0007.json").write_text(json.dumps({"people": people}))
+    with pytest.raises(UserError, match=r"frame 7: 501 detections .* at most 500"):
+        read_keypoints(tmp_path)
+
+
+def test_an_array_that_promises_more_than_it_holds_reserves_nothing(tmp_path: Path) -> None:
+    whole = npy(np.zeros((4, 4)))
+    promised = whole.replace(b"(4, 4)", b"(4, 9999999999)").replace(b" " * 9 + b"\n", b"\n", 1)
+    with zipfile.ZipFile(tmp_path / "k.npz", "w") as archive:
+        archive.writestr("keypoints.npy", promised)
+    with pytest.raises(UserError, match=r"promises|not a readable array"):
+        read_npz(tmp_path / "k.npz")
+
+
+def test_numbered_pictures_come_in_the_order_of_their_numbers_and_gaps_are_named(tmp_path: Path) -> None:
+    for number in (*range(12), 14, 15, 20):
+        (tmp_path / f"{number}.png").touch()
+    found = pictures_in(tmp_path)
+    assert [int(p.stem) for p in found] == [*range(12), 14, 15, 20]
+    assert gaps_named(found) == "12, 13, 16 and 3 more"
+    assert gaps_named(found[:12]) == ""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_hostile_names_are_refused(name: str) -> None:
+    with pytest.raises(UserError, match="cannot be used"):
+        checked_name(name, "the scene", "rename it")
+
+
+@pytest.mark.parametrize("name", ["cam 1", "GX010042", "video (1)", "Küche", "cam_01.left", "カメラ1"])
+def test_ordinary_names_are_taken(name: str) -> None:
+    assert checked_name(name, "the scene", "rename it") == name

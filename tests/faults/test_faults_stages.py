@@ -156,18 +156,18 @@ def test_a_body_s_bad_frames_are_said_and_count_as_not_measured(
     tmp_path: Path, scene: Scene, fault: float, capsys: pytest.CaptureFixture
 ) -> None:
     person, frames = with_faults(scene.people[0], fault, 3)
-    write_person(tmp_path / "p.npz", person)
-    found = read_person(tmp_path / "p.npz")
+    write_person(tmp_path / "p0.npz", person)
+    found = read_person(tmp_path / "p0.npz")
     finite = bool(np.isfinite(fault))
-    assert ("p.npz: 1 frames hold numbers that are not finite" in capsys.readouterr().out) == (not finite)
+    assert ("p0.npz: 1 frames hold numbers that are not finite" in capsys.readouterr().out) == (not finite)
     np.testing.assert_array_equal(found.valid, scene.people[0].valid & (finite | ~frames))
     np.testing.assert_array_equal(found.poses[~frames], scene.people[0].poses[~frames])
     assert np.isfinite(found.poses).all()
     assert np.isfinite(found.trans).all()
     if not finite:
-        write_person(tmp_path / "p.npz", replace(person, betas=np.full(10, fault)))
-        with pytest.raises(UserError, match="no body whose numbers are finite"):
-            read_person(tmp_path / "p.npz")
+        write_person(tmp_path / "p0.npz", replace(person, betas=np.full(10, fault)))
+        with pytest.raises(UserError, match="numbers of betas are not finite"):
+            read_person(tmp_path / "p0.npz")
 
 
 @NUMBERS

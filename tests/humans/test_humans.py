@@ -48,7 +48,7 @@ from studiorecon.humans.surface_samples import (
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import from_entry
 from studiorecon.scene.factors import write_factors
-from studiorecon.scene.intermediate import read_arrays
+from studiorecon.scene.outside import read_npz
 from studiorecon.scene.people import Person
 from studiorecon.scene.provenance import INFERRED, MEASURED
 
@@ -123,8 +123,8 @@ def test_refinement_on_pictures_brings_wrong_poses_nearer(
     noise = np.random.default_rng(3).normal(0, 0.08, (FRAMES, 24, 3))
     wrong.reshape(FRAMES, 24, 3)[:, limbs] += noise[:, limbs]
     person = Person(**{**made.person.__dict__, "poses": wrong})
-    write_person(tmp_path / "wrong.npz", person)
-    options = made.options | {"fit": tmp_path / "wrong.npz"}
+    write_person(tmp_path / "wrong/p3.npz", person)
+    options = made.options | {"fit": tmp_path / "wrong/p3.npz"}
     train.run(
         settings(pose_rad=2e-3, iterations=500, pose_from=100),
         **options,
@@ -391,7 +391,7 @@ def test_the_threshold_of_the_settings_decides_on_the_network(
             avatar=folder / "p3.npz",
             working=folder / "working",
         )
-        written = read_arrays(folder / "p3.npz")
+        written = read_npz(folder / "p3.npz")
         decision = from_entry(json.loads(str(written["decision"])))
         assert decision.verdict == verdict, (name, decision)
         assert ("network" in " ".join(written)) == (verdict == "on"), sorted(written)

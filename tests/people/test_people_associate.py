@@ -194,9 +194,9 @@ def test_detections_become_undistorted_working_pixels(tmp_path, people_settings)
                 taken_over(tmp_path / "k", tmp_path / "k.npz", "coco17"),
                 tmp_path / "cam.json",
                 tmp_path / "calibration.json",
-                tmp_path / "d.npz",
+                tmp_path / "cam.npz",
             )
-            found = read_detections(tmp_path / "d.npz")
+            found = read_detections(tmp_path / "cam.npz")
             assert found.frame.tolist() == list(range(FRAMES))
             assert set(found.track.tolist()) == {0}
             assert np.isnan(found.keypoints[0, 3, 0])
@@ -218,7 +218,7 @@ def test_keypoints_of_frames_that_are_not_used_are_told(capsys, tmp_path, people
     )
     options, files = (
         people_settings(detections.Settings),
-        [tmp_path / n for n in ("cam.json", "calibration.json", "d.npz")],
+        [tmp_path / n for n in ("cam.json", "calibration.json", "cam.npz")],
     )
     detections.run(options, "cam", taken_over(tmp_path / "k", tmp_path / "k.npz", "coco17"), *files)
     assert not len(read_detections(files[-1]).frame)

@@ -193,21 +193,21 @@ def run_lifting(
     first_m = moments(camera)[0]
     write_depth(tmp_path / "first.exr", 0.5 * first_m, np.ones(camera.hw))
     write_lossless(tmp_path / "seen.mkv", [np.zeros((*camera.hw, 3), np.uint8)] * FRAMES, 24.0)
-    write_detections(tmp_path / "seen.npz", seen_by(camera))
+    write_detections(tmp_path / f"{camera.name}.npz", seen_by(camera))
     lift.run(
         Settings(),
         camera.name,
         tmp_path / "cameras/images.txt",
         tmp_path / "seen.mkv",
-        tmp_path / "seen.npz",
+        tmp_path / f"{camera.name}.npz",
         tmp_path / "first.exr",
         tmp_path / "network/images.txt",
         "moge",
         tmp_path,
         "cpu",
-        tmp_path / "lifted.npz",
+        tmp_path / f"lifted/{camera.name}.npz",
     )
-    return read_detections(tmp_path / "lifted.npz")
+    return read_detections(tmp_path / f"lifted/{camera.name}.npz")
 
 
 def test_two_cameras_find_the_same_people_by_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

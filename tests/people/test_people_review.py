@@ -40,7 +40,7 @@ def page(tmp_path: Path) -> str:
         picture = np.zeros((WH[1], WH[0], 3), np.uint8)
         picture[:, :80, 0], picture[:, 80:, 2] = 200, 200
         write_lossless(videos[-1], iter([picture] * FRAMES), 30.0)
-        write_detections(tmp_path / f"{v}.npz", found[-1])
+        write_detections(tmp_path / f"{camera}.npz", found[-1])
     tracks = []
     for camera in (d.camera for d in found):
         for track, person, margin, reason in (
@@ -67,7 +67,7 @@ def page(tmp_path: Path) -> str:
     write_identities(tmp_path / "identities.tsv", {(t["camera"], t["track"]): t["person"] for t in tracks})
     tables = [tmp_path / n for n in ("association.json", "people.tsv", "identities.tsv")]
     for name in ("desk.html", "again.html"):
-        review.run(*tables, [tmp_path / "0.npz", tmp_path / "1.npz"], videos, tmp_path / name)
+        review.run(*tables, [tmp_path / "left.npz", tmp_path / "right & <far>.npz"], videos, tmp_path / name)
     assert (tmp_path / "desk.html").read_bytes() == (tmp_path / "again.html").read_bytes()
     return (tmp_path / "desk.html").read_text()
 

@@ -11,11 +11,10 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_stack, to_bytes, to_float, write_lossless
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
-from studiorecon.scene.intermediate import as_written, read_arrays
 from studiorecon.scene.path import PathStep, read_path, write_path
+from studiorecon.scene.provenance import read_provenance, write_provenance
 from studiorecon.splatting.train.targets import Target
 
 if TYPE_CHECKING:
@@ -28,7 +27,7 @@ _FPS = 30.0
 def write_room(half: Path, provenance: Path, room: Gaussians, marks: Integer[np.ndarray, " N"]) -> None:
     """The Gaussians (PLY) and the provenance (N,), ``marks``, of each (npz)."""
     write_ply(half, room)
-    write_npz(provenance, {"provenance": marks})
+    write_provenance(provenance, marks)
 
 
 def write_renders(
@@ -47,13 +46,8 @@ def read_half(files: list[Path], weight: float) -> tuple[Gaussians, Integer[np.n
     not belong together.
     """
     room_file, marks_file, path_file, film = files
-    room, marks = read_ply(room_file), read_arrays(marks_file)
-    with as_written(marks_file):
-        provenance = np.asarray(marks["provenance"], np.uint8)
-    if len(provenance) != room.count:
-        raise UserError(
-            f"{marks_file} tells of {len(provenance)} Gaussians, {room_file} has {room.count}; make both again"
-        )
+    room = read_ply(room_file)
+    provenance = read_provenance(marks_file, room.count)
     steps, _ = read_path(path_file)
     targets = []
     for step, picture in zip(steps, read_stack(film, 0, len(steps))):

@@ -225,13 +225,8 @@ def read_photos(cameras: Sequence[Camera], plates: list[Path], depths: list[Path
     one_each(cameras, plates=plates, depth_maps=depths)
     photos = []
     for camera, plate_path, depth_path in zip(cameras, plates, depths):
-        rgb, known = read_plate(plate_path)
-        depth_m, confidence = read_depth(depth_path)
-        for name, hw in ((plate_path, rgb.shape[:2]), (depth_path, depth_m.shape)):
-            if hw != camera.hw:
-                raise UserError(
-                    f"{name} is {hw[1]}×{hw[0]} pixels, but camera {camera.name} works at {camera.wh[0]}×{camera.wh[1]}"
-                )
+        rgb, known = read_plate(plate_path, camera.wh)
+        depth_m, confidence = read_depth(depth_path, camera.wh)
         if not known.any():
             raise UserError(
                 f"{plate_path} has no measured pixel; give a clean plate of camera {camera.name} in plates/"

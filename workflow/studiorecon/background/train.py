@@ -20,9 +20,9 @@ from studiorecon.background.train_settings import Settings
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.images.metrics import psnr
 from studiorecon.progress import say
-from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import write_ply
+from studiorecon.scene.provenance import write_provenance
 from studiorecon.signature import Place, Written
 from studiorecon.splatting.device import resolve
 from studiorecon.splatting.train.checkpoint import Checkpoint, fingerprint
@@ -83,7 +83,7 @@ def run(
         f"dB on average, {min(scores):.2f} at worst"
     )
     write_ply(background, trained.gaussians)
-    write_npz(provenance, {"provenance": marks})
+    write_provenance(provenance, marks)
     checkpoint.remove()
 
 

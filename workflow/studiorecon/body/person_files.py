@@ -5,16 +5,31 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
 from studiorecon.progress import warn
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.intermediate import as_written, read_arrays
+from studiorecon.scene.intermediate import expect, of_its_name, read
 from studiorecon.scene.people import Person
+from studiorecon.scene.schema import KNOWN_OR_INFINITE, flag, frame_rate, metres, radians, real, text
+
+_PERSON = {
+    "name": text(),
+    "body": text(),
+    "poses": radians("T 72", gaps=True),
+    "trans": metres("T 3", gaps=True),
+    "betas": real("B"),
+    "joints": metres("T 24 3", gaps=True),
+    "valid": flag("T"),
+    "present": flag("T"),
+    "sigma": metres("T 24", gaps=True, low=0, such=KNOWN_OR_INFINITE),
+    "metric": flag(),
+    "mocap_framerate": frame_rate(),
+}
 
 
 def write_person(path: Path, person: Person) -> None:
@@ -30,27 +45,22 @@ def read_person(path: Path) -> Person:
     """A person's body. Frames that hold numbers that are not finite are said, count as not measured and are filled
     between sound ones.
 
-    Raises UserError when the file is missing, does not say when the person is there, its arrays have different lengths,
-    no frame is sound, or the shape is not finite.
+    Raises UserError as ``intermediate.read`` does, also where no frame is sound.
     """
-    fields = ("poses", "trans", "betas", "joints", "valid", "present", "sigma")
-    data = read_arrays(path, gaps=fields)
-    with as_written(path):
-        if "present" not in data:
-            raise UserError(f"{path} does not say in which frames {data['name']} is there; run people.fit again")
-        arrays = {n: data[n] for n in fields}
-        person = Person(
-            str(data["name"]), str(data["body"]), float(data["mocap_framerate"]), metric=bool(data["metric"]), **arrays
-        )
-    lengths = {n: len(arrays[n]) for n in arrays if n != "betas"}
-    if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{n} {length}" for n, length in lengths.items())
-        raise UserError(f"{path} holds arrays of different numbers of frames ({told}); run people.fit again")
-    sound = np.isfinite(person.poses).all(-1) & np.isfinite(person.trans).all(-1)
-    if sound.all() and np.isfinite(person.betas).all():
+
+    def made(data: dict[str, Any]) -> tuple[Person, np.ndarray]:
+        name, model = str(data.pop("name")), str(data.pop("body"))
+        of_its_name(path, name)
+        fps, metric = float(data.pop("mocap_framerate")), bool(data.pop("metric"))
+        person = Person(name=name, body=model, fps=fps, metric=metric, **data)
+        joints = person.joints.reshape(len(person.poses), -1)
+        sound = np.isfinite(np.concatenate([person.poses, person.trans, joints], axis=1)).all(axis=1)
+        expect(sound.any(), "no frame of the body has finite numbers")
+        return person, sound
+
+    person, sound = read(path, _PERSON, made)
+    if sound.all():
         return person
-    if not sound.any() or not np.isfinite(person.betas).all():
-        raise UserError(f"{path} holds no body whose numbers are finite; run people.fit again")
     warn(f"{path.name}: {int((~sound).sum())} frames hold numbers that are not finite; they count as not measured")
     turns = rotations.exp(np.where(sound[:, None], person.poses, 0.0).reshape(len(sound), -1, 3))
     filled = rotations.log(fill_rotations(turns, sound)).reshape(person.poses.shape)

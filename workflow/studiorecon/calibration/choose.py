@@ -28,10 +28,11 @@ from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.reading import undistorted
 from studiorecon.progress import say
 from studiorecon.rig.correspondences import observe
+from studiorecon.scene import intermediate
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import as_written, read_content
 from studiorecon.scene.people import Detections, read_detections
+from studiorecon.scene.schema import Anything, Named
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -176,9 +177,11 @@ def run(
 ) -> None:
     """Write ``calibration`` (JSON): the lenses of ``cameras``, whose films are ``sources``, of the calibration that was
     ``read``, as the people of ``sightings`` have it."""
-    content = read_content(read)
-    with as_written(read):
-        reading = Reading.from_json({k: v for k, v in content.items() if k != "source"})
+    content, reading = intermediate.read(
+        read,
+        Named(Anything()),
+        lambda held: (held, Reading.from_json({k: v for k, v in held.items() if k != "source"})),
+    )
     films = [open_source(source, picture_fps) for source in sources]
     sizes, stored = [film.wh for film in films], [film.stored_wh for film in films]
     seen = {d.camera: d for d in map(read_detections, sightings)}

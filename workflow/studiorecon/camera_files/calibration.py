@@ -1,20 +1,62 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cameras' lenses in the imported calibration, ``calibration/calibration.json``."""
+"""The imported calibration, or that found from people: ``calibration/calibration.json``."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from studiorecon.errors import UserError
-from studiorecon.scene.camera import Lens
-from studiorecon.scene.intermediate import as_written, read_content
+from studiorecon.scene.camera import LENS, Lens
+from studiorecon.scene.intermediate import expect, read
+from studiorecon.scene.schema import Anything, Listed, Maybe, Named, flag, text
+
+_CALIBRATION = {
+    "lenses": Listed(LENS),
+    "source": Maybe(text()),
+    "format": Maybe(text()),
+    "floor_known": Maybe(flag()),
+    "notes": Maybe(Listed(text())),
+    "doubts": Maybe(Listed(text())),
+    "people_rig": Maybe(Named(Anything())),
+}
 
 
-def read_lenses(calibration: Path) -> dict[str, Lens]:
+@dataclass(frozen=True)
+class Calibration:
+    """All lenses of a scene, and what is known of them.
+
+    Attributes:
+        lenses: by the name of their camera, in the file's order.
+        floor_known: whether z = 0 is the floor.
+        about: source, format, notes and doubts, for people to read.
+        left_out: camera → why people did not place it; only of a calibration found from people.
+    """
+
+    lenses: Mapping[str, Lens]
+    floor_known: bool = True
+    about: Mapping[str, Any] = field(default_factory=dict)
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_calibration(path: Path) -> Calibration:
+    """The calibration; raises UserError as ``intermediate.read`` does."""
+    return read(path, _CALIBRATION, _calibration)
+
+
+def _calibration(value: Mapping[str, Any]) -> Calibration:
+    lenses = {lens.name: lens for lens in map(Lens.from_json, value["lenses"])}
+    expect(len(lenses) == len(value["lenses"]), "two lenses share a name")
+    about = {name: value.get(name) for name in ("source", "format", "notes", "doubts")}
+    left_out = (value.get("people_rig") or {}).get("left_out", {})
+    return Calibration(lenses, value.get("floor_known") is not False, about, left_out)
+
+
+def read_lenses(calibration: Path) -> Mapping[str, Lens]:
     """All lenses by the name of their camera, in the file's order."""
-    value = read_content(calibration)
-    with as_written(calibration):
-        return {lens.name: lens for lens in map(Lens.from_json, value["lenses"])}
+    return read_calibration(calibration).lenses
 
 
 def lens_of(calibration: Path, camera: str) -> Lens:

@@ -14,15 +14,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
-from studiorecon.scene.camera import Camera
+from studiorecon.scene.camera import CAMERA, Camera
 from studiorecon.scene.files import write_text
-from studiorecon.scene.intermediate import as_written
+from studiorecon.scene.intermediate import CURE, as_written, expect
 from studiorecon.scene.outside import read_text
+from studiorecon.scene.schema import check, metres
+from studiorecon.scene.values import shown
 
 if TYPE_CHECKING:
     from jaxtyping import Num
+
+# Quaternions are written with 17 digits.
+_UNIT = 1e-6
 
 
 def quaternion_from_rotation(rotation: Num[np.ndarray, "3 3"]) -> Num[np.ndarray, " 4"]:
@@ -70,49 +74,57 @@ def write_model(
 def read_model(folder: Path) -> list[Camera]:
     """The cameras of a model written by ``write_model``, in image order; raises UserError naming the offending file."""
     with as_written(folder / "cameras.txt"):
-        models = _models(folder)
+        models = _models(_rows(folder / "cameras.txt", 8))
     with as_written(folder / "images.txt"):
-        return _cameras(folder, models)
-
-
-def _models(folder: Path) -> dict[str, tuple[tuple[int, int], np.ndarray]]:
-    models = {}
-    for line in _lines(folder / "cameras.txt"):
-        fields = line.split()
-        if fields[1] != "PINHOLE":
-            raise UserError(
-                f"{folder / 'cameras.txt'}: camera {fields[0]} is {fields[1]}; results "
-                "hold undistorted PINHOLE cameras only"
-            )
-        fx, fy, cx, cy = _finite(fields[4:8])
-        models[fields[0]] = ((int(fields[2]), int(fields[3])), np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]))
-    return models
-
-
-def _cameras(folder: Path, models: Mapping[str, tuple[tuple[int, int], np.ndarray]]) -> list[Camera]:
-    cameras = []
-    for line in _lines(folder / "images.txt"):
-        fields = line.split()
-        wh, intrinsics = models[fields[8]]
-        camera_from_world = np.eye(4)
-        camera_from_world[:3, :3] = rotations.from_quaternion(np.array(_finite(fields[1:5])))
-        camera_from_world[:3, 3] = _finite(fields[5:8])
-        cameras.append(Camera(" ".join(fields[9:]).removesuffix(".png"), wh, intrinsics, camera_from_world))
+        cameras = _cameras(_rows(folder / "images.txt", 10), models)
+        expect(len(cameras) == len(models), f"{len(cameras)} of the {len(models)} cameras of cameras.txt")
+        expect(len({camera.name for camera in cameras}) == len(cameras), "two cameras share a name")
     return cameras
 
 
-def _finite(fields: Sequence[str]) -> list[float]:
-    values = [float(v) for v in fields]
-    if not np.isfinite(values).all():
-        raise ValueError(f"{' '.join(fields)} is not finite")
-    return values
+def _models(rows: Sequence[Sequence[str]]) -> dict[str, tuple[tuple[int, int], np.ndarray]]:
+    models = {}
+    for number, model, width, height, *parameters in rows:
+        expect(model == "PINHOLE", f"camera {number} is {model}; results hold undistorted PINHOLE cameras only")
+        expect(number not in models, f"camera {number} twice")
+        fx, fy, cx, cy = map(float, parameters)
+        intrinsics = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+        wh = (int(width), int(height))
+        check({"wh": list(wh), "intrinsics": intrinsics}, {name: CAMERA[name] for name in ("wh", "intrinsics")})
+        models[number] = (wh, intrinsics)
+    return models
+
+
+def _cameras(rows: Sequence[Sequence[str]], models: Mapping[str, tuple[tuple[int, int], np.ndarray]]) -> list[Camera]:
+    cameras = []
+    for row in rows:
+        wh, intrinsics = models[row[8]]
+        quaternion = np.array([float(v) for v in row[1:5]])
+        expect(abs(float(quaternion @ quaternion) - 1) < _UNIT, f"quaternion {' '.join(row[1:5])} is not of length 1")
+        camera_from_world = np.eye(4)
+        camera_from_world[:3, :3] = rotations.from_quaternion(quaternion)
+        camera_from_world[:3, 3] = [float(v) for v in row[5:8]]
+        check(camera_from_world, CAMERA["camera_from_world"], f"pose of {row[9]}")
+        cameras.append(Camera(row[9].removesuffix(".png"), wh, intrinsics, camera_from_world))
+    return cameras
 
 
 def read_points(folder: Path) -> Num[np.ndarray, "N 3"]:
-    """(N, 3) points of a model written by ``write_model``."""
-    rows = [line.split()[1:4] for line in _lines(folder / "points3D.txt")]
-    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+    """(N, 3) points of a model written by ``write_model``; raises UserError naming the file."""
+    with as_written(folder / "points3D.txt"):
+        rows = [[float(v) for v in row[1:4]] for row in _rows(folder / "points3D.txt", 8)]
+        points = np.array(rows, dtype=np.float64).reshape(-1, 3)
+        check(points, metres("N 3"), "points")
+        return points
 
 
-def _lines(path: Path) -> list[str]:
-    return [line for line in read_text(path).split("\n") if line.strip() and not line.startswith("#")]
+def _rows(path: Path, columns: int) -> list[list[str]]:
+    """The words of every line that is no comment, the last of ``columns`` with its blanks; raises ValueError for a file
+    that is cut off."""
+    text = read_text(path, CURE)
+    expect(text.startswith("#") and text.endswith("\n"), "its beginning or its end is missing")
+    lines = [line for line in text.split("\n") if line.strip() and not line.startswith("#")]
+    rows = [line.split(None, columns - 1) for line in lines]
+    for line, row in zip(lines, rows):
+        expect(len(row) == columns, f"{len(row)} of {columns} columns in {shown(line)}")
+    return rows

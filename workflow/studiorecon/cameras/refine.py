@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.arrays import evenly_spread
-from studiorecon.camera_files.calibration import read_lenses
+from studiorecon.camera_files.calibration import read_calibration
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.cameras.by_the_edges import by_the_edges
 from studiorecon.cameras.by_the_floor import by_the_floor, on_the_same_floor
@@ -45,7 +45,7 @@ from studiorecon.rig.stale import tell, where_they_stand_now
 from studiorecon.rig.watching import others_told, watching
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_manifest
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.files import write_json
 from studiorecon.scene.people import Detections, read_detections, usable
 from studiorecon.signature import Written
 
@@ -343,8 +343,8 @@ def run(
     (PNG). ``plates`` are the training cameras'."""
 
     found = read_manifest(manifest)
-    given = read_json(calibration)
-    lenses = list(read_lenses(calibration).values())
+    given = read_calibration(calibration)
+    lenses = list(given.lenses.values())
     training, held_out = cameras_of(lenses, found.training), cameras_of(lenses, found.held_out)
     seen = [usable(read_detections(p)) for p in detections]
     unusable = sum(count for _, count in seen)
@@ -357,7 +357,7 @@ def run(
         [d for d, _ in seen],
         found.frames,
         found.fps,
-        bool(given.get("floor_known", True)),
+        given.floor_known,
         settings,
         [looks.get(c.name) for c in training],
     )
@@ -371,7 +371,7 @@ def run(
         {
             **outcome.report,
             "unusable_keypoints": unusable,
-            "calibration": {k: given.get(k) for k in ("source", "format", "notes", "doubts")},
+            "calibration": given.about,
         },
     )
     write_png(sheet, picture)

@@ -18,9 +18,8 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Manifest, read_manifest
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply
-from studiorecon.scene.intermediate import read_arrays
 from studiorecon.scene.path import PathStep, read_path
-from studiorecon.scene.provenance import INVENTED
+from studiorecon.scene.provenance import read_provenance
 from studiorecon.splatting.rigid_object import RigidObject, read_objects
 
 if TYPE_CHECKING:
@@ -71,11 +70,7 @@ def read_finished(
     no number: no other program skips it as ours does.
     """
     room = finite(read_ply(background), background)
-    marks = np.asarray(read_arrays(provenance, ["provenance"])["provenance"], np.uint8)
-    if len(marks) != room.count or (len(marks) and marks.max() > INVENTED):
-        raise UserError(
-            f"{provenance} does not describe the {room.count} Gaussians of {background}; make the background again"
-        )
+    marks = read_provenance(provenance, room.count)
     people: list[Avatar] = []
     if avatars:
         if body is None:

@@ -19,12 +19,10 @@ from studiorecon.deliver.fusion import FusedSurface, decimated, fused, look, wit
 from studiorecon.deliver.gltf import Buffer, add_colours, vertex_normals, write_document
 from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
 from studiorecon.deliver.room_planes import Plane, distance_m, kept, planes
-from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.scene.gaussians_ply import read_ply
-from studiorecon.scene.intermediate import read_arrays
 from studiorecon.scene.path import read_path
-from studiorecon.scene.provenance import INVENTED, MEASURED
+from studiorecon.scene.provenance import INVENTED, MEASURED, read_provenance
 from studiorecon.scene.room import FACES, read_room
 from studiorecon.signature import Written
 
@@ -86,12 +84,7 @@ def run(model: Path, background: Path, provenance: Path, room_box: Path, path: P
     """Write ``mesh`` (GLB) of the room's Gaussians, seen from the training cameras of ``model`` and along ``path``
     between them."""
     gaussians, box = read_ply(background), read_room(room_box)
-    marks = read_arrays(provenance, ["provenance"])["provenance"]
-    if len(marks) != gaussians.count:
-        raise UserError(
-            f"{provenance} speaks of {len(marks)} Gaussians and {background} has "
-            f"{gaussians.count}; run background_train again"
-        )
+    marks = read_provenance(provenance, gaussians.count)
     steps, _ = read_path(path)
     between = [steps[i].camera for i in evenly_spread(len(steps), VIEWPOINTS)] if steps else []
     views = look(gaussians, marks, [*read_model(model.parent), *between])

@@ -18,14 +18,13 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.deliver.finished import FinishedScene, read_finished
 from studiorecon.deliver.packing import Bytes
-from studiorecon.deliver.player_data import NEAR_M, described, shade_of
+from studiorecon.deliver.player_data import NEAR_M, described, read_shade
 from studiorecon.footage.video import Codec, read_frame, read_frames, to_bytes, write_film
 from studiorecon.images.encoded import jpeg
 from studiorecon.progress import say
 from studiorecon.scene.factors import read_factors
 from studiorecon.scene.files import complete, write_text
 from studiorecon.scene.gaussians import concatenate
-from studiorecon.scene.intermediate import read_arrays
 from studiorecon.signature import Written
 from studiorecon.splatting.device import rasteriser
 
@@ -142,7 +141,7 @@ def run(
     held, factors = Bytes(), read_factors(exposure, finished.capture.frames)
     shaded = None
     for path in shade:
-        shaded = shade_of(read_arrays(path))
+        shaded = read_shade(path, finished.room.count)
     told, sentences = described(finished, held, factors, shaded)
     if shaded is None and finished.people:
         sentences.append(

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,11 +18,13 @@ from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors
 from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.intermediate import read
 from studiorecon.scene.path import PathStep
+from studiorecon.scene.schema import ASCENDING, Schema, real, whole
 from studiorecon.splatting.conventions import ALPHA_LOG2_MIN, ALPHA_MAX, DILATION_PX2, FRAME_MARGIN
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Integer, Num, Shaped
+    from jaxtyping import Float, Integer, Num
 
 # Bytes of everybody's motion, of colours over time and of shades: beyond, they are told at fewer moments.
 MOTION_BYTES, CHANGES_BYTES, SHADE_BYTES = 3_000_000, 1_500_000, 3_000_000
@@ -155,6 +158,12 @@ def film_rows(steps: Sequence[PathStep]) -> Float[np.ndarray, "P 14"]:
     return np.array(rows)
 
 
-def shade_of(arrays: Mapping[str, Shaped[np.ndarray, " ..."]]) -> Shade:
-    """The shade that ``render/room.shade.npz`` holds."""
-    return Shade(*(np.asarray(arrays[name]) for name in ("at", "times", "factors")))
+def read_shade(path: Path, count: int) -> Shade:
+    """The shade that ``render/room.shade.npz`` holds of a room of ``count`` Gaussians; raises UserError as
+    ``intermediate.read`` does."""
+    schema: Schema = {
+        "at": whole("M", low=0, high=count - 1),
+        "times": whole("K", low=0, such=ASCENDING),
+        "factors": real("K M", low=0),
+    }
+    return read(path, schema, lambda arrays: Shade(arrays["at"], arrays["times"], arrays["factors"]))

@@ -112,7 +112,7 @@ def run(settings: Settings, camera: str, model: Path, estimate: Path, planes: Pa
             f"camera {camera} ({own.wh[0]}×{own.wh[1]})"
         )
     given, sure = nearest(given, own.hw), nearest(sure, own.hw)
-    planes_m, planes_sure = read_depth(planes)
+    planes_m, planes_sure = read_depth(planes, own.wh)
     measured = planes_sure > settings.default_confidence
     found = align_depth(given, planes_m, measured, np.random.default_rng(0))
     if found.model == "undetermined":

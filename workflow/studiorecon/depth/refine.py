@@ -30,8 +30,9 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.images.warp import sample
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.intermediate import read_arrays
+from studiorecon.scene.intermediate import read
 from studiorecon.scene.room import RoomBox, read_room
+from studiorecon.scene.schema import metres
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -207,8 +208,8 @@ def run(
     if camera not in names:
         raise UserError(f"camera {camera} is not in {model}; it holds {', '.join(names)}")
     index = names.index(camera)
-    room = read_room(room_box)
-    agreed = list(read_arrays(passes, [f"depth_{name}" for name in names]).values())
+    room = read_room(room_box, names)
+    agreed = list(read(passes, {f"depth_{name}": metres(f"H_{name} W_{name}", low=0) for name in names}).values())
     gains = np.stack([room.gains[name] for name in names])
     pictures = equalised(read_pictures(cameras, plates, settings.refine_width), gains)
     labelled = final_pass(cameras, pictures, index, room, agreed, settings)
@@ -218,7 +219,7 @@ def run(
         f"{floating:.1%} of {camera} would float: other cameras look through it, or none agrees; put on the walls and "
         "floor instead"
     )
-    rgb, _ = read_plate(plates[index])
+    rgb, _ = read_plate(plates[index], cameras[index].wh)
     depth_m, source = at_full_size(
         cameras[index], rgb / gains[index].astype(np.float32), pictures[index], labelled, room.planes
     )

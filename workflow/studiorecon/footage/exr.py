@@ -15,10 +15,14 @@ from studiorecon.arrays import require
 from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.scene.files import complete
+from studiorecon.scene.intermediate import CURE, as_written
+from studiorecon.scene.outside import first_line
+from studiorecon.scene.schema import check, metres, real
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
 
+_MADE = {"Z": metres("H W", gaps=True), "A": real("H W", low=0, high=1, gaps=True)}
 _SYSTEM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
 
 
@@ -56,11 +60,14 @@ def _write(path: Path, channels: Mapping[str, np.ndarray]) -> None:
             raise
 
 
-def read_depth(path: Path) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
+def read_depth(
+    path: Path, wh: tuple[int, int] | None = None
+) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """(H, W) float32 depth in metres and confidence (1 where known when the file has no A); what is no depth becomes 0.
 
     Depths that are negative or not finite are unknown, and confidences that are not numbers are 0; how many there were
-    is said. Accepts a depth channel named Z, Y, R or depth. Raises UserError naming the file.
+    is said. Accepts a depth channel named Z, Y, R or depth. A map that a step made has ``wh``, Z and A, and depths and
+    confidences in their ranges. Raises UserError naming the file.
     """
     import OpenEXR
 
@@ -70,7 +77,11 @@ def read_depth(path: Path) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, 
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: channel.pixels for name, channel in file.channels().items()}
     except Exception as error:  # the binding raises bare RuntimeError and std exceptions
-        raise UserError(f"{path} is not a readable EXR file ({error})") from None
+        cure = "write it again with the program that made it" if wh is None else CURE
+        raise UserError(f"{path} is not a readable EXR file ({first_line(error)}); {cure}") from None
+    if wh is not None:
+        with as_written(path):
+            check(channels, _MADE, sizes={"H": wh[1], "W": wh[0]})
     name = next((n for n in ("Z", "Y", "R", "depth") if n in channels), None)
     if name is None:
         raise UserError(f"{path} has channels {', '.join(channels)}; depth is looked for in Z, Y, R or depth")

@@ -12,6 +12,7 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.errors import UserError
+from studiorecon.scene.intermediate import CURE, require_size
 from studiorecon.scene.outside import read_bytes
 
 if TYPE_CHECKING:
@@ -47,17 +48,21 @@ def _whole(data: bytes) -> bool:
     return at <= len(data)
 
 
-def read_plate(path: Path) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
+def read_plate(
+    path: Path, wh: tuple[int, int] | None = None
+) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
     """(H, W, 3) float32 RGB in [0, 1] of a picture file and (H, W) bool: measured (alpha above one half; all, without
     alpha).
 
-    8- and 16-bit files are read. Raises UserError naming the file.
+    8- and 16-bit files are read. ``wh``: the size of a plate that a step made. Raises UserError naming the file.
     """
-    stored = decoded(path, cv2.IMREAD_UNCHANGED)
+    stored = decoded(path, cv2.IMREAD_UNCHANGED, "replace it" if wh is None else CURE)
     if stored.dtype not in (np.uint8, np.uint16):
         raise UserError(f"{path} holds {stored.dtype} numbers; save it as an 8- or 16-bit picture")
     if stored.ndim == 2:
         stored = np.repeat(stored[..., None], 3, axis=-1)
+    if wh is not None:
+        require_size(path, stored, wh)
     largest = 255 if stored.dtype == np.uint8 else 65535
     scaled = np.asarray(stored, np.float32) / np.float32(largest)
     measured = scaled[..., 3] > 0.5 if scaled.shape[-1] == 4 else np.ones(scaled.shape[:2], bool)

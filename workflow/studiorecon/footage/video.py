@@ -40,6 +40,8 @@ class Codec:
     form_options: Mapping[str, str] = field(default_factory=lambda: {"fflags": "+bitexact"})
 
 
+# Users bring films of masks, too.
+_CURE = "delete it, and the next run makes it again, or copy it again if it is yours"
 _FFV1 = {"level": "3", "slices": "4", "slicecrc": "1"}
 # A key frame every twelve, so that one frame is soon read.
 _LOSSLESS = {
@@ -149,11 +151,9 @@ def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator
     except (av.FFmpegError, IndexError) as error:
         if without_thread(error):
             raise
-        raise UserError(
-            f"{path} cannot be read after frame {number} ({error}); it may be truncated: copy it again"
-        ) from None
+        raise UserError(f"{path} cannot be read after frame {number} ({error}); it may be truncated: {_CURE}") from None
     if stop is not None and number + 1 < stop:
-        raise UserError(f"{path} ends after {number + 1} frames where {stop} are needed")
+        raise UserError(f"{path} ends after {number + 1} frames where {stop} are needed; {_CURE}")
 
 
 def read_frames_from(path: Path, start: int, stop: int) -> Iterator[Integer[np.ndarray, "H W ..."]]:
@@ -187,11 +187,9 @@ def read_frames_from(path: Path, start: int, stop: int) -> Iterator[Integer[np.n
     except (av.FFmpegError, IndexError) as error:
         if without_thread(error):
             raise
-        raise UserError(
-            f"{path} cannot be read at frame {expected} ({error}); it may be truncated: make it again"
-        ) from None
+        raise UserError(f"{path} cannot be read at frame {expected} ({error}); it may be truncated: {_CURE}") from None
     if expected < stop:
-        raise UserError(f"{path} has no frame {expected} where frames up to {stop - 1} are needed; make it again")
+        raise UserError(f"{path} has no frame {expected} where frames up to {stop - 1} are needed; {_CURE}")
 
 
 def read_frame(path: Path, index: int) -> Integer[np.ndarray, "H W ..."]:

@@ -331,7 +331,7 @@ def run(
         labels, told = assigned(numbers, Bodies(persons, body_model, own, frames), len(persons))
         say(f"{camera}: {told}")
     else:
-        plate_rgb, measured = read_plate(plate)
+        plate_rgb, measured = read_plate(plate, own.wh)
         film = Film(video, camera, frames, read_factors(brightness or [], frames))
         things = [thing for path in objects or () for thing in read_objects(path)]
         found = None

@@ -257,7 +257,7 @@ def open_view(camera: Camera, video: Path, plate: Path, pixels: int, factors: Fa
     """A camera with its plate at the size that is looked at, without its exposure's ``factors``."""
     share = min(1.0, pixels / max(camera.wh))
     small = camera.resized((round(camera.wh[0] * share), round(camera.wh[1] * share)))
-    rgb, measured = read_plate(plate)
+    rgb, measured = read_plate(plate, camera.wh)
     return ObjectView(
         small, video, *shrink(factors.even(camera.name, rgb), measured, small.wh), np.zeros(small.hw, np.float32)
     )

@@ -264,7 +264,7 @@ def run(
     if missing:
         raise UserError(f"camera {missing[0]} has detections but is not in the camera model {model.parent}")
     if readouts:
-        took_s = read_readouts(readouts[0])
+        took_s = read_readouts(readouts[0], [d.camera for d in seen])
         seen = [with_all_rows_at_once(d, took_s[d.camera], cameras[d.camera].wh[1], footage.fps) for d in seen]
     body_model = BodyModel.load(body)
     whose = read_identities(identities[0])

@@ -19,8 +19,10 @@ from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.pages import skeleton
 from studiorecon.people.association.picture_change import sampled_frames
 from studiorecon.progress import progress
-from studiorecon.scene.files import read_json, read_table, write_text
-from studiorecon.scene.people import PEOPLE_COLUMNS, Detections, read_detections, read_identities
+from studiorecon.scene.files import write_text
+from studiorecon.scene.intermediate import read
+from studiorecon.scene.people import Detections, people_rows, read_detections, read_identities
+from studiorecon.scene.schema import Anything, Named
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -191,10 +193,7 @@ def run(
     page: Written,
 ) -> None:
     """Write ``page`` (html that needs no network) from who was found, and why, in ``association``."""
-    told, rows = (
-        read_json(association),
-        [row for row in read_table(people, PEOPLE_COLUMNS) if row["status"] == "person"],
-    )
+    told, rows = read(association, Named(Anything())), people_rows(people)
     found = [read_detections(p) for p in detections]
     view = {d.camera: v for v, d in enumerate(found)}
     doubtful, rejected = ordered(told["tracks"])

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,9 @@ from typing import Any
 from studiorecon.plan.brought import Brought
 from studiorecon.plan.decisions import Plan
 from studiorecon.plan.told import section
+from studiorecon.scene.intermediate import read
 from studiorecon.scene.people import read_people
+from studiorecon.scene.schema import Anything, Named
 
 
 class Files(Brought):
@@ -33,7 +34,7 @@ class Files(Brought):
         if not self.plan.from_people:
             return self.plan.cameras
         found = self.checkpoints.calibration_from_people.get(scene=self._scene(wildcards)).output.calibration
-        placed = {lens["name"] for lens in json.loads(Path(found).read_text(encoding="utf-8"))["lenses"]}
+        placed = read(Path(found), Named(Anything()), lambda held: {lens["name"] for lens in held["lenses"]})
         return [camera for camera in self.plan.cameras if camera in placed]
 
     def training(self, wildcards: Any) -> list[str]:
@@ -243,8 +244,7 @@ class Files(Brought):
 
     def _decided(self, effect: str, wildcards: Any) -> Mapping[str, Any]:
         decided = self.checkpoints.survey_decide.get(scene=self._scene(wildcards)).output.decisions
-        decisions = json.loads(Path(decided).read_text(encoding="utf-8"))["decisions"]
-        return next(decision for decision in decisions if decision["effect"] == effect)
+        return read(Path(decided), Named(Anything()), lambda held: {d["effect"]: d for d in held["decisions"]}[effect])
 
     def gains(self, wildcards: Any) -> list[str]:
         """What the cameras' exposures are divided by: a file, where the survey calls for it."""

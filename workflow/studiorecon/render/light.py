@@ -218,8 +218,8 @@ def run(
     sure = np.array([person.valid[frames] for person in persons])
     observed = []
     for camera, video, mask, plate_path, depth in zip(cameras, videos, masks, plates, depths):
-        plate, measured = read_plate(plate_path)
-        points, floor = floor_points(camera, read_depth(depth)[0], box.standing_m)
+        plate, measured = read_plate(plate_path, camera.wh)
+        points, floor = floor_points(camera, read_depth(depth, camera.wh)[0], box.standing_m)
         pixels = np.flatnonzero(floor & measured & beside(points, at[sure], chosen.reach_m))
         pixels = pixels[:: max(1, -(-len(pixels) // chosen.points))]
         seam = np.ones((2 * max(1, round(_SEAM * camera.wh[0])) + 1,) * 2, np.uint8)

@@ -62,8 +62,8 @@ def read_donor(path: Path, model: BodyModel) -> Donor:
     pose."""
     beside = path.with_suffix(".npz")
     if beside.is_file():
-        return donor_of(read_avatar(path, beside, model))
-    binding = bind(read_ply(path), model, str(path))
+        return donor_of(read_avatar(path, beside, model, brought=True))
+    binding = bind(read_ply(path, "export it again"), model, str(path))
     say(
         f"{path.name}: {binding.gaussians.count} Gaussians are bound to the body, 95 % of which "
         f"is within {1000 * binding.misfit_m:.0f} mm"

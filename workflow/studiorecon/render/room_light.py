@@ -15,15 +15,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.errors import UserError
 from studiorecon.render.occlusion import Groups, lost, nearness, sky_discs
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import as_written
-from studiorecon.scene.outside import read_json
+from studiorecon.scene.intermediate import read
+from studiorecon.scene.schema import Anything, Listed, Named, flag, metres, real, text
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Shaped
@@ -31,6 +30,23 @@ if TYPE_CHECKING:
 # However deep, a shadow leaves this much; the denominator stays above its own bound where lamps that are far off
 # dominate.
 _LEAST_FACTOR, _LEAST_TOTAL = 0.05, 0.25
+_LAMP = {
+    "position_m": metres("3"),
+    "facing": real("3", low=-1, high=1),
+    "radius_m": metres(low=0),
+    "share": real(low=0),
+    "usual": real(low=0),
+}
+_LIGHT = {
+    "kept": flag(),
+    "reason": text(),
+    "sky": real(low=0),
+    "contact": real(low=0),
+    "contact_m": metres(low=0),
+    "floor_m": metres(),
+    "figures": Named(Anything()),
+    "lamps": Listed(_LAMP),
+}
 
 
 @dataclass(frozen=True)
@@ -139,14 +155,14 @@ def write_light(path: Path, light: Light) -> None:
 
 
 def read_light(path: Path) -> Light:
-    """Read what ``write_light`` wrote; raises UserError when it is missing or holds numbers that are not finite."""
-    with as_written(path):
-        value = read_json(path)
-        made = value.pop("lamps")
-        arrays = {n: np.array([lamp[n] for lamp in made], np.float64) for n in ("radius_m", "share", "usual")}
-        places = {n: np.array([lamp[n] for lamp in made], np.float64).reshape(-1, 3) for n in ("position_m", "facing")}
-    others = [value[n] for n in ("sky", "contact", "contact_m", "floor_m")]
-    if None in others or not all(np.isfinite(a).all() for a in (*arrays.values(), *places.values())):
-        raise UserError(f"{path} holds numbers that are not finite; make the light again")
-    lamps = Lamps(places["position_m"], places["facing"], arrays["radius_m"])
-    return Light(lamps=lamps, share=arrays["share"], usual=arrays["usual"], **value)
+    """Read what ``write_light`` wrote; raises UserError as ``intermediate.read`` does."""
+    return read(path, _LIGHT, _light)
+
+
+def _light(value: dict[str, Any]) -> Light:
+    made = value.pop("lamps")
+    radius_m, share, usual = (np.array([lamp[n] for lamp in made], np.float64) for n in ("radius_m", "share", "usual"))
+    position_m, facing = (
+        np.array([lamp[n] for lamp in made], np.float64).reshape(-1, 3) for n in ("position_m", "facing")
+    )
+    return Light(lamps=Lamps(position_m, facing, radius_m), share=share, usual=usual, **value)

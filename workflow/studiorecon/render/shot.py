@@ -17,13 +17,12 @@ from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
-from studiorecon.errors import UserError
 from studiorecon.footage.streams import writing
 from studiorecon.footage.video import to_bytes, write_lossless
 from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.progress import progress, say
 from studiorecon.render.canvas import Canvas
-from studiorecon.render.composite import TRUTH_LEVELS, Composite, millimetres, truth_levels
+from studiorecon.render.composite import Composite, millimetres, truth_levels
 from studiorecon.render.draw_settings import Drawn
 from studiorecon.render.planning import plan
 from studiorecon.render.replacement import replaced
@@ -34,8 +33,8 @@ from studiorecon.render.subjects import Subjects
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.gaussians_ply import read_ply
-from studiorecon.scene.intermediate import read_arrays
 from studiorecon.scene.path import PathStep, write_path
+from studiorecon.scene.provenance import read_provenance
 from studiorecon.signature import Written
 from studiorecon.splatting.device import resolve
 from studiorecon.splatting.rigid_object import read_objects
@@ -97,11 +96,7 @@ def read_composite(
     Raises UserError when the provenance is another background's.
     """
     static = read_ply(background)
-    classes = np.asarray(read_arrays(provenance, ["provenance"])["provenance"], np.uint8)
-    if len(classes) != static.count or (len(classes) and classes.max() > len(TRUTH_LEVELS) - 1):
-        raise UserError(
-            f"{provenance} does not describe the {static.count} Gaussians of {background}; make the background again"
-        )
+    classes = read_provenance(provenance, static.count)
     people: list[Avatar] = []
     if pairs := list(zip(gaussians, avatars, strict=True)):
         assert body is not None

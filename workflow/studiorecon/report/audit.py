@@ -7,19 +7,18 @@ are about.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from studiorecon.body.avatar.avatar_files import read_decision
 from studiorecon.progress import say
 from studiorecon.report.metrics.rendered_effects import (
     appearance,
 )
-from studiorecon.scene.decisions import Decision, forced, from_entry, read_decisions, write_decisions
+from studiorecon.scene.decisions import Decision, forced, read_decisions, write_decisions
 from studiorecon.scene.effects import FILMED, TRAINED, force, thresholds
-from studiorecon.scene.intermediate import read_arrays
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -40,11 +39,7 @@ class Settings:
 
 def decisions_of(avatars: Sequence[Path]) -> dict[str, Decision | None]:
     """What human training measured of every person."""
-    found: dict[str, Decision | None] = {}
-    for path in avatars:
-        told = str(read_arrays(path, ["decision"])["decision"])
-        found[path.stem] = from_entry(json.loads(told)) if told else None
-    return found
+    return {path.stem: read_decision(path) for path in avatars}
 
 
 def of_films(files: Sequence[Path]) -> list[Decision]:

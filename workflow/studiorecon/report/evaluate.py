@@ -48,8 +48,10 @@ from studiorecon.report.metrics.truth import read_views, regions, true_joints
 from studiorecon.report.sections.pictures import truth_shares
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import common_start, read_manifest
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.files import write_json
+from studiorecon.scene.intermediate import read
 from studiorecon.scene.people import Person, read_detections, read_identities
+from studiorecon.scene.schema import Anything
 from studiorecon.signature import Place, Written
 from studiorecon.splatting.device import resolve
 
@@ -248,7 +250,7 @@ def run(
             "scene": scene,
             "pictures": found if held_out and found else nothing,
             "training": found if not held_out and found else None,
-            "held_out_cameras": read_json(poses)["cameras"],
+            "held_out_cameras": read(poses, {"cameras": Anything()})["cameras"],
             "bodies": bodies,
             "jitter": {person.name: jitter(person.joints, person.poses, person.valid, person.fps) for person in people},
             "pck_bodies": _bodies_in_pictures(views, held_out, people, joints, first, capture.frames),

@@ -14,10 +14,11 @@ Here are nouns and the files they live in, and nothing of this package but error
 
 * ``outside``: the door for files of users, ``values``, ``numbered`` and ``names``: what may stand in them and in their
   names;
-* ``files``: files that are complete or absent; ``intermediate``: read back whole and finite; ``spool``: arrays that are
-  too many for memory; ``dataset`` and
-  ``capture_yaml``: what the user brings;
-* ``camera``, ``path``, ``clocks``, ``readouts``, ``capture``: cameras, camera paths, times, and the working footage;
+* ``files``: files that are complete or absent; ``schema``: what each field of a file between steps must be;
+  ``intermediate``: such files read back, or named with the field; ``spool``: arrays that are too many for memory;
+  ``dataset`` and ``capture_yaml``: what the user brings;
+* ``camera``, ``path``, ``clocks``, ``readouts``, ``capture``: cameras, camera paths, times, and the
+  working footage;
 * ``raw_detections``, ``people``: who was detected, who is who, and bodies over time;
 * ``room``, ``gaussians``, ``gaussians_ply``, ``provenance``: the room's box, Gaussians, and what is measured of them;
 * ``stand_ins``: how films name people of photos; ``support``: how well photos show a view;

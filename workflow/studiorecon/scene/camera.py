@@ -9,9 +9,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.arrays import require
+from studiorecon.scene.schema import INTRINSIC, RIGID, Maybe, Schema, metres, real, text, whole
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
+
+
+CAMERA: dict[str, Schema] = {
+    "name": text(),
+    "wh": whole("2", low=1, unit="pixels"),
+    "intrinsics": real("3 3", such=INTRINSIC),
+    "camera_from_world": metres("4 4", such=RIGID),
+}
+LENS: dict[str, Schema] = CAMERA | {
+    "wh": whole("2", low=0, unit="pixels"),
+    "model": text("opencv", "fisheye"),
+    "distortion": real("..."),
+    "calibration_from_video": real("2 3"),
+    "placed": Maybe(text()),
+}
+"""What ``as_json`` of a camera and of a lens holds."""
 
 
 @dataclass(frozen=True)

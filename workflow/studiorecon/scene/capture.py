@@ -9,7 +9,28 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import as_written, read_content
+from studiorecon.scene.intermediate import expect, of_its_name, read
+from studiorecon.scene.schema import ASCENDING, INTRINSIC, Listed, flag, frame_rate, real, seconds, text, whole
+
+_FPS = frame_rate()
+_FRAMES = whole(low=1)
+_FOOTAGE = {
+    "camera": text(),
+    "held_out": flag(),
+    "wh": whole("2", low=1, unit="pixels"),
+    "intrinsics": real("3 3", such=INTRINSIC),
+    "fps": _FPS,
+    "frames": _FRAMES,
+    "first_source_frame": whole(low=0),
+    "source": text(),
+    "source_sha256": text(),
+    "source_wh": whole("2", low=1, unit="pixels"),
+    "rotation_deg": whole(low=-360, high=360, unit="degrees"),
+    "sync_offset_s": seconds(),
+    "changes": Listed(text()),
+    "source_frames": whole("F", low=0, such=ASCENDING),
+}
+_MANIFEST = {"scene": text(), "fps": _FPS, "frames": _FRAMES, "footage": Listed(_FOOTAGE)}
 
 
 @dataclass(frozen=True)
@@ -90,9 +111,13 @@ def write_footage(path: Path, footage: Footage) -> None:
 
 
 def read_footage(path: Path) -> Footage:
-    value = read_content(path)
-    with as_written(path):
+    """The footage of the camera that the file is called after; raises UserError as ``intermediate.read`` does."""
+
+    def made(value: dict[str, Any]) -> Footage:
+        of_its_name(path, value["camera"])
         return _footage(value)
+
+    return read(path, _FOOTAGE, made)
 
 
 def write_manifest(path: Path, manifest: Manifest) -> None:
@@ -100,13 +125,28 @@ def write_manifest(path: Path, manifest: Manifest) -> None:
 
 
 def read_manifest(path: Path) -> Manifest:
-    value = read_content(path)
-    with as_written(path):
-        return Manifest(
-            value["scene"], float(value["fps"]), int(value["frames"]), tuple(_footage(f) for f in value["footage"])
+    """All cameras of a scene; raises UserError as ``intermediate.read`` does."""
+    return read(path, _MANIFEST, _manifest)
+
+
+def _manifest(value: dict[str, Any]) -> Manifest:
+    footage = tuple(_footage(f) for f in value["footage"])
+    names = [f.camera for f in footage]
+    expect(len(set(names)) == len(names), f"of {len(names)} cameras two share a name")
+    made = Manifest(value["scene"], float(value["fps"]), int(value["frames"]), footage)
+    for f in footage:
+        expect(
+            (f.frames, f.fps) == (made.frames, made.fps),
+            f"camera {f.camera} has {f.frames} frames at {f.fps:g} per second, the scene {made.frames} at {made.fps:g}",
         )
+    return made
 
 
 def _footage(value: dict[str, Any]) -> Footage:
-    listed = {name: tuple(value.get(name, ())) for name in ("wh", "source_wh", "source_frames")}
-    return Footage(**{**value, **listed})
+    listed = {name: tuple(value[name]) for name in ("wh", "source_wh", "source_frames")}
+    made = Footage(**{**value, **listed})
+    expect(
+        len(made.source_frames) in (0, made.frames),
+        f"source_frames has {len(made.source_frames)} numbers for {made.frames} frames",
+    )
+    return made

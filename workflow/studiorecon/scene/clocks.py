@@ -5,18 +5,30 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import as_written, read_content
+from studiorecon.scene.intermediate import expect, read
+from studiorecon.scene.schema import ASCENDING, Listed, frame_rate, real, seconds, text, whole
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
 # Times closer than this share of a frame are one time: what rounding to a file's time base leaves.
 _SAME_FRAMES = 1e-4
+_FPS = frame_rate()
+_CLOCK = {
+    "camera": text(),
+    "fps": _FPS,
+    "frames": whole(low=0),
+    "times_s": seconds("N", such=ASCENDING),
+    "offset_s": seconds(),
+    "drift_ppm": real(above=-1e6, high=1e6, unit="ppm"),
+    "readout_s": seconds(low=-1, high=1),
+}
+_CLOCKS = {"fps": _FPS, "start_s": seconds(), "frames": whole(low=0), "refusal": text(), "cameras": Listed(_CLOCK)}
 
 
 @dataclass(frozen=True)
@@ -101,8 +113,13 @@ def write_clocks(path: Path, clocks: Clocks) -> None:
 
 
 def read_clocks(path: Path) -> Clocks:
-    value = read_content(path)
-    with as_written(path):
-        cameras = tuple(Clock(**{**c, "times_s": tuple(c["times_s"])}) for c in value["cameras"])
-        fps, start_s, frames = float(value["fps"]), float(value["start_s"]), int(value["frames"])
-        return Clocks(fps, start_s, frames, cameras, str(value["refusal"]))
+    """All cameras on one clock; raises UserError as ``intermediate.read`` does."""
+    return read(path, _CLOCKS, _clocks)
+
+
+def _clocks(value: dict[str, Any]) -> Clocks:
+    cameras = tuple(Clock(**{**c, "times_s": tuple(c["times_s"])}) for c in value["cameras"])
+    for c in cameras:
+        expect(len(c.times_s) in (0, c.frames), f"times_s of {c.camera} has {len(c.times_s)} of {c.frames} frames")
+    expect(len({c.camera for c in cameras}) == len(cameras), "two cameras share a name")
+    return Clocks(float(value["fps"]), float(value["start_s"]), int(value["frames"]), cameras, value["refusal"])

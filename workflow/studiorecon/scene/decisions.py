@@ -6,17 +6,34 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from studiorecon.errors import UserError
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import as_written
-from studiorecon.scene.outside import read_json
+from studiorecon.scene.intermediate import expect, read
+from studiorecon.scene.schema import ASCENDING, Anything, Listed, Maybe, check, flag, real, seconds, text
 
 Verdict = Literal["on", "off", "undetermined"]
 
 # What supports the thresholds: planted effects. No real capture has been measured yet.
 UNCALIBRATED = "uncalibrated"
+_DECISION = {
+    "effect": text(),
+    "statistic": text(),
+    "value": Maybe(real()),
+    "interval": Maybe(real("2", such=ASCENDING, gaps=True)),
+    "threshold": Maybe(real()),
+    "verdict": text(*get_args(Verdict)),
+    "reason": text(),
+    "unit": text(),
+    "on_above": flag(),
+    "cost_saved_estimate_s": Maybe(seconds()),
+    "calibration": text(),
+    "forced": flag(),
+    "obeyed_by": text(),
+    "detail": Anything(),
+}
+_DECISIONS = {"order": Listed(text()), "decisions": Listed(_DECISION)}
 
 
 @dataclass(frozen=True)
@@ -92,12 +109,17 @@ def write_decisions(path: Path, decisions: Sequence[Decision]) -> None:
 
 
 def read_decisions(path: Path) -> dict[str, Decision]:
-    """Decisions by effect."""
-    with as_written(path):
-        value = read_json(path)
-        return {entry["effect"]: from_entry(entry) for entry in value["decisions"]}
+    """Decisions by effect; raises UserError as ``intermediate.read`` does."""
+    return read(path, _DECISIONS, _decisions)
+
+
+def _decisions(value: Mapping[str, Any]) -> dict[str, Decision]:
+    made = {entry["effect"]: from_entry(entry) for entry in value["decisions"]}
+    expect(list(made) == value["order"], "its decisions are not those of its order")
+    return made
 
 
 def from_entry(entry: Mapping[str, Any]) -> Decision:
-    """A decision from its fields by name, as JSON holds them."""
+    """A decision from its fields by name, as JSON holds them; raises ValueError that names the field that is none."""
+    check(entry, _DECISION)
     return Decision(**{**entry, "interval": tuple(entry["interval"]) if entry["interval"] is not None else None})

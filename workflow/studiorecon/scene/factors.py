@@ -11,18 +11,21 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.errors import UserError
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import as_written, read_content
+from studiorecon.scene.intermediate import expect, read
+from studiorecon.scene.schema import Named, real
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
+
+
+_FACTORS = {"factors": Named(real("F 3", above=0))}
 
 
 @dataclass(frozen=True)
@@ -62,23 +65,18 @@ def write_factors(path: Path, factors: Mapping[str, Num[np.ndarray, "F 3"]]) -> 
 def read_factors(paths: Sequence[Path], frames: int | None = None) -> Factors:
     """The product of what the files say; ``frames`` refuses a film's factors of another length.
 
-    Raises UserError: a file is of another kind, or the factors are not positive, or not one per frame of the capture.
+    Raises UserError as ``intermediate.read`` does, also where there is not one factor, or one per frame.
     """
+
+    def made(content: dict[str, Any]) -> dict[str, np.ndarray]:
+        found = {camera: np.asarray(listed, np.float64) for camera, listed in content["factors"].items()}
+        for camera, own in found.items():
+            fits = len(own) > 0 if frames is None else len(own) in (1, frames)
+            expect(fits, f"{len(own)} factors of camera {camera} for {frames or '1 to all'} frames")
+        return found
+
     product: dict[str, np.ndarray] = {}
     for path in paths:
-        content = read_content(path)
-        if not isinstance(content, dict) or not isinstance(content.get("factors"), dict):
-            raise UserError(f"{path} holds no factors of exposure; run snakemake once with --forcerun survey_decide")
-        for camera, listed in content["factors"].items():
-            with as_written(path):
-                own = np.asarray(listed, np.float64).reshape(-1, 3)
-            if not len(own) or not (np.isfinite(own).all() and (own > 0).all()):
-                raise UserError(
-                    f"{path} has factors of camera {camera} that are no positive numbers; run survey.decide again"
-                )
-            if frames is not None and len(own) not in (1, frames):
-                raise UserError(
-                    f"{path} has {len(own)} factors of camera {camera} for {frames} frames; run survey.decide again"
-                )
+        for camera, own in read(path, _FACTORS, made).items():
             product[camera] = product[camera] * own if camera in product else own
     return Factors(product)

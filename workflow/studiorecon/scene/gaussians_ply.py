@@ -16,6 +16,8 @@ from studiorecon.errors import UserError
 from studiorecon.progress import say, warn
 from studiorecon.scene.files import complete
 from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.intermediate import CURE
+from studiorecon.scene.outside import read_bytes
 
 _FORMAT = "format binary_little_endian 1.0"
 _HEADER_LIMIT = 1 << 16
@@ -55,28 +57,31 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
         file.write(np.ascontiguousarray(np.concatenate(columns, axis=1), dtype="<f4").tobytes())
 
 
-def read_ply(path: Path) -> Gaussians:
+def read_ply(path: Path, remedy: str = CURE) -> Gaussians:
     """The Gaussians of a PLY; properties may come in any order.
 
     Says which further properties are not used, and how many Gaussians hold a value that is not a number: they are never
-    drawn. Raises UserError naming the file for anything but this layout.
+    drawn. Raises UserError naming the file, which ends in ``remedy``, for anything but this layout.
     """
-    if not path.is_file():
-        raise UserError(f"{path} is missing")
-    data = path.read_bytes()
+    try:
+        return _gaussians(path, read_bytes(path))
+    except ValueError as error:
+        raise UserError(f"{path} {error}; {remedy}") from None
+
+
+def _gaussians(path: Path, data: bytes) -> Gaussians:
+    """Raises ValueError with how the sentence goes on that begins with the file's name."""
     end = data.find(b"end_header", 0, _HEADER_LIMIT)
     body = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or body == 0:
-        raise UserError(f"{path} is not a PLY file (no header)")
-    count, names = _header(path, data[:end].decode("ascii", errors="replace"))
-    bands = _bands(path, names)
+        raise ValueError("is not a PLY file (no header)")
+    count, names = _header(data[:end].decode("ascii", errors="replace"))
+    bands = _bands(names)
     held, row = len(data) - body, 4 * len(names)
     if held < count * row:
-        raise UserError(f"{path} is cut off: it promises {count} Gaussians and holds {held // row}; make it again")
+        raise ValueError(f"is cut off: it promises {count} Gaussians and holds {held // row}")
     if held > count * row:
-        raise UserError(
-            f"{path} holds {held - count * row} bytes more than the {count} Gaussians it promises; make it again"
-        )
+        raise ValueError(f"holds {held - count * row} bytes more than the {count} Gaussians it promises")
     table = np.frombuffer(data, "<f4", count * len(names), body).reshape(count, len(names)).astype(np.float32)
     column = {name: i for i, name in enumerate(names)}
     known = property_names(bands)
@@ -109,30 +114,28 @@ def read_ply(path: Path) -> Gaussians:
     )
 
 
-def _header(path: Path, text: str) -> tuple[int, list[str]]:
+def _header(text: str) -> tuple[int, list[str]]:
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     if _FORMAT not in lines:
-        raise UserError(f"{path} is not a binary little endian PLY; export it in the 3DGS layout")
+        raise ValueError("is not a binary little endian PLY in the 3DGS layout")
     elements = [line.split() for line in lines if line.startswith("element")]
     if [e[1:2] for e in elements] != [["vertex"]] or not elements[0][2:] or not elements[0][2].isdigit():
-        raise UserError(f"{path} must hold one element 'vertex' and nothing else (is it a mesh?)")
+        raise ValueError("must hold one element 'vertex' and nothing else (is it a mesh?)")
     properties = [line.split() for line in lines if line.startswith("property")]
     for entry in properties:
         if len(entry) != 3 or entry[1] not in ("float", "float32"):
-            raise UserError(f"{path} has the property {' '.join(entry[1:])!r}; the 3DGS layout holds floats only")
+            raise ValueError(f"has the property {' '.join(entry[1:])!r}; the 3DGS layout holds floats only")
     return int(elements[0][2]), [entry[2] for entry in properties]
 
 
-def _bands(path: Path, names: list[str]) -> int:
+def _bands(names: list[str]) -> int:
     rest = sum(name.startswith("f_rest_") for name in names)
     bands = {0: 1, 9: 4, 24: 9, 45: 16}.get(rest)
     if bands is None:
-        raise UserError(
-            f"{path} has {rest} f_rest properties; spherical harmonics of degree 0 to 3 have 0, 9, 24 or 45"
-        )
+        raise ValueError(f"has {rest} f_rest properties; spherical harmonics of degree 0 to 3 have 0, 9, 24 or 45")
     missing = [name for name in property_names(bands) if name not in names and name not in ("nx", "ny", "nz")]
     if missing:
-        raise UserError(f"{path} has no property {missing[0]!r}; it is not a Gaussian PLY of the 3DGS layout")
+        raise ValueError(f"has no property {missing[0]!r}; it is not a Gaussian PLY of the 3DGS layout")
     if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
-        raise UserError(f"{path} has the property {twice[0]!r} twice; nobody can tell which one is meant")
+        raise ValueError(f"has the property {twice[0]!r} twice; nobody can tell which one is meant")
     return bands

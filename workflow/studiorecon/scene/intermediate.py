@@ -1,55 +1,107 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that one step writes and another reads: back they come whole and finite, or are named, with the cure.
+"""Files that one step writes and another reads: they hold what their schema says, or are named with the field and the
+cure.
 
-A disk, a copy or somebody's hand may have damaged them since; NaN that got in would spread into everything that
-follows, and nobody could tell from where.
+A disk, a copy or somebody's hand may have damaged them since; what got in would spread into everything that follows,
+and nobody could tell from where.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Container, Iterable, Iterator
+import csv
+import io
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from studiorecon.errors import UserError
 from studiorecon.scene import outside
+from studiorecon.scene.schema import Listed, Numbers, Schema, check
 
 if TYPE_CHECKING:
+    import numpy as np
     from jaxtyping import Shaped
 
-_CURE = "delete it, and it is made again"
+T = TypeVar("T")
+
+CURE = "delete it, and the next run makes it again"
 
 
-def read_arrays(
-    path: Path, names: Iterable[str] | None = None, *, but: Container[str] = (), gaps: Container[str] = ()
-) -> dict[str, Shaped[np.ndarray, " ..."]]:
-    """The arrays of an npz that a step wrote: those of ``names``, or all but those of ``but``.
+@overload
+def read(
+    path: Path,
+    schema: Schema,
+    made: None = None,
+    *,
+    names: Iterable[str] | None = None,
+    but: Container[str] = (),
+    sizes: Mapping[str, int] | None = None,
+) -> Any: ...
+@overload
+def read(
+    path: Path,
+    schema: Schema,
+    made: Callable[[Any], T],
+    *,
+    names: Iterable[str] | None = None,
+    but: Container[str] = (),
+    sizes: Mapping[str, int] | None = None,
+) -> T: ...
+def read(
+    path: Path,
+    schema: Schema,
+    made: Callable[[Any], Any] | None = None,
+    *,
+    names: Iterable[str] | None = None,
+    but: Container[str] = (),
+    sizes: Mapping[str, int] | None = None,
+) -> Any:
+    """The values of a JSON file, the arrays of an npz or the rows of a table, or what ``made`` makes of them; what that
+    raises is the file's damage.
 
-    Raises UserError that names the file and the array: missing, damaged, or with a number that is not finite where none
-    may be (not in ``gaps``).
+    ``names``: of an npz, only these arrays; ``but``: all others; ``sizes``: letters of shapes that are known. Raises
+    UserError that names the file, the field and what is expected of it.
     """
-    try:
-        found = outside.read_npz(path, names=names, but=but, remedy=_CURE)
-    except KeyError as error:
-        raise UserError(_missing(path, error)) from None
-    for name, array in found.items():
-        if array.dtype.kind == "f" and name not in gaps and (bad := int((~np.isfinite(array)).sum())):
-            raise UserError(f"{path} is damaged: {bad} of {array.size} numbers of {name} are not finite; {_CURE}")
-    return found
-
-
-def read_content(path: Path, *, gaps: Container[str] = ()) -> Any:
-    """What a JSON file holds that a step wrote. A number that is not finite is written as null: only under the keys of
-    ``gaps`` may one stand. Raises UserError as ``read_arrays`` does."""
     with as_written(path):
-        value = outside.read_json(path, remedy=_CURE)
-        if (key := _gap(value, gaps)) is not None:
-            raise ValueError(f"a number is missing in {key or 'its list'}")
-    return value
+        if path.suffix == ".npz":
+            values: Any = outside.read_npz(path, names=names, but=but, remedy=CURE)
+        elif path.suffix == ".tsv":
+            values = _rows(path, schema)
+        else:
+            values = outside.read_json(path, remedy=CURE)
+        check(values, schema, sizes=sizes)
+        return values if made is None else made(values)
+
+
+def _rows(path: Path, schema: Schema) -> list[dict[str, Any]]:
+    """The rows of a table whose columns are ``schema``'s, whose words become numbers where those are."""
+    assert isinstance(schema, Listed)
+    assert isinstance(schema.inner, Mapping)
+    text = outside.read_text(path, CURE)
+    header, *rows = csv.reader(io.StringIO(text, newline=""), delimiter="\t", strict=True)
+    expect(text.endswith("\n") and header == list(schema.inner), f"its columns are {header} or its end is missing")
+    kinds = {"f": float, "i": int}
+    of = {name: kinds[field.kind] if isinstance(field, Numbers) else str for name, field in schema.inner.items()}
+    return [{name: of[name](word) for name, word in zip(header, row, strict=True)} for row in rows]
+
+
+def expect(holds: object, words: str) -> None:
+    """Raises ValueError with ``words`` unless ``holds``: for what the fields of a file must be to one another."""
+    if not holds:
+        raise ValueError(words)
+
+
+def of_its_name(path: Path, owner: str) -> None:
+    """Raises ValueError unless a file is called as the camera or person whose it says to be."""
+    expect(path.stem == owner, f"it is {owner}'s, not {path.stem}'s")
+
+
+def require_size(path: Path, picture: Shaped[np.ndarray, "H W ..."], wh: tuple[int, int]) -> None:
+    """Raises UserError unless a picture that a step made has the size of its camera's."""
+    with as_written(path):
+        width, height = picture.shape[1], picture.shape[0]
+        expect((width, height) == tuple(wh), f"it is {width}×{height}, its camera's pictures are {wh[0]}×{wh[1]}")
 
 
 @contextmanager
@@ -60,26 +112,6 @@ def as_written(path: Path) -> Iterator[None]:
         yield
     except UserError:
         raise
-    except KeyError as error:
-        raise UserError(_missing(path, error)) from None
-    except (TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:
-        reason = outside.first_line(error)
-        raise UserError(f"{path} is damaged, or of another version of this program ({reason}); {_CURE}") from None
-
-
-def _missing(path: Path, error: KeyError) -> str:
-    return f"{path} has no {error.args[0]!r}: it is damaged, or of another version of this program; {_CURE}"
-
-
-def _gap(value: Any, allowed: Container[str]) -> str | None:
-    """The key below which ``value`` holds a null or a number that is not finite; None where there is none."""
-    waiting: list[tuple[str, Any]] = [("", value)]
-    while waiting:
-        key, here = waiting.pop()
-        if isinstance(here, dict):
-            waiting += [(str(name), below) for name, below in here.items()]
-        elif isinstance(here, list):
-            waiting += [(key, below) for below in here]
-        elif (here is None or (isinstance(here, float) and not math.isfinite(here))) and key not in allowed:
-            return key
-    return None
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, csv.Error) as error:
+        reason = f"it has no {error.args[0]!r}" if isinstance(error, KeyError) else outside.first_line(error)
+        raise UserError(f"{path} is damaged, or of another version of this program ({reason}); {CURE}") from None

@@ -73,24 +73,26 @@ def file_size(path: Path) -> int:
         raise UserError(f"{path} cannot be looked at ({error.strerror}); see who may read it") from None
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, remedy: str = "") -> str:
     """The text of a file in UTF-8, with or without a byte order mark, its lines ended by ``\\n``.
 
-    Raises UserError, with the line, for UTF-16, for binary files and for other encodings.
+    Raises UserError, with the line, for UTF-16, for binary files and for other encodings; it ends in ``remedy``, if
+    any.
     """
     data = read_bytes(path, MOST_TEXT_BYTES)
     if data[:2] in _WIDE:
-        raise UserError(f"{path} is {_WIDE[data[:2]]} text; save it as UTF-8")
+        raise UserError(f"{path} is {_WIDE[data[:2]]} text; {remedy or 'save it as UTF-8'}")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise UserError(
-            f"{path} is not UTF-8 text (byte {data[error.start]:#04x} in line {line}); save it as UTF-8, or {_COPY}"
+            f"{path} is not UTF-8 text (byte {data[error.start]:#04x} in line {line}); "
+            f"{remedy or f'save it as UTF-8, or {_COPY}'}"
         ) from None
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
-        raise UserError(f"{path} is not text (a zero byte in line {line}); {_COPY}")
+        raise UserError(f"{path} is not text (a zero byte in line {line}); {remedy or _COPY}")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -100,7 +102,7 @@ def read_json(path: Path, remedy: str = _COPY) -> Any:
 
     NaN and infinities, which detectors write, are let in: ``scene.values`` refuses them where they must not be.
     """
-    text = read_text(path)
+    text = read_text(path, remedy if remedy is not _COPY else "")
     try:
         return json.loads(text, object_pairs_hook=_entries)
     except json.JSONDecodeError as error:

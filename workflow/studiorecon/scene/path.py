@@ -6,9 +6,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from studiorecon.scene.camera import Camera
+from studiorecon.scene.camera import CAMERA, Camera
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import as_written, read_content
+from studiorecon.scene.intermediate import read
+from studiorecon.scene.schema import Listed, frame_rate, real, text
+
+_PATH = {
+    "fps": frame_rate(),
+    "steps": Listed({"camera": CAMERA, "frame": real(low=0), "segment": text()}),
+}
 
 
 @dataclass(frozen=True)
@@ -34,8 +40,7 @@ def write_path(path: Path, steps: list[PathStep], fps: float) -> None:
 
 
 def read_path(path: Path) -> tuple[list[PathStep], float]:
-    """The steps and the frame rate of a path file."""
-    value = read_content(path)
-    with as_written(path):
-        steps = [PathStep(Camera.from_json(s["camera"]), float(s["frame"]), str(s["segment"])) for s in value["steps"]]
-        return steps, float(value["fps"])
+    """The steps and the frame rate of a path file; raises UserError as ``intermediate.read`` does."""
+    value = read(path, _PATH)
+    steps = [PathStep(Camera.from_json(s["camera"]), float(s["frame"]), s["segment"]) for s in value["steps"]]
+    return steps, float(value["fps"])

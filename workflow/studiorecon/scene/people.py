@@ -6,14 +6,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.scene.files import read_table, write_npz, write_table
-from studiorecon.scene.intermediate import as_written, read_arrays
+from studiorecon.scene.files import write_npz, write_table
+from studiorecon.scene.intermediate import expect, of_its_name, read
 from studiorecon.scene.outside import read_rows
+from studiorecon.scene.schema import CONFIDENT, Listed, Maybe, metres, radians, real, text, whole
 from studiorecon.scene.values import shown
 
 if TYPE_CHECKING:
@@ -21,8 +22,31 @@ if TYPE_CHECKING:
 
 PEOPLE_COLUMNS = ("person", "frames", "cameras", "confidence", "source", "status", "reason")
 IDENTITY_COLUMNS = ("camera", "track", "person")
-OPTIONAL_FIELDS = ("body_pose", "pelvis", "body_root", "body_shape", "points_m", "row")
-"""What only some detectors bring, in the order of ``Detections``."""
+_PEOPLE = Listed(
+    {
+        "person": text(),
+        "frames": whole(low=0),
+        "cameras": text(),
+        "confidence": real(low=0, high=1, gaps=True),
+        "source": text(),
+        "status": text("person", "rejected"),
+        "reason": text(),
+    }
+)
+_IDENTITIES = Listed({"camera": text(), "track": whole(), "person": text()})
+_DETECTIONS = {
+    "camera": text(),
+    "layout": text(),
+    "frame": whole("D", low=0),
+    "track": whole("D"),
+    "keypoints": real("D K 3", gaps=True, such=CONFIDENT),
+    "body_pose": Maybe(radians("D 23 3")),
+    "pelvis": Maybe(real("D 3", gaps=True)),
+    "body_root": Maybe(radians("D 3")),
+    "body_shape": Maybe(real("D 10")),
+    "points_m": Maybe(metres("D K 3", gaps=True)),
+    "row": Maybe(whole("D", low=-1)),
+}
 
 
 @dataclass(frozen=True)
@@ -108,12 +132,13 @@ def write_detections(path: Path, detections: Detections) -> None:
 
 
 def read_detections(path: Path) -> Detections:
-    data = read_arrays(path, gaps=("keypoints", "points_m", "pelvis"))
-    with as_written(path):
-        body = (data.get(name) for name in OPTIONAL_FIELDS)
-        return Detections(
-            str(data["camera"]), str(data["layout"]), data["frame"], data["track"], data["keypoints"], *body
-        )
+    """The detections of the camera that the file is called after; raises UserError as ``intermediate.read`` does."""
+
+    def made(data: dict[str, Any]) -> Detections:
+        of_its_name(path, str(data["camera"]))
+        return Detections(**{**data, "camera": str(data["camera"]), "layout": str(data["layout"])})
+
+    return read(path, _DETECTIONS, made)
 
 
 def usable(found: Detections) -> tuple[Detections, int]:
@@ -143,8 +168,19 @@ def write_people(
 
 
 def read_people(path: Path) -> list[str]:
-    """Ids of the scene's people in ``people.tsv``, in file order; who was rejected is none of them."""
-    return [row["person"] for row in read_table(path, PEOPLE_COLUMNS) if row["status"] == "person"]
+    """Ids of the scene's people in ``people.tsv``, in file order; who was rejected is none of them. Raises UserError as
+    ``intermediate.read`` does."""
+    return [row["person"] for row in people_rows(path)]
+
+
+def people_rows(path: Path) -> list[dict[str, Any]]:
+    """The scene's people, column → value; raises UserError as ``intermediate.read`` does."""
+
+    def made(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        expect(len({row["person"] for row in rows}) == len(rows), "a person stands there twice")
+        return [row for row in rows if row["status"] == "person"]
+
+    return read(path, _PEOPLE, made)
 
 
 def write_identities(path: Path, identities: dict[tuple[str, int], str]) -> None:
@@ -155,7 +191,19 @@ def write_identities(path: Path, identities: dict[tuple[str, int], str]) -> None
 
 
 def read_identities(path: Path) -> dict[tuple[str, int], str]:
-    """{(camera, track): person} of ``identities.tsv``; an empty person means the track was rejected.
+    """{(camera, track): person} of ``identities.tsv``; an empty person means the track was rejected. Raises UserError
+    as ``intermediate.read`` does."""
+
+    def made(rows: list[dict[str, Any]]) -> dict[tuple[str, int], str]:
+        found = {(row["camera"], row["track"]): row["person"] for row in rows}
+        expect(len(found) == len(rows), "a track stands there twice")
+        return found
+
+    return read(path, _IDENTITIES, made)
+
+
+def read_given_identities(path: Path) -> dict[tuple[str, int], str]:
+    """What ``read_identities`` gives, of a table that a user corrected.
 
     Raises UserError with the line for a track that is no number, and for one that has two.
     """

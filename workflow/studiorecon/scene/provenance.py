@@ -3,9 +3,38 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.scene.files import write_npz
+from studiorecon.scene.intermediate import read
+from studiorecon.scene.schema import Numbers, whole
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
+
 MEASURED = 0
 """A training camera saw it."""
 INFERRED = 1
 """Not seen itself, but its place or colour follows from what was seen: a default wall, the mirror image of an arm."""
 INVENTED = 2
 """Painted in so that there is no hole."""
+
+
+def provenance_of(shape: str) -> Numbers:
+    """What an array of marks must hold, as ``scene.schema`` has it."""
+    return whole(shape, low=MEASURED, high=INVENTED)
+
+
+def write_provenance(path: Path, marks: Integer[np.ndarray, " N"]) -> None:
+    """Write the marks of a PLY's Gaussians, in its order."""
+    write_npz(path, {"provenance": marks})
+
+
+def read_provenance(path: Path, count: int) -> Integer[np.ndarray, " N"]:
+    """(N,) uint8 marks of ``count`` Gaussians; raises UserError as ``intermediate.read`` does, also for as many as
+    another room has."""
+    held = read(path, {"provenance": provenance_of("N")}, sizes={"N": count})
+    return np.asarray(held["provenance"], np.uint8)

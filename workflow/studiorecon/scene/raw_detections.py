@@ -12,10 +12,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.intermediate import as_written, read_arrays
+from studiorecon.scene.intermediate import read
+from studiorecon.scene.schema import CONFIDENT, Maybe, metres, real, text, whole
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
+
+
+_FOUND = {
+    "camera": text(),
+    "layout": text(),
+    "frame": whole("D", low=0),
+    "keypoints": real("D K 3", gaps=True, such=CONFIDENT),
+    "presence": real("D", low=0, high=1),
+    "points_m": metres("D K 3", gaps=True),
+    "mask": Maybe(whole("D M M", low=0, high=255)),
+    "mask_from_picture": real("D 2 3"),
+    "looked": whole("2", low=0),
+    "note": text(),
+}
 
 
 @dataclass(frozen=True)
@@ -98,18 +113,11 @@ def is_found(path: Path) -> bool:
 def read_raw_detections(path: Path, masks: bool = False) -> RawDetections:
     """The detector's file; ``mask`` is empty unless asked for, which takes longer. Raises UserError when there is
     none."""
-    data = read_arrays(path, but=() if masks else ("mask",), gaps=("keypoints", "points_m"))
-    with as_written(path):
+
+    def made(data: dict[str, Any]) -> RawDetections:
         first, count = (int(v) for v in data["looked"])
-        return RawDetections(
-            str(data["camera"]),
-            str(data["layout"]),
-            data["frame"],
-            data["keypoints"],
-            data["presence"],
-            data["points_m"],
-            data["mask"] if masks else np.zeros((len(data["frame"]), 0, 0), np.uint8),
-            data["mask_from_picture"],
-            (first, count),
-            str(data["note"]),
-        )
+        told = {name: str(data[name]) for name in ("camera", "layout", "note")}
+        empty = {} if masks else {"mask": np.zeros((len(data["frame"]), 0, 0), np.uint8)}
+        return RawDetections(**{**data, **empty, **told, "looked": (first, count)})
+
+    return read(path, _FOUND, made, but=() if masks else ("mask",))

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import as_written, read_content
+from studiorecon.scene.intermediate import read
+from studiorecon.scene.schema import Named, seconds
 
 # Seconds, to which a readout is written: what is less moves no keypoint by a tenth of a pixel.
 _DIGITS = 4
+_READOUTS = Named(seconds(low=-1, high=1))
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,13 @@ def write_readouts(path: Path, readouts: Sequence[Readout]) -> None:
     write_json(path, {one.camera: round(one.used_s, _DIGITS) for one in readouts})
 
 
-def read_readouts(path: Path) -> dict[str, float]:
-    """Camera → seconds by which its rows are moved; UserError where the file is not as it was written."""
-    value = read_content(path)
-    with as_written(path):
-        return {str(camera): float(used_s) for camera, used_s in value.items()}
+def read_readouts(path: Path, cameras: Sequence[str] = ()) -> dict[str, float]:
+    """Camera → seconds by which its rows are moved, of ``cameras`` at least; raises UserError as ``intermediate.read``
+    does."""
+
+    def made(value: dict[str, float]) -> dict[str, float]:
+        if missing := [camera for camera in cameras if camera not in value]:
+            raise KeyError(missing[0])
+        return {camera: float(used_s) for camera, used_s in value.items()}
+
+    return read(path, _READOUTS, made)

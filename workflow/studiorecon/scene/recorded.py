@@ -5,15 +5,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.intermediate import as_written, read_arrays
+from studiorecon.scene.intermediate import expect, read
+from studiorecon.scene.schema import flag, real, text, whole
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
+
+
+_RECORDED = {
+    "program": text(),
+    "pictures": whole("P"),
+    "frame": whole("D"),
+    "keypoints": real("D K 3", gaps=True),
+    "counted": flag(),
+    "layout": text(),
+    "refusal": text(),
+}
 
 
 @dataclass(frozen=True)
@@ -65,17 +77,10 @@ def write_recorded(path: Path, recorded: Recorded) -> None:
 
 def read_recorded(path: Path) -> Recorded:
     """What ``detect.keypoints`` wrote. Raises UserError naming the file where it is missing or damaged."""
-    data = read_arrays(path, gaps=("keypoints",))
-    with as_written(path):
-        found = Recorded(
-            str(data["program"]), data["pictures"], data["frame"], data["keypoints"], bool(data["counted"]),
-            str(data["layout"]), str(data["refusal"]),
-        )  # fmt: skip
-        if not (
-            found.keypoints.ndim == 3
-            and found.keypoints.shape[0::2] == (len(found.frame), 3)
-            and found.frame.dtype.kind == found.pictures.dtype.kind == "i"
-            and np.isin(found.frame, found.pictures).all()
-        ):
-            raise ValueError("its arrays do not fit together")
-    return found
+
+    def made(data: dict[str, Any]) -> Recorded:
+        expect(np.isin(data["frame"], data["pictures"]).all(), "frame names a picture that is not among pictures")
+        words = {name: str(data[name]) for name in ("program", "layout", "refusal")}
+        return Recorded(**{**data, **words, "counted": bool(data["counted"])})
+
+    return read(path, _RECORDED, made)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,12 +11,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import as_written, read_content
+from studiorecon.scene.intermediate import expect, read
+from studiorecon.scene.schema import UNIT_NORMALS, Maybe, Named, flag, metres, radians, real
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Num
 
 FACES = ("u_low", "u_high", "v_low", "v_high", "floor", "ceiling")
+# Planes and faces are worked out from the same numbers.
+_SAME = 1e-6
+_FACE = {"fitted": flag(), "score": real(gaps=True, low=-1, high=1)}
+_GAIN = real("3", above=0)
+_ROOM = {
+    "yaw_rad": radians(),
+    "low_m": metres("3"),
+    "high_m": metres("3"),
+    "gains": Named(_GAIN),
+    "planes": metres("K 4", such=UNIT_NORMALS),
+    "faces": dict.fromkeys(FACES, _FACE),
+    "platform": Maybe({"low_m": metres("2"), "high_m": metres("2"), "top_m": metres()}),
+}
 
 
 @dataclass(frozen=True)
@@ -167,16 +181,14 @@ def write_room(path: Path, room_box: RoomBox) -> None:
     write_json(path, value | {"faces": faces, "platform": platform})
 
 
-def read_room(path: Path) -> RoomBox:
-    """Read ``depth/room.json``; raises UserError when it is missing or not JSON."""
-    value = read_content(path, gaps=("score", "platform"))
-    with as_written(path):
-        return _room(value)
+def read_room(path: Path, cameras: Sequence[str] = ()) -> RoomBox:
+    """Read ``depth/room.json``, which has gains of ``cameras``; raises UserError as ``intermediate.read`` does."""
+    return read(path, _ROOM | {"gains": dict.fromkeys(cameras, _GAIN)} if cameras else _ROOM, _room)
 
 
 def _room(value: Mapping[str, Any]) -> RoomBox:
     faces = [value["faces"][name] for name in FACES]
-    return RoomBox(
+    made = RoomBox(
         yaw_rad=float(value["yaw_rad"]),
         low_m=np.asarray(value["low_m"], np.float64),
         high_m=np.asarray(value["high_m"], np.float64),
@@ -186,8 +198,14 @@ def _room(value: Mapping[str, Any]) -> RoomBox:
         planes=np.asarray(value["planes"], np.float64).reshape(-1, 4),
         platform=None if value["platform"] is None else _platform(value["platform"]),
     )
+    expect((made.low_m < made.high_m).all(), "low_m is not below high_m")
+    expect((np.isnan(made.score) == ~made.fitted).all(), "score is not there for the faces that are fitted")
+    if len(first := made.planes[: len(FACES)]) == len(FACES):
+        expect(np.abs(first - made.faces).max() < _SAME, "planes do not begin with the faces of low_m and high_m")
+    return made
 
 
 def _platform(value: Mapping[str, Any]) -> Platform:
     low_m, high_m = (np.asarray(value[name], np.float64).reshape(2) for name in ("low_m", "high_m"))
+    expect((low_m < high_m).all(), "low_m of the platform is not below its high_m")
     return Platform(low_m, high_m, float(value["top_m"]))

@@ -6,18 +6,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
 from studiorecon.body.avatar.posing import Posing
-from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.scene.intermediate import as_written, read_arrays
+from studiorecon.scene.intermediate import expect, read
+from studiorecon.scene.provenance import provenance_of
+from studiorecon.scene.schema import ROTATION, Listed, Schema, flag, metres, real, text, whole
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
@@ -192,23 +193,51 @@ def write_objects(path: Path, objects: Sequence[RigidObject], frames: int) -> No
 
 
 def read_objects(path: Path) -> list[RigidObject]:
-    """The objects of a scene; raises UserError when the file is missing or its arrays do not fit together."""
-    found = []
-    names = [str(name) for name in read_arrays(path, ["names"])["names"]]
-    data = read_arrays(path, gaps={f"{name}.centres_m" for name in names})
-    with as_written(path):
-        frames = int(data["frames"])
-        for name in names:
-            if f"{name}.turns" not in data:
-                raise UserError(f"{path} does not say how {name} turns; run objects again")
-            gaussians = Gaussians(*(data[f"{name}.{field}"] for field in _GAUSSIANS))
-            provenance, centres_m, turned, valid, present = (data[f"{name}.{field}"] for field in _MOTION)
-            if len(provenance) != gaussians.count or {len(centres_m), len(turned), len(valid), len(present)} != {
-                frames
-            }:
-                raise UserError(f"{path} holds arrays of {name} that do not fit together; run objects again")
-            if not np.isfinite(centres_m[present]).all():
-                raise UserError(f"{path} does not say where {name} is in every frame that has it; run objects again")
-            radius_m, turns = float(data[f"{name}.radius_m"]), str(data[f"{name}.turns"])
-            found.append(RigidObject(name, gaussians, provenance, centres_m, valid, present, radius_m, turned, turns))
-    return found
+    """The objects of a scene; raises UserError as ``intermediate.read`` does."""
+    names = [str(name) for name in read(path, {"names": Listed(text())}, names=("names",))["names"]]
+    schema: dict[str, Schema] = {"names": Listed(text()), "frames": whole(low=1)}
+    for name in names:
+        schema |= {f"{name}.{field}": kind for field, kind in _schema_of(name).items()}
+
+    def made(data: dict[str, Any]) -> list[RigidObject]:
+        expect(len(set(names)) == len(names), "two objects share a name")
+        return [
+            _object(name, {f: data[f"{name}.{f}"] for f in _schema_of(name)}, int(data["frames"])) for name in names
+        ]
+
+    return read(path, schema, made)
+
+
+def _schema_of(name: str) -> dict[str, Schema]:
+    """What is held of one object, whose number of Gaussians is its own."""
+    n = f"N_{name}"
+    return {
+        "means_m": metres(f"{n} 3"),
+        "quaternions": real(f"{n} 4"),
+        "log_scales": real(f"{n} 3"),
+        "logit_opacities": real(n),
+        "sh": real(f"{n} B_{name} 3"),
+        "provenance": provenance_of(n),
+        "centres_m": metres("T 3", gaps=True),
+        "world_from_object": real("T 3 3", such=ROTATION),
+        "valid": flag("T"),
+        "present": flag("T"),
+        "radius_m": metres(above=0),
+        "turns": text(MEASURED_TURNS, NO_TURNS),
+    }
+
+
+def _object(name: str, held: dict[str, Any], frames: int) -> RigidObject:
+    expect(len(held["present"]) == frames, f"{name} has {len(held['present'])} frames of {frames}")
+    expect(np.isfinite(held["centres_m"][held["present"]]).all(), f"{name} is nowhere in a frame that has it")
+    return RigidObject(
+        name,
+        Gaussians(*(held[field] for field in _GAUSSIANS)),
+        held["provenance"],
+        held["centres_m"],
+        held["valid"],
+        held["present"],
+        float(held["radius_m"]),
+        held["world_from_object"],
+        str(held["turns"]),
+    )

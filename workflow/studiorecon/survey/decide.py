@@ -56,7 +56,7 @@ def run(
     found = [read_detections(path) for path in detections]
     names = read_people(people[0]) if people else None
     whose = read_identities(identities[0]) if identities else {}
-    views = [ExposureView(c, *read_plate(p), read_depth(d)[0]) for c, p, d in zip(cameras, plates, depths)]
+    views = [ExposureView(c, *read_plate(p, c.wh), read_depth(d, c.wh)[0]) for c, p, d in zip(cameras, plates, depths)]
     own_points: Sequence[Detections | None] = found or [None] * len(cameras)
     films = [
         read_film(

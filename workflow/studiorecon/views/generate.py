@@ -17,7 +17,8 @@ from studiorecon.footage.video import write_lossless
 from studiorecon.models.loading import adapter, load
 from studiorecon.models.protocols import ViewSynthesizer
 from studiorecon.progress import say
-from studiorecon.scene.intermediate import read_arrays
+from studiorecon.scene.intermediate import read
+from studiorecon.scene.schema import Named, real
 from studiorecon.signature import Place, Written
 from studiorecon.views.warp_settings import Made
 
@@ -51,8 +52,8 @@ class Settings(Made):
 
 
 def read_request(path: Path) -> dict[str, Shaped[np.ndarray, " ..."]]:
-    """The arrays of a request (npz); UserError when it cannot be read."""
-    return read_arrays(path)
+    """The arrays of a request (npz), which its network checks; raises UserError as ``intermediate.read`` does."""
+    return read(path, Named(real("...")))
 
 
 def frames_of(

@@ -67,12 +67,8 @@ def read_photos(
     factors = read_factors(gains)
     photos = []
     for camera, plate, depth_path in zip(cameras, plates, depths):
-        rgb, measured = read_plate(plate)
-        depth_m, _ = read_depth(depth_path)
-        if rgb.shape[:2] != depth_m.shape:
-            raise UserError(
-                f"{depth_path} is {depth_m.shape[1]}×{depth_m.shape[0]} but {plate} is {rgb.shape[1]}×{rgb.shape[0]}"
-            )
+        rgb, measured = read_plate(plate, camera.wh)
+        depth_m, _ = read_depth(depth_path, camera.wh)
         photos.append(source(camera, factors.even(camera.name, rgb), measured, depth_m, depth_jump))
     return photos
 

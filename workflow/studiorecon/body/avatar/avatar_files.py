@@ -4,33 +4,56 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.body.avatar.drift import Drift
 from studiorecon.body.avatar.posing import Posing
-from studiorecon.body.avatar.temporal import TemporalNetwork
+from studiorecon.body.avatar.temporal import NETWORK, TemporalNetwork
 from studiorecon.body.model import BodyModel
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.progress import say
+from studiorecon.scene.decisions import Decision, from_entry
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
-from studiorecon.scene.intermediate import as_written, read_arrays
-from studiorecon.scene.provenance import MEASURED
+from studiorecon.scene.intermediate import expect, of_its_name, read
+from studiorecon.scene.provenance import MEASURED, provenance_of
+from studiorecon.scene.schema import Maybe, Schema, flag, frame_rate, metres, radians, real, text, whole
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
 
 # Moments whose pose is kept: films ask for the same ones picture after picture, and camera after camera.
 _MOMENTS_KEPT = 4096
+_NETWORK = "network."
+_AVATAR: dict[str, Schema] = {
+    "person": text(),
+    "body": text(),
+    "bones": whole("N K", low=0, high=23),
+    "weights": real("N K", low=0, high=1),
+    "provenance": provenance_of("N"),
+    "poses": radians("T 72"),
+    "trans": metres("T 3"),
+    "betas": real("B"),
+    "valid": flag("T"),
+    "present": flag("T"),
+    "mocap_framerate": frame_rate(),
+    "metric": flag(),
+    "decision": text(),
+    "seen_share": real(low=0, high=1),
+    "mark": text(),
+    "gaussians_sha256": text(),
+    **{f"{_NETWORK}{name}": Maybe(field) for name, field in NETWORK.items()},
+}
 _ARRAYS = ("bones", "weights", "provenance", "poses", "trans", "betas", "valid", "present")
 
 
@@ -184,7 +207,9 @@ def write_avatar(ply: Path, npz: Path, avatar: Avatar, mark: str = "") -> None:
         "mocap_framerate": avatar.fps,
         "metric": avatar.metric,
     }
-    arrays |= {f"network.{name}": value for name, value in avatar.network.to_arrays().items()} if avatar.network else {}
+    arrays |= (
+        {f"{_NETWORK}{name}": value for name, value in avatar.network.to_arrays().items()} if avatar.network else {}
+    )
     arrays["decision"] = avatar.decision
     write_npz(npz, arrays | {"seen_share": avatar.seen_share, "mark": mark, "gaussians_sha256": _sha256(ply)})
 
@@ -207,33 +232,44 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def read_avatar(ply: Path, npz: Path, model: BodyModel) -> Avatar:
-    """Read what ``write_avatar`` wrote; raises UserError when a file is missing or does not say when the person is
-    there, the two disagree or the body model is another one."""
-    gaussians, data = read_ply(ply), read_arrays(npz)
-    with as_written(npz):
+def read_avatar(ply: Path, npz: Path, model: BodyModel, *, brought: bool = False) -> Avatar:
+    """Read what ``write_avatar`` wrote; raises UserError as ``intermediate.read`` does, also when the two were not
+    written together or the body model is another one. A user may have renamed or painted what is ``brought``."""
+    gaussians = read_ply(ply)
+
+    def made(data: dict[str, Any]) -> Avatar:
+        if not brought:
+            of_its_name(npz, str(data["person"]))
+            expect(
+                str(data["gaussians_sha256"]) == _sha256(ply),
+                f"it was not written together with {ply.name}: delete both",
+            )
         if str(data["body"]) != model.identity:
             raise UserError(
                 f"{npz} was trained on the body model {data['body']}, but "
                 f"{model.identity} was given; use the same body file"
             )
-        if "present" not in data:
-            raise UserError(f"{npz} does not say in which frames {data['person']} is there; run humans.train again")
-        arrays = {name: data[name] for name in _ARRAYS}
-        person, fps, metric = str(data["person"]), float(data["mocap_framerate"]), bool(data["metric"])
-        held = {name.removeprefix("network."): data[name] for name in data if name.startswith("network.")}
-        network, decision = TemporalNetwork.from_arrays(held) if held else None, str(data["decision"])
-    if len(arrays["bones"]) != gaussians.count:
-        raise UserError(
-            f"{ply} holds {gaussians.count} Gaussians and {npz} weights for {len(arrays['bones'])}; make both again"
+        held = {name.removeprefix(_NETWORK): data[name] for name in data if name.startswith(_NETWORK)}
+        return Avatar(
+            person=str(data["person"]),
+            model=model,
+            gaussians=gaussians,
+            fps=float(data["mocap_framerate"]),
+            metric=bool(data["metric"]),
+            network=TemporalNetwork.from_arrays(held) if held else None,
+            decision=str(data["decision"]),
+            **{name: data[name] for name in _ARRAYS},
         )
-    return Avatar(
-        person=person,
-        model=model,
-        gaussians=gaussians,
-        fps=fps,
-        metric=metric,
-        network=network,
-        decision=decision,
-        **arrays,
-    )
+
+    return read(npz, _AVATAR, made, sizes={"N": gaussians.count})
+
+
+def read_decision(npz: Path) -> Decision | None:
+    """What was decided on the network of an avatar's file, None when nobody asked; raises UserError as
+    ``intermediate.read`` does."""
+
+    def made(data: dict[str, Any]) -> Decision | None:
+        told = str(data["decision"])
+        return from_entry(json.loads(told)) if told else None
+
+    return read(npz, {"decision": text()}, made, names=("decision",))

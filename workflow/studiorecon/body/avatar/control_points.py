@@ -76,8 +76,13 @@ class ControlPoints:
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> ControlPoints | None:
-        """The inverse of ``to_arrays``; None when nothing of it is held."""
-        return cls(held["points_m"], held["near"], held["shares"]) if "points_m" in held else None
+        """The inverse of ``to_arrays``, None when nothing of it is held; raises ValueError for points that there are
+        not."""
+        if "points_m" not in held:
+            return None
+        if held["near"].size and held["near"].max() >= len(held["points_m"]):
+            raise ValueError(f"near names point {held['near'].max()} of {len(held['points_m'])}")
+        return cls(held["points_m"], held["near"], held["shares"])
 
 
 def spread_out(points_m: Num[np.ndarray, "N 3"], count: int) -> Integer[np.ndarray, " K"]:

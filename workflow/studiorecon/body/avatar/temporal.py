@@ -21,6 +21,7 @@ import numpy as np
 from studiorecon.arrays import require
 from studiorecon.body.avatar.control_points import ControlPoints
 from studiorecon.body.avatar.encoding import encode_position, encode_time, in_body_box
+from studiorecon.scene.schema import Schema, flag, metres, real, whole
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Num, Shaped
@@ -29,6 +30,17 @@ WIDTH, LAYERS, SKIP = 256, 8, 4
 _POSITION_INPUTS, _TIME_INPUTS, _OUTPUTS = 63, 21, 4
 _INPUTS = _POSITION_INPUTS + _TIME_INPUTS
 _PAPERS = ("every_band", "everywhere")  # stored where they are so
+NETWORK: dict[str, Schema] = {
+    "flat": real("P"),
+    "shape": whole("3", low=1),
+    "low_m": metres("3"),
+    "high_m": metres("3"),
+    "points_m": metres("M 3"),
+    "near": whole("Q C", low=0),
+    "shares": real("Q C"),
+    **dict.fromkeys(_PAPERS, flag()),
+}
+"""What ``to_arrays`` holds; the last five only of some networks."""
 
 
 @dataclass
@@ -178,10 +190,13 @@ class TemporalNetwork:
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> TemporalNetwork:
-        """The inverse of ``to_arrays``."""
+        """The inverse of ``to_arrays``; raises ValueError for parameters of another size."""
         width, layers, frames = (int(n) for n in held["shape"])
         control, papers = ControlPoints.from_arrays(held), [name in held for name in _PAPERS]
         flat, box = np.ascontiguousarray(held["flat"]), (held["low_m"], held["high_m"])
+        size = sum(rows * columns + columns for rows, columns in _shapes(width, layers))
+        if flat.size != size:
+            raise ValueError(f"network has {flat.size} parameters, expected {size}")
         return cls(flat, width, layers, *box, frames, control, every_band=papers[0], everywhere=papers[1])
 
 

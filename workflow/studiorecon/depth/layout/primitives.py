@@ -6,19 +6,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba import njit
 
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import as_written, read_content
+from studiorecon.scene.intermediate import expect, read
+from studiorecon.scene.schema import Listed, metres, radians, real, text
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 KINDS = ("box", "cylinder")
+_PRIMITIVE = {
+    "kind": text(*KINDS),
+    "centre_m": metres("2"),
+    "yaw_rad": radians(),
+    "size_m": metres("2", above=0),
+    "low_m": metres(),
+    "high_m": metres(),
+    "evidence": real(),
+}
 
 
 @dataclass(frozen=True)
@@ -86,14 +96,14 @@ def write_primitives(path: Path, primitives: Sequence[Primitive]) -> None:
 
 
 def read_primitives(path: Path) -> list[Primitive]:
-    """Read ``depth/primitives.json``; raises UserError when it is missing or not JSON."""
-    found = []
-    content = read_content(path)
-    with as_written(path):
-        for value in content["primitives"]:
-            value["centre_m"], value["size_m"] = tuple(value["centre_m"]), tuple(value["size_m"])
-            found.append(Primitive(**value))
-    return found
+    """Read ``depth/primitives.json``; raises UserError as ``intermediate.read`` does."""
+    return read(path, {"primitives": Listed(_PRIMITIVE)}, lambda value: [_primitive(v) for v in value["primitives"]])
+
+
+def _primitive(value: dict[str, Any]) -> Primitive:
+    made = Primitive(**{**value, "centre_m": tuple(value["centre_m"]), "size_m": tuple(value["size_m"])})
+    expect(made.low_m < made.high_m, f"low_m is {made.low_m:g}, not below high_m, {made.high_m:g}")
+    return made
 
 
 @njit(cache=True)

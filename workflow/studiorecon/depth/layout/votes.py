@@ -6,14 +6,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.errors import UserError
-from studiorecon.scene.intermediate import read_arrays
+from studiorecon.scene.intermediate import expect, read
 from studiorecon.scene.room import RoomBox
+from studiorecon.scene.schema import UNIT_NORMALS, flag, metres, radians, real, whole
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
@@ -72,9 +73,26 @@ class Swept:
     yaw_rad: float
 
 
+_SWEEP = {
+    "planes": metres("P 4", such=UNIT_NORMALS),
+    "chosen": whole("H W", low=0),
+    "cost": real("H W"),
+    "confident": flag("H W"),
+    "floor_m": metres(),
+    "yaw_rad": radians(),
+    "gains": real("V 3", above=0),
+}
+
+
+def _checked(arrays: dict[str, Any]) -> dict[str, Any]:
+    most = int(arrays["chosen"].max(initial=0))
+    expect(most < len(arrays["planes"]), f"chosen names plane {most} of {len(arrays['planes'])}")
+    return arrays
+
+
 def read_sweeps(sweeps: Sequence[Path], cameras: int) -> Swept:
     """The sweeps of so many ``cameras``; raises UserError unless there is one of each, all of one catalogue."""
-    swept = [read_arrays(path) for path in sweeps]
+    swept = [read(path, _SWEEP, _checked, sizes={"V": cameras}) for path in sweeps]
     if len(swept) != cameras or not all(np.array_equal(s["planes"], swept[0]["planes"]) for s in swept):
         raise UserError(
             f"{len(swept)} sweeps for {cameras} cameras, or sweeps of different settings: run depth.sweep again for all"

@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 
 from studiorecon.depth.stereo.matching import UNKNOWN, correlation, plane_depth
-from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate, shrink
 from studiorecon.images.channels import channel_sum
 from studiorecon.images.exposure import compare, solve_gains
@@ -89,12 +88,7 @@ def read_pictures(cameras: Sequence[Camera], plates: Sequence[Path], width: int)
     one_each(cameras, plates=plates)
     pictures = []
     for camera, path in zip(cameras, plates):
-        rgb, measured = read_plate(path)
-        if rgb.shape[:2] != camera.hw:
-            raise UserError(
-                f"{path} is {rgb.shape[1]}×{rgb.shape[0]} but camera {camera.name} "
-                f"works at {camera.wh[0]}×{camera.wh[1]}"
-            )
+        rgb, measured = read_plate(path, camera.wh)
         scale = min(1.0, width / camera.wh[0])
         wh = (max(round(camera.wh[0] * scale), 8), max(round(camera.wh[1] * scale), 8))
         pictures.append(Picture(camera.resized(wh), *shrink(rgb, measured, wh)))

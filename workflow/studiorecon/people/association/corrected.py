@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.scene.people import Detections, read_identities
+from studiorecon.scene.people import Detections, read_given_identities
 
 _PERSON = re.compile(r"p\d+")
 
@@ -22,7 +22,7 @@ def read_corrected(path: Path, detections: Sequence[Detections]) -> dict[tuple[s
     p0, p1, …, or one who is in fewer than two cameras.
     """
     tracks = {(d.camera, int(t)) for d in detections for t in np.unique(d.track)}
-    given = read_identities(path)
+    given = read_given_identities(path)
     for (camera, track), person in given.items():
         if (camera, track) not in tracks:
             raise UserError(

@@ -22,8 +22,9 @@ from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import read_frames
 from studiorecon.images.regions import dilated
 from studiorecon.images.warp import nearest_pixels, sample
-from studiorecon.scene.camera import Camera
-from studiorecon.scene.files import read_json
+from studiorecon.scene.camera import CAMERA, Camera
+from studiorecon.scene.intermediate import read
+from studiorecon.scene.schema import Listed
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -46,7 +47,7 @@ class TrueView:
 
 def read_views(folder: Path) -> dict[str, TrueView]:
     """camera → truth, of every camera of the studio."""
-    cameras = [Camera.from_json(value) for value in read_json(folder / "cameras.json")]
+    cameras = [Camera.from_json(value) for value in read(folder / "cameras.json", Listed(CAMERA))]
     return {
         c.name: TrueView(c, read_depth(folder / "depth" / f"{c.name}.exr")[0], folder / "masks" / f"{c.name}.mkv")
         for c in cameras

@@ -1,39 +1,74 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of users, damaged in every way, at every reader: one sentence that names the file, or a right result; never
-another exception, and never a number that is not one."""
+"""The files that users may bring, one whole one of each kind, and what reads them."""
 
 from __future__ import annotations
 
+import io
 import json
 import pickle
-import zipfile
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
-import pytest
+import torch
 import yaml
+from studiorecon.body.model import BodyModel
 from studiorecon.calibration.files import Settings, lenses_of, read_calibration
-from studiorecon.errors import UserError
-from studiorecon.keypoints.readers import MOST_PEOPLE_PER_PICTURE, read_keypoints
+from studiorecon.depth.aligned import read_estimate
+from studiorecon.footage.exr import read_depth, write_depth
+from studiorecon.footage.frames import decode
+from studiorecon.footage.source import open_source
+from studiorecon.footage.stills import read_plate
+from studiorecon.footage.told_lens import told_focal_px
+from studiorecon.footage.video import write_watchable
+from studiorecon.keypoints.readers import read_keypoints
+from studiorecon.masks.given import pictures_of
+from studiorecon.models.adapters.comotion import Comotion
 from studiorecon.plan.discovery import open_dataset
-from studiorecon.scene.names import checked_name
-from studiorecon.scene.numbered import gaps_named, pictures_in
-from studiorecon.scene.outside import read_npz
-from studiorecon.scene.people import read_identities
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.gaussians_ply import read_ply, write_ply
+from studiorecon.scene.people import read_given_identities
+from studiorecon.studio.description import read_description
+from studiorecon.tracks.bodies import read_bodies
 
-from tests.faults import damage
-from tests.faults.readers import NIGHTLY, SAMPLE, Reader, damaged, npy, npz, of_json, survives
+from tests.faults.contents import npy, npz
 
 
-def keypoints_right(path: Path) -> None:
+@dataclass(frozen=True)
+class Reader:
+    """A file that a user may bring, whole, and what reads it and gives what it holds."""
+
+    name: str
+    whole: bytes
+    right: Callable[[Path], Any]
+    beside: tuple[tuple[str, bytes], ...] = ()
+    text: bool = True
+
+    def written(self, folder: Path, data: bytes) -> Path:
+        for name, content in (*self.beside, (self.name, data)):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
+        return folder / self.name
+
+
+def of_json(name: str, value: Any, right: Callable[[Path], Any]) -> Reader:
+    return Reader(name, json.dumps(value, indent=1).encode(), right)
+
+
+def keypoints_right(path: Path) -> Any:
     found = read_keypoints(path)
     assert found.keypoints.shape[0::2] == (len(found.frame), 3)
     assert found.keypoints.dtype == float
     assert np.isin(found.frame, found.pictures).all()
     assert (np.diff(found.frame) >= 0).all()
+    return found
 
 
-def calibration_right(path: Path) -> None:
+def calibration_right(path: Path) -> Any:
     files = sorted(path.parent.glob("*.yml")) if path.suffix == ".yml" else [path]
     reading = read_calibration(files)
     names = [c.name for c in reading.cameras]
@@ -41,16 +76,20 @@ def calibration_right(path: Path) -> None:
     for lens in lenses:
         assert np.isfinite(lens.intrinsics).all()
         assert np.isfinite(lens.camera_from_world).all()
+    return lenses
 
 
-def identities_right(path: Path) -> None:
-    assert all(isinstance(track, int) for _, track in read_identities(path))
+def identities_right(path: Path) -> Any:
+    found = read_given_identities(path)
+    assert all(isinstance(track, int) for _, track in found)
+    return found
 
 
-def capture_right(path: Path) -> None:
+def capture_right(path: Path) -> Any:
     found = open_dataset(path.parent)
     assert all(np.isfinite(focal) and focal > 0 for focal in found.focal_px.values())
     assert set(found.held_out) <= set(found.footage)
+    return found
 
 
 TRIPLES = (np.arange(51.0) % 17).tolist()
@@ -142,11 +181,9 @@ OPENCAP = {
 
 VIDEOS = tuple((f"videos/{c}.mp4", b"") for c in "abc")
 MEDIAPIPE = [{"pose_landmarks": [[{"x": 0.5, "y": 0.25, "z": 0.0, "visibility": 0.9}] * 33]}, {"pose_landmarks": []}]
-READERS = {
-    "openpose": Reader("k/f_000.json", json.dumps(OPENPOSE).encode(), lambda p: keypoints_right(p.parent), OPENPOSE),
-    "easymocap keypoints": Reader(
-        "k/f_000.json", json.dumps(EASYMOCAP).encode(), lambda p: keypoints_right(p.parent), EASYMOCAP
-    ),
+_TEXTS = {
+    "openpose": of_json("k/f_000.json", OPENPOSE, lambda p: keypoints_right(p.parent)),
+    "easymocap keypoints": of_json("k/f_000.json", EASYMOCAP, lambda p: keypoints_right(p.parent)),
     "coco": of_json("k.json", COCO, keypoints_right),
     "mmpose": of_json("k.json", MMPOSE, keypoints_right),
     "mediapipe": of_json("k.json", MEDIAPIPE, keypoints_right),
@@ -171,80 +208,118 @@ READERS = {
         calibration_right,
         text=False,
     ),
-    "identities": Reader("identities.tsv", b"camera\ttrack\tperson\na\t0\tp0\nb\t1\tp0\n", identities_right),
-    "capture.yaml": Reader("capture.yaml", yaml.safe_dump(CAPTURE).encode(), capture_right, CAPTURE, VIDEOS),
+    "corrected identities": Reader("identities.tsv", b"camera\ttrack\tperson\na\t0\tp0\nb\t1\tp0\n", identities_right),
+    "capture.yaml": Reader("capture.yaml", yaml.safe_dump(CAPTURE).encode(), capture_right, VIDEOS),
 }
-EVERY = pytest.mark.parametrize("reader", READERS.values(), ids=READERS)
 
 
-@EVERY
-def test_the_whole_file_is_right(reader: Reader, tmp_path: Path) -> None:
-    assert survives(reader, reader.written(tmp_path, reader.whole)) == "right"
+BODY = Path(__file__).parents[2] / "resources" / "body.npz"
+STUDIO = Path(__file__).parents[2] / "resources" / "studio" / "demo.yaml"
 
 
-@EVERY
-@pytest.mark.parametrize("kind", damage.HARMLESS)
-def test_what_editors_do_to_text_does_no_harm(reader: Reader, kind: str, tmp_path: Path) -> None:
-    if reader.text:
-        data = damage.HARMLESS[kind](reader.whole)
-        assert survives(reader, reader.written(tmp_path, data)) == "right"
+def plate_right(path: Path) -> Any:
+    rgb, measured = read_plate(path)
+    assert np.isfinite(rgb).all()
+    assert measured.shape == rgb.shape[:2]
+    return rgb, measured
 
 
-@EVERY
-@pytest.mark.parametrize("kind", damage.ENCODINGS)
-def test_what_is_no_such_file_is_refused(reader: Reader, kind: str, tmp_path: Path) -> None:
-    path = reader.written(tmp_path, damage.ENCODINGS[kind](reader.whole))
-    said = survives(reader, path)
-    # XML says its own encoding, and an archive may stand behind other bytes.
-    harmless = {("c.qca.txt", "utf-16"), ("c.xcp", "utf-16"), ("k.npz", "latin-1")}
-    may_be_whole = reader.name in ("capture.yaml", "identities.tsv") and kind in ("empty", "half")
-    if not may_be_whole and (reader.name, kind) not in harmless:
-        assert said != "right"
-        assert path.name in said or path.parent.name in said
+def estimate_right(path: Path) -> Any:
+    depth, sure = read_estimate(path)
+    assert np.isfinite(depth).all()
+    assert (depth >= 0).all()
+    assert sure.shape == depth.shape
+    return depth, sure
 
 
-@EVERY
-def test_damage_ends_in_a_sentence_or_a_right_result(reader: Reader, tmp_path: Path) -> None:
-    damaged(reader, reader.written(tmp_path, reader.whole), SAMPLE, 0)
+def depth_right(path: Path) -> Any:
+    depth_m, sure = read_depth(path)
+    assert np.isfinite(depth_m).all()
+    assert np.isfinite(sure).all()
+    return depth_m, sure
 
 
-@pytest.mark.slow
-@EVERY
-def test_damage_ends_in_a_sentence_or_a_right_result_ten_thousand_times(reader: Reader, tmp_path: Path) -> None:
-    damaged(reader, reader.written(tmp_path, reader.whole), NIGHTLY, 1)
+def masks_right(path: Path) -> Any:
+    found = list(pictures_of(path.parent))
+    assert all(picture.dtype == np.uint8 and picture.ndim == 2 for picture in found)
+    return found
 
 
-def test_a_crowd_beyond_the_limit_is_refused_with_its_frame(tmp_path: Path) -> None:
-    people = [{"pose_keypoints_2d": TRIPLES}] * (MOST_PEOPLE_PER_PICTURE + 1)
-    (tmp_path / "cam_0007.json").write_text(json.dumps({"people": people}))
-    with pytest.raises(UserError, match=r"frame 7: 501 detections .* at most 500"):
-        read_keypoints(tmp_path)
+def bodies_right(path: Path) -> Any:
+    found = list(read_bodies(path, Comotion))
+    for frame, bodies in found:
+        assert isinstance(frame, int)
+        assert np.isfinite(bodies.poses_rad).all()
+    return found
 
 
-def test_an_array_that_promises_more_than_it_holds_reserves_nothing(tmp_path: Path) -> None:
-    whole = npy(np.zeros((4, 4)))
-    promised = whole.replace(b"(4, 4)", b"(4, 9999999999)").replace(b" " * 9 + b"\n", b"\n", 1)
-    with zipfile.ZipFile(tmp_path / "k.npz", "w") as archive:
-        archive.writestr("keypoints.npy", promised)
-    with pytest.raises(UserError, match=r"promises|not a readable array"):
-        read_npz(tmp_path / "k.npz")
+def film_right(path: Path) -> Any:
+    source = open_source(path, 30.0)
+    assert np.isfinite(source.fps)
+    assert source.fps > 0
+    pictures = list(decode(source, 0, 0))
+    assert all(picture.shape == (source.wh[1], source.wh[0], 3) for picture in pictures)
+    return pictures, source.fps, told_focal_px(path, source.wh)
 
 
-def test_numbered_pictures_come_in_the_order_of_their_numbers_and_gaps_are_named(tmp_path: Path) -> None:
-    for number in (*range(12), 14, 15, 20):
-        (tmp_path / f"{number}.png").touch()
-    found = pictures_in(tmp_path)
-    assert [int(p.stem) for p in found] == [*range(12), 14, 15, 20]
-    assert gaps_named(found) == "12, 13, 16 and 3 more"
-    assert gaps_named(found[:12]) == ""
+def body_right(path: Path) -> Any:
+    joints = BodyModel.load(path).rest_joints(np.zeros(10))
+    assert np.isfinite(joints).all()
+    return joints
 
 
-@pytest.mark.parametrize("name", damage.NAMES)
-def test_hostile_names_are_refused(name: str) -> None:
-    with pytest.raises(UserError, match="cannot be used"):
-        checked_name(name, "the scene", "rename it")
+def picture(suffix: str, values: np.ndarray) -> bytes:
+    return cv2.imencode(suffix, values)[1].tobytes()
 
 
-@pytest.mark.parametrize("name", ["cam 1", "GX010042", "video (1)", "Küche", "cam_01.left", "カメラ1"])
-def test_ordinary_names_are_taken(name: str) -> None:
-    assert checked_name(name, "the scene", "rename it") == name
+def written(write: Callable[[Path], object], suffix: str) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        write(path := Path(folder) / f"file{suffix}")
+        return path.read_bytes()
+
+
+def torch_file(rows: dict[str, np.ndarray]) -> bytes:
+    stream = io.BytesIO()
+    torch.save({name: torch.from_numpy(values) for name, values in rows.items()}, stream)
+    return stream.getvalue()
+
+
+RNG = np.random.default_rng(5)
+GREY = RNG.integers(0, 256, (12, 16), np.uint8)
+FILM = [np.repeat(np.roll(GREY, k, 1).repeat(4, 0).repeat(4, 1)[..., None], 3, -1) for k in range(8)]
+DEPTH = (1 + RNG.random((12, 16))).astype(np.float32)
+ROWS = {
+    "id": np.arange(3),
+    "frame_idx": np.array([0, 0, 1]),
+    "pose": np.zeros((3, 72), np.float32),
+    "betas": np.zeros((3, 10), np.float32),
+    "trans": np.ones((3, 3), np.float32),
+    "conf": np.ones(3, np.float32),
+    "pred_2d": np.ones((3, 27, 2), np.float32),
+    "pred_3d": np.ones((3, 27, 3), np.float32),
+}
+CLOUD = Gaussians(
+    RNG.normal(size=(5, 3)).astype(np.float32),
+    np.tile(np.float32([1, 0, 0, 0]), (5, 1)),
+    np.full((5, 3), -3, np.float32),
+    np.zeros(5, np.float32),
+    np.zeros((5, 4, 3), np.float32),
+)
+_BINARIES = {
+    "given plate": Reader("plate.png", picture(".png", np.dstack([GREY] * 4)), plate_right, text=False),
+    "plate of 16 bits": Reader("plate.png", picture(".png", GREY.astype(np.uint16) * 257), plate_right, text=False),
+    "photograph": Reader("plate.jpg", picture(".jpg", GREY), plate_right, text=False),
+    "mask": Reader("masks/0.png", picture(".png", GREY), masks_right, text=False),
+    "given depth": Reader(
+        "cam.exr", written(lambda p: write_depth(p, DEPTH, DEPTH - 1), ".exr"), depth_right, text=False
+    ),
+    "depth npy": Reader("cam.npy", npy(DEPTH), estimate_right, text=False),
+    "depth npz": Reader("cam.npz", npz(depth=DEPTH), estimate_right, text=False),
+    "depth png": Reader("cam.png", picture(".png", (DEPTH * 1000).astype(np.uint16)), estimate_right, text=False),
+    "canonical human": Reader("cloud.ply", written(lambda p: write_ply(p, CLOUD), ".ply"), read_ply, text=False),
+    "bodies npz": Reader("cam.npz", npz(**ROWS), bodies_right, text=False),
+    "bodies pt": Reader("cam.pt", torch_file(ROWS), bodies_right, text=False),
+    "film": Reader("cam.mp4", written(lambda p: write_watchable(p, FILM, 30.0), ".mp4"), film_right, text=False),
+    "studio": Reader("studio.yaml", STUDIO.read_bytes(), read_description),
+}
+READERS = _TEXTS | _BINARIES
