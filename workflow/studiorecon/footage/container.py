@@ -70,8 +70,7 @@ def keeps_every_pixel(film: Path) -> bool:
     except (av.FFmpegError, IndexError):
         return False
     # H.264 can be both: our lossless films are H.264 of RGB, films to watch are of YUV.
-    can, lossless, lossy = (
-        int(n) for n in (context.codec.properties, Properties.LOSSLESS.value, Properties.LOSSY.value)
-    )
-    always = bool(can & lossless) and not can & lossy
+    told = context.codec.properties
+    can = told.value if isinstance(told, Properties) else told
+    always = bool(can & Properties.LOSSLESS.value) and not can & Properties.LOSSY.value
     return always or (context.format is not None and context.format.is_rgb)
