@@ -173,6 +173,10 @@ WRITTEN_BESIDE = {
     "studio_capture": {"videos", "calibration", "keypoints", "plates", "capture"},
 }
 FOUND_BY_THE_STEP = {
+    "report_page": {
+        *("refinement", "sheet", "plates", "depths", "training_videos", "renders", "paths", "ledgers", "truth_maps"),
+        *("heldout_videos", "heldout_render", "heldout_enhanced", "heldout_path"),
+    },
     "render_shot": {"followed"},
     "studio_capture": {"defaults"},
 }
