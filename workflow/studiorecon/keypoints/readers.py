@@ -59,11 +59,11 @@ def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> Recorded
     """
     if path.is_dir():
         found = _folder(path)
-    elif path.suffix == ".npz":
+    elif path.suffix.lower() == ".npz":
         found = _neutral(path)
-    elif path.suffix == ".json":
+    elif path.suffix.lower() == ".json":
         found = read_results(path, picture_wh)
-    elif path.suffix == ".csv":
+    elif path.suffix.lower() == ".csv":
         found = Pictures("DeepLabCut", read_deeplabcut(path))
     elif path.suffix in _REFUSED:
         raise UserError(f"{path} {_REFUSED[path.suffix]}")

@@ -46,7 +46,7 @@ def unbroken_output() -> Iterator[None]:
     for stream in before:
         if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape"):
             stream.reconfigure(errors="backslashreplace")
-    sys.stdout, sys.stderr = map(_Unbroken, before)  # type: ignore[assignment]
+    sys.stdout, sys.stderr = map(_Unbroken, before)
     try:
         yield
     finally:
