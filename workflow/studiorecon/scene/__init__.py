@@ -19,7 +19,7 @@ Here are nouns and the files they live in, and nothing of this package but error
   ``dataset`` and ``capture_yaml``: what the user brings;
 * ``camera``, ``path``, ``clocks``, ``readouts``, ``capture``: cameras, camera paths, times, and the
   working footage;
-* ``raw_detections``, ``people``: who was detected, who is who, and bodies over time;
+* ``raw_detections``, ``recorded``, ``people``: who was detected, who is who, and bodies over time;
 * ``room``, ``gaussians``, ``gaussians_ply``, ``provenance``: the room's box, Gaussians, and what is measured of them;
 * ``stand_ins``: how films name people of photos; ``support``: how well photos show a view;
 * ``effects``, ``decisions``, ``factors``: what an effect is, which of them a scene calls for, and gains of cameras and
