@@ -12,15 +12,15 @@ from studiorecon.models.catalogue.selection import CHOICES, POINTS
 PAGE = Path(__file__).resolve().parents[2] / "docs/networks.md"
 BEGIN, END = "<!-- networks -->\n", "<!-- networks end -->\n"
 TRIED = {"random weights": "with random weights", "parts": "its parts alone", "never": "never"}
-# What is asked for otherwise than by a setting that names it.
+# Networks that no setting names.
 ELSEWHERE = {
     "body model": "`body`",
     "perceptual distance": "`report.lpips`, LPIPS terms of training",
-    "canonical avatar": "`humans/PERSON.canonical.ply`, on request, and whoever a film's `replace` names a photo of",
+    "canonical avatar": "`humans/PERSON.canonical.ply`, on request; photos in a film's `replace`",
 }
 
 
-def asked_by(card: Card) -> str:
+def settings_of(card: Card) -> str:
     """The settings that name a network."""
     found = [f"`{where}`" for where, choice in CHOICES.items() if card.name in choice.networks]
     found += [f"`{POINTS}`"] if card.kind == "point detector" else []
@@ -29,11 +29,11 @@ def asked_by(card: Card) -> str:
 
 def table() -> str:
     """The table as Markdown, a row per card."""
-    head = ("network", "name", "asked for by", "code", "weights", "commercial use", "ran here", "not checked here")
+    head = ("network", "name", "setting", "code", "weights", "commercial use", "ran here", "not checked here")
     rows = [head, ("---",) * len(head)]
     for card in MODELS.values():
         terms = card.terms
-        gate = ", access must be asked for" if any(file.gated for file in card.weights) else ""
+        gate = ", gated: request access" if any(file.gated for file in card.weights) else ""
         condition = f": {terms.condition}" if terms.condition else ""
         allowed = terms.commercial + condition
         name = f"`{card.name}`"
@@ -41,7 +41,7 @@ def table() -> str:
             (
                 card.title,
                 name,
-                asked_by(card),
+                settings_of(card),
                 terms.code,
                 terms.weights + gate,
                 allowed,
