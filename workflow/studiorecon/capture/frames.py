@@ -18,7 +18,7 @@ from studiorecon.camera_files.calibration import lens_of
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.container import films_of
-from studiorecon.footage.frames import decode
+from studiorecon.footage.frames import about_damage, decode
 from studiorecon.footage.source import FootageSource, PictureRate, digest, open_source, uneven
 from studiorecon.footage.video import write_lossless
 from studiorecon.geometry.lens import WorkingView, unseen_share, working_view, working_wh
@@ -111,11 +111,13 @@ def run(
     clock, used = common.of(camera), common.source_frames(camera)
     view = working_view(lens, opened.wh, working_size(opened.wh, settings.width))
 
+    damaged: list[int] = []
+
     def pictures() -> Iterator[np.ndarray]:
         wanted = np.bincount(used - used[0])
         # To the very end where all are wanted, so that a recording that was cut off is noticed.
         whole = not frame_count and used[-1] >= clock.frames - 1
-        decoded = decode(opened, int(used[0]), 0 if whole else len(wanted))
+        decoded = decode(opened, int(used[0]), 0 if whole else len(wanted), damaged)
         for number, frame in enumerate(progress(decoded, "frames", len(wanted))):
             if number < len(wanted) and wanted[number]:
                 picture = view.picture(frame)
@@ -127,6 +129,8 @@ def run(
     except MemoryError:
         raise UserError(f"{source} is too large to decode in memory; lower capture.width") from None
     changes = describe_changes(opened, lens, view, used, common.late_frames(camera))
+    if damaged:
+        changes.append(about_damage(damaged, opened.frames))
     if wrong := uneven(clock.times_s, 0):
         changes.append(wrong)
     write_footage(

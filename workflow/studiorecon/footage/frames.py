@@ -19,12 +19,15 @@ from studiorecon.errors import UserError
 from studiorecon.footage.container import film_of, opened
 from studiorecon.footage.source import FootageSource
 from studiorecon.footage.stills import decoded
-from studiorecon.footage.timing import shown_frames
+from studiorecon.footage.timing import film_frames, shown_frames
 from studiorecon.machine.refusals import without_thread
+from studiorecon.progress import warn
 
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
+# Times are sums of ticks of a container's clock, the finest of which is far longer than this.
+_TICK_S = 1e-6
 # Ways to read a picture grey: whole, at a half, a quarter, an eighth.
 _HALVED = (
     cv2.IMREAD_GRAYSCALE,
@@ -34,11 +37,14 @@ _HALVED = (
 )
 
 
-def decode(source: FootageSource, first: int, count: int) -> Iterator[Integer[np.ndarray, "H W 3"]]:
+def decode(
+    source: FootageSource, first: int, count: int, damaged: list[int] | None = None
+) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """Frames ``first`` … ``first`` + ``count`` − 1 (``count`` 0 = to the end), (H, W, 3) uint8 RGB, as shown.
 
-    Raises UserError naming file and frame when a frame is damaged or of another size, and when the footage has no such
-    frames. A damaged end does not matter when the chosen frames lie before it.
+    For a damaged frame of a video the one before it is given; its number is appended to ``damaged``, or, without such a
+    list, the user is warned at the end. Raises UserError naming file and frame when a picture of a folder is damaged,
+    when a frame is of another size, and when the footage has no such frames.
     """
     stop = first + count if count else source.frames
     if first >= source.frames or stop > source.frames:
@@ -52,15 +58,29 @@ def decode(source: FootageSource, first: int, count: int) -> Iterator[Integer[np
         return
     form = source.form
     assert form is not None
-    for frame in islice(_video_frames(source), first, stop):
+    missing: list[int] = []
+    for frame in islice(_video_frames(source, missing), first, stop):
         yield form.picture(frame)
+    missing = [number for number in missing if number >= first]
+    if damaged is not None:
+        damaged += missing
+    elif missing:
+        warn(f"{source.path}: {about_damage(missing, stop - first)}")
+
+
+def about_damage(damaged: Sequence[int], count: int) -> str:
+    """The sentence about the numbers of ``damaged`` frames among ``count``."""
+    return (
+        f"{len(damaged)} of {count} frames are damaged, frame {damaged[0]} first: the picture before each is shown "
+        "again; if the original is whole, copy it again"
+    )
 
 
 def stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """The frames numbered ``wanted`` (ascending, maybe twice), as ``decode`` gives them; numbers past the end are left
     out.
 
-    Raises UserError as ``decode`` does, but for damage after the last of them.
+    Raises UserError as ``decode`` does.
     """
     chosen = Counter(number for number in wanted if number < source.frames)
     if source.pictures:
@@ -92,8 +112,8 @@ def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.nd
     except (av.FFmpegError, IndexError) as error:
         if without_thread(error):
             raise
-        raise UserError(f"{source.path} cannot be read as a video ({error}); copy it again") from None
-    if None in found:  # a container that cannot be sought
+        found = [None]
+    if None in found:  # a container that cannot be sought, or a damaged frame
         return list(stills(source, wanted))
     return [form.picture(frame) for frame in found if frame is not None]
 
@@ -164,32 +184,42 @@ def _key_frame_between(stream: av.VideoStream, after_s: float, target_s: float) 
     return any(entry.is_keyframe and after < entry.timestamp <= target for entry in index)
 
 
-def _video_frames(source: FootageSource) -> Iterator[av.VideoFrame]:
-    """All frames that ``source`` counts, through its filters."""
+def _video_frames(source: FootageSource, damaged: list[int] | None = None) -> Iterator[av.VideoFrame]:
+    """All frames that ``source`` counts, through its filters: for one that does not come at its time, whose number goes
+    into ``damaged``, the one before, and before the first the first."""
     assert source.form is not None
+    damaged = [] if damaged is None else damaged
     if source.parts:
+        begin = 0
         for part in source.parts:
-            yield from _video_frames(part)
-        return
-    done = 0
-    try:
-        with opened(source.path) as container:
-            frames = shown_frames(container, film_of(container))
-            for frame in source.form.filtered(_of_one_size(source, islice(frames, source.frames))):
+            own: list[int] = []
+            for frame in _video_frames(part, own):
+                damaged += [begin + number for number in own]
+                own.clear()
                 yield frame
+            begin += part.frames
+        return
+    done, last = 0, None
+    try:
+        shown = _of_one_size(source, film_frames(source.path))
+        for frame in source.form.filtered(shown):
+            number = int(np.searchsorted(source.times_s, frame.time - _TICK_S)) if source.carried else done
+            while done < min(number, source.frames):
+                damaged.append(done)
                 done += 1
+                yield last or frame
+            if number == done < source.frames:
+                done, last = done + 1, frame
+                yield frame
     except av.FFmpegError as error:
         if without_thread(error):
             raise
-        raise UserError(
-            f"{source.path} cannot be read after its {done} first frames ({error.strerror or error}); copy it again"
-            f"{_or_the_part_before(done)}"
-        ) from None
-    if done < source.frames:
-        raise UserError(
-            f"{source.path} cannot be read beyond its {done} first frames of {source.frames}; copy it again"
-            f"{_or_the_part_before(done)}"
-        )
+        raise UserError(f"{source.path} cannot be read ({error.strerror or error}); copy it again") from None
+    if last is None:
+        raise UserError(f"{source.path} holds no frames that can be decoded; copy the recording again")
+    for number in range(done, source.frames):
+        damaged.append(number)
+        yield last
 
 
 def _or_the_part_before(frames: int) -> str:
@@ -198,15 +228,15 @@ def _or_the_part_before(frames: int) -> str:
 
 
 def _of_one_size(source: FootageSource, frames: Iterator[av.VideoFrame]) -> Iterator[av.VideoFrame]:
-    """``frames``, none of them damaged or of another size than the first one of ``source``."""
+    """``frames`` up to the last one that ``source`` counts, none of them of another size than its first one."""
     assert source.form is not None
     for number, frame in enumerate(frames):
+        if source.carried and frame.pts is None:  # concealed, of no known moment
+            continue
         # After a jump the number is that of the frame's time.
-        at = int(np.searchsorted(source.times_s, frame.time or 0.0)) if source.carried else number
-        if frame.is_corrupt:
-            raise UserError(
-                f"{source.path}: frame {at} is damaged; copy it again, or choose others with frames: in capture.yaml"
-            )
+        at = int(np.searchsorted(source.times_s, frame.time - _TICK_S)) if source.carried else number
+        if at >= source.frames:
+            return
         if (frame.width, frame.height) != source.form.wh:
             (width, height), (expected, high) = (frame.width, frame.height), source.form.wh
             raise UserError(

@@ -79,8 +79,8 @@ class _Decoded:
 
 
 def timing_of(path: Path) -> Timing:
-    """The timing of the film in ``path``: from its packets where its first frames, and its last ones where the header
-    does not count them, come as those promise; else by decoding all of it, up to the first frame that cannot be.
+    """The timing of the film in ``path``: from its packets where its first and last frames come as those promise; else
+    of the frames that are undamaged when all of it is decoded.
 
     Raises UserError naming the file when nothing can be decoded, or neither its times nor its header tell a rate.
     """
@@ -93,7 +93,7 @@ def timing_of(path: Path) -> Timing:
     packets = _packets(path)
     times, carried, other = packets.shown_s, True, None
     whole = packets.whole and stated in (0, len(times) + packets.hidden)
-    if whole and _promised(_decoded(path, most=_HEAD_FRAMES), times, _HEAD_FRAMES) and (stated or _ends(path, times)):
+    if whole and _promised(_decoded(path, most=_HEAD_FRAMES), times, _HEAD_FRAMES) and _ends(path, times):
         count, other = _of_one_size(path, times)
     else:
         decoded = _decoded(path)
@@ -108,7 +108,9 @@ def timing_of(path: Path) -> Timing:
     if other is not None:
         notes.append(f"from frame {count} on it is {other[0]}×{other[1]}, another size: only the part before is used")
     elif announced > count + (not stated):
-        notes.append(f"{announced} frames are announced and {count} can be decoded: these are used")
+        notes.append(
+            f"{announced} frames are announced and {count} can be decoded: these are used, each at its own time"
+        )
     regular = _repaired(times[:count])
     if regular is None and not rate:
         raise UserError(
@@ -125,14 +127,66 @@ def timing_of(path: Path) -> Timing:
     return Timing(tuple(regular.tolist()), fps, announced, carried, tuple(notes))
 
 
-def shown_frames(container: av.container.InputContainer, stream: av.VideoStream) -> Iterator[av.VideoFrame]:
-    """What a decoder shows from where ``container`` stands: not the damaged frames before the first whole one, whose
-    reference was cut off."""
-    begun = False
-    for frame in container.decode(stream):
-        begun = begun or not frame.is_corrupt
-        if begun:
-            yield frame
+def film_frames(path: Path) -> Iterator[av.VideoFrame]:
+    """All undamaged frames of the film in ``path``.
+
+    From a damaged one on it is decoded by one thread: of several, which ones are lost with it is chance.
+    """
+    done = 0
+    for threads in ("AUTO", "SLICE"):
+        with opened(path) as container:
+            stream = film_of(container)
+            stream.thread_type = threads
+            try:
+                for frame in islice(shown_frames(container, stream, to_damage=threads == "AUTO"), done, None):
+                    yield frame
+                    done += 1
+                return
+            except _DamagedError:
+                continue
+
+
+class _DamagedError(Exception):
+    """A frame could not be decoded."""
+
+
+def shown_frames(
+    container: av.container.InputContainer, stream: av.VideoStream, to_damage: bool = False
+) -> Iterator[av.VideoFrame]:
+    """The undamaged frames from where ``container`` stands on; ``to_damage``: raises _DamagedError where one is damaged
+    or lost, but for the first ones, whose reference was cut off."""
+    begun, missing = False, 0
+    for packet in _readable(container, stream):
+        if begun and to_damage and packet.is_corrupt:
+            raise _DamagedError
+        missing += bool(packet.size) and not packet.is_discard
+        try:
+            frames = packet.decode()
+        except av.FFmpegError as error:
+            if without_thread(error):
+                raise
+            if begun and to_damage:
+                raise _DamagedError from None
+            continue
+        for frame in frames:
+            assert isinstance(frame, av.VideoFrame)
+            if not frame.is_corrupt:
+                begun = True
+                yield frame
+            elif begun and to_damage:
+                raise _DamagedError
+        missing -= len(frames)
+    if begun and to_damage and missing > 0:
+        raise _DamagedError
+
+
+def _readable(container: av.container.InputContainer, stream: av.VideoStream) -> Iterator[av.Packet[av.VideoStream]]:
+    """The packets up to the first place where the container itself is damaged."""
+    try:
+        yield from container.demux(stream)
+    except av.FFmpegError as error:
+        if without_thread(error):
+            raise
 
 
 def _frames_by_duration(container: av.container.InputContainer, rate: float) -> int:
@@ -167,28 +221,26 @@ def _packets(path: Path) -> _Packets:
 
 
 def _decoded(path: Path, from_s: float | None = None, most: int | None = None) -> _Decoded:
-    """At ``most`` so many frames from the key frame before ``from_s`` (None: from the first) on, up to the first that
-    is damaged or of another size."""
+    """At ``most`` so many undamaged frames from the key frame before ``from_s`` (None: from the first) on, up to the
+    first of another size."""
+    if from_s is None:
+        return _timed(islice(film_frames(path), most))
+    with opened(path) as container:
+        stream = film_of(container)
+        if stream.time_base is not None:
+            container.seek(int(from_s / stream.time_base), stream=stream, backward=True)
+        return _timed(islice(shown_frames(container, stream), most))
+
+
+def _timed(frames: Iterator[av.VideoFrame]) -> _Decoded:
     times: list[float] = []
-    other = None
-    try:
-        with opened(path) as container:
-            stream = film_of(container)
-            if from_s is not None and stream.time_base is not None:
-                container.seek(int(from_s / stream.time_base), stream=stream, backward=True)
-            wh = None
-            for frame in islice(shown_frames(container, stream), most):
-                wh = wh or (frame.width, frame.height)
-                if frame.is_corrupt:
-                    break
-                if (frame.width, frame.height) != wh:
-                    other = frame.width, frame.height
-                    break
-                times.append(_time_s(frame.pts, frame.time_base))
-    except av.FFmpegError as error:
-        if without_thread(error):
-            raise
-    return _Decoded(np.array(times, dtype=np.float64), other)
+    wh = None
+    for frame in frames:
+        wh = wh or (frame.width, frame.height)
+        if (frame.width, frame.height) != wh:
+            return _Decoded(np.array(times, dtype=np.float64), (frame.width, frame.height))
+        times.append(_time_s(frame.pts, frame.time_base))
+    return _Decoded(np.array(times, dtype=np.float64))
 
 
 def _promised(head: _Decoded, times_s: np.ndarray, most: int) -> bool:
