@@ -3,48 +3,68 @@
 
 How to read it
 --------------
-The ``Snakefile`` lists the stages in the order in which data meets them; ``workflow/rules/<stage>.smk`` says what each
-step takes and makes; ``studiorecon/<stage>/<step>.py`` is the step. Its ``run()`` alone touches files, everything below
-it is functions on arrays. The first page of a folder (``__init__.py``) says what comes in, what goes out, and in which
+The ``Snakefile`` lists the stages in the order of the data. ``workflow/rules/<stage>.smk`` declares inputs and outputs
+of each step; ``studiorecon/<stage>/<step>.py`` is the step. Only its ``run()`` reads and writes files, everything below
+is functions on arrays. The first page of a folder (``__init__.py``) says what comes in, what goes out, and in which
 order to read.
 
 Stages (never import each other; no rule takes an input of a later one):
 ``detect, clocks, calibration, capture, tracks, plates, cameras, people, depth, survey, objects, masks, views,
-background, humans, render, enhance, deliver, report``. Beside them ``studio`` films synthetic captures with their
-truth, ``placement`` says where to put cameras, ``sweep`` measures what accuracy costs.
+background, humans, render, enhance, deliver, report``. Three tools use them: ``studio`` films synthetic captures with
+known truth, ``placement`` plans camera positions, ``sweep`` measures what accuracy costs.
 
-Foundations (never import a stage, and of one another only those before): ``pages`` (for people to read), ``scene``
-(nouns and their files), ``geometry``, ``camera_files``, ``footage``, ``images``, ``keypoints``, ``detector``, ``body``,
-``rig``, ``splatting``; ``models`` holds the upstream networks' adapters, ``recursive`` the paper's recursive module,
-which works with any of them. ``results`` reads a finished scene:
-``studiorecon.load(FOLDER)``, and ``studiorecon.draw`` makes a picture of it.
+Foundations (import no stage, and only foundations before them): ``pages`` (HTML), ``scene`` (data types and their
+files), ``geometry``, ``camera_files``, ``footage``, ``images``, ``keypoints``, ``detector``, ``body``, ``rig``,
+``splatting``. ``models`` holds the adapters of upstream networks, ``recursive`` the paper's recursive module.
+``results`` reads a finished scene: ``studiorecon.load(FOLDER)``; ``studiorecon.draw`` renders it.
 
-Words
------
-frame            one moment of the capture, numbered from 0 in all cameras alike
-image            an array of pixels; a *photo* is one that a camera took, a *render* one that was drawn
-footage          what a camera recorded, as the user has it: a video file or a folder of images
-video            frames as a file of this project; a *film* is a video that somebody will watch
-shot             one film to be made, as ``render.shots`` describes it: a camera path, a lens, and the time
-detection        one person's keypoints in one frame of one camera; a *track* follows one person in one camera
-identity         which person a track belongs to; persons are ``p0``, ``p1``, …
-plate            the background image of a camera: the room without people, and where it was measured
-room box         floor, ceiling and four walls; *primitives* are the upright boxes and cylinders in it
-object           something rigid that moves and is no person
-away             a person or thing is not there in a frame, and not drawn; else it is *present*
-provenance       measured (cameras agree on it), inferred (fitted or continued), invented (painted where nobody saw)
-gain             factor on a camera's or a frame's brightness
-validation split what a fit does not see and is judged on
-held-out camera  filmed, but only the report may look at it, and what checks where it stands
-undetermined     an answer: the evidence does not decide, and the reason says why
+Glossary
+--------
+frame              one moment of the capture, numbered from 0 alike in all cameras
+image, photo       an array of pixels; a photo comes from a camera, a *render* is drawn
+footage            what a camera recorded, as the user has it: a video file or a folder of images
+video, film        a video is frames in a file of this project; a film is a video made to be watched
+shot               one entry of ``render.shots``: camera path, lens and times of one film
+view               the scene from one camera; a *synthesised view* is drawn from a pose between two cameras
+training camera    a camera whose footage every fit may use
+held-out camera    a camera that only the report uses, and the check of its own pose
+validation split   data that a fit does not use and its result is scored on
+keypoint           a named point of the body in an image, with a confidence; in the world it is a *joint*
+detection          the keypoints of one person in one frame of one camera
+track              detections of one person in one camera over time
+identity           the person of a track; persons are ``p0``, ``p1``, ...
+present, away      whether a person or object is in the scene in a frame; while away they are not drawn
+time offset        seconds from the reference camera's first frame to this camera's; *drift* changes it, in ppm
+readout            time in which a rolling shutter reads one picture, from the first row to the last
+calibration        intrinsics (focal length, principal point, distortion) and extrinsics (pose) of the cameras
+pose               rotation and translation: of a camera ``camera_from_world``, of a body one rotation per joint
+rig                all cameras of a capture with their poses
+reprojection error distance in pixels between a keypoint and its projected joint
+residual           difference between a measurement and the model's prediction
+inlier, outlier    a measurement whose residual lies within, or beyond, what its noise explains
+prior              what is assumed before the data: a bone length, the given calibration with its sigma
+sigma              standard deviation; *interval* means 95 % unless stated otherwise
+undetermined       a result: the data do not decide, and the reason says why
+proposal           a candidate (box, wall, pose) that the images then accept or reject
+plate              the background image of a camera: the room without people, with a mask of known pixels
+room box           floor, ceiling and four walls; *primitives* are upright boxes and cylinders inside it
+object             a rigid thing that moves and is not a person
+effect             something a scene may call for (shadows, exposure); the *survey* measures and decides it
+gain               factor on the brightness of a camera or a frame
+mask, matte        the pixels of one person; a matte has soft edges
+body               parametric body model: shape, pose, translation; *rest pose* is the one it is modelled in
+skinning weights   share of each bone in the motion of a point
+Gaussian           an anisotropic 3D Gaussian with opacity and colour, drawn by splatting
+human              Gaussians on one person's body in its rest pose, with skinning weights
+provenance         measured (cameras agree), inferred (fitted or continued), invented (painted where no camera saw)
+enhancement        adding detail that renders miss at the photos; *injection* makes it consistent in time
 
 Conventions
 -----------
-``b_from_a`` maps coordinates of a to those of b. Units stand in names (``_m, _px, _rad, _deg, _s``). World: right-
-handed, metres, z up. Cameras as in OpenCV: x right, y down, z forward; the first pixel's centre is (0.5, 0.5).
-Quaternions are (w, x, y, z). Ids like T13 are hard cases of the arithmetic (``docs/hard-cases.md``), U07 readings
-of ambiguous passages of the paper (``docs/readings.md``). ``UserError`` is one sentence for the person who runs the
-workflow: what, where, and what would help.
+``b_from_a`` maps coordinates of a to those of b. Names carry units (``_m, _px, _rad, _deg, _s``). World: right-handed,
+metres, z up. Cameras as in OpenCV: x right, y down, z forward; the first pixel's centre is (0.5, 0.5). Quaternions are
+(w, x, y, z). Ids like T13 are hard cases of the arithmetic (``docs/hard-cases.md``), U07 readings of ambiguous passages
+of the paper (``docs/readings.md``). ``UserError`` is one sentence for the user: what, where, and a remedy.
 """
 
 from __future__ import annotations
