@@ -50,9 +50,9 @@ class Settings:
     )
     reference: Literal["planes", "calibration"] = setting(
         "planes",
-        "What measures the room: planes = stereo of planes, to which a network's depth of the clean plates is put; "
-        "calibration = the network that found the cameras (calibration.source), whose depth of the first moment is "
-        "taken as it is, with whom it shows; depth.source then serves later frames alone.",
+        "What measures the room: planes = plane sweep, to which a network's depth of the clean plates is aligned. "
+        "calibration = the network of calibration.source: its depth of the first frame is used unchanged, people "
+        "included; depth.source then serves later frames only.",
         paper="Pi3's first-frame depth where its confidence is above 0.1; MoGe's later frames aligned to it; U21, U22",
         letter="calibration",
     )

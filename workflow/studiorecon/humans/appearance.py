@@ -36,7 +36,7 @@ class OverTime:
     width: int = setting(64, "Units of a hidden layer.", minimum=1, paper="256", letter=256)
     points: int = setting(
         512,
-        "Points on the body where the network is asked; its answers are spread over the Gaussians between them. "
+        "Points on the body at which the network is evaluated; Gaussians between them are interpolated. "
         "0 = at every Gaussian, which takes about twice as long.",
         minimum=0,
         paper="at every Gaussian",
@@ -44,8 +44,8 @@ class OverTime:
     )
     bands: Literal["below_nyquist", "all"] = setting(
         "below_nyquist",
-        "Frequencies of time that the network is told: below_nyquist = those that frames can show; all = ten, of which "
-        "the fastest are another number for every frame.",
+        "Frequencies of time in the network's input: below_nyquist = those that frames can represent; all = ten, the "
+        "fastest of which alias.",
         paper="all of multires 10, appendix D",
         letter="all",
     )
