@@ -13,6 +13,7 @@ import pytest
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import decode, glimpses, small_grey, stills
 from studiorecon.footage.source import FootageSource, open_source
+from studiorecon.plan.films import unreadable
 
 from tests.made.footage import smooth_pictures, write_video
 
@@ -230,3 +231,45 @@ def test_a_damaged_frame_is_replaced_by_the_one_before(
     assert len(list(small_grey(source, 48, COUNT))) == COUNT
     list(decode(source, 0, 0))
     assert f"{len(found)} of {COUNT} frames are damaged" in capsys.readouterr().out
+
+
+def sound_alone(path: Path) -> Path:
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("aac", rate=8000)
+        for number in range(20):
+            piece = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
+            piece.rate, piece.pts = 8000, 1024 * number
+            container.mux(stream.encode(piece))
+        container.mux(stream.encode(None))
+    return path
+
+
+def announcing(path: Path, wh: tuple[int, int]) -> Path:
+    """A film of 96×64 whose header says ``wh``."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=30)
+        stream.width, stream.height, stream.pix_fmt = *WH, "yuv420p"
+        for picture in PICTURES[:5]:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture)))
+        container.mux(stream.encode(None))
+    own, other = (b"".join(n.to_bytes(4, "little") for n in size) for size in (WH, wh))
+    path.write_bytes(path.read_bytes().replace(own, other))
+    return path
+
+
+def test_unreadable_footage_is_named_before_anything_runs(tmp_path: Path) -> None:
+    whole = write_video(tmp_path / "good.mp4", PICTURES)
+    index = whole.read_bytes().index(b"moov") - 4
+    (tmp_path / "text.mp4").write_bytes(b"these are not frames")
+    (tmp_path / "empty.mp4").touch()
+    (tmp_path / "cut.mp4").write_bytes(whole.read_bytes()[:index])
+    sound_alone(tmp_path / "sound.mp4")
+    announcing(tmp_path / "large.avi", (65535, 65535))
+    announcing(tmp_path / "wide.avi", (20000, 20000))
+    films = {path.stem: [path] for path in sorted(tmp_path.iterdir())}
+    found = unreadable(films)
+    assert [sentence.partition(":")[0] for sentence in found] == [f"camera {name}" for name in films if name != "good"]
+    assert all("train: [...]" in sentence and "\n" not in sentence for sentence in found)
+    for path in (path for [path] in films.values() if path != whole):
+        with pytest.raises(UserError, match=path.name):
+            open_source(path, 30.0)

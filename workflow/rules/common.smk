@@ -22,6 +22,7 @@ from studiorecon.plan.dates import refuse_future
 from studiorecon.plan.decisions import one_of
 from studiorecon.plan.rule_files import Files
 from studiorecon.plan.make import make_plan
+from studiorecon.plan.films import unreadable
 from studiorecon.plan.networks import images_of
 from studiorecon.configuration.overlays import check_overlay
 from studiorecon.configuration.schema import mistakes, typed
@@ -97,10 +98,21 @@ def take_left_lock():
         logger.info(said)
 
 
+def refuse_unreadable():
+    """Refuse footage that cannot be read before anything is made of the other cameras'; what only plans opens no film."""
+    runs = workflow.executor_plugin is not None and workflow.is_main_process and not workflow.dryrun
+    if not runs or PLAN.studio:
+        return
+    dataset = PLAN.dataset
+    if sentences := unreadable({c: dataset.chapters.get(c, (film,)) for c, film in dataset.footage.items()}):
+        refuse("\n".join(sentences))
+
+
 take_left_lock()
 check_settings()
 BUDGET = bought_by_budget()
 PLAN = decided()
+refuse_unreadable()
 # The logger says where results are; a run with nothing to do names no scene to it.
 os.environ["STUDIORECON_SCENE"] = str(PLAN.scene)
 IMAGES = images_of(config, HOME)

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -24,6 +25,8 @@ from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.numbered import gaps_named, pictures_in
 
 _READ_BYTES = 1 << 20
+# Cameras film 80 megapixels at most (12K); a decoder makes room for what a header announces, several times over.
+_MOST_PIXELS = 100_000_000
 # A gap of this many frame times between two pictures means that the recorder skipped some.
 _GAP_FRAMES = 1.5
 
@@ -84,16 +87,30 @@ def open_source(path: Path, picture_fps: float) -> FootageSource:
     """
     if path.is_dir():
         return _open_folder(path, picture_fps)
+    if path.is_file() and (films := films_of(path)) != (path,):
+        return _joined(path, [open_source(film, picture_fps) for film in films])
+    return _open_film(path, _stamp(path))
+
+
+def check_readable(path: Path) -> None:
+    """Raises UserError as ``open_source`` does where not even the first picture of the footage at ``path`` can be
+    decoded; nothing else of it is read."""
+    if path.is_dir():
+        _open_folder(path, 1.0)
+    else:
+        _first_look(path, _stamp(path))
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    """When a film was last written (ns), and its size in bytes; raises UserError where there is none."""
     if not path.is_file():
         raise UserError(
             f"footage {path} is missing; put the video back, or leave its camera out with train: [...] in capture.yaml"
         )
-    if (films := films_of(path)) != (path,):
-        return _joined(path, [open_source(film, picture_fps) for film in films])
     about = path.stat()
     if not about.st_size:
         raise UserError(f"{path} is an empty file; copy the recording again")
-    return _open_film(path, (about.st_mtime_ns, about.st_size))
+    return about.st_mtime_ns, about.st_size
 
 
 def _joined(path: Path, parts: Sequence[FootageSource]) -> FootageSource:
@@ -114,32 +131,14 @@ def _joined(path: Path, parts: Sequence[FootageSource]) -> FootageSource:
 
 
 @lru_cache(maxsize=64)
-def _open_film(path: Path, _: tuple[int, int]) -> FootageSource:
+def _open_film(path: Path, stamp: tuple[int, int]) -> FootageSource:
     """The film at ``path``; every packet is looked at, once as long as the file stays as it is."""
-    try:
-        with opened(path) as container:
-            streams = film_streams(container)
-            if not streams:
-                kinds = "sound" if container.streams.audio else "none"
-                raise UserError(f"{path} holds no video ({kinds} only); put the camera's video there")
-            first = next(shown_frames(container, film_of(container)), None)
-            if first is None:
-                raise UserError(f"{path} holds no frames that can be decoded; copy the recording again")
-            form, notes = form_of(streams[0], first)
-            if len(streams) > 1:
-                sizes = ", ".join(f"{s.index} ({s.width}×{s.height})" for s in streams[1:])
-                notes = (f"of its video streams number {streams[0].index} is used, and not {sizes}", *notes)
+    form, notes = _first_look(path, stamp)
+    with _as_film(path):
         timing = timing_of(path)
-        frames = len(timing.times_s)
-        if frames == 1:
-            raise UserError(f"{path} holds a single frame; put the camera's video there")
-    except (av.FFmpegError, IndexError, ValueError) as error:
-        if without_thread(error):
-            raise
-        raise UserError(
-            f"{path} cannot be read as a video ({getattr(error, 'strerror', None) or error}); it may be truncated: "
-            "copy it again"
-        ) from None
+    frames = len(timing.times_s)
+    if frames == 1:
+        raise UserError(f"{path} holds a single frame; put the camera's video there")
     return FootageSource(
         path,
         form.shown_wh,
@@ -151,6 +150,44 @@ def _open_film(path: Path, _: tuple[int, int]) -> FootageSource:
         form,
         notes=(*notes, *timing.notes),
     )
+
+
+@lru_cache(maxsize=64)
+def _first_look(path: Path, _: tuple[int, int]) -> tuple[Form, tuple[str, ...]]:
+    """How the frames of a film are stored, by its header and its first picture, and sentences about that."""
+    with _as_film(path), opened(path) as container:
+        streams = film_streams(container)
+        if not streams:
+            kinds = "sound" if container.streams.audio else "none"
+            raise UserError(f"{path} holds no video ({kinds} only); put the camera's video there")
+        width, height = streams[0].width, streams[0].height
+        if width * height > _MOST_PIXELS:
+            raise UserError(
+                f"{path} announces pictures of {width}×{height}, larger than any camera's: its header is damaged; copy "
+                "the recording again"
+            )
+        first = next(shown_frames(container, film_of(container)), None)
+        if first is None:
+            raise UserError(f"{path} holds no frames that can be decoded; copy the recording again")
+        form, notes = form_of(streams[0], first)
+        if len(streams) > 1:
+            sizes = ", ".join(f"{s.index} ({s.width}×{s.height})" for s in streams[1:])
+            notes = (f"of its video streams number {streams[0].index} is used, and not {sizes}", *notes)
+        return form, notes
+
+
+@contextmanager
+def _as_film(path: Path) -> Iterator[None]:
+    """Around what reads a film: what the library refuses becomes a UserError that names it."""
+    try:
+        yield
+    except (av.FFmpegError, IndexError, ValueError) as error:
+        if without_thread(error):
+            raise
+        raise UserError(
+            f"{path} cannot be read as a video ({getattr(error, 'strerror', None) or error}); it may be truncated: "
+            "copy it again"
+        ) from None
 
 
 def uneven(times_s: Sequence[float], first: int) -> str | None:

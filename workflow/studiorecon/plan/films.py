@@ -202,3 +202,17 @@ def _perhaps(found: Mapping[str, tuple[Path, ...]], folder: Path) -> list[str]:
         f"{' and '.join(film.name for film in sets[0])} are taken as different cameras; if they are parts of one "
         f"recording, write into capture.yaml: chapters: {{{sets[0][0].stem}: [{example}]}}, and so for the others"
     ]
+
+
+def unreadable(films: Mapping[str, Sequence[Path]]) -> list[str]:
+    """A sentence for every camera whose footage (camera → films) holds no picture that can be decoded."""
+    from studiorecon.footage.source import check_readable  # with OpenCV, which plans do without
+
+    found = []
+    for camera, parts in films.items():
+        try:
+            for part in parts:
+                check_readable(part)
+        except UserError as refusal:
+            found.append(f"camera {camera}: {refusal}; or leave the camera out with train: [...] in capture.yaml")
+    return found
