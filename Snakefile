@@ -53,6 +53,11 @@ wildcard_constraints:
     donor=r"p\d+|stranger_[A-Za-z0-9_-]+",
 
 
+onstart:
+    # What only plans opens no film.
+    refuse_unreadable()
+
+
 onsuccess:
     # On a terminal the bar is gone by now; what a user brought and the run did not use is among the last lines.
     print(*PLAN.dataset.notes, sep="\n", file=sys.stderr)

@@ -99,9 +99,8 @@ def take_left_lock():
 
 
 def refuse_unreadable():
-    """Refuse footage that cannot be read before anything is made of the other cameras'; what only plans opens no film."""
-    runs = workflow.executor_plugin is not None and workflow.is_main_process and not workflow.dryrun
-    if not runs or PLAN.studio:
+    """Refuse footage that cannot be read before anything is made of the other cameras'."""
+    if PLAN.studio:
         return
     dataset = PLAN.dataset
     if sentences := unreadable({c: dataset.chapters.get(c, (film,)) for c, film in dataset.footage.items()}):
@@ -112,7 +111,6 @@ take_left_lock()
 check_settings()
 BUDGET = bought_by_budget()
 PLAN = decided()
-refuse_unreadable()
 # The logger says where results are; a run with nothing to do names no scene to it.
 os.environ["STUDIORECON_SCENE"] = str(PLAN.scene)
 IMAGES = images_of(config, HOME)
