@@ -161,7 +161,7 @@ ENHANCEMENT = Effect(
     unit="dB",
     threshold=0.1,
     paper="always",
-    obeyed_by="enhance.shot, which measures it before it enhances; a network that was asked for is always used",
+    obeyed_by="enhance.shot, which measures it before it enhances; a network that a setting names is always used",
 )
 INJECTION = Effect(
     name="injection",
