@@ -91,8 +91,8 @@ if TYPE_CHECKING:
 def load(folder: str | Path, body: str | Path | None = None) -> FinishedScene:
     """The finished scene of ``results/<scene>`` as numpy arrays.
 
-    ``body`` is the body model that people were fitted with, where that is not the bundled one. Raises
-    ``errors.UserError``, one sentence, when there is no such scene or a file of it is broken.
+    ``body`` is the body model of the fit if it is not the bundled one. Raises ``errors.UserError`` if there is no such
+    scene or one of its files is broken.
     """
     from studiorecon import results  # not at once: every step imports this page
 
@@ -106,8 +106,7 @@ def draw(
     without: Collection[str] = (),
     background_rgb: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Rendering:
-    """The scene as ``camera`` sees it at a frame: (H, W, 3) ``rgb``, (H, W) ``alpha`` and ``depth_m``; see
-    ``results.draw``."""
+    """The view of ``camera`` at a frame: (H, W, 3) ``rgb``, (H, W) ``alpha`` and ``depth_m``; see ``results.draw``."""
     from studiorecon import results
 
     return results.draw(scene, camera, frame, without, background_rgb)
@@ -116,10 +115,10 @@ def draw(
 def triangulate(
     pixels: Num[np.ndarray, "V ... 2"], confidence: Num[np.ndarray, "V ..."], cameras: Sequence[Camera]
 ) -> Triangulated:
-    """World points, metres, of ``pixels`` (V, ..., 2) that V cameras saw with ``confidence`` (V, ...); NaN is unseen.
+    """World points in metres from ``pixels`` (V, ..., 2) of V cameras with ``confidence`` (V, ...); NaN is unseen.
 
-    With the limits that steps begin with; ``geometry.triangulation.triangulate`` takes others. Raises ValueError for
-    shapes that do not fit together.
+    Uses the default limits of the workflow; ``geometry.triangulation.triangulate`` takes others. Raises ValueError for
+    shapes that do not agree.
 
     >>> point = [[0.2, -0.1, 1.5]]
     >>> pixels = np.stack([camera.project(point)[0] for camera in cameras])
@@ -134,10 +133,10 @@ def triangulate(
 
 
 def associate(detections: Sequence[Detections], cameras: Sequence[Camera], fps: float) -> list[Group]:
-    """Tracks of all cameras that show one person, and where its keypoints are: (T, K, 3) metres; one Group each.
+    """One Group per person: the tracks of all cameras, and the triangulated keypoints, (T, K, 3) metres.
 
-    With the limits that ``people.associate`` begins with; ``people.association`` takes others, and says who counts as a
-    person.
+    Uses the default limits of ``people.associate``; ``people.association`` takes others, and decides which groups are
+    persons.
 
     >>> people = studiorecon.associate(detections, cameras, fps=30)
     >>> [len(person.members) for person in people]
@@ -154,9 +153,9 @@ def associate(detections: Sequence[Detections], cameras: Sequence[Camera], fps: 
 
 
 def refine(cameras: Sequence[Camera], detections: Sequence[Detections]) -> Adjusted | None:
-    """Cameras moved to where the people in the pictures call for, as a bundle adjustment that trusts the given ones.
+    """Cameras after a bundle adjustment on people's keypoints, with the given cameras as prior.
 
-    None where people show too little. ``cameras.refine`` decides besides whether that helps.
+    None if the keypoints do not determine them. The step ``cameras.refine`` also decides whether the result is better.
 
     >>> nearer = studiorecon.refine(moved, detections)
     >>> before, after = (np.linalg.norm(c[1].centre_m - cameras[1].centre_m) for c in (moved, nearer.cameras))
@@ -179,9 +178,9 @@ def refine(cameras: Sequence[Camera], detections: Sequence[Detections]) -> Adjus
 def score(
     renders: str | Path, truth: str | Path, masks: str | Path | None = None, lpips: str | Path | None = None
 ) -> dict[str, Any]:
-    """Every measure of one folder of films against another, as ``report.score`` writes it: PSNR, SSIM, in time, …
+    """Every measure of one folder of films against another, as ``report.score`` writes it: PSNR, SSIM, over time, …
 
-    Raises ``errors.UserError`` when the folders have no camera in common, or films of other sizes and lengths.
+    Raises ``errors.UserError`` if the folders share no camera, or films differ in size or length.
 
     >>> found = studiorecon.score(folder / "renders", folder / "photos")["pictures"]["renders"]
     >>> found["psnr"]["value"] > 30, found["lpips"]["value"] is None
