@@ -15,7 +15,7 @@ from studiorecon.configuration.settings import load
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import decode
 from studiorecon.footage.source import digest, open_source, uneven
-from studiorecon.footage.video import read_stack, write_lossless
+from studiorecon.footage.video import read_frame, read_stack, write_lossless
 from studiorecon.scene.capture import Footage, read_footage, read_manifest, write_footage
 from studiorecon.scene.clocks import write_clocks
 
@@ -188,6 +188,51 @@ class TestRefusals:
         cv2.imwrite(str(folder / "1.png"), smooth_pictures(1, (48, 32))[0])
         with pytest.raises(UserError, match=r"1\.png is 48×32, but the first picture"):
             run_frames(folder)
+
+
+class TestBetweenSteps:
+    """Working videos that are not what capture made are named by whoever reads them."""
+
+    @pytest.fixture
+    def captured(self, default_settings, tmp_path: Path) -> Path:
+        """Two cameras of one size, length and rate."""
+        options, out = load(frames_step.Settings, default_settings("capture"), "capture"), tmp_path / "capture"
+        for camera, shift in (("a", 0), ("b", 5)):
+            source = tmp_path / f"{camera}.mkv"
+            write_lossless(source, iter(smooth_pictures(25)[shift : shift + 20]), 24)
+            clock = clock_of(camera, timeline_of(open_source(source, 30.0)))
+            write_clocks(tmp_path / "clocks.json", common_moments([clock], 0, 0))
+            frames_step.run(
+                options,
+                source,
+                calibrated(tmp_path, name=camera),
+                tmp_path / "clocks.json",
+                camera,
+                0,
+                0,
+                out / f"{camera}.mkv",
+                out / f"{camera}.json",
+            )
+        return out
+
+    @pytest.mark.parametrize("damage", ["exchanged", "cut", "shorter", "size", "rate"])
+    def test_a_video_that_capture_did_not_make_is_named(self, damage: str, captured: Path) -> None:
+        video = captured / "a.mkv"
+        assert len(read_stack(video)) == 20
+        whole, pictures = video.read_bytes(), smooth_pictures(20)
+        if damage == "exchanged":
+            (captured / "b.mkv").replace(video)
+        elif damage == "cut":
+            video.write_bytes(whole[: len(whole) // 2])
+        elif damage == "shorter":
+            write_lossless(video, iter(pictures[:15]), 24)
+        elif damage == "size":
+            write_lossless(video, iter(pictures[:, :32, :48]), 24)
+        else:
+            write_lossless(video, iter(pictures), 25)
+        for read in (read_stack, lambda path: read_frame(path, 19)):
+            with pytest.raises(UserError, match=r"a\.mkv .*delete it, and the next run makes it again"):
+                read(video)
 
 
 class TestManifest:

@@ -99,11 +99,12 @@ def take_left_lock():
 
 
 def refuse_unreadable():
-    """Refuse footage that cannot be read before anything is made of the other cameras'."""
+    """Refuse footage that a job is about to read and cannot, before anything is made of the other cameras'."""
     if PLAN.studio:
         return
-    dataset = PLAN.dataset
-    if sentences := unreadable({c: dataset.chapters.get(c, (film,)) for c, film in dataset.footage.items()}):
+    read = {str(file) for job in workflow.dag.needrun_jobs() for file in job.input}
+    films = {camera: PLAN.dataset.chapters.get(camera, (film,)) for camera, film in PLAN.dataset.footage.items()}
+    if sentences := unreadable({c: [film for film in parts if str(film) in read] for c, parts in films.items()}):
         refuse("\n".join(sentences))
 
 

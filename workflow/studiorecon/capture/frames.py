@@ -20,7 +20,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.container import films_of
 from studiorecon.footage.frames import about_damage, decode
 from studiorecon.footage.source import FootageSource, PictureRate, digest, open_source, uneven
-from studiorecon.footage.video import write_lossless
+from studiorecon.footage.video import title_of, write_lossless
 from studiorecon.geometry.lens import WorkingView, unseen_share, working_view, working_wh
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
@@ -124,8 +124,9 @@ def run(
                 for _ in range(wanted[number]):
                     yield picture
 
+    sha256 = digest(opened)
     try:
-        frames = write_lossless(video, pictures(), common.fps)
+        frames = write_lossless(video, pictures(), common.fps, title_of(camera, sha256))
     except MemoryError:
         raise UserError(f"{source} is too large to decode in memory; lower capture.width") from None
     changes = describe_changes(opened, lens, view, used, common.late_frames(camera))
@@ -144,7 +145,7 @@ def run(
             frames=frames,
             first_source_frame=int(used[0]),
             source=", ".join(f"{film.parent.name}/{film.name}" for film in films_of(source)),
-            source_sha256=digest(opened),
+            source_sha256=sha256,
             source_wh=opened.wh,
             rotation_deg=opened.rotation_deg,
             sync_offset_s=clock.offset_s,

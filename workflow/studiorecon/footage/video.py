@@ -22,7 +22,9 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.footage.container import opened
 from studiorecon.machine.refusals import without_thread
+from studiorecon.scene.capture import read_footage
 from studiorecon.scene.files import complete
+from studiorecon.scene.intermediate import as_written, expect
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
@@ -40,6 +42,8 @@ class Codec:
     form_options: Mapping[str, str] = field(default_factory=lambda: {"fflags": "+bitexact"})
 
 
+# Matroska keeps the length of a frame in whole nanoseconds, others in ticks of their clock.
+_SAME_RATE = 1e-3
 # Users bring films of masks, too.
 _CURE = "delete it, and the next run makes it again, or copy it again if it is yours"
 _FFV1 = {"level": "3", "slices": "4", "slicecrc": "1"}
@@ -61,12 +65,17 @@ def to_float(image: Integer[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
     return image.astype(np.float32) * np.float32(1 / 255)
 
 
-def write_lossless(path: Path, frames: Iterable[Integer[np.ndarray, "H W ..."]], fps: float) -> int:
+def write_lossless(path: Path, frames: Iterable[Integer[np.ndarray, "H W ..."]], fps: float, title: str = "") -> int:
     """Write frames and keep every bit: (H, W, 3) uint8, (H, W) uint8 or (H, W) uint16; returns how many.
 
-    Raises ValueError for frames of two sizes or none at all.
+    ``title``: kept in the file (``title_of``). Raises ValueError for frames of two sizes or none at all.
     """
-    return write_film(path, frames, fps, None)
+    return write_film(path, frames, fps, None, title)
+
+
+def title_of(camera: str, source_sha256: str) -> str:
+    """The title of a camera's working video, which another camera's or recording's does not have."""
+    return f"{camera} {source_sha256}"
 
 
 def write_watchable(path: Path, frames: Iterable[Integer[np.ndarray, "H W 3"]], fps: float, crf: int = 16) -> int:
@@ -80,7 +89,9 @@ def write_watchable(path: Path, frames: Iterable[Integer[np.ndarray, "H W 3"]], 
     return write_film(path, even, fps, Codec("libx264", "rgb24", "yuv420p", options, "mp4", {"movflags": "+faststart"}))
 
 
-def write_film(path: Path, frames: Iterable[Integer[np.ndarray, "H W ..."]], fps: float, codec: Codec | None) -> int:
+def write_film(
+    path: Path, frames: Iterable[Integer[np.ndarray, "H W ..."]], fps: float, codec: Codec | None, title: str = ""
+) -> int:
     """Write frames with ``codec``, or without one so that every bit of the first frame's kind is kept; returns how
     many.
 
@@ -96,6 +107,7 @@ def write_film(path: Path, frames: Iterable[Integer[np.ndarray, "H W ..."]], fps
         complete(path) as partial,
         av.open(str(partial), "w", format=codec.form, options=dict(codec.form_options)) as container,
     ):
+        container.metadata.update({"title": title} if title else {})
         stream = container.add_stream(codec.name, rate=rate, options=dict(codec.options))
         assert isinstance(stream, av.VideoStream)
         stream.width, stream.height, stream.pix_fmt = first.shape[1], first.shape[0], codec.stored
@@ -142,6 +154,8 @@ def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator
     try:
         with opened(path) as container:
             stream = container.streams.video[0]
+            held = _as_captured(path, container, stream)
+            stop = held if stop is None else stop
             stream.thread_type = "AUTO"
             for number, frame in enumerate(container.decode(stream)):
                 if stop is not None and number >= stop:
@@ -169,6 +183,7 @@ def read_frames_from(path: Path, start: int, stop: int) -> Iterator[Integer[np.n
     try:
         with opened(path) as container:
             stream = container.streams.video[0]
+            _as_captured(path, container, stream)
             stream.thread_type = "AUTO"
             seconds_per_tick, rate = stream.time_base, stream.average_rate
             assert seconds_per_tick is not None
@@ -190,6 +205,33 @@ def read_frames_from(path: Path, start: int, stop: int) -> Iterator[Integer[np.n
         raise UserError(f"{path} cannot be read at frame {expected} ({error}); it may be truncated: {_CURE}") from None
     if expected < stop:
         raise UserError(f"{path} has no frame {expected} where frames up to {stop - 1} are needed; {_CURE}")
+
+
+def _as_captured(path: Path, container: av.container.InputContainer, stream: av.VideoStream) -> int | None:
+    """How many frames a camera's working video has, by the file of its name beside it; None for any other video.
+
+    Raises UserError naming the video when it is of another camera or recording, length, size or rate than that says.
+    """
+    about = path.with_suffix(".json")
+    if path.parent.name != "capture" or not about.is_file():
+        return None
+    footage = read_footage(about)
+    title, rate, lasts = container.metadata.get("title", ""), stream.average_rate, container.duration
+    with as_written(path):
+        size = f"{stream.width}×{stream.height}, {about.name} says {footage.wh[0]}×{footage.wh[1]}"
+        expect((stream.width, stream.height) == footage.wh, f"it is {size}")
+        expect(
+            title in ("", title_of(footage.camera, footage.source_sha256)),
+            f"it is of {title.rpartition(' ')[0]} or of another recording",
+        )
+        expect(
+            rate is not None and abs(float(rate) / footage.fps - 1) < _SAME_RATE,
+            f"it has {float(rate or 0):g} frames per second, {about.name} says {footage.fps:g}",
+        )
+        if lasts is not None and rate is not None:
+            frames = round(lasts / av.time_base * rate)
+            expect(frames == footage.frames, f"it has {frames} frames, {about.name} says {footage.frames}")
+    return footage.frames
 
 
 def read_frame(path: Path, index: int) -> Integer[np.ndarray, "H W ..."]:
