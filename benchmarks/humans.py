@@ -171,7 +171,6 @@ def refitted(scene: Path, person: str, change: Callable[[Detections, int], Detec
         scene / "capture/manifest.json",
         detections,
         [who],
-        [],
         [scene / "people/who/readouts.json"],
         BODY,
         path,

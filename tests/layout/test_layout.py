@@ -152,11 +152,22 @@ def test_every_stage_has_rules_settings_schema_and_tests(stage: str) -> None:
     assert stage in (ROOT / "README.md").read_text()
 
 
+# What background.smk names once for both rules that train the room.
+ROOM = set(
+    re.findall(
+        r'^    "(\w+)":',
+        re.search(r"^ROOM = \{\n(.*?)^\}", (ROOT / "workflow/rules/background.smk").read_text(), re.M | re.S)[1],
+        re.MULTILINE,
+    )
+)
+
+
 def names_in(block: str, directive: str) -> set[str]:
     """Names of what a rule has under ``input``, ``output`` or ``params``."""
     section = re.search(rf"^( *){directive}:\n((?:\1 +.*\n|\n)+)", block, re.MULTILINE)
     deeper = f"{section.group(1)}    " if section else ""
-    return set(re.findall(rf"^{deeper}(\w+)=", section.group(2), re.MULTILINE)) if section else set()
+    names = set(re.findall(rf"^{deeper}(\w+)=", section.group(2), re.MULTILINE)) if section else set()
+    return names | (ROOM if section and "**ROOM" in section.group(2) else set())
 
 
 def told_in(line: str, kind: str) -> set[str]:

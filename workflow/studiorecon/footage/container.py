@@ -71,6 +71,6 @@ def keeps_every_pixel(film: Path) -> bool:
         return False
     # H.264 can be both: our lossless films are H.264 of RGB, films to watch are of YUV.
     told = context.codec.properties
-    can = told.value if isinstance(told, Properties) else told
+    can = int(told.value if isinstance(told, Properties) else told)
     always = bool(can & Properties.LOSSLESS.value) and not can & Properties.LOSSY.value
     return always or (context.format is not None and context.format.is_rgb)

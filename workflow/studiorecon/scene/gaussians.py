@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
@@ -72,7 +71,9 @@ class Gaussians:
     @property
     def opacities(self) -> Float[np.ndarray, " N"]:
         """(N,) float32 in 0..1."""
-        return scipy.special.expit(self.logit_opacities).astype(np.float32)
+        from scipy.special import expit  # not at once: images of networks read Gaussians and have no scipy
+
+        return expit(self.logit_opacities).astype(np.float32)
 
     def take(self, index: Integer[np.ndarray, " M"] | Bool[np.ndarray, " N"]) -> Gaussians:
         """The Gaussians at ``index`` (integers or a boolean mask), in that order."""
