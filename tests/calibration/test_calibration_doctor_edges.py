@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from studiorecon.calibration import doctor, files
+from studiorecon.calibration import choose, doctor, files
 from studiorecon.calibration.checks import doctor_page
 from studiorecon.calibration.checks.advice import verdict
 from studiorecon.clocks import offsets
@@ -154,14 +154,16 @@ def test_of_a_real_man_s_two_calibrations_edges_contradict_the_hand_picked_one(
     names, out = list(dataset.cameras), tmp_path
     maps = json.dumps(dict(dataset.pixel_maps))
     calibrated = out / "calibration.json"
-    files.run(loaded(files.Settings), [take / "calibration" / file], names, maps, calibrated)
+    files.run(loaded(files.Settings), [take / "calibration" / file], names, out / "read.json")
+    footage = [dataset.footage[c] for c in names]
+    choose.run(loaded(choose.Settings), out / "read.json", names, footage, [], maps, 60.0, calibrated)
     for c in names:
         first = str(dataset.keypoint_first_frame.get(c, "auto"))
         recorded = dataset.keypoint_layout, first, dataset.footage[c], 60.0
         told = json.dumps(dataset.pixel_maps[c])
         found = out / f"{c}.npz", out / f"{c}.recorded.npz", out / f"{c}.json", [], []
         keypoints.run(loaded(tracks_keypoints.Settings), c, [dataset.keypoints[c]], *recorded, told, *found)
-    footage, seen = [dataset.footage[c] for c in names], [out / f"{c}.npz" for c in names]
+    seen = [out / f"{c}.npz" for c in names]
     clocks = out / "clocks.json", out / "sync.json"
     offsets.run(loaded(offsets.Settings), names, footage, seen, "{}", 0, 0, *clocks)
     sizes, written = [out / f"{c}.json" for c in names], (out / "doctor.json", out / "doctor.html")

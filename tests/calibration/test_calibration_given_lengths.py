@@ -200,7 +200,7 @@ def test_lengths_are_read_from_capture_yaml(tmp_path: Path) -> None:
         ("distance_m: 3.2", "must look like"),
         ("distance_m: [left, middle, 3.2]", "'middle'"),
         ("distance_m: [left, left, 3.2]", "itself"),
-        ("distance_m: [left, right, -1]", "must look like"),
+        ("distance_m: [left, right, -1]", "must be"),
     ],
 )
 def test_lengths_that_cannot_be_are_refused(tmp_path: Path, text: str, words: str) -> None:

@@ -247,6 +247,14 @@ def test_a_world_that_is_not_z_up_is_turned_and_said_so(options, axis):
     assert not floor_known
 
 
+def test_one_camera_a_kilometre_away_decides_no_unit():
+    """Of three, and beside the lenses of stereo pairs, whose base is 10 cm."""
+    near = np.array([[0, 0, 0], [4.0, 0, 0], [0, 1000.0, 0]])
+    assert metres_per_unit(near, "unknown", "auto")[0] == 1.0
+    pairs = np.array([[0, 0, 0], [90.0, 0, 0], [4000.0, 0, 0], [4090.0, 0, 0]])
+    assert metres_per_unit(pairs, "unknown", "auto")[0] == 0.001
+
+
 def test_millimetres_are_recognised_by_the_spread_and_said_so():
     factor, note = metres_per_unit(np.array([[0, 0, 0], [4000.0, 0, 0]]), "unknown", "auto")
     assert factor == 0.001

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.calibration import files
+from studiorecon.calibration import choose, files
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.camera_files.colmap import read_model, write_model
 from studiorecon.cameras import held_out, refine
@@ -117,7 +117,9 @@ def test_a_real_held_out_camera_is_put_right_by_a_real_man(
     networks = [folder / n for n in ("pose_detection.onnx", "pose_landmark_full.onnx", "confidence.json")]
     lenses, manifests = tmp_path / "calibration.json", tmp_path / "manifest.json"
     calibrated = settings_module.load(files.Settings, default_settings("calibration"), "calibration")
-    files.run(calibrated, list(data.calibration), names, json.dumps(dict(data.pixel_maps)), lenses)
+    files.run(calibrated, list(data.calibration), names, tmp_path / "read.json")
+    footage, maps = [data.footage[n] for n in names], json.dumps(dict(data.pixel_maps))
+    choose.run(calibrated, tmp_path / "read.json", names, footage, [], maps, 30.0, lenses)
     clocks = common_moments([clock_of(n, timeline_of(open_source(data.footage[n], 30.0))) for n in names], 0, 0)
     write_clocks(tmp_path / "clocks.json", clocks)
     for name in names:

@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.detect import people
+from studiorecon.detector.blazepose import LANDMARKS, MASK_PX, Landmarks
+from studiorecon.detector.crops import Region
 from studiorecon.detector.windows import changed
 from studiorecon.footage.source import open_source
 from studiorecon.scene.raw_detections import read_raw_detections
@@ -76,3 +78,51 @@ def test_a_single_picture_is_a_capture_too(root: Path, tmp_path: Path) -> None:
     people.run("a", folder, [], 30.0, [], networks(root), [], "auto", tmp_path / "a.npz")
     found = read_raw_detections(tmp_path / "a.npz")
     assert (found.looked, len(found.frame)) == ((0, 1), 0)
+
+
+class OfTheUpright:
+    """Sees somebody whose head (white) is above the hips (grey), and nobody in any other picture."""
+
+    def __init__(self, *_: Any) -> None:
+        pass
+
+    def look(self, picture: np.ndarray, region: Region) -> Landmarks:
+        head, hips = (np.argwhere(picture[..., 0] == level)[0, ::-1] + 0.5 for level in (255, 200))
+        up = hips[1] - head[1] > abs(hips[0] - head[0])
+        keypoints = np.full((LANDMARKS, 3), 0.9)
+        keypoints[:, :2] = hips
+        keypoints[0, :2] = head
+        points_m = np.zeros((LANDMARKS, 3))
+        points_m[0] = 0.0, -0.5, 0.1
+        mask = np.full((MASK_PX, MASK_PX), 255, np.uint8)
+        around = Region.around(hips, head)
+        return Landmarks(keypoints, float(up), points_m, mask, around, around)
+
+    def detect(self, picture: np.ndarray, *_: Any) -> list[tuple[float, Region]]:
+        seen = self.look(picture, Region(np.zeros(2), 1.0, 0.0))
+        return [(0.9, seen.region)] if seen.presence else []
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_people_are_looked_for_upright_and_told_in_the_films_own_pixels(
+    turns: int, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(people, "BlazePose", OfTheUpright)
+    picture = np.zeros((120, 200, 3), np.uint8)
+    picture[30, 50], picture[70, 60] = 255, 200
+    picture = np.rot90(picture, turns)
+    (tmp_path / "a").mkdir()
+    for number in range(4):
+        cv2.imwrite(str(tmp_path / "a" / f"{number}.png"), picture)
+    people.run("a", tmp_path / "a", [], 30.0, [], networks(root), [], "auto", tmp_path / "a.npz")
+    found = read_raw_detections(tmp_path / "a.npz")
+    assert found.frame.tolist() == [0, 1, 2, 3]
+    head, hips = (np.argwhere(picture[..., 0] == level)[0, ::-1] + 0.5 for level in (255, 200))
+    np.testing.assert_allclose(found.keypoints[0, [0, 24], :2], [head, hips], atol=1e-9)
+    up = np.array([[0, -1], [-1, 0], [0, 1], [1, 0]])[turns]
+    np.testing.assert_allclose(found.points_m[0, 0], [*(0.5 * up), 0.1], atol=1e-9)
+    # The mask is a picture of the upright body: its middle is the hips', and its upper half holds the head.
+    affine = found.mask_from_picture[0]
+    middle, upper = np.stack([hips, head]) @ affine[:, :2].T + affine[:, 2]
+    np.testing.assert_allclose(middle, MASK_PX / 2)
+    np.testing.assert_allclose(upper, [MASK_PX / 2, MASK_PX / 2 - 0.4 * MASK_PX], atol=1e-6)

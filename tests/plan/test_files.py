@@ -191,9 +191,10 @@ def test_photos_are_compared_where_something_may_be_added_to_films(configured, h
     assert names == ["train.mkv", "train.json", "train.depth.mkv"]
 
 
-def test_a_shot_names_its_path_its_stand_ins_and_its_reference(configured, home, tmp_path):
-    for name in ("her.ply", "her.npz"):
-        (tmp_path / name).touch()
+def test_a_shot_names_its_path_its_stand_ins_and_its_reference(configured, home, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("her.ply", "her.npz", "path.json", "edited.png"):
+        (tmp_path / name).write_text("{}")
     shots = {
         "far": {"kind": "file", "file": "path.json", "reference": "edited.png"},
         "swapped": {"kind": "orbit", "replace": {"p0": str(tmp_path / "her.ply"), "p1": "p0", "p2": "nobody"}},
@@ -220,7 +221,11 @@ def test_a_network_is_shown_people_only_where_it_is_asked_to_be(configured, home
         assert [without.key_frames(SCENE), without.key_masks(SCENE), without.key_people(SCENE)] == [[], [], []]
 
 
-def test_a_photo_of_a_stranger_is_made_into_a_person_and_asks_for_its_network(configured, home):
+def test_a_photo_of_a_stranger_is_made_into_a_person_and_asks_for_its_network(configured, home, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("photos/anna.JPG", "more/anna.png", "anna b.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("a picture")
     films = {
         "guest": {"kind": "orbit", "replace": {"p0": "photos/anna.JPG", "p1": "nobody"}},
         "again": {"kind": "orbit", "replace": {"p1": "photos/anna.JPG"}},

@@ -70,7 +70,7 @@ else:
         log:
             "logs/{scene}/calibration/choose.log",
         benchmark:
-            "benchmarks/{scene}/calibration/choose.tsv"
+            "timings/{scene}/calibration/choose.tsv"
         container:
             image("core")
         threads: 1

@@ -14,8 +14,7 @@ from studiorecon.geometry.rotations import cross_matrix
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Cameras of one room are further apart than 20 m only when the numbers are millimetres (or centimetres, which no format
-# uses).
+# Cameras of one room are 2 to 50 m apart in the median: more units than this are millimetres, or centimetres.
 _MILLIMETRE_SPREAD = 100.0
 # Millimetres among metres are a thousand times as long; cameras of one room are not a hundred times as far out.
 _MIXED_UNITS, _MIXED_PAIRS = 100.0, 300.0
@@ -53,17 +52,15 @@ def metres_per_unit(
         return factors[wanted], f"lengths were read as {wanted}, as the setting calibration.unit says"
     if unit in factors:
         return factors[unit], None
-    spread = float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max()) if len(centres) else 0.0
-    if spread > _MILLIMETRE_SPREAD:
-        return (
-            0.001,
-            f"the cameras are {spread:.0f} units apart: lengths were read as "
-            "millimetres; set calibration.unit if that is wrong",
-        )
+    # How far half of the others are from most cameras: one far away, or wrong, does not decide the unit of all, nor do
+    # the two lenses of a stereo pair.
+    apart = np.sort(np.linalg.norm(centres[:, None] - centres[None], axis=-1))
+    spread = float(np.median(apart[:, len(apart) // 2])) if len(apart) > 1 else 0.0
+    is_mm = spread > _MILLIMETRE_SPREAD
     return (
-        1.0,
-        f"the file does not state its unit; the cameras are {spread:.2f} units apart, read as "
-        "metres; set calibration.unit if that is wrong",
+        0.001 if is_mm else 1.0,
+        f"the file does not state its unit; the cameras are {spread:.4g} units apart in the median, read as "
+        f"{'millimetres' if is_mm else 'metres'}; set calibration.unit if that is wrong",
     )
 
 

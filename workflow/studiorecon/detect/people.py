@@ -12,9 +12,10 @@ import numpy as np
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose
 from studiorecon.detector.following import believed, is_few, people_in
 from studiorecon.detector.second import second_network
+from studiorecon.detector.upright import film_from_turned, quarter_turns, turned
 from studiorecon.detector.windows import small, usual
 from studiorecon.errors import UserError
-from studiorecon.footage.frames import decode, stills
+from studiorecon.footage.frames import decode, glimpses, stills
 from studiorecon.footage.source import open_source
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import to_bytes
@@ -28,8 +29,8 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
-# Pictures whose median is the usual one.
-_USUAL = 25
+# Pictures whose median is the usual one, and those of them, where most moves, that show which way is up.
+_USUAL, _SHOW_UP = 25, 3
 
 
 def run(
@@ -66,17 +67,28 @@ def run(
     own = second_network(second, layout)
     network = BlazePose(detection, landmarks, own)
     worth = read_json(table)
-    pictures = progress(decode(footage, start, count), f"frames of {camera}", total)
     backgrounds = [usual(glances)] if len(glances) > 2 else []
     backgrounds += [room for path in plate for room in _empty_room(path, footage.wh)]
+    room = usual(glances).astype(float)
+    busiest = np.argsort([-np.abs(glance - room).mean() for glance in glances], kind="stable")[:_SHOW_UP]
+    turns = quarter_turns(network, glimpses(footage, sorted(sampling[k] for k in busiest)))
+    if turns:
+        say(f"camera {camera}: people are upright once its pictures are turned by {90 * turns}° counter-clockwise")
+    linear, offset = np.split(film_from_turned(footage.wh, turns), [2], axis=1)
+    pictures = (turned(p, turns) for p in progress(decode(footage, start, count), f"frames of {camera}", total))
+    backgrounds = [turned(background, turns) for background in backgrounds]
+    wh = footage.wh[:: -1 if turns % 2 else 1]
     few = is_few(total, footage.fps)
     rows, frames = [], 0
     for frame, seen in enumerate(people_in(pictures, network, backgrounds, footage.fps, few), start):
         frames += 1
         for person in seen:
+            keypoints = believed(person, wh, worth)
+            keypoints[:, :2] = keypoints[:, :2] @ linear.T + offset[:, 0]
+            points_m = np.column_stack([person.points_m[:, :2] @ linear.T, person.points_m[:, 2]])
             affine = person.region.crop_from_picture(MASK_PX)
-            keypoints = believed(person, footage.wh, worth)
-            rows.append((frame, keypoints, person.presence, person.points_m, person.mask, affine))
+            affine = np.column_stack([affine[:, :2] @ linear.T, affine[:, 2] - affine[:, :2] @ linear.T @ offset[:, 0]])
+            rows.append((frame, keypoints, person.presence, points_m, person.mask, affine))
     with_what = f"{landmarks.stem} and {own.note} ({own.layout})" if own else landmarks.stem
     looked = f"{with_what} at {footage.wh[0]}×{footage.wh[1]}, {frames} frames at {footage.fps:g} per second"
     write_raw_detections(found, RawDetections.of(camera, LAYOUT, LANDMARKS, rows, (start, frames), looked))
