@@ -198,11 +198,16 @@ def test_lengths_of_another_unit_are_named(factor: float, unit: str) -> None:
         decided(rig)
 
 
+def test_centimetres_that_were_taken_for_millimetres_are_named_with_the_setting() -> None:
+    with pytest.raises(UserError, match=r"calibration\.unit: cm, or multiply calibration\.scale by 10,"):
+        decided(with_pose(capture(), scaled(0.1), (0, 1, 2, 3)))
+
+
 def test_lengths_that_no_unit_explains_are_refused_too() -> None:
     with pytest.raises(
-        UserError, match=r"people would be 0\.1\d+ m tall by this calibration.*makes people 1\.70 m tall"
+        UserError, match=r"people would be 0\.2\d+ m tall by this calibration.*makes people 1\.70 m tall"
     ):
-        decided(with_pose(capture(), scaled(0.1), (0, 1, 2, 3)))
+        decided(with_pose(capture(), scaled(0.16), (0, 1, 2, 3)))
 
 
 @pytest.mark.parametrize("stature", [0.55, 1.35])
