@@ -25,7 +25,7 @@ from studiorecon.calibration.checks.doctor_page import page
 from studiorecon.calibration.checks.edges import by_edges
 from studiorecon.calibration.checks.refined import refined_on_people
 from studiorecon.calibration.room_pictures import rooms_of, without_distortion
-from studiorecon.camera_files.calibration import read_lenses
+from studiorecon.camera_files.calibration import read_calibration
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import glimpses
 from studiorecon.footage.source import open_source
@@ -278,8 +278,8 @@ def run(
     for the cameras with keypoints, in any order. Cameras that people did not place are not there to be examined.
     ``notes`` (JSON): sentences on what the capture's folder holds and is not used.
     """
-    lenses, told_of = read_lenses(calibration), read_json(calibration)
-    left_out = told_of.get("people_rig", {}).get("left_out", {})
+    calibrated = read_calibration(calibration)
+    lenses, left_out = calibrated.lenses, calibrated.left_out
     sources = [source for camera, source in zip(cameras, sources, strict=True) if camera not in left_out]
     cameras = [camera for camera in cameras if camera not in left_out]
     if unknown := [c for c in cameras if c not in lenses]:
@@ -336,7 +336,7 @@ def run(
         "refused": [v["refusal"] for v in decided if v.get("refusal")],
         "told": [sentence for v in decided for sentence in v.get("told", [])],
     }
-    doubts = told_of.get("doubts", [])
+    doubts = calibrated.about["doubts"] or []
     result, points = examined(pinholes, detections, about, settings, readings, told, doubts, rooms, compared)
     pictures = [both[-1] for both in looks]
     if result["shown_frame"] is not None:

@@ -87,8 +87,8 @@ def _refusal(stature_m: float) -> str:
     if _ADULTS_M[0] <= 10 * stature_m <= _ADULTS_M[1]:
         told, factor = ", it seems that centimetres were taken for millimetres: set calibration.unit: cm, or", 10.0
     return (
-        f"people would be {stature_m:.3g} m tall by this calibration, so its lengths are not metres{told or ';'} multiply "
-        f"calibration.scale by {factor:.4g}, which makes people {stature_m * factor:.2f} m tall"
+        f"people would be {stature_m:.3g} m tall by this calibration, so its lengths are not metres{told or ';'} "
+        f"multiply calibration.scale by {factor:.4g}, which makes people {stature_m * factor:.2f} m tall"
     )
 
 
