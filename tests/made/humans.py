@@ -92,7 +92,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, root: Path, body: BodyModel) 
             options[kind].append(folder / f"{camera.name}.{kind}.mkv")
             write_lossless(options[kind][-1], frames, 30.0)
         footage.append(
-            Footage(camera.name, False, WH, camera.intrinsics.tolist(), 30.0, FRAMES, 0, "made", "", WH, 0.0, 0.0, [])
+            Footage(camera.name, False, WH, camera.intrinsics.tolist(), 30.0, FRAMES, 0, "made", "", WH, 0, 0.0, [])
         )
     write_manifest(folder / "manifest.json", Manifest("made", 30.0, FRAMES, tuple(footage)))
     # The person is the second in the table: masks label them 2.
