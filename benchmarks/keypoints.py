@@ -104,12 +104,12 @@ ROWS: dict[str, tuple[Change, str]] = {
 }
 
 
-def verdict(own: Take, given: Recorded, other: Take) -> Verdict:
-    """What is decided about keypoints ``given`` for the film of ``own``."""
+def verdict(own: Take, given: Recorded, other: Take, stored_wh: tuple[int, int] | None = None) -> Verdict:
+    """What is decided about keypoints ``given`` for the film of ``own``, stored with so many pixels."""
     frames = len(own.pictures)
     wanted = np.unique(np.linspace(0, frames - 1, 64).round().astype(int)).tolist()
     motion = motion_of(wanted, [small(own.pictures[t]) for t in wanted], own.wh)
-    film = Film("a", own.wh, frames, motion, affine(1, 1), 0.5)
+    film = Film("a", own.wh, frames, motion, affine(1, 1), 0.5, stored_wh)
     numbers = numberings(given.pictures, frames, own.fps, None, given.counted)
     return checked(given, numbers, film, lambda: {"b": other.recorded})
 

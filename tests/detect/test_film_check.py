@@ -35,6 +35,19 @@ def test_what_is_mixed_up_is_put_right_or_named(takes: list[Take], row: str) -> 
         assert len(found.recorded.frame) == len(own.recorded.frame)
 
 
+@pytest.mark.parametrize("stored", [(0.75, 1.0), (45 / 64, 1.0), (0.5, 1.0)], ids=["4:3", "64:45", "2:1"])
+def test_keypoints_of_the_stored_picture_of_an_anamorphic_film(takes: list[Take], stored: tuple[float, float]) -> None:
+    own = takes[0]
+    stored_wh = round(own.wh[0] * stored[0]), own.wh[1]
+    points = own.recorded.keypoints.copy()
+    points[..., 0] *= stored_wh[0] / own.wh[0]
+    given = replace(own.recorded, keypoints=points)
+    found = verdict(own, given, takes[1], stored_wh)
+    assert not found.refusal
+    assert any("as it is stored" in sentence for sentence in found.told)
+    np.testing.assert_allclose(found.recorded.keypoints[..., :2], own.recorded.keypoints[..., :2], atol=0.5)
+
+
 def test_exchanged_films_are_named(takes: list[Take]) -> None:
     """The keypoints of b lie on what moves in the film of a, and those of a do not."""
     own, other = takes

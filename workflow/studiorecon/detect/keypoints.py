@@ -111,7 +111,7 @@ def _compared(
     mapped = json.loads(pixel_map) if settings.keypoint_pixels != "video" else []
     scale, x, y = mapped or (1.0, 0.0, 0.0)
     centre = 0.5 - settings.keypoint_centres
-    film = Film(camera, filmed.wh, filmed.frames, motion, affine(scale, scale, x, y), centre)
+    film = Film(camera, filmed.wh, filmed.frames, motion, affine(scale, scale, x, y), centre, filmed.stored_wh)
 
     def theirs() -> Mapping[str, Recorded]:
         found = {}

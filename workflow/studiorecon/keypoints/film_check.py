@@ -63,6 +63,7 @@ class Film:
     Attributes:
         camera: name; wh, frames: of its film; motion: in it, None where it cannot be looked at.
         map: (2, 3) from recorded pixels, centres at +0.5, to the film's; centre: what is added to reach +0.5.
+        stored_wh: size with pixels as stored, None where they are square.
     """
 
     camera: str
@@ -71,6 +72,11 @@ class Film:
     motion: Motion | None
     map: Float[np.ndarray, "2 3"]
     centre: float
+    stored_wh: tuple[int, int] | None = None
+
+    def sizes(self) -> list[Reading]:
+        """Its picture in other sizes."""
+        return sizes(self.wh, self.centre, self.stored_wh)
 
 
 @dataclass(frozen=True)
@@ -197,7 +203,7 @@ class _Judge:
         on_its_side = affine(wh[1], wh[0]) if self.in_shares else unit
         readings = turned(wh, unit, on_its_side)
         if not self.in_shares:
-            readings += sizes(wh, self.film.centre)
+            readings += self.film.sizes()
         tried = [self.under(reading, now.numbering) for reading in readings]
         tried += [self.under(now.reading, now.numbering, s) for s in range(-_SHIFTS, _SHIFTS + 1) if s]
         index, top = best(enumerate(h.score for h in tried))
@@ -221,7 +227,7 @@ class _Judge:
             )
         if right.reading.lossless:
             rivals = [
-                h for r in sizes(self.film.wh, self.film.centre) if (h := self.under(r, right.numbering)).score.enough
+                h for r in self.film.sizes() if (h := self.under(r, right.numbering)).score.enough
                 and h.reading.words != right.reading.words and not right.score.over(h.score) > 1.0
             ]  # fmt: skip
             if not rivals:

@@ -53,11 +53,16 @@ def shares(wh: tuple[int, int]) -> list[Reading]:
     ]
 
 
-def sizes(wh: tuple[int, int], centre: float) -> list[Reading]:
-    """Coordinates in pixels of the same picture in another size, stretched or letterboxed ones among them; ``centre``
-    is added to reach pixel centres at +0.5."""
+def sizes(wh: tuple[int, int], centre: float, stored_wh: tuple[int, int] | None = None) -> list[Reading]:
+    """Coordinates in pixels of the same picture in another size, stretched or letterboxed ones among them, and in those
+    of ``stored_wh`` that are not square; ``centre`` is added to reach pixel centres at +0.5."""
     w, h = wh
     found = []
+    if stored_wh not in (None, wh):
+        assert stored_wh is not None
+        sx, sy = w / stored_wh[0], h / stored_wh[1]
+        words = f"in pixels of the picture as it is stored, {stored_wh[0]}×{stored_wh[1]}, which are not square"
+        found.append(Reading(words, affine(sx, sy, sx * centre, sy * centre), True, True))
     for height in _HEIGHTS:
         scale = h / height
         if max(scale, 1 / scale) > _SAME_SIZE:
