@@ -63,7 +63,7 @@ def test_a_library_that_is_loaded_on_the_way_is_named_with_its_extra(
     monkeypatch.syspath_prepend(tmp_path / "site-packages")
     monkeypatch.delitem(sys.modules, library, raising=False)
     step = types.SimpleNamespace(run=lambda: importlib.import_module(library))
-    assert _run(step, "deliver.room", {"settings": "{}"}) == 1
+    assert _run(step, "deliver.room", {"settings": "{}"}, log=None) == 1
     told = capsys.readouterr().err
     assert told.startswith(f"deliver.room: the library {library} cannot be loaded (")
     assert f"uv sync --inexact --extra {extra}" in told
