@@ -21,10 +21,12 @@ from studiorecon.scene.room import RoomBox, write_room
 from tests.made.scene import ring
 
 BOX = RoomBox(
-    0.2, np.array([-3.0, -2.6, 0.0]), np.array([3.1, 2.7, 2.6]), np.array([1, 1, 1, 1, 1, 0], bool), np.ones(6)
+    yaw_rad=0.2,
+    low_m=np.array([-3.0, -2.6, 0.0]),
+    high_m=np.array([3.1, 2.7, 2.6]),
+    fitted=np.array([1, 1, 1, 1, 1, 0], bool),
+    score=np.array([1, 1, 1, 1, 1, np.nan]),
 )
-
-
 WH = (96, 56)
 
 
