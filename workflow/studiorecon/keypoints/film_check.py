@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Num
 
 # Another reading is right when keypoints lie this much nearer to what moves, as a lift and a share of its own, and so
-# many standard deviations more surely. Over 24 made films the right reading had 0.45 to 0.95, others less than half.
+# many standard deviations more surely. Set by judgement, checked by `python -m benchmarks.keypoints --takes 8`.
 _LIFT, _GAIN, _SHARE_LEFT, _SIGMAS = 0.4, 0.2, 0.65, 4.0
 # Of two likely numberings one is right when it is so many deviations better.
 _NUMBER_SIGMAS = 3.0
