@@ -139,7 +139,7 @@ def test_the_recursive_module_lets_views_enter_those_after_them(
 
 def test_files_that_do_not_belong_together_are_refused(halved: dict[str, Any], tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", provenance=np.zeros(3, np.uint8))
-    with pytest.raises(UserError, match=r"tells of 3 Gaussians"):
+    with pytest.raises(UserError, match=r"other\.npz .*provenance .*\(3,\)"):
         read_half([halved["given"][0], tmp_path / "other.npz", *halved["given"][2:]], 0.7)
 
 
