@@ -174,7 +174,7 @@ def test_detections_become_undistorted_working_pixels(tmp_path, people_settings)
         np.eye(4),
         np.eye(2, 3),
     )
-    mapped = {**lens.as_json(), "calibration_from_video": [[2.0, 0, 10], [0, 2.0, 20]]}
+    mapped = {**lens.as_json(), "wh": [1300, 1000], "calibration_from_video": [[2.0, 0, 10], [0, 2.0, 20]]}
     person = skeleton(200, 200)
     person[3] = 0.0  # missing
     person[4, 2] = 5.9  # a detector whose scores exceed 1

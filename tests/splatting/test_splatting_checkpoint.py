@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from studiorecon.progress import logged
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.train.blocked_set import BlockedSet
 from studiorecon.splatting.train.checkpoint import Checkpoint, fingerprint
@@ -150,12 +151,17 @@ def test_feedback_says_how_it_goes_and_paints_it(
 ) -> None:
     begin, targets = lesson
     settings = replace(SETTINGS, iterations=40)
-    train(begin, targets, settings, np.random.default_rng(0), extent_m=1.0, threads=1, previews=tmp_path)
-    lines = [line for line in capsys.readouterr().out.splitlines() if "it/s" in line]
-    assert len(lines) == 10
-    for word in ("40 of 40", "loss", "PSNR", "training view 0", "1200 Gaussians", "s left"):
+    log, previews = tmp_path / "train.log", tmp_path / "previews"
+    previews.mkdir()
+    with logged("train", log):
+        train(begin, targets, settings, np.random.default_rng(0), extent_m=1.0, threads=1, previews=previews)
+    lines = [line for line in log.read_text().splitlines() if " of 40" in line]
+    assert len(lines) == 10, "every tenth is in the log"
+    for word in ("40 of 40", "loss", "PSNR", "training view 0", "1200 Gaussians"):
         assert word in lines[-1]
-    pictures = sorted(tmp_path.iterdir())
+    shown = [line for line in capsys.readouterr().out.splitlines() if " of 40" in line]
+    assert shown == [f"train: {lines[-1]}"], "only how it ended is shown"
+    pictures = sorted(previews.iterdir())
     assert [p.name for p in pictures] == [f"preview_{percent:03d}.png" for percent in range(10, 101, 10)]
     wanted, shown = np.split(cv2.imread(str(pictures[-1])).astype(float), 2, axis=1)
     early = np.split(cv2.imread(str(pictures[0])).astype(float), 2, axis=1)[1]
