@@ -18,7 +18,7 @@ from studiorecon.calibration.world import metres_per_unit, refuse_mixed_units, s
 from studiorecon.camera_files.raw_camera import checked_camera
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.geometry.lens import calibration_from_video
+from studiorecon.geometry.lens import placed_as_given
 from studiorecon.progress import say
 from studiorecon.rig.lens_model import LensReading, as_model, with_radial
 from studiorecon.scene.camera import Lens
@@ -138,9 +138,8 @@ def lenses_of(
     notes += [n for n in (unit_note, up_note) if n] + moves
     lenses = []
     for name, raw, pose in zip(cameras, chosen, poses):
-        lens = Lens(
-            name, raw.wh, raw.intrinsics, raw.model, raw.distortion, pose, calibration_from_video(pixel_maps.get(name))
-        )
+        lens = Lens(name, raw.wh, raw.intrinsics, raw.model, raw.distortion, pose, np.eye(2, 3))
+        lens = placed_as_given(lens, pixel_maps.get(name))
         lenses.append(with_radial(as_model(lens, settings.lens), settings.radial.get(name, 0.0)))
     return lenses, notes, floor_known
 

@@ -14,7 +14,7 @@ from studiorecon.calibration.formats.lenses import read_lenses
 from studiorecon.calibration.names import pairings
 from studiorecon.camera_files.raw_camera import checked_camera
 from studiorecon.geometry.film_places import places
-from studiorecon.geometry.lens import calibration_from_video
+from studiorecon.geometry.lens import placed_as_given
 from studiorecon.keypoints.reading import undistorted
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera, Lens
@@ -40,9 +40,9 @@ def lenses_of_cameras(
     found = {}
     for camera, name in of_camera.items():
         checked, notes = checked_camera(camera, raw[name], source)
-        affine = calibration_from_video(maps.get(camera))
-        lens = Lens(camera, checked.wh, checked.intrinsics, checked.model, checked.distortion, np.eye(4), affine)
-        place = places(lens, sizes[camera])[0]
+        about = checked.wh, checked.intrinsics, checked.model, checked.distortion
+        lens = Lens(camera, *about, np.eye(4), np.eye(2, 3))
+        place = places(placed_as_given(lens, maps.get(camera)), sizes[camera])[0]
         found[camera] = place.lens
         for note in [*notes, *([f"camera {camera}: {place.how}"] if place.how else [])]:
             say(note)
@@ -75,5 +75,4 @@ def posed(lens: Lens, found: Camera) -> Lens:
 
 def _scale(lens: Lens, wh: tuple[int, int]) -> float:
     """Calibration pixels along a pixel of the film."""
-    given = not np.array_equal(lens.calibration_from_video, np.eye(2, 3))
-    return float(lens.calibration_from_video[0, 0]) if given or 0 in lens.wh else lens.wh[0] / wh[0]
+    return float(lens.calibration_from_video[0, 0]) if lens.has_place or 0 in lens.wh else lens.wh[0] / wh[0]

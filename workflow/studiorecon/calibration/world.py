@@ -38,7 +38,7 @@ def refuse_mixed_units(names: Sequence[str], centres: Float[np.ndarray, "N 3"]) 
         raise UserError(
             f"the calibration puts {', '.join(far)} {away[order[gaps[0] + 1]]:.4g} units and more from the "
             f"others, which are {away[order[gaps[0]]]:.4g} apart: the lengths of one calibration "
-            "must have one unit; correct the translation, or leave these cameras out (train, held_out in capture.yaml)"
+            "must have one unit; correct the translation, or leave these cameras out with train: [...] in capture.yaml"
         )
 
 

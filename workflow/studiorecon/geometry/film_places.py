@@ -35,8 +35,7 @@ def places(lens: Lens, source_wh: tuple[int, int]) -> list[Place]:
 
     Raises UserError, as ``calibration_from_video_pixels``, for shapes that neither padding nor a turn explains.
     """
-    given = not np.array_equal(lens.calibration_from_video, np.eye(2, 3))
-    if given or 0 in lens.wh or same_shape(lens.wh, source_wh):
+    if lens.has_place or 0 in lens.wh or same_shape(lens.wh, source_wh):
         return [Place(lens, "")]
     found = list(_padded(lens, source_wh))
     if not found and same_shape(lens.wh[::-1], source_wh):
@@ -56,7 +55,7 @@ def for_square_pixels(lens: Lens, stored_wh: tuple[int, int], shown_wh: tuple[in
 
     The calibration's size says which, or where it has none the ratio of its focal lengths.
     """
-    if stored_wh == shown_wh or not np.array_equal(lens.calibration_from_video, np.eye(2, 3)):
+    if stored_wh == shown_wh or lens.has_place:
         return lens, ""
     stretch = np.array(shown_wh) / np.array(stored_wh)
     if 0 in lens.wh:

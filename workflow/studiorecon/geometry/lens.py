@@ -108,7 +108,7 @@ def calibration_from_video_pixels(lens: Lens, source_wh: tuple[int, int]) -> Num
     how; and when the given map lays the calibrated pixels beside the video's.
     """
     given = np.asarray(lens.calibration_from_video, dtype=np.float64)
-    if lens.placed or not np.array_equal(given, np.eye(2, 3)):
+    if lens.has_place:
         _check_overlap(lens, given, source_wh)
         return given
     if 0 in lens.wh or tuple(lens.wh) == tuple(source_wh):
@@ -147,6 +147,14 @@ def calibration_from_video(pixel_map: Sequence[float] | None) -> Num[np.ndarray,
         return np.eye(2, 3)
     scale, x, y = (float(v) for v in pixel_map)
     return np.array([[1 / scale, 0, -x / scale], [0, 1 / scale, -y / scale]])
+
+
+def placed_as_given(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:
+    """The lens with the place of its video that capture.yaml gives, which may be the identity; itself without one."""
+    if not pixel_map:
+        return lens
+    placed = replace(lens, calibration_from_video=calibration_from_video(pixel_map))
+    return placed if placed.has_place else replace(placed, placed="as pixel_maps in capture.yaml says")
 
 
 def mapped_lens(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:

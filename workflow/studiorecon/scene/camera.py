@@ -167,7 +167,8 @@ class Lens:
         camera_from_world: (4, 4) float64.
         calibration_from_video: (2, 3) affine map from pixels of the video file to pixels of the calibration (identity
             when the video has the calibrated size; a pure scaling when it was resized).
-        placed: how that map was found, in words, where capture.yaml does not give it; "" otherwise.
+        placed: how that map was found, in words; "" where capture.yaml gives another one than the identity, and
+            where there is none.
     """
 
     name: str
@@ -178,6 +179,11 @@ class Lens:
     camera_from_world: Float[np.ndarray, "4 4"]
     calibration_from_video: Num[np.ndarray, "2 3"]
     placed: str = ""
+
+    @property
+    def has_place(self) -> bool:
+        """Whether the video's place in the calibrated picture is known, given or found."""
+        return bool(self.placed) or not np.array_equal(self.calibration_from_video, np.eye(2, 3))
 
     def as_json(self) -> dict[str, Any]:
         return {

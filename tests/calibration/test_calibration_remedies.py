@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a refused calibration's sentence says helps: whoever does it has the cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from studiorecon.calibration.choose import chosen
+from studiorecon.calibration.files import Settings, read_calibration
+from studiorecon.errors import UserError
+from studiorecon.geometry.triangulation import Limits
+from studiorecon.keypoints.reading import undistorted
+from studiorecon.rig.correspondences import observe
+from studiorecon.rig.human_size import check_human_size
+from studiorecon.rig.hypotheses import verdicts
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+from tests.defaults import loaded
+from tests.made.cameras import detect, look_at, walk
+
+WH = (1280, 704)
+NAMES = ("a", "b", "c", "d")
+PLACES = ((4.0, 0.0, 1.5), (0.5, 4.2, 2.0), (-3.5, -1.0, 1.2), (0.0, -4.0, 1.8))
+FRAMES = 24
+RIG = [look_at(n, np.array(p), [0, 0, 1], WH) for n, p in zip(NAMES, PLACES)]
+PEOPLE = [walk([-0.6, -0.5, 0], [0.03, 0, 0], FRAMES), walk([0.7, 0.6, 0], [0, -0.03, 0], FRAMES, 2.0)]
+SEEN = detect(RIG, PEOPLE, 1.0, np.random.default_rng(0))
+LIMITS = Limits(outlier_units=9.0)
+
+
+def table(camera: Camera, **changed: Any) -> dict[str, Any]:
+    """A camera as Pose2Sim's file has it: pixels' centres at 0."""
+    matrix = camera.intrinsics - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
+    pose = camera.camera_from_world
+    rotation = cv2.Rodrigues(pose[:3, :3])[0].ravel()
+    about = {"name": camera.name, "size": list(WH), "matrix": matrix.tolist(), "distortions": [0.0] * 4}
+    return {**about, "rotation": rotation.tolist(), "translation": pose[:3, 3].tolist(), **changed}
+
+
+@dataclass(frozen=True)
+class Capture:
+    """What the user brings: the first camera's entries in the file that differ, those of all, and the rest."""
+
+    first: dict[str, Any] = field(default_factory=dict)
+    all: dict[str, Any] = field(default_factory=dict)
+    cameras: tuple[Camera, ...] = tuple(RIG)
+    films: tuple[str, ...] = NAMES
+    wh: tuple[int, int] = WH
+    pixel_maps: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+    people: bool = True
+
+    def lenses(self, folder: Path) -> list[Any]:
+        tables = [table(c, **{**self.all, **(self.first if not i else {})}) for i, c in enumerate(self.cameras)]
+        lines = []
+        for i, entries in enumerate(tables):
+            lines += [f"[cam{i}]", *(f"{k} = {written(v)}" for k, v in entries.items() if v is not None)]
+        file = folder / "calib.toml"
+        file.write_text("\n".join(lines))
+        settings = replace(loaded(Settings), **self.settings)
+        found = read_calibration([file], settings.format)
+        seen = [self.detected(film) for film in self.films]
+        return chosen(found, file.name, self.films, [self.wh] * len(seen), seen, self.pixel_maps, settings).lenses
+
+    def detected(self, film: str) -> Detections:
+        one = SEEN[NAMES.index(film)] if film in NAMES else SEEN[0]
+        return replace(one if self.people else one.only(np.zeros(len(one.frame), bool)), camera=film)
+
+    def judged(self, folder: Path) -> None:
+        """Raises UserError as the doctor would: for people of another size, or with the setting that fits them."""
+        lenses = self.lenses(folder)
+        both = [undistorted(self.detected(lens.name), lens, self.wh) for lens in lenses]
+        cameras, seen = [c for c, _ in both], [d for _, d in both]
+        rows, _ = verdicts(cameras, seen, np.arange(0, FRAMES, 4), 0.25, LIMITS)
+        best = max(rows, key=lambda row: row["score"])
+        if best["score"] > 0.3 and best["remedy"] and best["score"] > 1.5 * rows[0]["score"]:
+            raise UserError(best["remedy"])
+        assert check_human_size(cameras, observe(seen, cameras, np.arange(FRAMES), 0.25)[0], LIMITS) is not None
+
+
+def written(value: Any) -> str:
+    return f'"{value}"' if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def moved(factor: float, far: tuple[str, ...] = NAMES) -> tuple[Camera, ...]:
+    """The rig with lengths of some cameras multiplied."""
+    longer = np.ones((4, 4))
+    longer[:3, 3] = factor
+    return tuple(replace(c, camera_from_world=c.camera_from_world * longer) if c.name in far else c for c in RIG)
+
+
+INVERSE = tuple(replace(c, camera_from_world=np.linalg.inv(c.camera_from_world)) for c in RIG)
+OPENGL = tuple(replace(c, camera_from_world=np.diag([1.0, -1, -1, 1]) @ c.camera_from_world) for c in RIG)
+OTHER = (1280, 960)
+MATRIX = np.array(table(RIG[0])["matrix"])
+SIDEWAYS = {"settings": {"up": "z"}}
+
+# What is brought, what is said of it, and the same once that was done.
+ROWS = {
+    "scale": (Capture(cameras=moved(0.2)), r"calibration\.scale by", {"settings": {"scale": 5.0}}),
+    "unit cm": (Capture(cameras=moved(100.0)), r"calibration\.unit: cm", {"settings": {"unit": "cm"}}),
+    "unit mm": (
+        Capture(cameras=moved(1000.0), settings={"unit": "m"}),
+        r"calibration\.unit: mm|millimetres; multiply",
+        {"settings": {"unit": "mm"}},
+    ),
+    "poses": (
+        Capture(cameras=INVERSE, **SIDEWAYS),
+        r"calibration\.poses: world_from_camera$",
+        {"settings": {"poses": "world_from_camera", "up": "z"}},
+    ),
+    "axes": (
+        Capture(cameras=OPENGL, **SIDEWAYS),
+        r"calibration\.poses: opengl$",
+        {"settings": {"poses": "opengl", "up": "z"}},
+    ),
+    "pixel_maps": (
+        Capture(all={"size": list(OTHER)}),
+        r"capture\.yaml: pixel_maps",
+        {"pixel_maps": {name: (1.0, 0.0, 0.0) for name in NAMES}},
+    ),
+    "rename": (
+        Capture(films=("w", "x", "y", "z"), people=False),
+        "rename the videos",
+        {"films": NAMES, "people": True},
+    ),
+    "radial": (
+        Capture(settings={"radial": {"cam1": 0.01}}),
+        "the footage has a, b, c, d",
+        {"settings": {"radial": {"a": 0.001}}},
+    ),
+    "far": (
+        Capture(cameras=moved(1000.0, ("d",))),
+        r"train: \[\.\.\.\] in capture\.yaml",
+        {"films": ("a", "b", "c")},
+    ),
+    "focal length": (
+        Capture(first={"matrix": [[4.2, 0, 640], [0, 4.2, 352], [0, 0, 1]]}),
+        "must be in pixels",
+        {"first": {}},
+    ),
+    "columns": (Capture(first={"matrix": MATRIX.T.tolist()}), "write it row by row", {"first": {}}),
+    "extrinsics": (Capture(first={"rotation": None}), "run the extrinsic calibration", {"first": {}}),
+    "lens": (Capture(first={"fisheye": "perhaps"}), "true or false", {"first": {"fisheye": False}}),
+    "terms": (Capture(first={"distortions": [0.0] * 6}), "4, 5|4 or 5", {"first": {"distortions": [0.0] * 5}}),
+    "format": (Capture(settings={"format": "qualisys"}), "Qualisys|XML|xml", {"settings": {"format": "auto"}}),
+}
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_who_does_what_the_sentence_says_has_the_cameras(row: str, tmp_path: Path) -> None:
+    broken, said, done = ROWS[row]
+    with pytest.raises(UserError, match=said):
+        broken.judged(tmp_path)
+    mended = replace(broken, **done)
+    mended.judged(tmp_path)
+    lenses = mended.lenses(tmp_path)
+    centres = np.array([-lens.camera_from_world[:3, :3].T @ lens.camera_from_world[:3, 3] for lens in lenses])
+    apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    truth = np.array(PLACES[: len(lenses)])
+    np.testing.assert_allclose(apart, np.linalg.norm(truth[:, None] - truth[None], axis=-1), atol=1e-6)
