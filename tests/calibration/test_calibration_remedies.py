@@ -123,7 +123,7 @@ ROWS = {
     "pixel_maps": (
         Capture(all={"size": list(OTHER)}),
         r"capture\.yaml: pixel_maps",
-        {"pixel_maps": {name: (1.0, 0.0, 0.0) for name in NAMES}},
+        {"pixel_maps": dict.fromkeys(NAMES, (1.0, 0.0, 0.0))},
     ),
     "rename": (
         Capture(films=("w", "x", "y", "z"), people=False),

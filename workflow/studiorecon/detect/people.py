@@ -77,7 +77,8 @@ def run(
     linear, offset = np.split(film_from_turned(footage.wh, turns), [2], axis=1)
     pictures = (turned(p, turns) for p in progress(decode(footage, start, count), f"frames of {camera}", total))
     backgrounds = [turned(background, turns) for background in backgrounds]
-    wh = footage.wh[:: -1 if turns % 2 else 1]
+    width, height = footage.wh
+    wh = (height, width) if turns % 2 else (width, height)
     few = is_few(total, footage.fps)
     rows, frames = [], 0
     for frame, seen in enumerate(people_in(pictures, network, backgrounds, footage.fps, few), start):
