@@ -157,7 +157,7 @@ def test_without_bodies_and_in_another_shape_space_there_is_no_surface(
 
 
 def test_bodies_survive_their_file(found: list[Detections], tmp_path: Path) -> None:
-    write_detections(tmp_path / "a.npz", found[0])
-    back = read_detections(tmp_path / "a.npz")
+    write_detections(tmp_path / "cam0.npz", found[0])
+    back = read_detections(tmp_path / "cam0.npz")
     np.testing.assert_array_equal(back.body_root, found[0].body_root)
     np.testing.assert_array_equal(back.body_shape, found[0].body_shape)
