@@ -14,7 +14,7 @@ import av
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.footage.container import film_of, opened
+from studiorecon.footage.container import film_of, film_streams, opened
 from studiorecon.machine.refusals import without_thread
 
 if TYPE_CHECKING:
@@ -128,13 +128,15 @@ def timing_of(path: Path) -> Timing:
 
 
 def film_frames(path: Path) -> Iterator[av.VideoFrame]:
-    """All undamaged frames of the film in ``path``.
+    """All undamaged frames of the film in ``path``; none where the file no longer holds one.
 
     From a damaged one on it is decoded by one thread: of several, which ones are lost with it is chance.
     """
     done = 0
     for threads in ("AUTO", "SLICE"):
         with opened(path) as container:
+            if not film_streams(container):
+                return
             stream = film_of(container)
             stream.thread_type = threads
             try:

@@ -166,9 +166,9 @@ UNIT_NORMALS = Such(
 )
 CONFIDENT = Such(
     "confidences from 0 to 1 in the last column",
-    lambda keypoints: not ((keypoints[..., 2] < 0) | (keypoints[..., 2] > 1)).any(),
+    lambda keypoints: not (np.isfinite(keypoints[..., 2]) & (np.abs(keypoints[..., 2] - 0.5) > 0.5)).any(),
 )
-"""NaN is neither below nor above."""
+"""Those that are not finite are gaps (``scene.people.usable``)."""
 
 
 def check(value: Any, schema: Schema, name: str = "", sizes: Mapping[str, int] | None = None) -> None:
