@@ -5,7 +5,7 @@ measure."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -19,6 +19,7 @@ from studiorecon.depth.layout.box import strong_offsets
 from studiorecon.depth.layout.furniture import around
 from studiorecon.depth.layout.primitives import read_primitives
 from studiorecon.depth.layout.visibility import kept_from
+from studiorecon.depth.layout.votes import Votes
 from studiorecon.depth.layout.yaw import matched_yaw
 from studiorecon.depth.stereo.matching import plane_depth
 from studiorecon.depth.stereo.planes import wall_yaw
@@ -28,7 +29,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.geometry.camera_path import with_pose
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.room import RoomBox, read_room
+from studiorecon.scene.room import RoomBox, read_room, write_room
 
 from tests.made.room import made_room, photograph, ring, write_capture
 
@@ -230,6 +231,21 @@ def test_plates_must_fit_their_cameras(tmp_path: Path, default_settings: Callabl
     with pytest.raises(UserError, match="camera cam9 is not in"):
         sweep.run(settings, "cam9", tmp_path / "cameras/images.txt", plates, tmp_path / "s.npz")
     assert not (tmp_path / "s.npz").exists()
+
+
+def test_a_floor_with_too_few_voters_is_a_default_and_its_file_is_read(
+    tmp_path: Path, default_settings: Callable
+) -> None:
+    room, cameras, floor = made_room(), ring(wh=(96, 54)), np.array([[0.0, 0.0, 1.0, 0.0]])
+    pictures = [Picture(c, photograph(room, c)[0], np.ones(c.hw, bool)) for c in cameras]
+    near = [(p.depth(floor[0], 0.3, 14.0) > 0) & (p.depth(floor[0], 0.3, 14.0) < 4.0) for p in pictures]
+    votes = Votes(floor, [np.zeros(c.hw, int) for c in cameras], near)
+    settings = load(walls.Settings, default_settings("depth"), "depth")
+    for wall_votes, enough in ((0.004, True), (1.1, False)):
+        found = walls.fit_room_box(pictures, votes, 0.0, 0.0, replace(settings, wall_votes=wall_votes))
+        write_room(tmp_path / "room.json", found)
+        again = read_room(tmp_path / "room.json")
+        assert again.fitted[4] == np.isfinite(again.score[4]) == enough
 
 
 def test_given_depth_is_fitted_and_cleaned(tmp_path: Path, default_settings: Callable) -> None:

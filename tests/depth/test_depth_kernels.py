@@ -46,7 +46,7 @@ def test_the_room_is_fitted_with_the_kernels_that_were_compiled_ahead(
     sweeps = [tmp_path / f"{c.name}.sweep.npz" for c in cameras]
     for camera, path in zip(cameras, sweeps):
         sweep.run(load(sweep.Settings, section, "depth"), camera.name, model, plates, path)
-    seen = {"model": model, "plates": plates, "sweeps": sweeps, "box": tmp_path / "box.npz"}
+    seen = {"model": model, "plates": plates, "sweeps": sweeps, "box": tmp_path / "box.json"}
     written = {name: tmp_path / f"{name}.out" for name in ("room_box", "primitives", "passes")}
     files = {"fits": [], "detections": [], "identities": [], "picture": tmp_path / "primitives.png", **written}
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:

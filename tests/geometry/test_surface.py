@@ -94,7 +94,7 @@ def test_room_box_survives_its_file(tmp_path: Path) -> None:
         made_room_box(),
         gains={"cam 1": np.array([1.0, 0.9, 1.1])},
         planes=made_room_box().faces,
-        score=np.array([0.5, np.nan] * 3),
+        score=np.where(made_room_box().fitted, 0.5, np.nan),
     )
     write_room(tmp_path / "room.json", room_box)
     again = read_room(tmp_path / "room.json")

@@ -113,7 +113,9 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
         voters = votes.voters(axes[2], top, _VOTER_REACH_M)
         high[2], score[5] = room.place_plane(pictures, voters, axes[2], top, _PLACING_SPAN_M, _PLACING_STEP_M, how)
         fitted[5] = True
-    return RoomBox(yaw_rad + turn, low, high, fitted, score)
+    # A face with too few voters to score it is a default, and a default has no score.
+    fitted &= np.isfinite(score)
+    return RoomBox(yaw_rad + turn, low, high, fitted, np.where(fitted, score, np.nan))
 
 
 def refine_candidates(
