@@ -15,7 +15,7 @@ from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.path import PathStep, write_path
 
-from tests.made.scene import FPS, FRAMES, render_options, write_scene
+from tests.made.scene import FPS, FRAMES, render_options, replace_gaussians, write_scene
 
 TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
 
@@ -40,7 +40,7 @@ def test_everything_of_the_scene_is_there(files: dict) -> None:
 
 def test_the_marks_of_another_room_are_refused(files: dict) -> None:
     write_npz(files["provenance"], {"provenance": np.zeros(3, np.uint8)})
-    with pytest.raises(UserError, match="does not describe"):
+    with pytest.raises(UserError, match=r"provenance\.npz .*\(3,\)"):
         read_finished("made", **files)
 
 
@@ -51,7 +51,11 @@ def test_a_gaussian_that_is_no_number_is_refused_in_one_sentence(files: dict, wh
     own = read_ply(path)
     means = own.means_m.copy()
     means[5, 1] = np.nan
-    write_ply(path, replace(own, means_m=means))
+    broken = replace(own, means_m=means)
+    if whose == "background":
+        write_ply(path, broken)
+    else:
+        replace_gaussians(path, files["avatars"][1], broken)
     with pytest.raises(UserError, match=rf"{path.name} holds 1 Gaussians.*number 5"):
         read_finished("made", **files)
 

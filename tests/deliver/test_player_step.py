@@ -13,11 +13,11 @@ from studiorecon.deliver import player
 from studiorecon.errors import UserError
 from studiorecon.scene.factors import write_factors
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.gaussians_ply import read_ply, write_ply
+from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.path import PathStep, write_path
 
 from tests.made.player import PARTS
-from tests.made.scene import FPS, FRAMES, WH, render_options, write_scene
+from tests.made.scene import FPS, FRAMES, WH, render_options, replace_gaussians, write_scene
 
 TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
 
@@ -71,7 +71,7 @@ def test_a_gaussian_that_is_no_number_leaves_no_page(files: dict) -> None:
     own = read_ply(files["gaussians"][0])
     sh = own.sh.copy()
     sh[7, 0, 1] = np.inf
-    write_ply(files["gaussians"][0], replace(own, sh=sh))
+    replace_gaussians(files["gaussians"][0], files["avatars"][0], replace(own, sh=sh))
     with pytest.raises(UserError, match=r"p0\.ply holds 1 Gaussians with a value that is no number.*number 7"):
         player.run(**files)
     assert not files["page"].exists()

@@ -4,6 +4,7 @@ deliver read."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -186,3 +187,11 @@ def refilmed(videos: Sequence[Path], folder: Path, factors: Sequence[np.ndarray]
         frames = read_stack(path) * np.asarray(own)[:, None, None, :]
         write_lossless(copy, list(np.clip(np.rint(frames), 0, 255).astype(np.uint8)), 30.0)
     return copies
+
+
+def replace_gaussians(ply: Path, npz: Path, gaussians: Gaussians) -> None:
+    """Writes other Gaussians of a person, and into the file beside them that the two belong together."""
+    write_ply(ply, gaussians)
+    with np.load(npz) as data:
+        arrays = dict(data)
+    write_npz(npz, arrays | {"gaussians_sha256": hashlib.sha256(ply.read_bytes()).hexdigest()})
