@@ -70,7 +70,8 @@ def keeps_every_pixel(film: Path) -> bool:
     except (av.FFmpegError, IndexError):
         return False
     # H.264 can be both: our lossless films are H.264 of RGB, films to watch are of YUV.
-    has: int = getattr(context.codec.properties, "value", context.codec.properties)
-    lossless, lossy = (getattr(kind, "value", kind) for kind in (Properties.LOSSLESS, Properties.LOSSY))
+    has, lossless, lossy = (
+        int(getattr(kind, "value", kind)) for kind in (context.codec.properties, Properties.LOSSLESS, Properties.LOSSY)
+    )
     always = bool(has & lossless) and not has & lossy
     return always or (context.format is not None and context.format.is_rgb)
