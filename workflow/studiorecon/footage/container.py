@@ -70,8 +70,7 @@ def keeps_every_pixel(film: Path) -> bool:
     except (av.FFmpegError, IndexError):
         return False
     # H.264 can be both: our lossless films are H.264 of RGB, films to watch are of YUV.
-    has, lossless, lossy = (
-        int(getattr(kind, "value", kind)) for kind in (context.codec.properties, Properties.LOSSLESS, Properties.LOSSY)
-    )
+    kinds: list[Any] = [context.codec.properties, Properties.LOSSLESS, Properties.LOSSY]
+    has, lossless, lossy = (int(getattr(kind, "value", kind)) for kind in kinds)
     always = bool(has & lossless) and not has & lossy
     return always or (context.format is not None and context.format.is_rgb)
