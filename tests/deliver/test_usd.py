@@ -14,10 +14,10 @@ from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.deliver import usd
 from studiorecon.errors import UserError
-from studiorecon.scene.gaussians_ply import read_ply, write_ply
+from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.splatting.rigid_object import RigidObject
 
-from tests.made.scene import FPS, FRAMES, render_options, write_scene
+from tests.made.scene import FPS, FRAMES, render_options, replace_gaussians, write_scene
 
 TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
 
@@ -140,7 +140,7 @@ def test_a_gaussian_that_is_no_number_leaves_no_stage(tmp_path: Path, root: Path
     own = read_ply(given["gaussians"][0])
     means = own.means_m.copy()
     means[5, 1] = np.nan
-    write_ply(given["gaussians"][0], replace(own, means_m=means))
+    replace_gaussians(given["gaussians"][0], given["avatars"][0], replace(own, means_m=means))
     with pytest.raises(UserError, match=r"p0\.ply holds 1 Gaussians.*number 5"):
         usd.run(**given)
     assert not given["stage"].exists()
