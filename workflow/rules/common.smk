@@ -26,6 +26,7 @@ from studiorecon.plan.films import unreadable
 from studiorecon.plan.networks import images_of
 from studiorecon.configuration.overlays import check_overlay
 from studiorecon.configuration.schema import mistakes, typed
+from studiorecon.sweep.table import BASE, read_rows
 
 HOME = Path(workflow.basedir)
 # Where results lie beside the workflow its files are named from there: a folder that is moved whole stays as finished as it was.
@@ -113,7 +114,7 @@ check_settings()
 BUDGET = bought_by_budget()
 PLAN = decided()
 # The logger says where results are; a run with nothing to do names no scene to it.
-os.environ["STUDIORECON_SCENE"] = str(PLAN.scene)
+os.environ.update(STUDIORECON_SCENE=str(PLAN.scene))
 IMAGES = images_of(config, HOME)
 files = Files(PLAN, config, HOME, local, checkpoints)
 # The container image of that name, that of an upstream network, and the GPUs that a job of it holds.
@@ -155,3 +156,17 @@ def threads_beside(jobs, most=2):
 def every_core(wildcards):
     """All that --cores allows. Asked only when the job is planned: --unlock and --lint are given no number."""
     return workflow.cores
+
+
+def sweep_records(wildcards):
+    """The record of every row of the sweep's table, in its order."""
+    try:
+        rows = read_rows(Path(beside(config["sweep"], HOME)))
+    except UserError as refusal:
+        refuse(str(refusal))
+    return [f"results/{wildcards.scene}/sweep/{wildcards.table}/{row.name}.json" for row in rows]
+
+
+def base_record(wildcards):
+    """The record of the base, whose run every other row starts from."""
+    return [] if wildcards.row == BASE else [f"results/{wildcards.scene}/sweep/{wildcards.table}/{BASE}.json"]

@@ -74,7 +74,9 @@ rule detect_keypoints:
         code=code("detect.keypoints"),
         layout=PLAN.dataset.keypoint_layout,
         other_cameras=lambda wildcards: files.others_recorded(wildcards.camera),
-        first_frame=lookup("{camera}", within={c: str(PLAN.dataset.keypoint_first_frame.get(c, "auto")) for c in PLAN.cameras}),
+        first_frame=lookup(
+            "{camera}", within={c: str(PLAN.dataset.keypoint_first_frame.get(c, "auto")) for c in PLAN.cameras}
+        ),
         picture_fps=config["capture"]["picture_fps"],
         pixel_map=lookup("{camera}", within={c: json.dumps(PLAN.dataset.pixel_maps.get(c, [])) for c in PLAN.cameras}),
     shell:

@@ -1,22 +1,6 @@
 # What accuracy costs: snakemake --cores all sweep --config dataset=DIR sweep=config/sweeps/one_at_a_time.tsv
 # runs every configuration of that table and makes results/SCENE/sweep/TABLE/index.html. Part of no other target.
 
-from studiorecon.sweep.table import BASE, read_rows
-
-
-def sweep_records(wildcards):
-    """The record of every row, in the table's order."""
-    try:
-        rows = read_rows(Path(beside(config["sweep"], HOME)))
-    except UserError as refusal:
-        refuse(str(refusal))
-    return [f"results/{wildcards.scene}/sweep/{wildcards.table}/{row.name}.json" for row in rows]
-
-
-def base_record(wildcards):
-    """The base's record, whose run every other row starts from."""
-    return [] if wildcards.row == BASE else [f"results/{wildcards.scene}/sweep/{wildcards.table}/{BASE}.json"]
-
 
 rule sweep_row:
     input:
