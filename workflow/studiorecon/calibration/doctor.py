@@ -329,7 +329,7 @@ def run(
         name: read(model) for name, model in LENS_READINGS.items() if any(lenses[c].model != model for c in cameras)
     }
     told = {"sentences": [f["sentence"] for f in found["cameras"]], "refusal": read_clocks(clocks).refusal}
-    # Whoever filmed people, or everybody: held-out pictures are not looked at for the room's sake.
+    # Cameras that filmed people, or all: held-out pictures are not looked at for the room's sake.
     asked = [c in seen or not seen for c in cameras]
     rooms = _rooms(sources, pinholes, [lenses[c] for c in cameras], moments, asked)
     compared = {

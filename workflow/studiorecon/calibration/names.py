@@ -146,7 +146,7 @@ def _shifted(footage: Sequence[str], calibrated: Sequence[str]) -> list[Pairing]
     of_number = dict(zip(theirs, calibrated))
     found = []
     for shift in sorted({t - o for t in theirs for o in ours}, key=lambda s: (abs(s), s)):
-        # From 0 or from 1: whoever counts from elsewhere counts other cameras.
+        # Numbers from 0 or from 1 only: another first number means other cameras.
         if abs(shift) <= 1 and all(number + shift in of_number for number in ours):
             pairs = {film: of_number[number + shift] for film, number in zip(footage, ours)}
             # cam1 of the one being cam2 of the other is nothing to believe of names.

@@ -4,5 +4,4 @@
 In comes footage, or files of keypoints; out come raw detections per camera, in pixels of the footage. Steps:
 ``chapters`` (several files of one recording as one film), ``people`` (the embedded detector), ``keypoints`` (a user's
 files).
-``film_motion``: the pictures of a film that recorded keypoints are compared with.
 """

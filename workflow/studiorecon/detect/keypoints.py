@@ -11,13 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.detect.film_motion import motion_in
 from studiorecon.errors import UserError
+from studiorecon.footage.frames import glimpses, stills
 from studiorecon.footage.source import FootageSource, open_source
 from studiorecon.geometry.lens import mapped_lens
 from studiorecon.keypoints.film_check import BORNE_OUT, Film, checked
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.keypoints.motion import Motion, motion_of, small
 from studiorecon.keypoints.numbering import numberings
 from studiorecon.keypoints.possible_readings import affine
 from studiorecon.keypoints.readers import read_keypoints
@@ -31,8 +32,12 @@ from studiorecon.scene.raw_detections import is_found, read_raw_detections
 from studiorecon.scene.recorded import Recorded, write_recorded
 from studiorecon.signature import Written
 
-# Of whoever is seen by nobody, any layout will do.
+# The layout of an empty recording: nothing reads its points.
 _NOBODYS = "body_25"
+# Pictures that are compared with keypoints: a few dozen show where people move.
+_PICTURES = 64
+# Frames. Films up to this length are decoded from the start (1 to 2 s); longer ones are sought in.
+_FRAMES_READ = 600
 
 
 def run(
@@ -173,3 +178,16 @@ def _as_filmed(camera: str, filmed: FootageSource, frames: int, pixel_map: str) 
     return lens, Footage(
         camera, False, wh, intrinsics.tolist(), filmed.fps, frames, 0, filmed.path.name, "", wh, 0, 0.0, []
     )
+
+
+def motion_in(source: FootageSource, first: int, last: int) -> Motion | None:
+    """Motion in sampled frames from ``first`` to ``last``; None, with a warning, where the film cannot be read."""
+    first, last = min(max(first, 0), source.frames - 1), min(max(last, 0), source.frames - 1)
+    wanted = np.unique(np.linspace(first, max(last, first), _PICTURES).round().astype(int)).tolist()
+    look = stills if last <= _FRAMES_READ else glimpses
+    try:
+        pictures = [small(picture) for picture in look(source, wanted)]
+    except UserError as refusal:
+        warn(f"{refusal}; its keypoints are not compared with it")
+        return None
+    return motion_of(wanted[: len(pictures)], pictures, source.wh) if len(pictures) > 2 else None

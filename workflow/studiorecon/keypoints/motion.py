@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a film's pictures differ from how it usually looks: cheap, small, and blind for whoever stands still."""
+"""Where a film's pictures differ from how it usually looks: cheap, small, and blind for people who stand still."""
 
 from __future__ import annotations
 

@@ -2,9 +2,9 @@
 """Do recorded keypoints lie on what moves in the film, and under which reading of their numbers?
 
 One measurement for everything that may be mixed up: the numbering, the unit and size of the picture, mirrored and
-turned pictures, exchanged coordinates, another camera's film. Whoever moves makes the picture differ from usual where
-they are, and only there: the *lift* of a reading is how much nearer to such places its keypoints lie in their own
-frames than in others, 0 for chance and 1 at best. Whoever stands still says nothing, and then nothing is said.
+turned pictures, exchanged coordinates, another camera's film. A person who moves changes the picture where they
+are, and only there: the *lift* of a reading is how much nearer to such places its keypoints lie in their own
+frames than in others, 0 for chance and 1 at best. A person who stands still gives no evidence and no verdict.
 """
 
 from __future__ import annotations

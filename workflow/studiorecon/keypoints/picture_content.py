@@ -27,15 +27,15 @@ _PARTS = ("face", "hand", "left", "righ")
 
 
 def is_picture(content: Any) -> bool:
-    """Whether ``content`` is a mapping that tells of one picture's people."""
+    """Whether ``content`` is a mapping that holds the people of one picture."""
     return isinstance(content, Mapping) and any(key in content for key in _LISTS)
 
 
 def people_in(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]], str]:
     """Keypoints (x, y, score) of everybody in one picture, and the program that writes so.
 
-    ``content`` is a mapping with a list of people, or MMPose's bare list, nested or not. Whoever is null or empty, or
-    has null for keypoints, is nobody. Raises UserError that begins with ``where``.
+    ``content`` is a mapping with a list of people, or MMPose's bare list, nested or not. Entries that are null or
+    empty, or have null keypoints, are left out. Raises UserError that begins with ``where``.
     """
     key = next((key for key in _LISTS if isinstance(content, Mapping) and key in content), None)
     if key is None and not isinstance(content, list):
