@@ -149,8 +149,16 @@ UNSEEN = values(psnr=20.0, ssim=0.7, psnr_seen=26.0, psnr_unseen=12.0, share_see
     ("pictures", "limits", "helps"),
     [
         (UNSEEN, "10% of the room", "studiorecon plan"),
-        (values(psnr=20.0, ssim=0.7, psnr_people=18.0, psnr_background=24.0), "people (18.0 dB", "standard"),
-        (values(psnr=20.0, psnr_seen=20.0, psnr_unseen=19.0, share_seen=0.9), "cameras do see (90%", "standard"),
+        (
+            values(psnr=20.0, ssim=0.7, psnr_people=18.0, psnr_background=24.0),
+            "People limit the quality (18.0 dB",
+            "standard",
+        ),
+        (
+            values(psnr=20.0, psnr_seen=20.0, psnr_unseen=19.0, share_seen=0.9),
+            "cameras do see limit the quality (90%",
+            "standard",
+        ),
         (values(psnr=None), "no camera is held out", "held_out in capture.yaml"),
     ],
 )
@@ -298,7 +306,13 @@ def test_the_next_prediction_learns_from_stages_that_were_predicted_and_took_som
 def test_warnings_are_told_once_with_their_step(tmp_path: Path) -> None:
     write_text(tmp_path / "people/fit/p0.log", "fine\nwarning: one\nwarning: one\n")
     write_text(tmp_path / "plates/clean/cam1.log", "warning: two\na warning: is no warning\n")
-    assert read_warnings(tmp_path) == [("people.fit.p0", "one"), ("plates.clean.cam1", "two")]
+    write_text(tmp_path / "people/first/associate.log", "warning: three for 1.7 s\n")
+    write_text(tmp_path / "people/associate.log", "warning: three for 1.6 s\n")
+    assert read_warnings(tmp_path) == [
+        ("people.associate", "three for 1.6 s"),
+        ("people.fit.p0", "one"),
+        ("plates.clean.cam1", "two"),
+    ]
     assert "No step warned" in appendix.warnings([])
 
 

@@ -74,7 +74,7 @@ def tell(those: Sequence[LeftOut], next_person: str) -> None:
         warn(
             f"left out: {one.name}, on whom {', '.join(one.cameras)} agree for "
             f"{one.seconds:.1f} s: {one.reason}. To take them in, copy "
-            f"people/identities.tsv into the dataset folder and put there, in place of the same tracks:"
+            f"people/identities.tsv into the dataset folder and replace there the lines that people/review.html shows:"
         )
         for line in lines[:_SAID]:
             say(line)

@@ -24,7 +24,7 @@ def judgement(metrics: Mapping[str, Any]) -> str:
         )
     alike = "" if ssim is None else f", SSIM {ssim:.2f}"
     limit, remedy = _limit(pictures)
-    return f"New views match what held-out cameras filmed at {psnr:.1f} dB PSNR{alike}{joints}. {limit}: {remedy}."
+    return f"New views match the held-out cameras at {psnr:.1f} dB PSNR{alike}{joints}. {limit}; {remedy}."
 
 
 def _limit(pictures: Mapping[str, Any]) -> tuple[str, str]:
@@ -33,13 +33,14 @@ def _limit(pictures: Mapping[str, Any]) -> tuple[str, str]:
     if seen is not None and unseen is not None and share is not None:
         missed, known = (1 - share) * _error(unseen), share * _error(seen)
         if missed > known:
-            said = f"What limits them is what no training camera sees ({1 - share:.0%} of the room, {unseen:.1f} dB)"
+            part = f"{1 - share:.0%} of the room, {unseen:.1f} dB"
+            said = f"Surfaces that no training camera sees limit the quality ({part})"
             return said, "another camera there helps most (studiorecon plan DIR says where)"
     people, room = _value(pictures, "psnr_people"), _value(pictures, "psnr_background")
     if people is not None and room is not None and people < room:
-        return f"What limits them are people ({people:.1f} dB; the room {room:.1f} dB)", _PRESET
+        return f"People limit the quality ({people:.1f} dB; the room {room:.1f} dB)", _PRESET
     if seen is not None and share is not None:
-        return f"What limits them are surfaces that cameras do see ({share:.0%} of the room, {seen:.1f} dB)", _PRESET
+        return f"Surfaces that cameras do see limit the quality ({share:.0%} of the room, {seen:.1f} dB)", _PRESET
     worst = min(
         (
             (found["value"], camera)
@@ -49,7 +50,7 @@ def _limit(pictures: Mapping[str, Any]) -> tuple[str, str]:
         default=None,
     )
     where = "" if worst is None else f" (worst at {worst[1]}, {worst[0]:.1f} dB)"
-    return f"What limits them cannot be told apart here{where}", _PRESET
+    return f"Pictures alone do not show what limits the quality{where}", _PRESET
 
 
 def _error(psnr_db: float) -> float:
