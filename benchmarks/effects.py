@@ -42,7 +42,7 @@ from tests.made.studio_world import OTHERWISE, PLANTED, scene
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = Path(__file__).resolve().parent / "results" / "effects.json"
 PAGE = ROOT / "tests" / "effects" / "README.md"
-LEAST, MOST = 0.95, 0.05
+MIN, MAX = 0.95, 0.05
 _VOIDS = {effect.name for effect in EARLY if effect.voids}
 # Effect → those that void it while they are on.
 HIDING = {effect.name: _VOIDS & set(effect.hidden_by) for effect in EARLY}
@@ -159,12 +159,12 @@ def main(seeds: int) -> int:
         rows[effect] = {e: float(np.mean([turned(usual[e], v[e]) for v in found])) for e in judged}
         print(f"{effect:22s} " + " ".join(f"{rows[effect][e]:4.2f}" for e in judged), flush=True)
     together = in_pairs(seeds, settings, usual)
-    missed = {e: rows[e][e] for e in PLANTED if rows[e][e] < LEAST}
+    missed = {e: rows[e][e] for e in PLANTED if rows[e][e] < MIN}
     false = {
         f"{planted} → {e}": share
         for planted, row in rows.items()
         for e, share in row.items()
-        if e != planted and share > MOST
+        if e != planted and share > MAX
     }
     result = {
         "date": date.today().isoformat(),
@@ -181,11 +181,11 @@ def main(seeds: int) -> int:
     }
     write_json(RESULT, result)
     PAGE.write_text(page(result), encoding="utf-8")
-    below = {e: share for e, share in together["found"].items() if share < LEAST}
-    above = {e: share for e, share in together["invented"].items() if share > MOST}
+    below = {e: share for e, share in together["found"].items() if share < MIN}
+    above = {e: share for e, share in together["invented"].items() if share > MAX}
     print(f"usual verdicts: {usual}")
-    print(f"in pairs, found in less than {LEAST}: {below or 'none'}; invented in more than {MOST}: {above or 'none'}")
-    print(f"diagonal below {LEAST}: {missed or 'none'}; beside it above {MOST}: {false or 'none'}")
+    print(f"in pairs, found in less than {MIN}: {below or 'none'}; invented in more than {MAX}: {above or 'none'}")
+    print(f"diagonal below {MIN}: {missed or 'none'}; beside it above {MAX}: {false or 'none'}")
     return 0 if not (missed or false or below or above) else 1
 
 

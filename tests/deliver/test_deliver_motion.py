@@ -141,7 +141,7 @@ def test_a_glb_that_its_lengths_cannot_say_is_refused(
     write_glb(tmp_path / "p2.glb", person, body)
     size = (tmp_path / "p2.glb").stat().st_size
     for limit, refused in ((size, False), (size - 1, True)):
-        monkeypatch.setattr(gltf, "_MOST_BYTES", limit)
+        monkeypatch.setattr(gltf, "_MAX_BYTES", limit)
         with pytest.raises(UserError, match=r"count: N. in capture\.yaml") if refused else nullcontext():
             write_glb(tmp_path / "p2.glb", person, body)
 

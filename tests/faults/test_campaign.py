@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.keypoints.readers import MOST_PEOPLE_PER_PICTURE, read_keypoints
+from studiorecon.keypoints.readers import MAX_PEOPLE_PER_PICTURE, read_keypoints
 from studiorecon.scene.intermediate import read
 from studiorecon.scene.names import checked_name
 from studiorecon.scene.numbered import gaps_named, pictures_in
@@ -82,7 +82,7 @@ def test_a_damaged_file_is_named_with_its_field_and_what_is_expected(tmp_path: P
 
 
 def test_a_crowd_beyond_the_limit_is_refused_with_its_frame(tmp_path: Path) -> None:
-    people = OPENPOSE["people"][1:] * (MOST_PEOPLE_PER_PICTURE + 1)
+    people = OPENPOSE["people"][1:] * (MAX_PEOPLE_PER_PICTURE + 1)
     (tmp_path / "cam_0007.json").write_text(json.dumps({"people": people}))
     with pytest.raises(UserError, match=r"frame 7: 501 detections .* at most 500"):
         read_keypoints(tmp_path)

@@ -129,7 +129,7 @@ def test_survey_judges_as_without_the_faults(fault: float) -> None:
     assert (right != found).mean() < SHARE
     measured = np.ones(VIEWS[0].hw, bool)
     views = [exposures.ExposureView(v, rgb, measured, depth) for v, (rgb, _), depth in zip(VIEWS, clean, broken)]
-    shared, errors = exposures.overlaps(views, 0.05, exposures.LEAST_PIXELS)
+    shared, errors = exposures.overlaps(views, 0.05, exposures.MIN_PIXELS)
     value, error, _ = exposures.disagreement(len(views), shared, errors)
     # One exposure filmed all of it: nothing beyond what the threshold lets pass.
     assert value + exposures.INTERVAL * error <= 0.01

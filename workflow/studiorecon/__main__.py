@@ -31,7 +31,7 @@ from studiorecon.machine.refusals import refused, short_of_memory
 from studiorecon.models.catalogue.confined import confine
 from studiorecon.progress import LOGGER, fail, logged
 
-_MOST_PIXELS = 2**28
+_MAX_PIXELS = 2**28
 # ``kernel_cache``, by name: what is imported here is part of every step's digest, and where machine code lies changes
 # no result. numba's own follow for everybody else's functions.
 _OWN = "studiorecon.machine.kernel_cache.ByContent"
@@ -96,7 +96,7 @@ def _keep_to_the_threads_given() -> None:
     # (filming the demo's studio takes 1.8 times the processor time with two), and their number changes last bits.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Pictures of more pixels than any camera's are damaged or made to fill the memory: a few bytes can announce them.
-    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MOST_PIXELS))
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MAX_PIXELS))
 
 
 def _keep_byte_code() -> None:

@@ -28,7 +28,7 @@ _AGREE_SHARE, _AGREE_M = 0.03, 0.03
 # Beside something this much nearer (share, metres) the plate's colours are mixed; such pixels do not paint walls.
 _NEARER_SHARE, _NEARER_M = 0.9, 0.05
 # A wall of which less is seen is one of which nothing is: a strip at its edge does not say how it goes on.
-_LEAST_SEEN = 0.02
+_MIN_SEEN = 0.02
 # Over how far light is even, how large a piece of wallpaper is copied, and from where on it is another one.
 _LIGHT_M, _PATCH_M, _SHIFT_M = 0.35, 0.27, 0.12
 # What nobody sees anything of is painted on so coarse a grid, and blurred so far: it has no detail.
@@ -94,7 +94,7 @@ def paint(
     scale = Scale(_LIGHT_M / step_m, max(patch, 3), max(round(_SHIFT_M / step_m), 2))
     painted = []
     for (face, nodes), (rgb, seen) in zip(looked, gathered):
-        if seen.mean() >= _LEAST_SEEN:
+        if seen.mean() >= _MIN_SEEN:
             rgb = filled(rgb, seen, scale, np.random.default_rng(0))
             if walls is not None and _upright(face):
                 apart_m = step_m * cv2.distanceTransform((~seen).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jaxtyping import Num
 
 # A joint that moves fewer vertices than this is part of its neighbours.
-_LEAST_VERTICES = 6
+_MIN_VERTICES = 6
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def occluder(model: BodyModel, betas: Num[np.ndarray, " B"]) -> Occluder:
     joints, ends, radii = [], [], []
     for joint in range(24):
         own = vertices[strongest == joint]
-        if len(own) < _LEAST_VERTICES:
+        if len(own) < _MIN_VERTICES:
             continue
         # The middle of the box, not of the vertices: these are dense in hands and faces.
         axis = np.linalg.eigh(np.cov(own.T))[1][:, 2]

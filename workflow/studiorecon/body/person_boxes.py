@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
 # Keypoints below this confidence are guesses that would stretch the outline across the room.
-_LEAST_CONFIDENCE = 0.2
+_MIN_CONFIDENCE = 0.2
 # Half-thickness of limbs and radius of the head, as shares of a person's height; a hand reaches on by this share of the
 # forearm.
 _LIMB, _HEAD, _HAND = 0.035, 0.065, 0.5
@@ -38,7 +38,7 @@ def people_regions(
     regions = np.zeros((len(frames), *hw), np.uint8)
     layout = LAYOUTS[detections.layout]
     for keypoints, frame in zip(detections.keypoints, detections.frame):
-        seen = (keypoints[:, 2] >= _LEAST_CONFIDENCE) & np.isfinite(keypoints[:, :2]).all(axis=1)
+        seen = (keypoints[:, 2] >= _MIN_CONFIDENCE) & np.isfinite(keypoints[:, :2]).all(axis=1)
         points = {name: keypoints[k, :2] for k, name in enumerate(layout.keypoints) if seen[k]}
         bones = [(layout.keypoints[a], layout.keypoints[b]) for a, b in layout.edges]
         for index in np.flatnonzero(np.abs(frames - frame) <= hold):

@@ -46,7 +46,7 @@ _HOPELESS = 6.0
 # Standard deviation of adults' sizes, as a share.
 _OF_A_MEAN_BODY = 0.05
 _NO_LENGTHS = GivenLengths()
-_LEAST_CAMERAS = 2
+_MIN_CAMERAS = 2
 _WOULD_HELP = (
     "let somebody walk where it and another camera both look, or bring a calibration; train: [...] in capture.yaml "
     "without it says that this is meant"
@@ -319,7 +319,7 @@ def run(
         edges_of(rooms),
         rooms,
     )
-    if sum(c.name in training for c in found) < _LEAST_CAMERAS:
+    if sum(c.name in training for c in found) < _MIN_CAMERAS:
         raise UserError(
             "people place fewer than two cameras that the scene could be made from: "
             + "; ".join(f"camera {n}: {why}" for n, why in report["left_out"].items())

@@ -21,7 +21,7 @@ from studiorecon.scene.numbered import natural
 
 # One name being the other, or a run of whole words of it, counts more than all words that they share.
 # Of names that say nothing so many pairings are tried on people: all of four cameras.
-_MOST_TRIED = 24
+_MAX_TRIED = 24
 _SAME, _SAME_BUT_FOR_CASE, _PART = 16.0, 8.0, 2.0
 
 
@@ -55,7 +55,7 @@ def pairings(footage: Sequence[str], calibrated: Sequence[str], source: str) -> 
     found = [Pairing(pairs, "by what their names share") for pairs in _best(footage, calibrated, weight)]
     if not found or weight.max(1).min() < _PART:
         found += _shifted(footage, calibrated)
-    if not any(p.sure for p in found) and math.perm(len(calibrated), len(footage)) <= _MOST_TRIED:
+    if not any(p.sure for p in found) and math.perm(len(calibrated), len(footage)) <= _MAX_TRIED:
         found += [
             Pairing(dict(zip(footage, order)), "against their names", sure=False)
             for order in itertools.permutations(calibrated, len(footage))

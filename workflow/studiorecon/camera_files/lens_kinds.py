@@ -35,7 +35,7 @@ _FLAGS = {"isfisheye", "fisheye", "fisheyemodel"}
 _SAYS = {"TRUE": True, "1": True, "FALSE": False, "0": False}
 # How many numbers OpenCV's lists have; further ones (thin prism, tilt) must be zero.
 _COUNTS = {"opencv": (0, 1, 2, 4, 5, 8), "fisheye": (0, 1, 2, 3, 4)}
-_MOST = {"opencv": 8, "fisheye": 4}
+_MAX = {"opencv": 8, "fisheye": 4}
 
 
 def model_named(name: object, where: str) -> str:
@@ -79,7 +79,7 @@ def coefficients(model: str, values: object, where: str) -> Num[np.ndarray, " C"
     Raises UserError for what is not a list of numbers, and for a count of numbers that the model does not have.
     """
     given = numbers([] if values is None else values, f"{where}: its distortion").reshape(-1)
-    most = _MOST[model]
+    most = _MAX[model]
     if given[most:].any():
         raise UserError(
             f"{where}: {len(given)} distortion coefficients are not supported by the model {model}, which has {most}; "

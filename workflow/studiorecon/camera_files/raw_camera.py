@@ -15,19 +15,19 @@ from studiorecon.scene.values import numbers
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
 
-_MOST_SCALE = 1e9
+_MAX_SCALE = 1e9
 _AGAIN = "calibrate this camera again"
 # Of the longer side of the picture. Below stand lenses of 160° without any distortion, above telescopes.
-_LEAST_FOCAL, _MOST_FOCAL = 0.09, 100.0
-_MOST_SIDE_PX = 65_536
+_MIN_FOCAL, _MAX_FOCAL = 0.09, 100.0
+_MAX_SIDE_PX = 65_536
 # Without a size: millimetres of a lens end where pixels of a video's begin.
-_LEAST_FOCAL_PX, _MOST_FOCAL_PX = 50.0, 1e6
-_MOST_COEFFICIENT = 1e4
-_MOST_LENGTH = 1e9
+_MIN_FOCAL_PX, _MAX_FOCAL_PX = 50.0, 1e6
+_MAX_COEFFICIENT = 1e4
+_MAX_LENGTH = 1e9
 # Of the picture's size: a crop of a corner of a sensor has its principal point outside, not a picture further.
-_MOST_OFF_CENTRE = 1.5
+_MAX_OFF_CENTRE = 1.5
 # Of the focal length. Half of this is what a skew moves at the edge of a usual picture, as a share of it.
-_MOST_SKEW = 0.01
+_MAX_SKEW = 0.01
 # What a number that should be 0 or 1 may be off after a file's rounding.
 _ROUNDING = 1e-6
 
@@ -65,10 +65,10 @@ def checked_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera
     """
     where = f"camera {name} in {source}"
     longer = max(camera.wh)
-    if min(camera.wh) < 0 or longer > _MOST_SIDE_PX or (0 in camera.wh and longer):
+    if min(camera.wh) < 0 or longer > _MAX_SIDE_PX or (0 in camera.wh and longer):
         raise UserError(f"{where}: its pictures are {camera.wh[0]}×{camera.wh[1]} pixels; correct the size")
     intrinsics, notes = _pinhole(camera.intrinsics, where)
-    least, most = (_LEAST_FOCAL * longer, _MOST_FOCAL * longer) if longer else (_LEAST_FOCAL_PX, _MOST_FOCAL_PX)
+    least, most = (_MIN_FOCAL * longer, _MAX_FOCAL * longer) if longer else (_MIN_FOCAL_PX, _MAX_FOCAL_PX)
     for axis, focal in (("fx", intrinsics[0, 0]), ("fy", intrinsics[1, 1])):
         if not least <= focal <= most:
             size = f" for pictures of {camera.wh[0]}×{camera.wh[1]}" if longer else ""
@@ -77,14 +77,14 @@ def checked_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera
                 + ("is it in millimetres? It must be in pixels" if 0 < focal < least else "calibrate this camera again")
             )
     centre = intrinsics[:2, 2]
-    if longer and not (np.abs(centre / camera.wh - 0.5) < _MOST_OFF_CENTRE).all():
+    if longer and not (np.abs(centre / camera.wh - 0.5) < _MAX_OFF_CENTRE).all():
         raise UserError(
             f"{where}: its principal point is ({centre[0]:g}, {centre[1]:g}), far outside of its pictures of "
             f"{camera.wh[0]}×{camera.wh[1]}; is the size another camera's?"
         )
-    if not (np.isfinite(camera.distortion).all() and (np.abs(camera.distortion) < _MOST_COEFFICIENT).all()):
+    if not (np.isfinite(camera.distortion).all() and (np.abs(camera.distortion) < _MAX_COEFFICIENT).all()):
         raise UserError(f"{where}: its distortion {camera.distortion.tolist()} is no lens's; calibrate it again")
-    if not (np.isfinite(camera.camera_from_world).all() and (np.abs(camera.camera_from_world) < _MOST_LENGTH).all()):
+    if not (np.isfinite(camera.camera_from_world).all() and (np.abs(camera.camera_from_world) < _MAX_LENGTH).all()):
         raise UserError(f"{where}: it stands at no finite place; calibrate this camera again")
     return replace(camera, intrinsics=intrinsics), notes
 
@@ -107,7 +107,7 @@ def _pinhole(matrix: Num[np.ndarray, "3 3"], where: str) -> tuple[Float[np.ndarr
         [] if abs(scale - 1) < _ROUNDING else [f"{where}: its camera matrix was divided by its last number, {scale:g}"]
     )
     skew = float(intrinsics[0, 1])
-    if abs(skew) > _MOST_SKEW * intrinsics[0, 0]:
+    if abs(skew) > _MAX_SKEW * intrinsics[0, 0]:
         raise UserError(
             f"{where}: the skew of its camera matrix is {skew:g} pixels, which no camera's sensor has; {_AGAIN}"
         )
@@ -168,7 +168,7 @@ def rigid_camera_from_world(
     # A damaged number may be of any size: what overflows is refused below.
     with np.errstate(all="ignore"):
         determinant = np.linalg.det(rotation)
-    if not (np.isfinite(determinant) and np.abs(rotation).max() < _MOST_SCALE):
+    if not (np.isfinite(determinant) and np.abs(rotation).max() < _MAX_SCALE):
         raise UserError(f"{where}: the 3×3 block is no rotation (it holds {np.abs(rotation).max():.3g}); {_AGAIN}")
     if determinant <= 0:
         raise UserError(

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _FOOT_HEIGHT_M = 0.08
-_MOST_CONTRADICTED = 0.5
+_MAX_CONTRADICTED = 0.5
 # Share of the allowed error past which it is asked whether cameras were exchanged.
 _SUSPICIOUS = 0.5
 # How much worse other lenses at the given poses may fit than cameras that were moved.
@@ -166,7 +166,7 @@ def decide(
         tell(given, anew, between_deg)
         training, seen = anew.cameras, anew.seen
         report = {**report, "stale": {**anew.report, "between_deg": between_deg}}
-    if blind and (share := contradicted(training, seen, detections, settings.limits)) > _MOST_CONTRADICTED:
+    if blind and (share := contradicted(training, seen, detections, settings.limits)) > _MAX_CONTRADICTED:
         raise UserError(
             "the calibration does not fit the footage: no keypoint agrees in three cameras, "
             "and where two agree a third one sees people "

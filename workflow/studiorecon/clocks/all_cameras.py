@@ -37,7 +37,7 @@ _BESIDE_M = 0.01
 _SIGMAS, _GAIN = 2.0, 0.1
 # What fewer points tell is nothing, nor what stretches of time differ in by more than the first on the way (1 σ) or the
 # second in the end: such a camera sees others than the rest. Who hardly moves tells nothing either.
-_LEAST_POINTS, _MOST_SPREAD_S, _MOST_SPREAD_LEFT_S, _MOST_SIGMA_S = 100, 0.04, 0.015, 0.04
+_MIN_POINTS, _MAX_SPREAD_S, _MAX_SPREAD_LEFT_S, _MAX_SIGMA_S = 100, 0.04, 0.015, 0.04
 # Stretches of time that are left out in turn to see how sure a lag is.
 _STRETCH_S = 0.5
 _LOOSE = 3.0
@@ -82,7 +82,7 @@ def late_against_others(
             break
         added = _next(looked[-_LOOKED_BACK:])
     last = min(looked, key=lambda one: one.left_s)
-    sure = (last.spread_s <= _MOST_SPREAD_LEFT_S) & (last.sigma_s <= _MOST_SIGMA_S)
+    sure = (last.spread_s <= _MAX_SPREAD_LEFT_S) & (last.sigma_s <= _MAX_SIGMA_S)
     clearly = (np.abs(last.added_s[sure]) > _SIGMAS * last.sigma_s[sure]).any()
     if last.left_s > _NEARLY_SETTLED_S or (clearly and not last.misfit < (1 - _GAIN) * looked[0].misfit):
         return None
@@ -186,12 +186,12 @@ def _lateness(placed: _Placed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         per_s = (ahead - behind) * fps / (2 * beside)
         off = seen.pixels[v] - here
         known = np.isfinite(off).all(-1) & np.isfinite(per_s).all(-1)
-        if known.sum() < _LEAST_POINTS:
+        if known.sum() < _MIN_POINTS:
             continue
         stretch = seen.frame[known] // max(1, round(_STRETCH_S * fps))
         seconds, spread_s = _slope(off[known], per_s[known], stretch, float(unit_px([camera], limits)[0]))
         speed_m = np.linalg.norm(step_m[known], axis=-1) * fps / beside
-        if spread_s <= _MOST_SPREAD_S:
+        if spread_s <= _MAX_SPREAD_S:
             lasting_s = _BESIDE_M / max(float(np.sqrt(np.mean(speed_m**2))), 1e-9)
             late[v], spread[v], sigma[v] = seconds, spread_s, np.hypot(spread_s, lasting_s)
     if np.isfinite(late).any():

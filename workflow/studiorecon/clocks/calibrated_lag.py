@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 # How far a calibration is off where people are (1 σ) at least, metres; it is off by more where joints miss by a
 # constant, and by as many times as much in what a lag hides. Where rays at the best lag miss by more than the second
 # (median), it is not of these cameras any more, or these are two people.
-_CALIBRATION_M, _MOST_M = 0.03, 0.10
+_CALIBRATION_M, _MAX_M = 0.03, 0.10
 _HIDDEN = 2.0
 # Sine of the angle of two rays below which they miss each other by nothing much wherever they go.
-_LEAST_SINE = 0.1
-_LEAST_ROWS = 8
+_MIN_SINE = 0.1
+_MIN_ROWS = 8
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class CalibratedPair:
         length = np.linalg.norm(across, axis=-1)
         sine = length / (np.linalg.norm(turned, axis=-1) * np.linalg.norm(other, axis=-1))
         gap = across @ self.second_from_first[:3, 3] / np.where(length > 0, length, 1.0)
-        return np.where(sine > _LEAST_SINE, gap, np.nan)
+        return np.where(sine > _MIN_SINE, gap, np.nan)
 
 
 def straightened(seen: Detections, lens: Lens, wh: tuple[int, int]) -> Detections:
@@ -94,9 +94,9 @@ def calibrated_lag(
     gaps = pair.gaps_m(first, second, at)
     per_row = (pair.gaps_m(first, second, at + 1) - pair.gaps_m(first, second, at - 1)) / 2
     known, moving = np.isfinite(gaps), np.isfinite(per_row)
-    if not known.any() or not moving.any() or np.median(np.abs(gaps[known])) > _MOST_M:
+    if not known.any() or not moving.any() or np.median(np.abs(gaps[known])) > _MAX_M:
         return None
-    known &= known.sum(0) >= _LEAST_ROWS
+    known &= known.sum(0) >= _MIN_ROWS
     constant = [float(np.median(column[there])) for column, there in zip(gaps.T, known.T) if there.any()]
     off_m = float(np.hypot(_CALIBRATION_M, _HIDDEN * np.sqrt(np.mean(np.square(constant))))) if constant else np.inf
     mistaken = off_m * abs(per_row[moving].mean()) / max(float((per_row[moving] ** 2).mean()), 1e-12)

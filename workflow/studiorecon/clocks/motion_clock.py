@@ -28,8 +28,8 @@ _WIDTH = 160
 # Grey levels of difference that noise still reaches after shrinking.
 _NOISE_LEVELS = 3.0
 # A correlation of fewer independent samples than this is not evidence.
-_LEAST_MOMENTS = 8.0
-_LEAST_CORRELATION = 0.5
+_MIN_MOMENTS = 8.0
+_MIN_CORRELATION = 0.5
 # Slower changes than this say little about when, and much about who is near a camera.
 _DETREND_S = 0.5
 # One moment looks differently from two sides: peaks of motion are this far apart between cameras that run as one, as
@@ -37,14 +37,14 @@ _DETREND_S = 0.5
 _VIEWS_S = 0.04
 # The best lag must lie so many standard errors above no correlation. The best of all wrong lags lies three above it
 # where two people walk, and five (two steps off) where three walk about.
-_LEAST_HEIGHT = 6.0
+_MIN_HEIGHT = 6.0
 _ALIKE = 0.95
 # It must beat every other lag further off than this by so many standard errors.
-_APART_S, _LEAST_Z = 0.3, 2.0
+_APART_S, _MIN_Z = 0.3, 2.0
 # Motion that is this much like itself some time later may as well have happened then: who walks evenly past one camera
 # after the other looks most alike whole steps off.
-_MOST_EVEN = 0.5
-_LEAST_OVERLAP_S, _LEAST_SHARE = 1.0, 0.5
+_MAX_EVEN = 0.5
+_MIN_OVERLAP_S, _MIN_SHARE = 1.0, 0.5
 # Seconds of a long clip that are decoded for this.
 _SEEN_S = 90.0
 
@@ -80,7 +80,7 @@ def compare(first: Float[np.ndarray, " T"], second: Float[np.ndarray, " t"], rat
     not clear."""
     if broken := int((~np.isfinite(first)).sum() + (~np.isfinite(second)).sum()):
         return _unknown(f"{broken} values of its motion are not finite")
-    least = max(_LEAST_OVERLAP_S * rate, _LEAST_SHARE * min(len(first), len(second)), 3)
+    least = max(_MIN_OVERLAP_S * rate, _MIN_SHARE * min(len(first), len(second)), 3)
     if min(len(first), len(second)) < least:
         return _unknown(f"{min(len(first), len(second)) / rate:.1f} s of motion are too short")
     if first.std() == 0 or second.std() == 0:
@@ -94,20 +94,20 @@ def compare(first: Float[np.ndarray, " T"], second: Float[np.ndarray, " t"], rat
     other = b[max(0, lags[best]) :][: len(own)]
     moments = _independent_moments(own, other) if min(own.std(), other.std()) > 0 else 0.0
     top = float(scores[best])
-    if moments < _LEAST_MOMENTS:
+    if moments < _MIN_MOMENTS:
         return _unknown(f"{len(own) / rate:.1f} s show {moments:.0f} independent moments of motion, too few", top)
-    if top < _LEAST_CORRELATION:
+    if top < _MIN_CORRELATION:
         return _unknown(f"motion over time correlates at {top:.2f} only", top)
     for energy in (a, b):
         period_s, evenness = _rhythm(energy, least, rate)
-        if evenness > _MOST_EVEN:
+        if evenness > _MAX_EVEN:
             return _unknown(f"what moves repeats itself every {period_s:.2f} s", top)
     # Two views of one motion are never more alike than this: what lies above says nothing about which lag is right.
     height = np.arctanh(np.clip(scores, -_ALIKE, _ALIKE)) * np.sqrt(max(moments - 3, 1.0))
-    if height[best] < _LEAST_HEIGHT:
+    if height[best] < _MIN_HEIGHT:
         return _unknown(f"motion over time correlates at {top:.2f} over {moments:.0f} independent moments only", top)
     rivals = np.abs(lags - lags[best]) > max(2, _APART_S * rate)
-    if (height[rivals] > height[best] - _LEAST_Z).any():
+    if (height[rivals] > height[best] - _MIN_Z).any():
         return _unknown("several lags fit the motion about equally well", top)
     if best in (0, len(lags) - 1):
         return _unknown("the best lag is at the end of the search", top)

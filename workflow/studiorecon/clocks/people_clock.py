@@ -20,18 +20,18 @@ from studiorecon.scene.people import Detections
 # Keypoints surer than this, the longest tracks of each camera, and how long one must be to say anything.
 _SURE = 0.3
 _TRACKS = 6
-_LEAST_S = 1.0
+_MIN_S = 1.0
 # Lags of several tracks are one when they are this close, in frames or standard deviations; other lags must weigh this
 # much less.
 _SAME_FRAMES, _SAME_SIGMAS = 1.5, 3.0
-_LEAST_WEIGHT = 1.5
+_MIN_WEIGHT = 1.5
 # The next best lag must fit worse by this factor, over all tracks that agree on a lag. People who walk evenly or hardly
 # move, and two different people, reached 2 to 6 on a made take and a real one with a detector's keypoints, at lags of
 # up to 25 frames where there were none; who turns and swings their arms had 20 to 110.
-_LEAST_RATIO = 10.0
+_MIN_RATIO = 10.0
 # Without a calibration, tracks that agree must show bodies for so many seconds together, of so many joints: two people
 # who walk alike for less fit some epipolar geometry a second and more off (0.8 s of them reached a ratio of 11).
-_LEAST_BODY_S, _JOINTS = 1.2, 12
+_MIN_BODY_S, _JOINTS = 1.2, 12
 # No detector's keypoints are better than this from two sides, frames.
 _FLOOR_FRAMES = 0.05
 
@@ -70,7 +70,7 @@ def people_pair(
         ]
         lags = [lag_of(first, second, rate) for first, second, _ in met]
         found = [(lag.rows + later, lag) for lag, (*_, later) in zip(lags, met) if lag is not None]
-        agreed = _together(_agreed(found, _LEAST_BODY_S * _JOINTS * rate), lags, met)
+        agreed = _together(_agreed(found, _MIN_BODY_S * _JOINTS * rate), lags, met)
         if lenses and a in rays and b in rays:
             pair = CalibratedPair.of(lenses[clocks[a].camera][0], lenses[clocks[b].camera][0])
             agreed = _sharper(agreed, _agreed(_by_calibration(rays[a], rays[b], rate, pair)))
@@ -134,12 +134,12 @@ def _agreed(found: Sequence[tuple[float, PeopleLag]], least_points: float = 0.0)
     near = np.abs(rows[:, None] - rows) <= np.maximum(_SAME_FRAMES, _SAME_SIGMAS * np.hypot(sigma[:, None], sigma))
     best = int(np.argmax(near @ weight))
     others = ~near[best]
-    if others.any() and (near[others] @ weight).max() * _LEAST_WEIGHT > near[best] @ weight:
+    if others.any() and (near[others] @ weight).max() * _MIN_WEIGHT > near[best] @ weight:
         return None
     mine = near[best]
     if sum(lag.points for (_, lag), agrees in zip(found, mine) if agrees) < least_points:
         return None
-    if np.prod([lag.ratio for (_, lag), agrees in zip(found, mine) if agrees]) < _LEAST_RATIO:
+    if np.prod([lag.ratio for (_, lag), agrees in zip(found, mine) if agrees]) < _MIN_RATIO:
         return None
     share = 1 / sigma[mine] ** 2
     mean = float((share * rows[mine]).sum() / share.sum())
@@ -161,7 +161,7 @@ def _longest(seen: Detections, clock: Clock, rate: float) -> list[tuple[int, np.
     found = []
     for name in names[np.argsort(-sizes, kind="stable")][:_TRACKS]:
         mine = np.flatnonzero(track == name)
-        if len(mine) < _LEAST_S * clock.fps:
+        if len(mine) < _MIN_S * clock.fps:
             break
         # Frames that do not come evenly go to the nearest row: late and early ones even out.
         row = frame[mine] if even else np.rint(own[frame[mine]] * rate).astype(int)

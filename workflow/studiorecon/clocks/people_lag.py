@@ -24,18 +24,18 @@ if TYPE_CHECKING:
 _PAIRS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
 # Where the six products of three coordinates stand in their 3 × 3 matrix.
 _SQUARE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-_LEAST_OVERLAP_S, _LEAST_SHARE = 1.0, 0.3
+_MIN_OVERLAP_S, _MIN_SHARE = 1.0, 0.3
 # One body of twelve joints at 10 frames per second has 120 in a second.
-_LEAST_POINTS = 100
+_MIN_POINTS = 100
 # Another lag further off than this must fit worse by this factor (squared residual), and so must lags this far off
 # under the same F.
-_APART_S, _LEAST_RATIO = 0.3, 2.0
+_APART_S, _MIN_RATIO = 0.3, 2.0
 # Share of a track's usual motion that makes a part of it count as moving.
 _MOVES = 0.2
 _BLOCKS = 10
 _ROUNDS, _CLIP = 3, 3.0
 # Tracks join others whose epipolar geometry they miss by so many times as much at most, with so many points.
-_JOINS, _LEAST_JOINING = 1.5, 60
+_JOINS, _MIN_JOINING = 1.5, 60
 
 Meeting = tuple[np.ndarray, np.ndarray, int]
 """Two tracks (T, J, 3) and (T', J, 3) of two cameras, and by how many rows the second begins later than the first."""
@@ -68,8 +68,8 @@ def lag_of(
     a, b = (first, second) if known is not None else (_conditioned(first), _conditioned(second))
     lags, matrices, count = _matrices(a, b)
     seconds = _overlap(len(a), len(b), lags) / rate
-    least = max(_LEAST_OVERLAP_S, _LEAST_SHARE * min(len(a), len(b)) / rate)
-    usable = (count >= _LEAST_POINTS) & (seconds >= least)
+    least = max(_MIN_OVERLAP_S, _MIN_SHARE * min(len(a), len(b)) / rate)
+    usable = (count >= _MIN_POINTS) & (seconds >= least)
     reach = max(2, round(_APART_S * rate))
     if usable.sum() < 2 * reach + 3:
         return None
@@ -85,13 +85,13 @@ def lag_of(
         other = np.clip(np.arange(len(lags)) + step, 0, len(lags) - 1)
         there = np.einsum("li,lij,lj->l", form, matrices[other], form)
         beside = np.minimum(beside, np.where(usable[other], there, np.inf))
-    sharp = np.isfinite(cost) & np.isfinite(beside) & (beside > _LEAST_RATIO * np.where(np.isfinite(cost), cost, 1.0))
+    sharp = np.isfinite(cost) & np.isfinite(beside) & (beside > _MIN_RATIO * np.where(np.isfinite(cost), cost, 1.0))
     if not sharp.any():
         return None
     best = int(np.argmin(np.where(sharp, cost, np.inf)))
     rivals = usable & (sharp | _moving(a, b, lags, reach)) & (np.abs(lags - lags[best]) > reach)
     ratio = float(cost[rivals].min() / max(cost[best], 1e-18)) if rivals.any() else 100.0
-    if ratio < _LEAST_RATIO or best in (0, len(lags) - 1):
+    if ratio < _MIN_RATIO or best in (0, len(lags) - 1):
         return None
     return _refined(a, b, int(lags[best]), known, ratio)
 
@@ -135,7 +135,7 @@ def _misses(x: np.ndarray, y: np.ndarray, form: np.ndarray) -> float:
     """The median residual of what meets at the middle lag; infinite where that is too little."""
     rest = np.abs(_products(x, y[2:3])[0] @ form)
     rest = rest[np.isfinite(rest)]
-    return float(np.median(rest)) if len(rest) >= _LEAST_JOINING else np.inf
+    return float(np.median(rest)) if len(rest) >= _MIN_JOINING else np.inf
 
 
 def _products(x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -35,9 +35,9 @@ _REACH_S = 0.05
 _FINER = 4
 _DRIFT_PPM, _DRIFT_STEPS = 200.0, 41
 # The peak must be this many times the scatter of the rest, and this many times the next one beyond a room's echoes.
-_LEAST_Z, _LEAST_RATIO = 8.0, 1.5
+_MIN_Z, _MIN_RATIO = 8.0, 1.5
 _ECHO_S = 0.02
-_LEAST_OVERLAP_S = 1.5
+_MIN_OVERLAP_S = 1.5
 # What one window's lag is good for, and how far crystals are off, both as standard deviations.
 _LAG_NOISE_S, _CRYSTAL = 1e-4, 50e-6
 _ROUNDS = 5
@@ -84,7 +84,7 @@ def onsets(samples: Float[np.ndarray, " N"]) -> Float[np.ndarray, "bands T"]:
 def compare(first: Float[np.ndarray, " N"], second: Float[np.ndarray, " M"]) -> Heard:
     """``Heard`` of two sound tracks of ``sound_of``, from time 0 of their files on."""
     shorter = min(len(first), len(second)) / RATE_HZ
-    if shorter < _LEAST_OVERLAP_S:
+    if shorter < _MIN_OVERLAP_S:
         return _nothing(f"{shorter:.1f} s of sound are too short")
     if min(first.std(), second.std()) < 1e-6:
         return _nothing("a sound track is silent")
@@ -95,12 +95,12 @@ def compare(first: Float[np.ndarray, " N"], second: Float[np.ndarray, " M"]) -> 
         return _nothing("nothing happens in the sound")
     z, ratio, heard = tried[0]
     others = [t[0] for t in tried[1:] if abs(t[2].lag_s - heard.lag_s) > _REACH_S]
-    if z < _LEAST_Z:
+    if z < _MIN_Z:
         return _nothing(
             f"no time fits the sound tracks better than chance (peak {z:.1f} times the "
-            f"scatter, {_LEAST_Z:.0f} would be clear)"
+            f"scatter, {_MIN_Z:.0f} would be clear)"
         )
-    if ratio < _LEAST_RATIO or (others and z < _LEAST_RATIO * max(others)):
+    if ratio < _MIN_RATIO or (others and z < _MIN_RATIO * max(others)):
         return _nothing("several times fit the sound tracks about equally well: a hum, or the same over and over")
     return heard
 
@@ -119,7 +119,7 @@ def _coarse(first: np.ndarray, second: np.ndarray) -> list[float]:
     overlap = np.minimum(np.minimum(lags + b.shape[1], a.shape[1]), np.minimum(a.shape[1] - lags, b.shape[1])).astype(
         float
     )
-    score = score / np.sqrt(np.maximum(overlap, _LEAST_OVERLAP_S * RATE_HZ / _HOP))
+    score = score / np.sqrt(np.maximum(overlap, _MIN_OVERLAP_S * RATE_HZ / _HOP))
     apart = round(_APART_S * RATE_HZ / _HOP)
     found: list[float] = []
     while len(found) < _CANDIDATES and score.max() > 0:
@@ -135,7 +135,7 @@ def _fine(first: np.ndarray, second: np.ndarray, lag_s: float) -> tuple[float, f
     shift = round(lag_s * RATE_HZ)
     a, b = (first[shift:], second) if shift >= 0 else (first, second[-shift:])
     length = min(len(a), len(b))
-    if length < _LEAST_OVERLAP_S * RATE_HZ:
+    if length < _MIN_OVERLAP_S * RATE_HZ:
         return 0.0, 0.0, _nothing("too little in common")
     times, correlation, weight = _windows(a[:length], b[:length])
     middle = float((weight * times).sum() / weight.sum())

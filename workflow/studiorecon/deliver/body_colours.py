@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 # A surface is several Gaussians deep: clothes, and now and then a stray of the wall behind, which few others outvote.
 _NEAREST = 8
 # Weight of a Gaussian that nobody sees, so that a place where all are faint has their colour too.
-_LEAST_WEIGHT = 1e-3
+_MIN_WEIGHT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def body_colours(avatar: Avatar) -> BodyColours | None:
     vertices_m = avatar.model.rest_vertices(avatar.betas)
     _, near = KDTree(own.means_m).query(vertices_m, min(_NEAREST, own.count))
     near = near.reshape(len(vertices_m), -1)
-    shares = np.maximum(scipy.special.expit(own.logit_opacities.astype(np.float64)), _LEAST_WEIGHT)[near]
+    shares = np.maximum(scipy.special.expit(own.logit_opacities.astype(np.float64)), _MIN_WEIGHT)[near]
     shares /= shares.sum(axis=1, keepdims=True)
     rgb = 0.5 + SH_C0 * own.sh[:, 0].astype(np.float64)
     blended = np.einsum("vk,vkc->vc", shares, rgb[near])

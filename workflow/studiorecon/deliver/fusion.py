@@ -35,7 +35,7 @@ _BAND_VOXELS = 4.0
 # Voxels are kept in cubes of this many a side, as many cubes as a hall's surfaces take; more are found room for as they
 # come.
 _BLOCK, _BLOCKS = 16, 20_000
-_LEAST_VIEWS = 1.5
+_MIN_VIEWS = 1.5
 _ACROSS_CLUSTER_M = 0.15
 
 
@@ -129,7 +129,7 @@ def fused(views: Sequence[FusedView], voxel_m: float) -> FusedSurface:
         if (view.depth_m > 0).any():
             blocks = grid.compute_unique_block_coordinates(depth, lens, pose, **reach)
             grid.integrate(blocks, depth, colour, lens, lens, pose, **reach)
-    return _arrays(grid.extract_triangle_mesh(weight_threshold=_LEAST_VIEWS).to_legacy())
+    return _arrays(grid.extract_triangle_mesh(weight_threshold=_MIN_VIEWS).to_legacy())
 
 
 def without(surface: FusedSurface, dropped: Bool[np.ndarray, " V"]) -> FusedSurface:

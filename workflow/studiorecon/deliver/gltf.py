@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _FLOAT, _UBYTE, _USHORT, _UINT = 5126, 5121, 5123, 5125
 _ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
 _BONES = 4
-_MOST_BYTES = 2**32 - 1  # lengths in a GLB are 32 bits
+_MAX_BYTES = 2**32 - 1  # lengths in a GLB are 32 bits
 
 
 class Buffer:
@@ -159,9 +159,9 @@ def write_document(path: Path, document: dict[str, Any], buffer: Buffer) -> None
     text = json.dumps(document | held, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     total = 12 + 8 + len(text) + 8 + len(buffer.data)
-    if total > _MOST_BYTES:
+    if total > _MAX_BYTES:
         raise UserError(
-            f"{path} would have {total / 1e9:.1f} GB, and a GLB file at most {_MOST_BYTES / 1e9:.1f} GB; the PLY files "
+            f"{path} would have {total / 1e9:.1f} GB, and a GLB file at most {_MAX_BYTES / 1e9:.1f} GB; the PLY files "
             "and deliver/bodies have no such limit, or take fewer frames (frames: {first: 0, count: N} in capture.yaml)"
         )
     with complete(path) as partial, open(partial, "wb") as file:

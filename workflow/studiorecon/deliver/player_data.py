@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 MOTION_BYTES, CHANGES_BYTES, SHADE_BYTES = 3_000_000, 1_500_000, 3_000_000
 _POSE_BYTES = 24 * 8 + 12
 # Brightness of a shaded Gaussian, as a multiple of its own.
-_SHADE_MOST = 1.5
+_SHADE_MAX = 1.5
 NEAR_M = 0.2
 
 
@@ -126,7 +126,7 @@ def gaussians(
 
 def shades(held: Bytes, shade: Shade, order: Integer[np.ndarray, " N"], told: list[str]) -> dict[str, Any]:
     """The room's shade over time, of the Gaussians that ever have some."""
-    some = (np.abs(shade.factors - 1) > 0.5 * _SHADE_MOST / 255).any(axis=0)
+    some = (np.abs(shade.factors - 1) > 0.5 * _SHADE_MAX / 255).any(axis=0)
     place = np.argsort(order, kind="stable")[shade.at[some]]
     sorting = np.argsort(place, kind="stable")
     kept = moments(len(shade.times), max(2, SHADE_BYTES // max(len(place), 1))).round().astype(int)
@@ -136,7 +136,7 @@ def shades(held: Bytes, shade: Shade, order: Integer[np.ndarray, " N"], told: li
     return {
         "at": held.whole(place[sorting], 24),
         "times": shade.times[kept].tolist(),
-        "factors": held.levels(factors.reshape(-1, 1), 8, 0.0, _SHADE_MOST),
+        "factors": held.levels(factors.reshape(-1, 1), 8, 0.0, _SHADE_MAX),
     }
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # A map may differ from the working shape by rounding only.
 _SHAPE_TOLERANCE = 0.02
-_LEAST_KNOWN = 0.05
+_MIN_KNOWN = 0.05
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def run(settings: Settings, camera: str, model: Path, source: Path, depth: Writt
         )
     depth_m, certain = fit(given_m, certain, found[0], settings.near_m)
     known = depth_m > 0
-    if known.mean() < _LEAST_KNOWN:
+    if known.mean() < _MIN_KNOWN:
         raise UserError(
             f"{source} has depth for {known.mean():.1%} of its pixels; it must be "
             "z-depth in metres, 0 or NaN where unknown"

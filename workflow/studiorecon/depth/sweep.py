@@ -35,7 +35,7 @@ IMPOSSIBLE = 2.0
 # A pixel votes for its plane when the plane's cost is below this.
 CONFIDENT = 0.35
 # Least share of line length that must agree on a yaw; evenly spread lines give 0.03.
-_LEAST_YAW_SUPPORT = 0.12
+_MIN_YAW_SUPPORT = 0.12
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
         f"views of the floor at z = {floor_m:.2f} m"
     )
     yaw_rad, support = wall_yaw([p.camera for p in pictures], [p.rgb for p in pictures], [p.known for p in pictures])
-    if support < _LEAST_YAW_SUPPORT:
+    if support < _MIN_YAW_SUPPORT:
         yaw_rad = matched_yaw(pictures, floor_m, settings.reach_m, settings.near_m, settings.far_m)
         say(
             f"no common direction of lines (support {support:.2f}): walls at "

@@ -28,9 +28,9 @@ _USUAL_PX, _LARGEST_PX = 640, 2048
 _BEYOND = 114
 # The square's side, in those of the box around the landmarks: whoever stands beside is seen whole enough to be told.
 _MARGIN = 1.6
-_LEAST_SCORE = 0.3
+_MIN_SCORE = 0.3
 # Points a tenth of the body from the landmarks agree to 0.37; this much in the mean is the same person.
-_NEAR_SHARE, _LEAST_AGREEMENT = 0.1, 0.4
+_NEAR_SHARE, _MIN_AGREEMENT = 0.1, 0.4
 _LANDMARKS = LAYOUTS["blazepose33"].keypoints
 _BOX, _POINT = 5, 3
 
@@ -81,14 +81,14 @@ class OneStage:
         beyond = (middles < 0) | (middles > [picture.shape[1], picture.shape[0]])
         square[:, beyond[:, 0]] = square[beyond[:, 1]] = _BEYOND
         boxes, found = self._run(square)
-        found = found[boxes[:, 4] >= _LEAST_SCORE]
+        found = found[boxes[:, 4] >= _MIN_SCORE]
         nobody = np.full((len(LAYOUTS[self.layout].keypoints), 3), np.nan)
         if not len(found):
             return nobody
         places = corner + scale * (found[..., :2] + 0.5)
         agreement = agreements(places[:, self._shared[:, 0]], landmarks[self._shared[:, 1]])
         best = int(agreement.argmax())
-        if agreement[best] < _LEAST_AGREEMENT:
+        if agreement[best] < _MIN_AGREEMENT:
             return nobody
         return np.column_stack([places[best], np.clip(found[best, :, 2], 0, 1)])
 

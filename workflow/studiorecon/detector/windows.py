@@ -24,11 +24,11 @@ _FINER, _FINER_PX = (0.2, 0.5), 600
 # places.
 GLANCE_PX = 320
 _DIFFERENCE = 24
-_LEAST_SHARE = 0.0015
+_MIN_SHARE = 0.0015
 _PLACES = 6
 _MARGIN = 1.5
 # So many joints of a known body must be inside the picture, and how far the circle around it reaches beyond them.
-_LEAST_JOINTS = 8
+_MIN_JOINTS = 8
 _CIRCLE = 1.15
 
 
@@ -74,7 +74,7 @@ def changed(
     differs = (channel_max(np.abs(glance.astype(np.int16) - background)) > _DIFFERENCE).astype(np.uint8)
     closed = cv2.morphologyEx(differs, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
     _, _, boxes, _ = cv2.connectedComponentsWithStats(closed)
-    large = [box for box in boxes[1:] if box[cv2.CC_STAT_AREA] >= _LEAST_SHARE * closed.size]
+    large = [box for box in boxes[1:] if box[cv2.CC_STAT_AREA] >= _MIN_SHARE * closed.size]
     windows = []
     for x, y, w, h, _ in sorted(large, key=lambda box: -box[cv2.CC_STAT_AREA])[:_PLACES]:
         side = max(_MARGIN * max(w, h), 0.1 * GLANCE_PX) * scale
@@ -89,7 +89,7 @@ def region_of_body(joints: Mapping[str, Num[np.ndarray, " 2"]], wh: tuple[int, i
     if not {"left_hip", "right_hip", "left_shoulder", "right_shoulder"} <= set(at):
         return None
     points = np.array(list(at.values()))
-    if ((points >= 0) & (points < wh)).all(-1).sum() < _LEAST_JOINTS:
+    if ((points >= 0) & (points < wh)).all(-1).sum() < _MIN_JOINTS:
         return None
     hips, shoulders = (at["left_hip"] + at["right_hip"]) / 2, (at["left_shoulder"] + at["right_shoulder"]) / 2
     up = shoulders - hips

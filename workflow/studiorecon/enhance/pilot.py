@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from jaxtyping import Integer
 
 # Below this share of pixels seen by two training cameras at once, nothing can be said about the residual's worth.
-_LEAST_EVIDENCE = 0.01
+_MIN_EVIDENCE = 0.01
 # Neighbouring pictures of a film that are compared, and how few say nothing; a change of less than one level is none.
-_PAIRS, _LEAST_PAIRS, _LEVEL = 8, 3, 1 / 255
+_PAIRS, _MIN_PAIRS, _LEVEL = 8, 3, 1 / 255
 
 
 def worth(training: Training, frames: int, transfer: Transfer, threshold: float) -> tuple[float, Decision]:
@@ -60,14 +60,14 @@ def worth(training: Training, frames: int, transfer: Transfer, threshold: float)
             with_itself[index] += float((added * added).sum(dtype=np.float64))
     everybody = range(count)
     strength, evidence = best_strength(*_of(everybody, predicted, smoothed))
-    if evidence < _LEAST_EVIDENCE:
+    if evidence < _MIN_EVIDENCE:
         few = f"only {100 * evidence:.1f} % of the training pixels are seen by a second training camera"
         return 0.0, ENHANCEMENT.decide(None, None, few, threshold=threshold)
     gains = np.full(count, np.nan)
     for index in everybody:
         factor, shared = best_strength(*_of([k for k in everybody if k != index], predicted, smoothed))
         left = before[index] - 2 * factor * with_photo[index] + factor**2 * with_itself[index]
-        if shared >= _LEAST_EVIDENCE:
+        if shared >= _MIN_EVIDENCE:
             # Renders that are the photos leave nothing to gain.
             gains[index] = 10 * np.log10(before[index] / max(left, 1e-9 * before[index])) if before[index] > 0 else 0.0
     gain = mean(gains, 2)
@@ -122,7 +122,7 @@ def flicker(
         if len(changes[0]):
             raw, enhanced = (float(change.mean(dtype=np.float64)) for change in changes)
             grown.append((enhanced - raw) / max(raw, _LEVEL))
-    return median(np.array(grown), _LEAST_PAIRS) if grown else NOTHING
+    return median(np.array(grown), _MIN_PAIRS) if grown else NOTHING
 
 
 def _alone(

@@ -23,7 +23,7 @@ _WIDTH, _COARSE = 96, 4.0
 # one film encoded again, or cut to another part of it: 0.99.
 _SAME = 0.95
 # Grey levels of detail below which there is nothing to compare.
-_LEAST_DETAIL = 1.0
+_MIN_DETAIL = 1.0
 
 
 def one_film_twice(sources: Mapping[str, FootageSource]) -> str:
@@ -56,7 +56,7 @@ def standing(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Num[np.ndarray
 
 def same_view(one: Num[np.ndarray, "h 96"], two: Num[np.ndarray, "h 96"]) -> bool:
     """Whether two ``standing`` pictures are of one film."""
-    if one.shape != two.shape or min(one.std(), two.std()) < _LEAST_DETAIL:
+    if one.shape != two.shape or min(one.std(), two.std()) < _MIN_DETAIL:
         return False
     one, two = one - one.mean(), two - two.mean()
     return bool((one * two).mean() / (one.std() * two.std()) >= _SAME)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _UPRIGHT = ((1, 0), (0, 1))
 # No camera's pixels are so many times as wide as high, or the other way round; anamorphic lenses reach 2.
-_MOST_ASPECT = 4
+_MAX_ASPECT = 4
 # What differs from BT.709 by less than what cameras of one kind differ in: SDR transfers, and primaries of television.
 _SDR = {ColorTrc.BT709, ColorTrc.UNSPECIFIED, ColorTrc.GAMMA22, ColorTrc.GAMMA28, ColorTrc.SMPTE170M}
 _SDR |= {ColorTrc.SMPTE240M, ColorTrc.IEC61966_2_4, ColorTrc.BT1361_ECG, ColorTrc.IEC61966_2_1}
@@ -124,7 +124,7 @@ def _square(wh: tuple[int, int], aspect: Fraction | None) -> tuple[tuple[int, in
     if not aspect or aspect <= 0:
         return wh, []
     named = f"{aspect.numerator}:{aspect.denominator}"
-    if not 1 / _MOST_ASPECT <= aspect <= _MOST_ASPECT:
+    if not 1 / _MAX_ASPECT <= aspect <= _MAX_ASPECT:
         return wh, [f"its header gives pixels of {named}, which no camera has: square ones are assumed"]
     square = (max(round(wh[0] * aspect), 1), wh[1])
     return square, [f"its pixels are {named}: {wh[0]}×{wh[1]} are shown as {square[0]}×{square[1]}"] * (square != wh)

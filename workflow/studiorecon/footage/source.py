@@ -26,7 +26,7 @@ from studiorecon.scene.numbered import gaps_named, pictures_in
 
 _READ_BYTES = 1 << 20
 # Cameras film 80 megapixels at most (12K); a decoder makes room for what a header announces, several times over.
-_MOST_PIXELS = 100_000_000
+_MAX_PIXELS = 100_000_000
 # A gap of this many frame times between two pictures means that the recorder skipped some.
 _GAP_FRAMES = 1.5
 
@@ -161,7 +161,7 @@ def _first_look(path: Path, _: tuple[int, int]) -> tuple[Form, tuple[str, ...]]:
             kinds = "sound" if container.streams.audio else "none"
             raise UserError(f"{path} holds no video ({kinds} only); put the camera's video there")
         width, height = streams[0].width, streams[0].height
-        if width * height > _MOST_PIXELS:
+        if width * height > _MAX_PIXELS:
             raise UserError(
                 f"{path} announces pictures of {width}×{height}, larger than any camera's: its header is damaged; copy "
                 "the recording again"

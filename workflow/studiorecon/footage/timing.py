@@ -30,7 +30,7 @@ _RATE_SHARE = 0.02
 _HEAD_FRAMES = 20
 # Nobody films people at more than 1,000 frames per second (the most that ``capture.picture_fps`` takes): times that are
 # nearer are counted, not measured.
-_LEAST_STEP_S = 1e-3
+_MIN_STEP_S = 1e-3
 
 
 @dataclass(frozen=True)
@@ -297,7 +297,7 @@ def _repaired(times_s: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"] | Non
     if 2 * good.sum() < len(times_s) or not (good[0] and good[-1]):
         return None
     repaired = np.interp(np.arange(len(times_s)), np.flatnonzero(good), times_s[good])
-    return repaired if len(repaired) < 2 or np.median(np.diff(repaired)) >= _LEAST_STEP_S else None
+    return repaired if len(repaired) < 2 or np.median(np.diff(repaired)) >= _MIN_STEP_S else None
 
 
 def _rate(times_s: Float[np.ndarray, " T"], header: float) -> float:

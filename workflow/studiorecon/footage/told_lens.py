@@ -27,7 +27,7 @@ _HOLDERS = (b"moov", b"trak")
 # EXIF: where the picture's own tags begin, and the tag.
 _EXIF_TAGS, _FOCAL_IN_35MM = 0x8769, 0xA405
 # An index of more than this belongs to no film of this project's length.
-_MOST_BYTES = 1 << 28
+_MAX_BYTES = 1 << 28
 
 
 def told_focal_px(path: Path, wh: tuple[int, int]) -> float | None:
@@ -72,7 +72,7 @@ def _track_tag(path: Path) -> str | None:
             size, kind, skipped = *struct.unpack(">I4s", head[:8]), 8
             if size == 1 and len(head) == 16:
                 size, skipped = struct.unpack(">Q", head[8:])[0], 16
-            if kind == b"moov" and skipped <= size <= _MOST_BYTES:
+            if kind == b"moov" and skipped <= size <= _MAX_BYTES:
                 file.seek(skipped - len(head), 1)
                 return _value_in(file.read(size - skipped))
             if size < skipped:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
 # Relief (robust spread over median) below which a shift cannot be told from a scale (D02).
-_LEAST_RELIEF = 0.05
-_LEAST_PIXELS = 50
+_MIN_RELIEF = 0.05
+_MIN_PIXELS = 50
 # Pairs of pixels that vote for the slope; more does not move their median.
 _PAIRS = 20000
 _ROUNDS = 20
@@ -67,10 +67,10 @@ def align_depth(
         & (reference_m > 0)
     )
     x, y = predicted[usable].astype(np.float64), reference_m[usable].astype(np.float64)
-    if len(x) < _LEAST_PIXELS:
+    if len(x) < _MIN_PIXELS:
         return Alignment(1.0, 0.0, "undetermined")
     ratio = Alignment(float(np.median(y / x)), 0.0, "scale")
-    if min(_relief(x), _relief(y)) < _LEAST_RELIEF:
+    if min(_relief(x), _relief(y)) < _MIN_RELIEF:
         return ratio
     first, second = rng.integers(0, len(x), (2, _PAIRS))
     steps_x, steps_y = x[first] - x[second], y[first] - y[second]

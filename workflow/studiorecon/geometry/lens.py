@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 _BORDER_SAMPLES = 200
 _ASPECT_TOLERANCE = 0.005
 # Of a video that shows what was calibrated, padded at most into a square or a portrait frame of it.
-_LEAST_COVERED = 0.25
+_MIN_COVERED = 0.25
 # A pinhole picture spends 33 times as many pixels on a degree here as in its middle, and without end beyond.
 _STEEPEST = np.radians(80.0)
 # A board held into the middle half of the picture fixes a lens's numbers there: if they turn over within it they are
 # another lens's.
-_MOST_UNSEEN = 0.5
+_MAX_UNSEEN = 0.5
 # Calibration pixels of the smallest picture that can be worked with.
-_LEAST_SIDE_PX = 2.0
+_MIN_SIDE_PX = 2.0
 # Points along a side of the picture at which the share of what is not seen is counted: to 0.1 %.
 _GRID = 64
 # Normalised: no picture reaches so far, and its pixels still fit into 16 bits, as cv2.remap has them.
@@ -127,7 +127,7 @@ def _check_overlap(lens: Lens, calibration_from_video: np.ndarray, source_wh: tu
     low, high = calibration_from_video[:, 2], calibration_from_video @ np.array([*source_wh, 1.0])
     shared = np.clip(np.minimum(high, lens.wh) - np.maximum(low, 0), 0, None)
     covered = float(np.prod(shared / (high - low)))
-    if 0 not in lens.wh and covered < _LEAST_COVERED:
+    if 0 not in lens.wh and covered < _MIN_COVERED:
         raise UserError(
             f"camera {lens.name}: pixel_maps in capture.yaml lays the calibrated {lens.wh[0]}×{lens.wh[1]} pixels over "
             f"{covered:.0%} of the video's {source_wh[0]}×{source_wh[1]}; p_video = scale · p_calibration + offset, in "
@@ -311,7 +311,7 @@ def unseen_share(lens: Lens, source_wh: tuple[int, int]) -> float:
     """
     affine = calibration_from_video_pixels(lens, source_wh)
     left, top, right, bottom = _covered(lens, source_wh, affine)
-    if not (right - left > _LEAST_SIDE_PX and bottom - top > _LEAST_SIDE_PX):
+    if not (right - left > _MIN_SIDE_PX and bottom - top > _MIN_SIDE_PX):
         raise UserError(
             f"camera {lens.name}: its film of {source_wh[0]}×{source_wh[1]} pixels shows nothing of the calibrated "
             f"picture of {lens.wh[0]}×{lens.wh[1]}; check pixel_maps in capture.yaml, and its principal point"
@@ -319,7 +319,7 @@ def unseen_share(lens: Lens, source_wh: tuple[int, int]) -> float:
     x, y = np.meshgrid(*((np.arange(_GRID) + 0.5) / _GRID * side for side in source_wh))
     pixels = np.stack([x, y], -1).reshape(-1, 2) @ affine[:, :2].T + affine[:, 2]
     share = 1.0 - float(normalised_from_calibration(pixels, lens)[1].mean())
-    if share > _MOST_UNSEEN:
+    if share > _MAX_UNSEEN:
         raise UserError(
             f"camera {lens.name}: its distortion {np.round(lens.distortion, 4).tolist()} ({lens.model}) cannot be "
             f"undone in {share:.0%} of its picture; the coefficients belong to another lens or another model"

@@ -14,7 +14,7 @@ from studiorecon.geometry.rotations import cross_matrix, exp
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
-_LEAST_PAIRS = 12
+_MIN_PAIRS = 12
 _CONFIDENCE = 0.9999
 _ROUNDS = 3
 
@@ -31,7 +31,7 @@ def relative_pose(
     answer. Raises ValueError for other shapes and coordinates that are not finite.
     """
     require("second", second, ("N", 2), require("first", first, ("N", 2), finite=True), finite=True)
-    if len(first) < _LEAST_PAIRS:
+    if len(first) < _MIN_PAIRS:
         return None
     essential, _ = cv2.findEssentialMat(
         first, second, np.eye(3), method=cv2.USAC_DEFAULT, prob=_CONFIDENCE, threshold=unit
@@ -41,7 +41,7 @@ def relative_pose(
     best = None
     for start in range(0, len(essential), 3):
         agreed = np.abs(sampson(essential[start : start + 3], first, second)) < unit
-        if agreed.sum() < _LEAST_PAIRS:
+        if agreed.sum() < _MIN_PAIRS:
             continue
         _, rotation, translation, ahead = cv2.recoverPose(
             essential[start : start + 3],
@@ -52,13 +52,13 @@ def relative_pose(
         )
         if best is None or int((ahead > 0).sum()) > best[0]:
             best = int((ahead > 0).sum()), rotation, translation[:, 0]
-    if best is None or best[0] < _LEAST_PAIRS:
+    if best is None or best[0] < _MIN_PAIRS:
         return None
     rotation, translation = _refined(best[1], best[2], first, second, unit)
     inliers = (np.abs(sampson(essential_of(rotation, translation), first, second)) < unit) & in_front(
         rotation, translation, first, second
     )
-    return (rotation, translation, inliers) if inliers.sum() >= _LEAST_PAIRS else None
+    return (rotation, translation, inliers) if inliers.sum() >= _MIN_PAIRS else None
 
 
 def essential_of(rotation: Num[np.ndarray, "3 3"], translation: Num[np.ndarray, " 3"]) -> Num[np.ndarray, "3 3"]:
@@ -104,7 +104,7 @@ def _refined(
 
     for _ in range(_ROUNDS):
         agreed = np.abs(sampson(essential_of(rotation, translation), first, second)) < unit
-        if agreed.sum() < _LEAST_PAIRS:
+        if agreed.sum() < _MIN_PAIRS:
             break
         one, two = first[agreed], second[agreed]
         _, _, across = np.linalg.svd(translation[None])
@@ -130,7 +130,7 @@ def resection(
     and numbers that are not finite.
     """
     require("normalised", normalised, ("N", 2), require("points_m", points_m, ("N", 3), finite=True), finite=True)
-    if len(points_m) < _LEAST_PAIRS:
+    if len(points_m) < _MIN_PAIRS:
         return None
     points, pixels = np.ascontiguousarray(points_m), np.ascontiguousarray(normalised)
     found, turn, shift, chosen = cv2.solvePnPRansac(
@@ -143,7 +143,7 @@ def resection(
         confidence=_CONFIDENCE,
         flags=cv2.SOLVEPNP_AP3P,
     )
-    if not found or chosen is None or len(chosen) < _LEAST_PAIRS:
+    if not found or chosen is None or len(chosen) < _MIN_PAIRS:
         return None
     inliers = np.zeros(len(points), dtype=bool)
     inliers[chosen[:, 0]] = True
@@ -152,7 +152,7 @@ def resection(
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = exp(turn[:, 0]), shift[:, 0]
         inliers = misses(pose, points, pixels) < unit
-        if inliers.sum() < _LEAST_PAIRS:
+        if inliers.sum() < _MIN_PAIRS:
             return None
     return pose, inliers
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # Share of a bone's expected length within which a residual counts as noise.
 _DELTA_SHARE = 0.1
-_LEAST_BONES = 4
+_MIN_BONES = 4
 _SMALLEST, _LARGEST = 1e-6, 1e6
 _ROUNDS = 200
 
@@ -83,8 +83,8 @@ def scene_scale(
     variance = (sigma[:, :, first] ** 2 + sigma[:, :, second] ** 2)[usable]
     ratios = np.full(sizes["P"], np.nan)
     kinds = len(np.unique(bone))
-    if kinds < _LEAST_BONES:
-        reason = f"only {kinds} different bones longer than {least_bone_m} m were measured, {_LEAST_BONES} are needed"
+    if kinds < _MIN_BONES:
+        reason = f"only {kinds} different bones longer than {least_bone_m} m were measured, {_MIN_BONES} are needed"
         return SceneScale(np.nan, np.nan, kinds, ratios, reason)
     expected, seen = template[person, bone], length[usable]
     scale = fit_scale(seen, expected, variance)
@@ -94,7 +94,7 @@ def scene_scale(
         )
     for p in range(sizes["P"]):
         own = person == p
-        if len(np.unique(bone[own])) >= _LEAST_BONES:
+        if len(np.unique(bone[own])) >= _MIN_BONES:
             ratios[p] = fit_scale(seen[own], expected[own], variance[own]) / scale
     off = (seen - variance / (scale * expected)) / (scale * expected) - 1
     return SceneScale(scale, 1.4826 * float(np.median(np.abs(off))), kinds, ratios, "")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 IGNORED, OUTSIDE, PERSON = 0, 1, 2
 
-_LEAST_INSET_PX = 1.5  # less is the fitted shape's own error
+_MIN_INSET_PX = 1.5  # less is the fitted shape's own error
 
 
 class Crop(Protocol):
@@ -205,7 +205,7 @@ def looks_of(
 
 
 def mask_inset_px(looks: Iterable[TrainingCrop], label: int) -> int:
-    """How far the masks' outlines lie inside the fitted body's, whole pixels; 0 below ``_LEAST_INSET_PX`` and where
+    """How far the masks' outlines lie inside the fitted body's, whole pixels; 0 below ``_MIN_INSET_PX`` and where
     they lie outside.
 
     The median over outline pixels of the signed distance, then over looks: furniture and other people before the person
@@ -222,7 +222,7 @@ def mask_inset_px(looks: Iterable[TrainingCrop], label: int) -> int:
         inside, outside = (cv2.distanceTransform(side, cv2.DIST_L2, 5)[1:-1, 1:-1] for side in (padded, 1 - padded))
         insets.append(np.median((np.maximum(inside - 1, 0) - outside)[outline]))
     inset = float(np.median(insets)) if insets else 0.0
-    return round(inset) if inset >= _LEAST_INSET_PX else 0
+    return round(inset) if inset >= _MIN_INSET_PX else 0
 
 
 def judged(

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _NOISE_RATIO, _MEMORY = 3.0, 0.3
 # Moments that are followed at most, in runs of successive ones: a longer clip would cost more and tell no more.
 _MOMENTS, _RUN = 240, 24
-_LEAST_FRAMES, _LEAST_POINTS = 12, 50
+_MIN_FRAMES, _MIN_POINTS = 12, 50
 # Nobody sees a shade that wanders by less than this (standard deviation, of 1).
 _VISIBLE = 2 / 255
 # A fold covers about this many Gaussians: that many fewer are independent.
@@ -100,8 +100,8 @@ def drifting_share(residual: Float[np.ndarray, "N T"]) -> Estimate:
     """
     require("residual", residual, ("N", "T"))
     pairs = np.isfinite(residual[:, 1:]) & np.isfinite(residual[:, :-1])
-    enough = pairs.sum(axis=1) >= _LEAST_FRAMES
-    if enough.sum() < _LEAST_POINTS:
+    enough = pairs.sum(axis=1) >= _MIN_FRAMES
+    if enough.sum() < _MIN_POINTS:
         return NOTHING
     values, pairs = residual[enough], pairs[enough]
     count, seen = pairs.sum(axis=1), np.isfinite(values)

@@ -30,9 +30,9 @@ _COMPONENTS = 8
 # Patches that ask for one like themselves, and how many of the nearest may lie too near to count.
 _ASKING, _NEIGHBOURS = 4000, 16
 # Fewer whole patches tell no shift.
-_LEAST_PATCHES = 100
+_MIN_PATCHES = 100
 # What one pixel may say against a shift: posters and furniture beside a hole would decide everything.
-_MOST_SQUARED = 0.05
+_MAX_SQUARED = 0.05
 # What a pixel that a shift cannot fill says against it.
 _MISSING = 0.002
 # What is copied is trusted less, patch by patch.
@@ -116,7 +116,7 @@ def repeats(
     known."""
     half = scale.patch // 2
     rows, columns = np.nonzero(minimum_filter(known, scale.patch, mode="constant", cval=False))
-    if len(rows) < _LEAST_PATCHES:
+    if len(rows) < _MIN_PATCHES:
         return np.zeros((0, 2), np.int64)
     reach = range(-half, half + 1)
     patches = np.stack([detail[rows + a, columns + b] for a in reach for b in reach], axis=1).reshape(len(rows), -1)
@@ -216,7 +216,7 @@ def _best(detail, known, out, done, trust, shifts, half, r0, c0):
                     counted += 1
                     for q in range(3):
                         off = out[r, c, q] - detail[a, b, q]
-                        against += min(off * off, _MOST_SQUARED) * trust[r, c]
+                        against += min(off * off, _MAX_SQUARED) * trust[r, c]
         if counted > 0:
             cost = against / counted + _MISSING * missing
             if cost < least:

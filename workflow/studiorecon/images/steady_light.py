@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 # So many pixels of a grid stand for all; grey levels between which a camera still tells brightness.
 _PIXELS, _DARKEST, _BRIGHTEST = 6000, 12, 243
 # What everything shares is told by pictures in which so many of those pixels are free and not saturated.
-_LEAST_PIXELS = 50
+_MIN_PIXELS = 50
 _ROUNDS = 3
 STEADY = 0.02
 """Pictures whose brightness differs by less than this share are in one light: noise and people make as much."""
@@ -36,7 +36,7 @@ def light_factors(frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray,
     told = free[grid].reshape(len(frames), -1) & ((levels > _DARKEST) & (levels < _BRIGHTEST)).all(axis=-1)
     usual = told.sum(axis=0) >= len(frames) / 2
     levels, told = np.log(np.maximum(levels[:, usual], 1.0)), told[:, usual]
-    tells = told.sum(axis=1) >= _LEAST_PIXELS
+    tells = told.sum(axis=1) >= _MIN_PIXELS
     factors = np.ones((len(frames), 3))
     seen = told[tells].any(axis=0)
     if not seen.any():

@@ -34,7 +34,7 @@ _WORDS = {
     "foot_index": "big_toe", "bigtoe": "big_toe", "smalltoe": "small_toe", "midhip": "mid_hip", "head": "head_top",
     "pinkie": "little_finger", "eye_inner": "inner_eye", "eye_outer": "outer_eye",
 }  # fmt: skip
-_LEAST = 6
+_MIN = 6
 
 
 def read_deeplabcut(path: Path) -> dict[int, list[Float[np.ndarray, "K 3"]]]:
@@ -107,7 +107,7 @@ def _layout(names: Sequence[str], path: Path) -> tuple[str, dict[str, int]]:
     """The layout, and the place in it of every part that it has."""
     ours = {name: canonical(name) for name in names}
     known = {part for layout in LAYOUTS.values() for part in layout.keypoints}
-    if len({part for part in ours.values() if part in known}) < _LEAST:
+    if len({part for part in ours.values() if part in known}) < _MIN:
         raise UserError(
             f"{path}: its body parts ({', '.join(names[:8])}{', …' if len(names) > 8 else ''}) are not those of a "
             "person; name at least shoulders, hips, knees and ankles (left_shoulder, RKnee, LEFT_HIP, …)"

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 from studiorecon.errors import UserError
 
-MOST_NUMBER = 2**63 - 1
+MAX_NUMBER = 2**63 - 1
 """Nanoseconds since 1970 have 19 digits; more fit no integer."""
 
 
@@ -45,7 +45,7 @@ def numbers_of(names: Sequence[str], where: str) -> list[int]:
 
 
 def _whole(digits: str, name: str, where: str) -> int:
-    if int(digits[:25]) > MOST_NUMBER or len(digits) > 25:
+    if int(digits[:25]) > MAX_NUMBER or len(digits) > 25:
         raise UserError(f"{where}: the number {digits[:25]} in {name!r} is too long; number the pictures from 0")
     return int(digits)
 

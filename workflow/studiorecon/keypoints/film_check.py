@@ -31,7 +31,7 @@ BORNE_OUT = 0.3
 _CHANCE, _CHANCE_SIGMAS, _CHANCE_POINTS = 0.1, 2.0, 200
 _SHIFTS = 60
 # Less than this is a detector's smoothing.
-_LEAST_SHIFT = 2
+_MIN_SHIFT = 2
 # Detectors guess somewhat beyond the border; so many keypoints beyond it are of another picture.
 _OUTSIDE = 0.5
 # Shares may lie somewhat beyond the border too, those from 0 a little below it; pixels of a film are far larger.
@@ -209,7 +209,7 @@ class _Judge:
         index, top = best(enumerate(h.score for h in tried))
         right = _clearly_better(top, now.score)
         found = tried[index]
-        return found if right and (not found.shift or abs(found.shift) >= _LEAST_SHIFT) else None
+        return found if right and (not found.shift or abs(found.shift) >= _MIN_SHIFT) else None
 
     def taken(self, right: _Hypothesis, now: _Hypothesis) -> tuple[_Hypothesis, str]:
         """The hypothesis that is used, and why none is: what may lose left and right, or is not told exactly, stops the

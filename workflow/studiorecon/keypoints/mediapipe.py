@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.keypoints.file_numbers import MOST_NUMBER
+from studiorecon.keypoints.file_numbers import MAX_NUMBER
 from studiorecon.scene.values import numbers, shown, whole
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _NAMES = ("pose_landmarks", "poseLandmarks", "landmarks")
 # Landmarks beyond the picture's border are guessed, but not whole pictures away; pixels are far larger.
-_MOST_SHARE = 3.0
+_MAX_SHARE = 3.0
 
 
 def is_mediapipe(content: Any) -> bool:
@@ -39,7 +39,7 @@ def read_mediapipe(content: Any, picture_wh: tuple[int, int], path: Path) -> dic
     """
     found: dict[int, list[np.ndarray]] = {}
     for place, one in enumerate(_frames(content)):
-        frame = whole(one.get("frame", place), f"{path}: frame of entry {place}", 0, MOST_NUMBER)
+        frame = whole(one.get("frame", place), f"{path}: frame of entry {place}", 0, MAX_NUMBER)
         if frame in found:
             raise UserError(f"{path}: frame {frame} comes twice; keep one entry per picture")
         where = f"{path}, frame {frame}"
@@ -77,7 +77,7 @@ def _points(person: list[Any], picture_wh: tuple[int, int], where: str) -> np.nd
     points = numbers(given, f"{where}: landmarks", finite=False)
     if points.shape != (33, 3):
         raise UserError(f"{where}: somebody has {len(person)} landmarks; MediaPipe's bodies have 33")
-    if np.nanmax(np.abs(points[:, :2]), initial=0) > _MOST_SHARE:
+    if np.nanmax(np.abs(points[:, :2]), initial=0) > _MAX_SHARE:
         raise UserError(f"{where}: landmarks are up to {np.nanmax(points[:, :2]):.0f}; MediaPipe's are shares, 0 to 1")
     # Shares count from the picture's border, keypoint files from the first pixel's centre.
     return points * [*picture_wh, 1.0] - [0.5, 0.5, 0.0]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 SMALL_PX = 320
 """Longer side of the pictures that are compared: a wrist of somebody who fills half the picture has 4 pixels."""
 # A pixel differs when it does by so many noise deviations, and so many of 255 levels, which compression costs.
-_SIGMAS, _LEAST_LEVELS = 6.0, 12.0
+_SIGMAS, _MIN_LEVELS = 6.0, 12.0
 # Keypoints this far from what differs lie beside it; in between they count in part. Detectors err by a percent.
 _REACH_PX = 4.0
 _SIGMA_OF_MEDIAN = 1.4826
@@ -49,11 +49,11 @@ class Motion:
     @property
     def busy(self) -> bool:
         """Whether something about as large as a person differs in half of the frames or more."""
-        return bool(np.median((self.near == 1).mean(axis=(1, 2))) > _LEAST_BUSY)
+        return bool(np.median((self.near == 1).mean(axis=(1, 2))) > _MIN_BUSY)
 
 
 # Share of a picture that a person has who is a tenth of it high.
-_LEAST_BUSY = 0.001
+_MIN_BUSY = 0.001
 
 
 def small(picture: Integer[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "h w 3"]:
@@ -71,7 +71,7 @@ def motion_of(frame: Sequence[int], pictures: Sequence[Integer[np.ndarray, "h w 
     apart -= np.median(apart, axis=(1, 2), keepdims=True)  # exposure that follows the scene
     apart = np.abs(apart).max(-1)
     noise = _SIGMA_OF_MEDIAN * float(np.median(apart))
-    differs = (apart > max(_SIGMAS * noise, _LEAST_LEVELS)).astype(np.uint8)
+    differs = (apart > max(_SIGMAS * noise, _MIN_LEVELS)).astype(np.uint8)
     near = [
         np.clip(1 - cv2.distanceTransform(1 - cv2.medianBlur(one, 3), cv2.DIST_L2, 3) / _REACH_PX, 0, 1)
         if one.any()

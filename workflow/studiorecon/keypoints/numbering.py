@@ -21,9 +21,9 @@ _TIMES = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 _LOOSE_FRAMES = 2
 # A step between times may differ from a whole number of frames by this share of a frame: milliseconds are rounded.
 _STEP_OFF = 0.15
-_MOST_STRIDE = 10
+_MAX_STRIDE = 10
 # Of many possible first numbers so many are compared with the pictures, those about the likeliest.
-_MOST_FIRSTS = 60
+_MAX_FIRSTS = 60
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def numberings(
         return Numberings((_counted(pictures, 0), *others, *_strided(pictures, frames)), not others)
     if high - low >= frames:
         return Numberings((_counted(pictures, 0), *_strided(pictures, frames)), False)
-    firsts = list(range(low, max(high - frames, low - _MOST_FIRSTS), -1))
+    firsts = list(range(low, max(high - frames, low - _MAX_FIRSTS), -1))
     likely = [1] if 1 in firsts else []
     ordered = [*likely, *(first for first in firsts if first not in likely)]
     return Numberings(tuple(_counted(pictures, first) for first in ordered), len(firsts) == 1, bool(likely))
@@ -124,7 +124,7 @@ def _as_times(pictures: np.ndarray, frames: int, fps: float, given: int | None) 
 def _strided(pictures: np.ndarray, frames: int) -> Iterator[Numbering]:
     """Pictures of every n-th frame, or of a film of n times as many frames."""
     count = int(pictures[-1]) + 1
-    for stride in range(2, _MOST_STRIDE + 1):
+    for stride in range(2, _MAX_STRIDE + 1):
         if abs(count * stride - frames) <= stride and count > 1:
             yield Numbering(pictures * stride, 0, f"its {count} pictures are every {stride}th frame of the film")
         if abs(frames * stride - count) <= stride:

@@ -27,7 +27,7 @@ _SURE, _BODY_POINTS = 0.3, 26
 # Places that a body covers in more of the looked-at frames than this are no evidence: who stands there is usual.
 _USUAL_SHARE = 0.4
 # Less evidence than so many keypoints, in so many frames, says nothing.
-LEAST_POINTS, LEAST_FRAMES = 60, 8
+MIN_POINTS, MIN_FRAMES = 60, 8
 # Side of the grid on which bodies are drawn to see who moves.
 _GRID = 64
 
@@ -51,7 +51,7 @@ class Score:
     @property
     def enough(self) -> bool:
         """Whether it rests on enough keypoints and frames."""
-        return self.points >= LEAST_POINTS and int(np.isfinite(self.per_frame).sum()) >= LEAST_FRAMES
+        return self.points >= MIN_POINTS and int(np.isfinite(self.per_frame).sum()) >= MIN_FRAMES
 
     @property
     def sigmas(self) -> float:
@@ -66,7 +66,7 @@ class Score:
 def _sigmas(values: np.ndarray) -> float:
     """Mean over standard deviation of the mean; neighbours in time are no two witnesses, so frames count in pairs."""
     known = values[np.isfinite(values)]
-    if len(known) < LEAST_FRAMES:
+    if len(known) < MIN_FRAMES:
         return 0.0
     pairs = known[: len(known) // 2 * 2].reshape(-1, 2).mean(-1)
     spread = float(pairs.std(ddof=1)) / np.sqrt(len(pairs))
@@ -152,7 +152,7 @@ def upside_down(keypoints: Num[np.ndarray, "D K 3"], names: Sequence[str]) -> Bo
 def frozen(keypoints: Num[np.ndarray, "D K 3"], frame: Integer[np.ndarray, " D"]) -> bool:
     """Whether every picture has the very same numbers, which no detector gives of a film."""
     frames, count = np.unique(frame, return_counts=True)
-    if len(frames) < LEAST_FRAMES or len(set(count.tolist())) > 1:
+    if len(frames) < MIN_FRAMES or len(set(count.tolist())) > 1:
         return False
     stacked = keypoints.reshape(len(frames), -1)
     return bool(np.array_equal(stacked, np.broadcast_to(stacked[:1], stacked.shape), equal_nan=True))

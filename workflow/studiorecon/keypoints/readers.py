@@ -32,9 +32,9 @@ FORMATS = {
     "`<camera>.csv` or `<camera>DLC_….csv`, one animal or several": "DeepLabCut, MediaPipe by Pose2Sim",
     "`<camera>.npz`: `keypoints` (frames, people, points, 3), of one person (frames, points, 3)": "anything else",
 }
-MOST_PEOPLE_PER_PICTURE = 500
+MAX_PEOPLE_PER_PICTURE = 500
 """Association compares everybody in a picture with everybody."""
-MOST_KEYPOINTS = 1000
+MAX_KEYPOINTS = 1000
 # Files of other programs that are not read → what would help.
 _REFUSED = {
     ".h5": "is DeepLabCut's or SLEAP's HDF5, which is not read: write DeepLabCut's table as CSV (save_as_csv=True, or "
@@ -46,7 +46,7 @@ _REFUSED = {
     ".npy": "holds one array without a name: write it as keypoints (frames, people, points, 3) of an .npz",
 }
 # No detector's score means so much; per cent do.
-_MOST_SCORE = 10.0
+_MAX_SCORE = 10.0
 
 
 def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> Recorded:
@@ -54,7 +54,7 @@ def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> Recorded
     MediaPipe tells shares.
 
     Raises UserError naming the file, and the frame where there is one, when it is of no known format or holds anything
-    but it, when people do not all have the same number of keypoints, and for more than ``MOST_PEOPLE_PER_PICTURE`` in
+    but it, when people do not all have the same number of keypoints, and for more than ``MAX_PEOPLE_PER_PICTURE`` in
     one picture.
     """
     if path.is_dir():
@@ -85,12 +85,12 @@ def _checked(found: Pictures, path: Path) -> Recorded:
             f"{path}: detections have {' and '.join(map(str, counts[:3]))} keypoints; run the "
             "detector with one model on all frames"
         )
-    if counts and not 0 < counts[0] <= MOST_KEYPOINTS:
-        raise UserError(f"{path}: detections have {counts[0]} keypoints; no layout has more than {MOST_KEYPOINTS}")
+    if counts and not 0 < counts[0] <= MAX_KEYPOINTS:
+        raise UserError(f"{path}: detections have {counts[0]} keypoints; no layout has more than {MAX_KEYPOINTS}")
     crowded, most = Counter(number for number, _ in everybody).most_common(1)[0] if everybody else (0, 0)
-    if most > MOST_PEOPLE_PER_PICTURE:
+    if most > MAX_PEOPLE_PER_PICTURE:
         raise UserError(
-            f"{path}, frame {crowded}: {most} detections in one picture; at most {MOST_PEOPLE_PER_PICTURE} are read: "
+            f"{path}, frame {crowded}: {most} detections in one picture; at most {MAX_PEOPLE_PER_PICTURE} are read: "
             "run the detector with a higher threshold, or with suppression of duplicates"
         )
     keypoints = np.array([points for _, points in everybody], dtype=np.float64)
@@ -105,7 +105,7 @@ def _tell_of_scores(keypoints: Num[np.ndarray, "D K 3"], path: Path) -> None:
     scores = keypoints[there, 2]
     if len(scores) and not (scores > 0).any():
         warn(f"{path}: all scores are 0 or less, so nobody counts as seen; write scores from 0 to 1")
-    elif len(scores) and (top := float(np.nanmax(scores, initial=0))) > _MOST_SCORE:
+    elif len(scores) and (top := float(np.nanmax(scores, initial=0))) > _MAX_SCORE:
         warn(f"{path}: scores go up to {top:.4g}; above 1 they count as 1: write them from 0 to 1")
 
 

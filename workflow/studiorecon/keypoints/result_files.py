@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.keypoints.file_numbers import MOST_NUMBER, numbers_of
+from studiorecon.keypoints.file_numbers import MAX_NUMBER, numbers_of
 from studiorecon.keypoints.mediapipe import counts_frames, is_mediapipe, read_mediapipe
 from studiorecon.keypoints.picture_content import is_picture, people_in
 from studiorecon.scene.outside import read_json
@@ -81,7 +81,7 @@ def _numbered(entries: list[Any], path: Path) -> Iterator[tuple[int, list[np.nda
     for place, entry in enumerate(entries):
         if not isinstance(entry, Mapping):
             raise UserError(f"{path}: entry {place} is {shown(entry)}; it must be {{frame_id: …, instances: […]}}")
-        number = whole(entry.get("frame_id"), f"{path}: frame_id of entry {place}", 0, MOST_NUMBER)
+        number = whole(entry.get("frame_id"), f"{path}: frame_id of entry {place}", 0, MAX_NUMBER)
         if number in known:
             raise UserError(f"{path}: frame_id {number} comes twice; keep one entry per picture")
         known.add(number)
@@ -141,6 +141,4 @@ def _image_numbers(names: list[Any], path: Path) -> dict[Any, int]:
         stems = [one.rsplit(".", 1)[0] if "." in one else one for one in ids]
         return dict(zip(ids, numbers_of(stems, str(path))))
     what = "a name or a whole number"
-    return {
-        one: whole(one, f"{path}: image_id of entry {place}", 0, MOST_NUMBER, what) for place, one in enumerate(ids)
-    }
+    return {one: whole(one, f"{path}: image_id of entry {place}", 0, MAX_NUMBER, what) for place, one in enumerate(ids)}

@@ -27,7 +27,7 @@ _STARVED = (
 # OpenCV's code for an allocation that failed.
 _NO_MEMORY_CV = -4
 # Of what is allowed: at its very end nobody can tell how much the failing library had asked for.
-_MOST = 0.8
+_MAX = 0.8
 
 
 def without_thread(error: BaseException) -> bool:
@@ -84,7 +84,7 @@ def short_of_memory() -> str | None:
         found = re.search(r"^VmPeak:\s+(\d+) kB", Path("/proc/self/status").read_text(encoding="utf-8"), re.M)
     except OSError:  # no Linux
         return None
-    if allowed == resource.RLIM_INFINITY or found is None or int(found.group(1)) * 1024 < _MOST * allowed:
+    if allowed == resource.RLIM_INFINITY or found is None or int(found.group(1)) * 1024 < _MAX * allowed:
         return None
     return f"{allowed / 1e6:.0f} MB of memory are allowed here (ulimit -v) and it came to their end, which may be why"
 

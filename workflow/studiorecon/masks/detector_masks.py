@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 # Log-odds of a network's pixel never go beyond this: its outline is as coarse as its mask, and it is sure of itself.
-_MOST = 1.5
+_MAX = 1.5
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class DetectorMasks:
                 mask, place[..., 0], place[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-1.0
             )
             inside = sure >= 0
-            said = np.clip(np.log(np.maximum(sure, 1e-3) / np.maximum(1 - sure, 1e-3)), -_MOST, _MOST)
+            said = np.clip(np.log(np.maximum(sure, 1e-3) / np.maximum(1 - sure, 1e-3)), -_MAX, _MAX)
             total = np.where(inside, np.where(heard, np.maximum(total, said), said), total)
             heard |= inside
         return total

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 _UNASSIGNED = 255
 # Lossy codecs turn 0 into 1 and smear borders: a video's greys are read as yes or no unless they are exact labels.
-_MOST_LABELS = 32
+_MAX_LABELS = 32
 # A label belongs to the person on whom at least this share of its pixels lies.
-_LEAST_SHARE = 0.3
+_MIN_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> Giv
             f"{about.camera} are in use; bring one mask for each"
         )
     values = np.any([occur[k] for k in chosen], axis=0)
-    return Given(path, chosen, columns, rows, int(values.sum()) <= _MOST_LABELS)
+    return Given(path, chosen, columns, rows, int(values.sum()) <= _MAX_LABELS)
 
 
 def identified(
@@ -115,7 +115,7 @@ def identified(
     table[values] = _UNASSIGNED
     matched = []
     for row, k in zip(*linear_sum_assignment(-overlap)):
-        if overlap[row, k] >= _LEAST_SHARE * sizes[values[row]]:
+        if overlap[row, k] >= _MIN_SHARE * sizes[values[row]]:
             table[values[row]] = k + 1
             matched.append(f"{values[row]} = p{k}")
     told = "values were matched by overlap with the bodies: " + (", ".join(matched) or "none")

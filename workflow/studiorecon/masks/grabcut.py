@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
 # Colour models of fewer pixels than this are noise.
-_LEAST_SEEDS = 40
+_MIN_SEEDS = 40
 # How far around the candidates colours are learnt, a square of pixels.
 _SURROUNDINGS_PX = 31
 
@@ -57,7 +57,7 @@ def cut_unknown(
     marks = np.where(inside > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     marks[inside > settings.sure] = cv2.GC_FGD
     marks[inside < -settings.sure] = cv2.GC_BGD
-    if (marks == cv2.GC_FGD).sum() < _LEAST_SEEDS or (marks == cv2.GC_BGD).sum() < _LEAST_SEEDS:
+    if (marks == cv2.GC_FGD).sum() < _MIN_SEEDS or (marks == cv2.GC_BGD).sum() < _MIN_SEEDS:
         return evidence
     cv2.setRNGSeed(0)  # its k-means starts from OpenCV's global generator: the same picture must give the same mask
     bgr, behind, before = np.ascontiguousarray(rgb[box][..., ::-1]), np.zeros((1, 65)), np.zeros((1, 65))

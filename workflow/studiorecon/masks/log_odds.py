@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 # Log-odds of one pixel's difference never go beyond this: a single pixel is never certain.
-_MOST = 4.0
+_MAX = 4.0
 # Width of the neighbourhood that knows how much a person differs just inside the outline: two pixels each way.
 _EDGE_PX = 5
 
@@ -88,9 +88,9 @@ def difference_evidence(
     score = np.where(own > settings.threshold, own, np.maximum(own, np.minimum(around, settings.threshold)))
     # A perfect match says as much against a person as a body's inside can say for one, and more.
     evidence = np.where(
-        score > threshold, (score - threshold) / settings.softness, -_MOST * (1 - np.maximum(score, 0) / threshold)
+        score > threshold, (score - threshold) / settings.softness, -_MAX * (1 - np.maximum(score, 0) / threshold)
     )
-    evidence = np.minimum(evidence, _MOST)
+    evidence = np.minimum(evidence, _MAX)
     return np.where(plate.measured, evidence, 0).astype(np.float32)
 
 

@@ -27,7 +27,7 @@ from studiorecon.signature import Place, Written
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
-_MOST = 254
+_MAX = 254
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def in_bytes(maps: Iterable[Integer[np.ndarray, "H W"]], found: set[int]) -> Ite
     """(H, W) uint8 of label maps; numbers beyond 254 are nobody's, and ``found`` receives all that occurred."""
     for labels in maps:
         found.update(np.unique(labels[labels > 0]).tolist())
-        yield np.where(labels <= _MOST, labels, 0).astype(np.uint8)
+        yield np.where(labels <= _MAX, labels, 0).astype(np.uint8)
 
 
 def run(
@@ -75,5 +75,5 @@ def run(
         say(f"camera {camera}: {title} sees no {settings.sam3.prompt} in any frame")
         return
     say(f"camera {camera}: {title} follows {len(found)} people")
-    if max(found) > _MOST:
-        say(f"camera {camera}: only the first {_MOST} numbers are kept; shorter chunks of a crowd make many")
+    if max(found) > _MAX:
+        say(f"camera {camera}: only the first {_MAX} numbers are kept; shorter chunks of a crowd make many")

@@ -38,7 +38,7 @@ _LOST = 3.0
 # Deviation of a middle from where outlines alone put it, as a share of the reach.
 _PLACE = 0.15
 # A thing whose turn never differs by more than this from its middle one does not turn.
-_LEAST_RAD = np.radians(6.0)
+_MIN_RAD = np.radians(6.0)
 # Nothing gains as much as this.
 NEVER_DB = 100.0
 
@@ -97,7 +97,7 @@ def turned(
     if shape is None:
         return None
     poses = _followed(Fitter(*shape, threads), still, glimpses, best[0].frame, fps, settings)
-    if _largest_rad(np.stack([poses[frame][:3, :3] for frame in frames])) < _LEAST_RAD:
+    if _largest_rad(np.stack([poses[frame][:3, :3] for frame in frames])) < _MIN_RAD:
         return None
     # Once more with the shape that all moments give; a third time changes nothing.
     shape = _shape([at_pose(look, cameras, poses[look.frame]) for look in looks], rng, threads)
@@ -110,7 +110,7 @@ def turned(
     measured[[frame for frame in frames if misfits[frame] <= _LOST * np.median(list(misfits.values()))]] = True
     measured &= track.valid
     turns = np.stack([poses[frame][:3, :3] if frame in poses else np.eye(3) for frame in range(len(still))])
-    if measured.sum() < 3 or _largest_rad(turns[measured]) < _LEAST_RAD:
+    if measured.sum() < 3 or _largest_rad(turns[measured]) < _MIN_RAD:
         return None
     filled = still.copy()
     filled[:, :3, :3] = fill_rotations(turns, measured)

@@ -28,7 +28,7 @@ _ONE_SIZE, _ONE_SIZE_HIDDEN = 1.7, 3.5
 # Pixels that an outline is off, and how many of these count in full; steps of the fit of middle and radius.
 _OUTLINE_PX, _HUBER, _STEPS = 0.7, 2.0, 12
 # Points that a camera's outline must have to say where a thing is.
-_LEAST_POINTS = 6
+_MIN_POINTS = 6
 _NEAR_M = 0.1
 
 
@@ -94,7 +94,7 @@ def sphere(
     """
     origins, rays, spread_m, weights = [], [], [], []
     for view, region in sorted(sighting.regions.items()):
-        if len(region.outline_px) < _LEAST_POINTS:
+        if len(region.outline_px) < _MIN_POINTS:
             continue
         camera = cameras[view]
         along = camera.unproject(region.outline_px, np.ones(len(region.outline_px))) - camera.centre_m

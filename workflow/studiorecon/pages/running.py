@@ -22,7 +22,7 @@ _EARLY = (
     ("render/*.mkv", "films, raw"),
     ("enhance/*.mp4", "films"),
 )
-_MOST = 8
+_MAX = 8
 _BODY = """
 <h1>{{ scene }}</h1>
 <p>{{ words }}</p>
@@ -88,6 +88,6 @@ def early(folder: Path) -> Mapping[str, str]:
     """What there is to look at below ``folder``: name → what it shows."""
     found: dict[str, str] = {}
     for pattern, about in _EARLY:
-        for path in sorted(folder.glob(pattern))[:_MOST]:
+        for path in sorted(folder.glob(pattern))[:_MAX]:
             found[path.relative_to(folder).as_posix()] = about
     return found

@@ -33,7 +33,7 @@ BETTER = 0.25
 # of theirs: the network's region jumped between two people. (The demo: 0.68 to 1; whatever else is nobody's: 0.)
 _MIXED, _BESIDE_SHARE = 0.65, 0.1
 # So many joints must be known, and be inside the picture.
-_LEAST = 8
+_MIN = 8
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Expected:
                 step = self.pixels[frame + way] - self.pixels[frame]
                 moved = (late * way > 0) & np.isfinite(step).all(-1)
                 pixels = np.where(moved[:, None], self.pixels[frame] + np.abs(late)[:, None] * step, pixels)
-        return pixels if np.isfinite(pixels[:, 0]).sum() >= _LEAST else None
+        return pixels if np.isfinite(pixels[:, 0]).sum() >= _MIN else None
 
 
 def expected(
@@ -88,7 +88,7 @@ def agreement(
     """Share of the sure landmarks (K, 3) that lie where they are expected (K, 2), within that share of the extent; 0
     when too few can be compared."""
     known = (keypoints[:, 2] >= _SURE) & np.isfinite(pixels[:, 0])
-    if known.sum() < _LEAST:
+    if known.sum() < _MIN:
         return 0.0
     extent = np.linalg.norm(np.nanmax(pixels, axis=0) - np.nanmin(pixels, axis=0))
     return float((np.linalg.norm(keypoints[known, :2] - pixels[known], axis=1) < near_share * extent).mean())
@@ -98,7 +98,7 @@ def of_others(keypoints: Num[np.ndarray, "K 3"], people: Sequence[Num[np.ndarray
     """Share of the sure landmarks (K, 3) that lie beside a limb of somebody of ``people`` (K, 2 each, NaN unknown); 0
     when there are too few."""
     sure = keypoints[keypoints[:, 2] >= _SURE, :2]
-    if len(sure) < _LEAST:
+    if len(sure) < _MIN:
         return 0.0
     nearest = np.full(len(sure), np.inf)
     ends = np.array(LAYOUTS[layout].edges)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 # Share of the fitted frames that must lie near their keypoints; chance agreements of wrong points pass in an eighth of
 # them.
-_LEAST_PLAUSIBLE = 0.5
+_MIN_PLAUSIBLE = 0.5
 
 
 _FITTED = {f.name for f in fields(fitting.FitSettings)}
@@ -160,7 +160,7 @@ def fit_person(
         )
     median = _row_median(result.residual_m)
     valid = result.valid & (median <= keys.max_frame_m)
-    if valid.sum() < _LEAST_PLAUSIBLE * result.valid.sum():
+    if valid.sum() < _MIN_PLAUSIBLE * result.valid.sum():
         raise UserError(
             f"person {person}: the body lies more than "
             f"{keys.max_frame_m:g} m off the keypoints in "

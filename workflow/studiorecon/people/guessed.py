@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 # A landmark agrees with a guess when it lies this near to it, as a share of the person's extent in the picture.
 _NEAR_SHARE = 0.1
 # Landmarks less sure than this have no say; so many are needed.
-_SURE, _LEAST = 0.3, 6
+_SURE, _MIN = 0.3, 6
 # Within this time of a moment somebody faces about the same way, seconds; so many other sights must say so, and from
 # this cosine on they contradict one.
 _STEADY_S, _SIGHTS, _CONTRADICTED = 0.5, 3, -0.5
 # How alike those other sights must be among themselves, length of their mean.
 _CLEAR = 0.5
 # The rays of a landmark must meet at this angle for the depth they give, radians.
-_LEAST_ANGLE_RAD = 0.17
+_MIN_ANGLE_RAD = 0.17
 
 
 def across(found: Detections, camera: Camera) -> Num[np.ndarray, "D 3"]:
@@ -75,7 +75,7 @@ def laid(found: Detections, camera: Camera) -> Num[np.ndarray, "D K 3"]:
     focal, middle = camera.focal_px, camera.intrinsics[:2, 2]
     for d, (keypoints, guess) in enumerate(zip(found.keypoints, found.points_m)):
         sure = (keypoints[:, 2] >= _SURE) & np.isfinite(guess).all(1)
-        if sure.sum() < _LEAST:
+        if sure.sum() < _MIN:
             continue
         ray = (keypoints[sure, :2] - middle) / focal
         weight = keypoints[sure, 2]
@@ -135,7 +135,7 @@ def _depth_factor(points_m: np.ndarray, keypoints: np.ndarray, camera: Camera, v
     """By what the distances of guessed points (K, 3) from ``camera`` must be multiplied so that ``view`` sees them at
     its landmarks (K, 3): the median over those whose rays meet at an angle; NaN where there are too few."""
     sure = (keypoints[:, 2] >= _SURE) & np.isfinite(points_m).all(1)
-    if sure.sum() < _LEAST:
+    if sure.sum() < _MIN:
         return float("nan")
     there = points_m[sure] - camera.centre_m
     distance = np.linalg.norm(there, axis=1)
@@ -146,5 +146,5 @@ def _depth_factor(points_m: np.ndarray, keypoints: np.ndarray, camera: Camera, v
     baseline = view.centre_m - camera.centre_m
     # Where along the first ray the second passes nearest.
     along = (first @ baseline - cosine * (second @ baseline)) / np.maximum(1 - cosine**2, 1e-9)
-    usable = (np.sqrt(np.maximum(1 - cosine**2, 0)) > np.sin(_LEAST_ANGLE_RAD)) & (along > 0)
-    return float(np.median(along[usable] / distance[usable])) if usable.sum() >= _LEAST else float("nan")
+    usable = (np.sqrt(np.maximum(1 - cosine**2, 0)) > np.sin(_MIN_ANGLE_RAD)) & (along > 0)
+    return float(np.median(along[usable] / distance[usable])) if usable.sum() >= _MIN else float("nan")

@@ -36,7 +36,7 @@ _MARGIN_SHARE = 0.18  # how much more than the keypoints' box is shown
 _PICTURES = 6
 _HEIGHT_PX = 150
 # Tracks of nobody that are shown, the longest first.
-_MOST_REJECTED = 40
+_MAX_REJECTED = 40
 _SOURCES = {
     "keypoints": "found by keypoints",
     "corrected": "corrected by hand",
@@ -206,7 +206,7 @@ def run(
         for v, d in enumerate(found):
             mine = wanted_of(d, v, [t for camera, t in one["tracks"] if camera == d.camera], _PICTURES)
             strips.append((f"{one['name']} {d.camera}", _NOBODY, mine))
-    for t in [*doubtful, *rejected[:_MOST_REJECTED]]:
+    for t in [*doubtful, *rejected[:_MAX_REJECTED]]:
         v = view[t["camera"]]
         strips.append(
             (
@@ -248,7 +248,7 @@ def _page(
         rows=rows,
         doubtful=doubtful,
         rejected=rejected,
-        most=_MOST_REJECTED,
+        most=_MAX_REJECTED,
         cameras=cameras,
         shown=shown,
         sources=_SOURCES,

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _DETECTOR_SHARE = 0.0075
 _PERSON_M = 1.7
 # No detector is better than about half a pixel.
-_LEAST_PX = 0.5
+_MIN_PX = 0.5
 _NEAR_M = 0.2
 # A joint that only two cameras see cannot be checked (their residual says nothing) and counts as at least this far off.
 _UNVERIFIED_M = 0.03
@@ -80,7 +80,7 @@ def information(cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -
         local = (points_m - camera.centre_m) @ rotation.T
         depth = np.where(local[:, 2] > _NEAR_M, local[:, 2], np.inf)[:, None]
         noise = np.hypot(
-            _LEAST_PX, _DETECTOR_SHARE * np.mean(camera.focal_px) * _PERSON_M / np.where(np.isfinite(depth), depth, 1.0)
+            _MIN_PX, _DETECTOR_SHARE * np.mean(camera.focal_px) * _PERSON_M / np.where(np.isfinite(depth), depth, 1.0)
         )
         own[:] = 0
         for axis, focal in enumerate(camera.focal_px):

@@ -16,7 +16,7 @@ from studiorecon.placement.room import read_room
 from studiorecon.progress import say
 from studiorecon.scene.files import complete, write_json
 
-_MOST = 32
+_MAX = 32
 
 
 def read_resolution(text: str) -> tuple[int, int]:
@@ -32,9 +32,9 @@ def run(room: str, cameras: int, hfov_deg: list[float], resolution: str, picture
     """``hfov_deg`` holds one horizontal field of view for all cameras or one for each; the sides of ``resolution`` are
     those of upright pictures, so phones held upright say 1080x1920 with the field of view across their short side."""
     box, wh = read_room(room), read_resolution(resolution)
-    if not 2 <= cameras <= _MOST:
+    if not 2 <= cameras <= _MAX:
         raise UserError(
-            f"{cameras} cameras were asked for; plan for 2 to {_MOST}: one cannot tell how far away anything is"
+            f"{cameras} cameras were asked for; plan for 2 to {_MAX}: one cannot tell how far away anything is"
         )
     if len(hfov_deg) not in (1, cameras) or not all(5 <= angle <= 150 for angle in hfov_deg):
         raise UserError(

@@ -28,7 +28,7 @@ _PHASES = 8
 # advised.
 _STEPS = ((0.6, 12.0), (0.3, 6.0), (0.1, 3.0))
 _FARTHEST_M = 1.5
-_LEAST_GAIN = 0.03
+_MIN_GAIN = 0.03
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def advice(cameras: Sequence[Camera], room: Room) -> list[Move]:
     for index, camera in enumerate(cameras):
         better, cost = _improved(index, cameras, room, judge, before)
         gain = 1 - cost / before
-        if gain >= _LEAST_GAIN:
+        if gain >= _MIN_GAIN:
             found.append(Move(camera.name, in_words(camera, better), better, float(gain)))
     return sorted(found, key=lambda move: -move.gain)
 

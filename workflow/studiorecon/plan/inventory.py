@@ -14,8 +14,8 @@ from studiorecon.plan.pairing import stem_of
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset
 from studiorecon.scene.names import folded, of_the_system
 
-_MOST_SENTENCES = 30
-_MOST_COUNTED = 1000
+_MAX_SENTENCES = 30
+_MAX_COUNTED = 1000
 _BY_SUFFIX: Mapping[str, str] = {
     **dict.fromkeys((".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg"), "sound is heard from the films themselves"),
     **dict.fromkeys((".gz", ".zip", ".7z", ".rar", ".tar", ".bz2", ".xz"), "it is packed; unpack it"),
@@ -55,8 +55,8 @@ def unused(dataset: Dataset, place: Path, left_out: Iterable[str]) -> tuple[str,
         for path in _left(folder, used, parents)
         if not (path.parent in models and path.name.casefold() in _BESIDE_MODELS)
     ]
-    more = len(found) - _MOST_SENTENCES
-    return (*found[:_MOST_SENTENCES], *([f"not used: {more} more files and folders"] if more > 0 else []))
+    more = len(found) - _MAX_SENTENCES
+    return (*found[:_MAX_SENTENCES], *([f"not used: {more} more files and folders"] if more > 0 else []))
 
 
 def _left(folder: Path, used: set[Path], parents: set[Path]) -> Iterator[Path]:
@@ -73,9 +73,9 @@ def _count(path: Path) -> str:
     if not path.is_dir() or path.is_symlink():
         return ""
     number = 0
-    for number, _ in zip(range(1, _MOST_COUNTED + 1), _files(path)):  # noqa: B007
+    for number, _ in zip(range(1, _MAX_COUNTED + 1), _files(path)):  # noqa: B007
         pass
-    return f" ({'at least ' * (number == _MOST_COUNTED)}{number} file{'s' * (number != 1)})"
+    return f" ({'at least ' * (number == _MAX_COUNTED)}{number} file{'s' * (number != 1)})"
 
 
 def _files(folder: Path) -> Iterator[Path]:

@@ -28,7 +28,7 @@ _JOINED_FROM = 4.0
 # Pixels whose equations are put together at a time.
 _PIXELS = 256
 # Lamps below this share of the light are noise; strengths and total settle within so many rounds.
-_LEAST_SHARE, _ROUNDS, _HUBER = 0.01, 5, 2.0
+_MIN_SHARE, _ROUNDS, _HUBER = 0.01, 5, 2.0
 
 
 def patches(room_box: RoomBox, spacing_m: float, seen_from_m: Float[np.ndarray, " 3"]) -> Lamps:
@@ -113,7 +113,7 @@ def strengths(
                 triangle, _columns(lost, relative, part) / total[part, None, None], darker, weight, part
             )
         found = scipy.optimize.nnls(triangle[:, :-1], triangle[:, -1], maxiter=50 * len(found))[0]
-        found[2:][found[2:] < _LEAST_SHARE] = 0
+        found[2:][found[2:] < _MIN_SHARE] = 0
         on = np.flatnonzero(found)
         left = np.empty_like(seen)
         for part in _parts(len(ratio)):

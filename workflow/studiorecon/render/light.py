@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 # Levels of 255 between which a ratio means something; a change of colour beyond this is no shadow (log).
 _DARKEST, _BRIGHTEST, _SAME_COLOUR = 12.0, 250.0, 0.08
 # Nobody's shadow reaches so far that fewer pixels than these say how bright a picture is.
-_LEAST_PX = 200
+_MIN_PX = 200
 # Masks are grown by this share of the picture's width: their seams hold mixed colours.
 _SEAM = 0.006
 _HELD_OUT = 0.25
@@ -128,7 +128,7 @@ def ratios(
     level = ratio.mean(axis=-1)
     usable &= np.abs(ratio - level[..., None]).max(axis=-1) < _SAME_COLOUR
     far = usable & ~beside(points_m, np.concatenate([near_m, unsure_m]), reach_m)
-    exposure = float(np.median(level[far])) if far.sum() >= _LEAST_PX else 0.0
+    exposure = float(np.median(level[far])) if far.sum() >= _MIN_PX else 0.0
     return np.where(usable & ~beside(points_m, unsure_m, reach_m), np.exp(level - exposure), np.nan)
 
 
@@ -146,7 +146,7 @@ def estimate(
     points, ratio = np.concatenate([o.points_m for o in observed]), np.concatenate([o.ratio for o in observed])
     later = np.arange(len(frames)) >= len(frames) - max(1, round(_HELD_OUT * len(frames)))
     some = (np.isfinite(ratio[:, ~later]).sum(axis=1) >= 2) & np.isfinite(ratio[:, later]).any(axis=1)
-    if some.sum() < _LEAST_PX:
+    if some.sum() < _MIN_PX:
         return replace(blank, reason="too little floor is seen over time near anybody to tell the light from")
     points, ratio = points[some], ratio[some]
     lamps, groups = patches(room_box, settings.spacing_m, points.mean(axis=0)), Groups.of(points)

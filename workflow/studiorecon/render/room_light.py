@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # However deep, a shadow leaves this much; the denominator stays above its own bound where lamps that are far off
 # dominate.
-_LEAST_FACTOR, _LEAST_TOTAL = 0.05, 0.25
+_MIN_FACTOR, _MIN_TOTAL = 0.05, 0.25
 _LAMP = {
     "position_m": metres("3"),
     "facing": real("3", low=-1, high=1),
@@ -123,7 +123,7 @@ class LitPoints:
     def __init__(self, light: Light, points_m: Float[np.ndarray, "N 3"]) -> None:
         part = light.share * light.lamps.falloff(points_m) / light.usual
         self._light, self._groups = light, Groups.of(points_m)
-        self._total = np.maximum(1 + part.sum(axis=1) - light.share.sum(), _LEAST_TOTAL)
+        self._total = np.maximum(1 + part.sum(axis=1) - light.share.sum(), _MIN_TOTAL)
         self._discs = light.lamps.discs
         # Most fits find that there is no light from everywhere; it would cost as much as the lamps.
         if light.sky:
@@ -139,7 +139,7 @@ class LitPoints:
         gone = lost(self._groups, self._parts, self._discs, bodies)
         if self._light.contact:
             gone = gone + self._light.contact * nearness(self._groups, bodies, self._light.contact_m)
-        return np.clip(1 - gone / self._total, _LEAST_FACTOR, 1).astype(np.float32)
+        return np.clip(1 - gone / self._total, _MIN_FACTOR, 1).astype(np.float32)
 
 
 def write_light(path: Path, light: Light) -> None:

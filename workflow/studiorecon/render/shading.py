@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # The floor, whichever way its Gaussians are turned; above it up to low furniture what faces up.
 _FURNITURE_M = 1.0
-_LEAST_FACING = 0.05
+_MIN_FACING = 0.05
 # Moments at which the plates' own shade is looked at, and how far colours of one surface differ there, as a share.
 _MOMENTS, _SAME = 24, 0.06
 
@@ -72,7 +72,7 @@ def shading(
     if not light.kept or not (people or things):
         return None
     facing = facing_up(room, light.floor_m)
-    at = np.flatnonzero(facing > _LEAST_FACING)
+    at = np.flatnonzero(facing > _MIN_FACING)
     casters = [(person, occluder(person.model, person.betas)) for person in filmed]
     last = filmed[0].frames - 1 if filmed else len(things[0].centres_m) - 1 if things else 0
     moments = evenly_spread(last + 1, _MOMENTS)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 # Moments of every camera, spread evenly: people move little from one picture to the next.
 _MOMENTS = 4
 # Points of the photo that the detector says it saw; of fewer a person's size cannot be told.
-_SEEN, _LEAST = 0.5, 6
+_SEEN, _MIN = 0.5, 6
 
 
 def run(
@@ -103,7 +103,7 @@ def found_in(
 def as_truth(keypoints: Float[np.ndarray, "33 3"]) -> TruePerson | None:
     """Somebody of a photo as whom to look for in the film; None for somebody of whom too little is seen."""
     visible = keypoints[:, 2] >= _SEEN
-    if visible.sum() < _LEAST:
+    if visible.sum() < _MIN:
         return None
     extent = np.ptp(keypoints[visible, :2], axis=0)
     return TruePerson(keypoints[:, :2], visible, (float(extent[0]), float(extent[1])))

@@ -32,12 +32,12 @@ if TYPE_CHECKING:
 REACH_M = (0.25, 0.12)
 _ANKLES = [STABLE_KEYPOINTS.index(f"{side}_ankle") for side in ("left", "right")]
 _ANKLE_HEIGHT_M = 0.08
-_LEAST_FEET = 20
+_MIN_FEET = 20
 # The floor is believed where it explains itself to so many of its own standard deviations, called for at least so many,
 # and by so much more than afterwards; people may be off by so much more with it.
-_MOST_SIGMAS, CALLED_SIGMAS, _CLEARLY, PEOPLE_COST = 3.0, 2.0, 1.3, 1.15
+_MAX_SIGMAS, CALLED_SIGMAS, _CLEARLY, PEOPLE_COST = 3.0, 2.0, 1.3, 1.15
 # Edges are looked at in pictures that show so much of the room (one of which 59 to 62 % showed, in specks: 2.5° off).
-_LEAST_KNOWN = 0.7
+_MIN_KNOWN = 0.7
 # Edges tell more than a prior that is as wide as this.
 _WIDE_DEG = 1.0
 _POSES_ONLY = LensPrior(0.0, 0.0)
@@ -125,7 +125,7 @@ def by_the_room(
         "people_px_before": people_px[0],
         "people_px_after": people_px[1],
     }
-    explained = not people_px[1] > people_cost * people_px[0] and not floor[1] > _MOST_SIGMAS
+    explained = not people_px[1] > people_cost * people_px[0] and not floor[1] > _MAX_SIGMAS
     called = marks is None or (floor[0] >= CALLED_SIGMAS and floor[0] >= _CLEARLY * floor[1])
     believed = bool(explained and called)
     unsaid = np.zeros(result.sigma.shape[1])
@@ -147,7 +147,7 @@ def turns_of(cameras: Sequence[Camera], rooms: Sequence[RoomPicture | None]) -> 
     A room that is mostly hidden says nothing: the few edges left are not a fair choice, and agree with one another on
     turns that are degrees off.
     """
-    edges = {v: room.edges_px for v, room in enumerate(rooms) if room is not None and room.known.mean() >= _LEAST_KNOWN}
+    edges = {v: room.edges_px for v, room in enumerate(rooms) if room is not None and room.known.mean() >= _MIN_KNOWN}
     return room_turns(dict(enumerate(cameras)), edges)
 
 
@@ -160,7 +160,7 @@ def where_people_stand(
         found = triangulate(seen.pixels, seen.confidence, cameras, limits)
         counted = found.verified if len(cameras) > 2 else found.valid
         feet = counted & np.isin(seen.keypoint, _ANKLES)
-        if feet.sum() >= _LEAST_FEET:
+        if feet.sum() >= _MIN_FEET:
             # The lower foot of every body stands on it.
             _, body = np.unique(np.stack([seen.group[feet], seen.frame[feet]]), axis=1, return_inverse=True)
             lowest = np.full(int(body.max()) + 1, np.inf)

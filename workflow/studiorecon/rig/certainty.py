@@ -32,7 +32,7 @@ _FLOOR_DEG = 0.2
 # Where the optical axis meets the picture, which is taken for the middle: off by this share of the longer side along
 # each axis in the lenses of a motion-capture system and of a checkerboard calibration. It turns a camera by as much.
 _PRINCIPAL_SHARE = 0.006
-_LEAST_POINTS = 60
+_MIN_POINTS = 60
 _LENSES_KNOWN = LensPrior(0.0, 0.0)
 # How much wider the interval of the worst pair is for errors about all three axes than ``between_deg`` says.
 ABOUT_ALL_AXES = 3.4 / 3.0
@@ -101,7 +101,7 @@ def people_tell(cameras: Sequence[Camera], seen: Observations, limits: Limits) -
         return None
     rig = Rig(dict(enumerate(cameras)), seen, triangulate(seen.pixels, seen.confidence, cameras, limits), 0)
     counted = rig.points.verified if len(cameras) > 2 else rig.points.valid
-    if int(counted.sum()) < _LEAST_POINTS:
+    if int(counted.sum()) < _MIN_POINTS:
         return None
     result, _ = adjusted(rig, _LENSES_KNOWN, limits)
     turn_deg, _, _ = sigma_of(rig, result, _LENSES_KNOWN, limits, principal_share=0.0)
@@ -127,7 +127,7 @@ def _both(patterns: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 
 def _enough(chosen: np.ndarray) -> bool:
-    return int(chosen.sum()) >= _LEAST_POINTS
+    return int(chosen.sum()) >= _MIN_POINTS
 
 
 def _fields(marks: FloorMarks) -> tuple[np.ndarray, ...]:

@@ -39,11 +39,11 @@ _HEIGHTS_M = np.arange(-0.16, 0.161, 0.04)
 _PATCH_M, _EVERY_M, _BESIDE_M = 0.30, 0.12, 0.03
 _SELF_ALIKE, _ALIKE, _SECOND = 0.75, 0.35, 0.85
 # Share of a patch with edges in it.
-_LEAST_EDGES = 0.04
+_MIN_EDGES = 0.04
 # One homography: within so many places, for so many patches and such a share of them, spread over so much of the floor.
 # On floors that have nothing in common chance finds 9 to 19 patches, 32 to 65 % of those that are found at all; on one
 # and the same floor it is hundreds and 75 % or more.
-_SAME_PLACES, _LEAST_PATCHES, _LEAST_SHARE, _LEAST_SPREAD_M = 2.0, 20, 0.7, 0.25
+_SAME_PLACES, _MIN_PATCHES, _MIN_SHARE, _MIN_SPREAD_M = 2.0, 20, 0.7, 0.25
 # What a patch is found again to, as a share of a place, and what lenses are off that nobody looked for, as a share of
 # the longer side; patches overlap, and each is looked for from several cameras: so much of one counts by itself.
 _SHARP, _LENS_SHARE, _ALONE = 0.4, 0.001, 0.1
@@ -274,7 +274,7 @@ def _edged_places(laid: _Laid, place_m: float) -> np.ndarray:
     share = cv2.boxFilter(_edged(laid.edges).astype(np.float32), -1, size)
     seen = cv2.boxFilter(laid.known.astype(np.float32), -1, size)
     rows, columns = np.meshgrid(range(half, height - half, step), range(half, width - half, step), indexing="ij")
-    wanted = (share[rows, columns] >= _LEAST_EDGES) & (seen[rows, columns] >= 0.9)
+    wanted = (share[rows, columns] >= _MIN_EDGES) & (seen[rows, columns] >= 0.9)
     return np.stack([columns[wanted], rows[wanted]], axis=1)
 
 
@@ -334,7 +334,7 @@ def _found_again(
     for k, patch in enumerate(patches):
         column, row = (int(i) for i in at[k] + begin)
         around = _window(laid.edges, row, column, len(patch) // 2 + reach)
-        if _edged(around).mean() < _LEAST_EDGES / 2:
+        if _edged(around).mean() < _MIN_EDGES / 2:
             continue
         alike = cv2.matchTemplate(around, patch, cv2.TM_CCORR_NORMED)
         top, left = (int(i) for i in np.unravel_index(int(np.argmax(alike)), alike.shape))
@@ -363,17 +363,17 @@ def _one_homography(here: np.ndarray, there: np.ndarray, place_m: float) -> np.n
     minority, or too near one another."""
     told = np.flatnonzero(np.isfinite(there).all(-1))
     agreed = np.zeros(len(here), bool)
-    if len(told) < _LEAST_PATCHES:
+    if len(told) < _MIN_PATCHES:
         return agreed
     cv2.setRNGSeed(0)
     _, mask = cv2.findHomography(
         here[told].astype(np.float64), there[told], cv2.RANSAC, _SAME_PLACES, maxIters=5000, confidence=0.9999
     )
     inside = told[mask.reshape(-1) > 0] if mask is not None else told[:0]
-    if len(inside) < max(_LEAST_PATCHES, _LEAST_SHARE * len(told)):
+    if len(inside) < max(_MIN_PATCHES, _MIN_SHARE * len(told)):
         return agreed
     spread_m = place_m * np.sqrt(np.linalg.eigvalsh(np.cov(here[inside].T.astype(float)))[0])
-    if spread_m < _LEAST_SPREAD_M:
+    if spread_m < _MIN_SPREAD_M:
         return agreed
     agreed[inside] = True
     return agreed

@@ -36,7 +36,7 @@ BONES = np.array([[STABLE_KEYPOINTS.index(f"{s}_{e}") for e in bone] for s in ("
 # all cameras that are enough.
 _TRIED_TRACKS = 9
 _TRIED_SEEDS, _ENOUGH_WORLDS = 8, 2
-_LEAST_SHARED = 60
+_MIN_SHARED = 60
 # Share of a pair of tracks that must agree to be one person: wrong pairs of one pair of cameras reach 0.8 by
 # themselves, but not together with the right ones of everybody else.
 _AGREE = 0.6
@@ -199,7 +199,7 @@ def _pair(
     for i, one in enumerate(first):
         for j, two in enumerate(second):
             both = np.isfinite(one).all(-1) & np.isfinite(two).all(-1)
-            if both.sum() >= _LEAST_SHARED:
+            if both.sum() >= _MIN_SHARED:
                 shared[i, j] = both
     best = None
     for i, j in sorted(shared, key=lambda ij: (-int(shared[ij].sum()), ij))[:_TRIED_TRACKS]:
@@ -305,7 +305,7 @@ def settled(
             return None
         points = triangulate(found.pixels, found.confidence, cameras, loose if round_number < 2 else limits)
         counted = points.verified if len(views) > 2 else points.valid
-        if counted.sum() < _LEAST_SHARED:
+        if counted.sum() < _MIN_SHARED:
             return None
         rig = Rig(dict(current), found, points, int(points.inliers[:, counted].sum()))
         if round_number == 2:
@@ -334,7 +334,7 @@ def _placed(seen: Sightings, camera: Camera, view: int, rig: Rig, limits: Limits
         for k, track in enumerate(tracks):
             pixels = track[row[which], rig.seen.keypoint[which]]
             present = np.isfinite(pixels).all(-1)
-            if present.sum() >= _LEAST_SHARED:
+            if present.sum() >= _MIN_SHARED:
                 pairs[int(g), k] = found.points_m[which][present], pixels[present]
     best: tuple[int, np.ndarray] | None = None
     for key in sorted(pairs, key=lambda gk: (-len(pairs[gk][0]), gk))[:_TRIED_TRACKS]:

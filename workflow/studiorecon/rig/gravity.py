@@ -21,11 +21,11 @@ _SHOULDERS = tuple(STABLE_KEYPOINTS.index(f"{s}_shoulder") for s in ("left", "ri
 _ANKLES = tuple(STABLE_KEYPOINTS.index(f"{s}_ankle") for s in ("left", "right"))
 _ANKLE_HEIGHT_M = 0.08
 # Feet that stood on an area narrower than this do not show how the floor lies.
-_LEAST_FLOOR_M = 0.25
-_MOST_TILT_DEG = 12.0
+_MIN_FLOOR_M = 0.25
+_MAX_TILT_DEG = 12.0
 _ROUNDS = 20
 # Bodies from ankles to shoulders in fewer frames than this may all be leaning.
-_LEAST_UPRIGHT = 20
+_MIN_UPRIGHT = 20
 
 
 def tilt_of(
@@ -40,7 +40,7 @@ def tilt_of(
     Points as for ``world_from_people``. Up to 12° people may share a lean; more than that, and the world does.
     """
     upright = _upright(points_m, group, frame, keypoint)[1]
-    if len(upright) < _LEAST_UPRIGHT:
+    if len(upright) < _MIN_UPRIGHT:
         return None
     up = _robust_direction(upright / np.linalg.norm(upright, axis=-1, keepdims=True))
     return float(np.degrees(np.arctan2(np.hypot(up[0], up[1]), up[2])))
@@ -53,7 +53,7 @@ def tell_tilt(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> 
     found = triangulate(seen.pixels, seen.confidence, cameras, limits)
     points_m = np.where(found.valid[:, None], found.points_m, np.nan)
     tilt = tilt_of(points_m, seen.group, seen.frame, seen.keypoint)
-    if tilt is not None and tilt > _MOST_TILT_DEG:
+    if tilt is not None and tilt > _MAX_TILT_DEG:
         warn(
             f"people stand {tilt:.0f}° off the world's vertical: the calibration's floor leans, or another axis points "
             "up; set calibration.up (x, -x, y, -y, z or -z), or bring a calibration whose floor is level"
@@ -99,10 +99,10 @@ def world_from_people(
         f"up is the mean of {len(upright)} upright bodies; their feet stood within "
         f"{spread_m:.2f} m, too little to show the floor"
     )
-    if spread_m >= _LEAST_FLOOR_M and tilt <= _MOST_TILT_DEG:
+    if spread_m >= _MIN_FLOOR_M and tilt <= _MAX_TILT_DEG:
         how = f"up is the normal of the floor under {len(lower)} steps, {tilt:.1f}° from the mean of upright bodies"
         up = normal
-    elif spread_m >= _LEAST_FLOOR_M:
+    elif spread_m >= _MIN_FLOOR_M:
         how = (
             f"up is the mean of {len(upright)} upright bodies; the plane of their feet leans "
             f"{tilt:.0f}° against it and was not believed"

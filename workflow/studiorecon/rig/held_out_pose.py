@@ -25,9 +25,9 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Num
 
-_LEAST_POINTS = 60
-_LEAST_HALF = 20
-_MOST_UNITS = 3.0
+_MIN_POINTS = 60
+_MIN_HALF = 20
+_MAX_UNITS = 3.0
 _ROUNDS = 15
 _STEP = 1e-6
 # What RANSAC counts as agreement, in error units: the pose is refined after it.
@@ -81,13 +81,13 @@ def judged(given: Camera, seen: Sighted, limits: Limits, bundle: BundleSettings,
     """The pose of ``given`` that explains what it ``seen``; its own where no other lowers the error of unseen halves by
     the share ``gain``."""
     before_px = _median_px(given, seen)
-    if len(seen.frame) < _LEAST_POINTS or len(np.unique(seen.frame)) < 2:
+    if len(seen.frame) < _MIN_POINTS or len(np.unique(seen.frame)) < 2:
         return Judged(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
     unit = float(unit_px([given], limits)[0])
     start = _started(given, seen, unit)
     # Somebody else's joints, and limbs that the network mixed up, have no say for any pose.
     seen = seen.of(np.linalg.norm(_units(start, seen, unit), axis=-1) < limits.outlier_units)
-    if len(seen.frame) < _LEAST_POINTS:
+    if len(seen.frame) < _MIN_POINTS:
         return Judged(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
     # No rung between: six numbers, and a camera either stands or was moved; half a pull leaves it at neither place.
     rungs = [bundle, replace(bundle, prior_deg=FREE_DEG, prior_m=FREE_M)]
@@ -123,11 +123,11 @@ def _started(given: Camera, seen: Sighted, unit: float) -> Camera:
 def _units(camera: Camera, seen: Sighted, unit: float) -> np.ndarray:
     """(N, 2) residuals in error units, large behind the camera."""
     off = (camera.project(seen.points_m)[0] - seen.pixels) / unit
-    return np.nan_to_num(off, nan=10 * _MOST_UNITS)
+    return np.nan_to_num(off, nan=10 * _MAX_UNITS)
 
 
 def _error(camera: Camera, seen: Sighted, unit: float) -> float:
-    return float(np.minimum(np.linalg.norm(_units(camera, seen, unit), axis=-1), _MOST_UNITS).mean())
+    return float(np.minimum(np.linalg.norm(_units(camera, seen, unit), axis=-1), _MAX_UNITS).mean())
 
 
 def _unseen(start: Camera, given: Camera, seen: Sighted, unit: float, rung: BundleSettings | None) -> float:
@@ -137,7 +137,7 @@ def _unseen(start: Camera, given: Camera, seen: Sighted, unit: float, rung: Bund
     half = HALF_OF_THE_JOINTS[seen.keypoint]
     errors = []
     for fit_on in (early, ~early, half, ~half):
-        if min(fit_on.sum(), (~fit_on).sum()) < _LEAST_HALF:
+        if min(fit_on.sum(), (~fit_on).sum()) < _MIN_HALF:
             continue
         camera = given if rung is None else _fitted(start, given, seen.of(fit_on), unit, rung)
         errors.append(_error(camera, seen.of(~fit_on), unit))

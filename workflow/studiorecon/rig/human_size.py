@@ -27,7 +27,7 @@ _BONES = {("shoulder", "hip"): 0.52, ("hip", "knee"): 0.42, ("knee", "ankle"): 0
 _SMALLEST_M, _LARGEST_M = 0.5, 3.0
 # What an adult may be, to say which unit was meant.
 _ADULTS_M = 1.3, 2.2
-_LEAST_BONES = 30
+_MIN_BONES = 30
 # Metres that something of another unit was taken for, over what it is.
 _TAKEN_FOR_METRES = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.3701, "feet": 3.28084}
 
@@ -37,7 +37,7 @@ def statures_m(cameras: Sequence[Camera], seen: Observations, limits: Limits) ->
     if not len(seen.frame):
         return np.zeros(0)
     found = triangulate(seen.pixels, seen.confidence, cameras, limits)
-    counted = found.verified if len(cameras) > 2 and found.verified.sum() >= _LEAST_BONES else found.valid
+    counted = found.verified if len(cameras) > 2 and found.verified.sum() >= _MIN_BONES else found.valid
     of_body = seen.group * (int(seen.frame.max()) + 1) + seen.frame
     bodies, row = np.unique(of_body, return_inverse=True)
     joints = np.full((len(bodies), len(STABLE_KEYPOINTS), 3), np.nan)
@@ -54,7 +54,7 @@ def statures_m(cameras: Sequence[Camera], seen: Observations, limits: Limits) ->
 def check_human_size(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> float | None:
     """The median stature in metres, None where too few bones are seen; raises UserError for what nobody is."""
     found_m = statures_m(cameras, seen, limits)
-    if len(found_m) < _LEAST_BONES:
+    if len(found_m) < _MIN_BONES:
         return None
     stature_m = float(np.median(found_m))
     if _SMALLEST_M <= stature_m <= _LARGEST_M:
@@ -73,7 +73,7 @@ def check_units(
     for factor in _TAKEN_FOR_METRES.values():
         smaller = [replace(c, camera_from_world=_scaled(c.camera_from_world, 1 / factor)) for c in cameras]
         found_m = statures_m(smaller, observe(detections, smaller, frames, gate_m)[0], limits)
-        if len(found_m) >= _LEAST_BONES and _ADULTS_M[0] <= (stature_m := float(np.median(found_m))) <= _ADULTS_M[1]:
+        if len(found_m) >= _MIN_BONES and _ADULTS_M[0] <= (stature_m := float(np.median(found_m))) <= _ADULTS_M[1]:
             raise UserError(_refusal(stature_m * factor))
 
 

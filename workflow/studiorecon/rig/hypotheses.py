@@ -28,7 +28,7 @@ _CLEARLY = 1.5
 # which has more freedom to fit.
 _MUCH_BETTER, _BETTER = 3.0, 1.5
 _TORSO_M = (0.25, 0.9)
-MOST_MARGIN = 20.0
+MAX_MARGIN = 20.0
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 _HYPOTHESES: dict[str, Callable[[Num[np.ndarray, "4 4"]], Num[np.ndarray, "4 4"]]] = {
     "as read": lambda pose: pose,
@@ -96,7 +96,7 @@ def verdicts(
         ]
         other = max(_affinity(t, detections, frames, gate_m) for t in turned)
         own, rival = max(full - rest, 0.0), max(other - rest, 0.0)
-        margins.append(min(own / max(rival, own / MOST_MARGIN), MOST_MARGIN) if own > 0 else 0.0 if rival > 0 else None)
+        margins.append(min(own / max(rival, own / MAX_MARGIN), MAX_MARGIN) if own > 0 else 0.0 if rival > 0 else None)
     return table, margins
 
 

@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 _ROUNDS = 10
 # Parts that are left out one after the other for how well the floor is known.
 _PARTS = 10
-_LEAST = 30
+_MIN = 30
 # Below this nobody sees it.
-_LEAST_DEG, _LEAST_M = 0.05, 0.003
+_MIN_DEG, _MIN_M = 0.05, 0.003
 # No refinement leans or lifts a floor by more: those are feet that rise, or stand on something (a real man who balances
 # on one spot: 42 degrees, 0.44 m).
-_MOST_DEG, _MOST_M = 10.0, 0.15
+_MAX_DEG, _MAX_M = 10.0, 0.15
 _SIGMAS = 2.0
 _ANKLES = [STABLE_KEYPOINTS.index(f"{side}_ankle") for side in ("left", "right")]
 # Ankles are so high above the floor, and detectors misplace them by so much.
@@ -62,7 +62,7 @@ def floor_of(points_m: Num[np.ndarray, "N 3"], height_m: Num[np.ndarray, " N"]) 
     """
     known = np.isfinite(points_m).all(-1) & np.isfinite(height_m)
     points_m, height_m = points_m[known], height_m[known]
-    if len(points_m) < _LEAST:
+    if len(points_m) < _MIN:
         return None
     part = np.arange(len(points_m)) * _PARTS // len(points_m)
     whole = _plane(points_m, height_m)
@@ -127,8 +127,8 @@ def levelled(cameras: Sequence[Camera], floor: Floor, at_m: Num[np.ndarray, " 2"
     height that is no refinement's moves nothing."""
     lift_m = float(floor.slope_height @ [*at_m, 1.0])
     lift_sigma = float(np.sqrt([*at_m, 1.0] @ floor.covariance @ [*at_m, 1.0]))
-    tilted = max(_LEAST_DEG, _SIGMAS * floor.tilt_sigma_deg) < floor.tilt_deg <= _MOST_DEG
-    lifted = max(_LEAST_M, _SIGMAS * lift_sigma) < abs(lift_m) <= _MOST_M
+    tilted = max(_MIN_DEG, _SIGMAS * floor.tilt_sigma_deg) < floor.tilt_deg <= _MAX_DEG
+    lifted = max(_MIN_M, _SIGMAS * lift_sigma) < abs(lift_m) <= _MAX_M
     if not (tilted or lifted):
         return list(cameras), 0.0, 0.0
     normal = np.array([*(-floor.slope_height[:2] if tilted else (0.0, 0.0)), 1.0])

@@ -33,15 +33,15 @@ _REACH_SHARE = 0.03
 # 0 to 0.3, and 1.1 once put right; where all was well, or the focal length 25 % off, 0.8 to 1.
 _CONTRADICTED, _EXPLAINED = 0.4, 0.8
 # The others outvote a camera only if they agree themselves: so large a share, on so many points in so many frames.
-_OTHERS_AGREE, _LEAST_POINTS, _LEAST_FRAMES = 0.3, 60, 5
+_OTHERS_AGREE, _MIN_POINTS, _MIN_FRAMES = 0.3, 60, 5
 _LOOSE = 3.0
 _FRAMES = 48
 # Share of contradicted points (``bundle.contradicted``) past which somebody must be wrong: 0.2 to 0.75 where all is
 # well (people that two cameras confuse are contradicted too), 0.96 and more where something was mixed up.
 _WRONG_SOMEWHERE = 0.9
-_MOST_LAG = 90
+_MAX_LAG = 90
 # Past this nobody has knocked a tripod.
-_MOST_TURNED_DEG = 45.0
+_MAX_TURNED_DEG = 45.0
 _COUNT = len(STABLE_KEYPOINTS)
 _OTHER_SIDE = np.arange(_COUNT).reshape(-1, 2)[:, ::-1].reshape(-1)
 _FOCAL = np.geomspace(1 / 40, 40, 75)
@@ -116,13 +116,13 @@ def odd_one_out(
         rest = [k for k in range(len(cameras)) if k != v]
         usual = float(np.median([_share(points, own[k], cameras[k])[0] for k in rest]))
         share, counted = _share(points, own[v], cameras[v])
-        if min(count, counted) < _LEAST_POINTS or usual < _OTHERS_AGREE or share > _CONTRADICTED * usual:
+        if min(count, counted) < _MIN_POINTS or usual < _OTHERS_AGREE or share > _CONTRADICTED * usual:
             continue
         readings = _readings(v, cameras, detections, own, chosen, points)
         then, best = max(((_share(points, r.seen, r.camera)[0], r) for r in readings), key=lambda row: row[0])
         if then >= _EXPLAINED * usual:
             found.append((then / usual, Odd(cameras[v].name, share, then, best.cause, best.remedy, best.turned)))
-        elif len(cameras) > 3 and _in_picture(points, cameras[v]) >= _LEAST_POINTS:
+        elif len(cameras) > 3 and _in_picture(points, cameras[v]) >= _MIN_POINTS:
             remedy = (
                 "see whether its video, keypoints and calibration are of one camera and one take, or leave it out "
                 f"(train: [{', '.join(cameras[k].name for k in rest)}] in capture.yaml)"
@@ -169,7 +169,7 @@ def _share(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> tuple[floa
     that is: those in frames where the same joint of somebody is known; (0, 0) with too few frames."""
     known = np.isfinite(points_m[..., 0]).any(axis=1)  # (F, K)
     counted = np.isfinite(seen[..., 0]) & known[:, None]
-    if counted.any(axis=(1, 2)).sum() < _LEAST_FRAMES:
+    if counted.any(axis=(1, 2)).sum() < _MIN_FRAMES:
         return 0.0, 0
     where = _projected(points_m, camera)
     with np.errstate(over="ignore"):
@@ -218,13 +218,13 @@ def _readings(
         right, down = (-moved).round().astype(int)
         cause = f"they lay {right} px further right and {down} px further down, as in a picture that was not cropped"
         turned_deg = float(np.degrees(np.arctan(np.linalg.norm(moved / camera.focal_px))))
-        if turned_deg < _MOST_TURNED_DEG:
+        if turned_deg < _MAX_TURNED_DEG:
             cause += f", or by a camera that has not been turned by {turned_deg:.0f}° since it was calibrated"
             yield _Reading(cause, f"{check_video}, or calibrate it again", camera, seen - moved, turned=True)
         else:
             yield _Reading(cause, check_video, camera, seen - moved)
     yield from _of_calibration(camera, seen)
-    for lag in range(-_MOST_LAG, _MOST_LAG + 1):
+    for lag in range(-_MAX_LAG, _MAX_LAG + 1):
         if lag:
             cause = f"its frames were numbered about {abs(lag)} {'lower' if lag > 0 else 'higher'}"
             remedy = "see the clocks in the log of clocks.offsets, or write starts into capture.yaml"
@@ -280,7 +280,7 @@ def _same(one: np.ndarray, two: np.ndarray) -> bool:
     people = min(one.shape[1], two.shape[1])
     apart = np.linalg.norm(one[:, :people] - two[:, :people], axis=-1)
     apart = apart[np.isfinite(apart)]
-    return len(apart) >= _LEAST_POINTS and bool(np.median(apart) < 0.5)
+    return len(apart) >= _MIN_POINTS and bool(np.median(apart) < 0.5)
 
 
 def warn_of_odd(

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 # How far floors may lie beside one another, metres: by what people leave uncertain, then by what is left of it.
 _REACH_M = (0.30, 0.12, 0.12)
 # What people may lose by it, and what the floor must be explained to, in its own standard deviations.
-_KEPT_SUPPORT, _FLOOR_COSTS, _MOST_SIGMAS = 0.85, 1.35, 3.0
+_KEPT_SUPPORT, _FLOOR_COSTS, _MAX_SIGMAS = 0.85, 1.35, 3.0
 
 
 def on_one_floor(
@@ -56,7 +56,7 @@ def on_one_floor(
     if marks is None:
         return rig, result, None
     people, floor = after.error_units / result.error_units, marks.off_sigmas(after.cameras, agreement.limits)
-    if held.support < _KEPT_SUPPORT * rig.support or people > _FLOOR_COSTS or floor > _MOST_SIGMAS:
+    if held.support < _KEPT_SUPPORT * rig.support or people > _FLOOR_COSTS or floor > _MAX_SIGMAS:
         say(
             f"the floor was left out: with it people agree less ({held.support} keypoints instead of {rig.support}, "
             f"{people - 1:+.0%} error), or it contradicts itself ({floor:.1f} standard deviations)"

@@ -38,7 +38,7 @@ _PRIOR = np.array([10.0, 3.0, 1.0, *[np.radians(0.3)] * 3, *[0.01] * 3])
 _READOUT = 1
 _HUBER, _ROUNDS = 2.0, 4
 # Fewer points or moments than these say nothing.
-_LEAST_POINTS, _LEAST_MOMENTS = 60, 8
+_MIN_POINTS, _MIN_MOMENTS = 60, 8
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def _system(pixels: np.ndarray, cameras: Sequence[Camera], moments: int, limits:
     points, usable = _points(seen_px, velocity, cameras, limits)
     keep = usable.any(axis=0)
     held = len(np.unique(cluster[keep]))
-    if keep.sum() < _LEAST_POINTS or held < _LEAST_MOMENTS:
+    if keep.sum() < _MIN_POINTS or held < _MIN_MOMENTS:
         return f"{int(keep.sum())} body points of {held} moments are seen by three cameras, too few to tell"
     seen_px, velocity, points, usable, cluster = (
         seen_px[:, keep],

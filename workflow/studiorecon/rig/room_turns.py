@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
 # Shorter edges, as a share of the longer side, say little about directions.
-_LEAST_SHARE = 0.02
+_MIN_SHARE = 0.02
 # How far people's rotations may be off, degrees, and the step of the search within that.
 _REACH_DEG, _STEP_DEG = 8.0, 2.0
 # Frames that are tried for the room: 6° apart.
@@ -37,7 +37,7 @@ _REFINED = 12
 _ACROSS_DEG, _COARSE_DEG, _FINE_DEG = (5.0, 4.0), (1.5, 1.0, 0.6), 0.6
 # Edges that tell: so much of their length along the three directions (chance: 5 %), along two of them at least so much
 # and so many.
-_ALONG, _ALONG_EACH, _LEAST_EDGES = 0.25, 0.05, 6
+_ALONG, _ALONG_EACH, _MIN_EDGES = 0.25, 0.05, 6
 # Another turn of a camera with this share of the support, further away than this, leaves it untold.
 _RIVAL, _ELSEWHERE_DEG = 0.8, 1.5
 # Walls and furniture are square to about this; what a real room's edges and a motion-capture system's calibration
@@ -57,7 +57,7 @@ def straight_edges(
     if found is None:
         return np.zeros((0, 4))
     ends = found.reshape(-1, 4).astype(np.float64) + 0.5
-    kept = np.hypot(ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1]) >= _LEAST_SHARE * max(grey.shape)
+    kept = np.hypot(ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1]) >= _MIN_SHARE * max(grey.shape)
     if known is not None:
         require("known", known, ("H", "W"), size)
         # A pixel beside the edge of what is unknown is already beside it.
@@ -183,7 +183,7 @@ def _turn(edges: _Edges, start: np.ndarray) -> tuple[np.ndarray, float, float] |
         _refined(_Edges(edges.normals[h], edges.weights[h], edges.halves[:, h]), best, held=True)
         for half in edges.halves
         for h in (half, ~half)
-        if h.sum() >= _LEAST_EDGES
+        if h.sum() >= _MIN_EDGES
     ]
     apart = np.degrees(log(np.stack(parts) @ best.T)) if parts else np.full((1, 3), _HELD_DEG)
     return best, float(np.hypot(np.sqrt((apart**2).mean()), _SQUARE_DEG)), float(shares.max())
@@ -194,7 +194,7 @@ def _two_ways(edges: _Edges, camera_from_room: np.ndarray) -> bool:
     off = np.abs(edges.normals @ camera_from_room)
     which, near = off.argmin(1), off.min(1) < 2 * np.radians(_FINE_DEG)
     along = [near & (which == k) for k in range(3)]
-    return sum(a.sum() >= _LEAST_EDGES and edges.weights[a].sum() >= _ALONG_EACH for a in along) >= 2
+    return sum(a.sum() >= _MIN_EDGES and edges.weights[a].sum() >= _ALONG_EACH for a in along) >= 2
 
 
 def _refined(edges: _Edges, camera_from_room: np.ndarray, held: bool = False) -> np.ndarray:

@@ -40,7 +40,7 @@ _MIDDLE = 4.0
 # Past this it is another place, or another camera's pose.
 FURTHEST_DEG, FURTHEST_M = 10.0, 1.0
 # What people place no better than this, they do not place.
-_MOST_SIGMA_DEG, _MOST_SIGMA_M = 2.5, 0.25
+_MAX_SIGMA_DEG, _MAX_SIGMA_M = 2.5, 0.25
 # From coarse to fine: gate of tracks in metres, error units as multiples of the usual one.
 _ROUNDS = ((1.0, 8.0), (0.5, 4.0), (0.25, 2.0), (0.25, 1.0), (0.25, 1.0))
 _STARTS = (2, 1, 0)
@@ -50,7 +50,7 @@ _POSES_ONLY = LensPrior(0.0, 0.0)
 # How much worse than the best a narrower rung may explain unseen halves. Where cameras stood still, the halves of a
 # real man's clip differed by 2 to 3 % between rungs; where they had moved by a degree, by 9 % and more.
 ABOUT_AS_WELL = 1.05
-_MOST_UNITS = 3.0
+_MAX_UNITS = 3.0
 # One joint of every pair: the other half has the other side's, so both halves cover the body.
 HALF_OF_THE_JOINTS = np.array([k % 4 in (0, 3) for k in range(len(STABLE_KEYPOINTS))])
 # Keypoints of a mean adult with arms out (metres): a rig from nothing is laid on the given cameras, only its gates are
@@ -179,7 +179,7 @@ def moved_since(
         result = room.adjusted
     result = replace(result, cameras=_by_those_that_stand(result.cameras, given, bundle))
     turn_deg, place_m = np.degrees(result.sigma[:, :3]).max(1), result.sigma[:, 3:6].max(1)
-    if turn_deg.max() > _MOST_SIGMA_DEG or place_m.max() > _MOST_SIGMA_M:
+    if turn_deg.max() > _MAX_SIGMA_DEG or place_m.max() > _MAX_SIGMA_M:
         return None
     names = [c.name for c in given]
     report = {
@@ -300,7 +300,7 @@ def _unseen_error(
             return float("inf")
         cameras = _fit(used, found, given, limits, 1.0, bundle).cameras
         judged, agreed_in = kept.of(~fit_on), inliers[:, ~fit_on]
-        wide = replace(limits, outlier_units=limits.outlier_units * _MOST_UNITS)
+        wide = replace(limits, outlier_units=limits.outlier_units * _MAX_UNITS)
         error = triangulate(judged.pixels, judged.confidence, cameras, wide).error_px / units
-        errors.append(np.minimum(np.nan_to_num(error, nan=_MOST_UNITS), _MOST_UNITS)[agreed_in].mean())
+        errors.append(np.minimum(np.nan_to_num(error, nan=_MAX_UNITS), _MAX_UNITS)[agreed_in].mean())
     return float(np.mean(errors))

@@ -20,16 +20,16 @@ _KEYS = {
 }  # fmt: skip
 
 
-MOST_PEOPLE = 100
-LEAST_FOCAL_PX, MOST_FOCAL_PX = 50.0, 1e6
-LEAST_HEIGHT_M, MOST_HEIGHT_M = 0.5, 2.8
-MOST_DISTANCE_M = 1000.0
+MAX_PEOPLE = 100
+MIN_FOCAL_PX, MAX_FOCAL_PX = 50.0, 1e6
+MIN_HEIGHT_M, MAX_HEIGHT_M = 0.5, 2.8
+MAX_DISTANCE_M = 1000.0
 # Eleven days at 100 frames per second.
-_MOST_FRAMES = 10**8
+_MAX_FRAMES = 10**8
 # Nanoseconds since 1970 have 19 digits; more fit no integer.
-_MOST_NUMBER = 2**63 - 1
+_MAX_NUMBER = 2**63 - 1
 # Pictures of other sizes than the calibration's: from a thumbnail to four times 4K; no picture is wider than 16,384 px.
-LEAST_PIXEL_SCALE, MOST_PIXEL_SCALE, MOST_PIXEL_OFFSET = 0.05, 20.0, 16384.0
+MIN_PIXEL_SCALE, MAX_PIXEL_SCALE, MAX_PIXEL_OFFSET = 0.05, 20.0, 16384.0
 # What only counts without a calibration, and what says something about recorded keypoints.
 WITHOUT_CALIBRATION = ("focal_px", "height_m", "distance_m")
 ABOUT_KEYPOINTS = ("keypoint_layout", "keypoint_first_frame")
@@ -114,7 +114,7 @@ def anybody(description: dict[str, Any]) -> bool:
         return False
     if given is True or given is None:
         return True
-    return whole(given, "capture.yaml: people", 0, MOST_PEOPLE, "the number of people, 0 for an empty room,") > 0
+    return whole(given, "capture.yaml: people", 0, MAX_PEOPLE, "the number of people, 0 for an empty room,") > 0
 
 
 def frames_used(description: dict[str, Any]) -> tuple[int, int]:
@@ -122,8 +122,8 @@ def frames_used(description: dict[str, Any]) -> tuple[int, int]:
     frames = mapping(description.get("frames"), "capture.yaml: frames", "{first: 0, count: 60}")
     if set(frames) - {"first", "count"}:
         raise UserError("capture.yaml: frames must look like {first: 0, count: 60}")
-    first = whole(frames.get("first", 0), "capture.yaml: frames.first", 0, _MOST_FRAMES)
-    count = whole(frames.get("count", 0), "capture.yaml: frames.count", 0, _MOST_FRAMES)
+    first = whole(frames.get("first", 0), "capture.yaml: frames.first", 0, _MAX_FRAMES)
+    count = whole(frames.get("count", 0), "capture.yaml: frames.count", 0, _MAX_FRAMES)
     if count == 1:
         raise UserError("capture.yaml: frames.count is 1; nothing moves in one frame, choose at least 2")
     return first, count
@@ -140,8 +140,8 @@ def starts_of(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[
     found = dict.fromkeys(footage, 0.0)
     for camera, value in given.items():
         where = f"capture.yaml: starts of {camera}"
-        what = f"a number of frames of at most {_MOST_FRAMES}, such as 13 or 12.6"
-        found[_check_named(camera, "starts", footage)] = number(value, where, -_MOST_FRAMES, _MOST_FRAMES, what)
+        what = f"a number of frames of at most {_MAX_FRAMES}, such as 13 or 12.6"
+        found[_check_named(camera, "starts", footage)] = number(value, where, -_MAX_FRAMES, _MAX_FRAMES, what)
     return found if given else {}
 
 
@@ -153,7 +153,7 @@ def first_numbers(description: dict[str, Any], footage: Mapping[str, Path]) -> d
     table = given if isinstance(given, dict) else dict.fromkeys(footage, given)
     return {
         _check_named(camera, "keypoint_first_frame", footage): whole(
-            value, f"capture.yaml: keypoint_first_frame of {camera}", -_MOST_NUMBER, _MOST_NUMBER
+            value, f"capture.yaml: keypoint_first_frame of {camera}", -_MAX_NUMBER, _MAX_NUMBER
         )
         for camera, value in table.items()
     }
@@ -169,9 +169,9 @@ def focal_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> d
         _check_named(camera, "focal_px", footage): number(
             value,
             f"capture.yaml: focal_px of {camera}",
-            LEAST_FOCAL_PX,
-            MOST_FOCAL_PX,
-            f"a length in pixels above 0, of {LEAST_FOCAL_PX:g} to {MOST_FOCAL_PX:g} (not millimetres)",
+            MIN_FOCAL_PX,
+            MAX_FOCAL_PX,
+            f"a length in pixels above 0, of {MIN_FOCAL_PX:g} to {MAX_FOCAL_PX:g} (not millimetres)",
         )
         for camera, value in table.items()
     }
@@ -187,9 +187,9 @@ def measured_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -
             str(person): number(
                 value,
                 f"capture.yaml: height_m{f' of {person}' if person else ''}",
-                LEAST_HEIGHT_M,
-                MOST_HEIGHT_M,
-                f"somebody's height in metres, {LEAST_HEIGHT_M:g} to {MOST_HEIGHT_M:g}",
+                MIN_HEIGHT_M,
+                MAX_HEIGHT_M,
+                f"somebody's height in metres, {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g}",
             )
             for person, value in table.items()
         }
@@ -199,7 +199,7 @@ def measured_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -
         listed = distance if isinstance(distance, list) and len(distance) == 3 else None
         if listed is None:
             raise UserError(f"{where} is {shown(distance)}; it must look like {what}")
-        metres = number(listed[2], where, 1e-3, MOST_DISTANCE_M, f"{what}, of at most {MOST_DISTANCE_M:g} m")
+        metres = number(listed[2], where, 1e-3, MAX_DISTANCE_M, f"{what}, of at most {MAX_DISTANCE_M:g} m")
         pair = [_check_named(camera, "distance_m", footage) for camera in listed[:2]]
         if pair[0] == pair[1]:
             raise UserError(f"capture.yaml: distance_m is from camera {pair[0]} to itself; name two cameras")
@@ -224,13 +224,13 @@ def pixel_maps(description: dict[str, Any], footage: Mapping[str, Path]) -> dict
         scale = number(
             entry["scale"],
             f"{where}: scale",
-            LEAST_PIXEL_SCALE,
-            MOST_PIXEL_SCALE,
-            f"pixels of the video per pixel of the calibration, {LEAST_PIXEL_SCALE:g} to {MOST_PIXEL_SCALE:g}",
+            MIN_PIXEL_SCALE,
+            MAX_PIXEL_SCALE,
+            f"pixels of the video per pixel of the calibration, {MIN_PIXEL_SCALE:g} to {MAX_PIXEL_SCALE:g}",
         )
-        what = f"a number of pixels of at most {MOST_PIXEL_OFFSET:g}"
+        what = f"a number of pixels of at most {MAX_PIXEL_OFFSET:g}"
         x, y = (
-            number(value, f"{where}: offset", -MOST_PIXEL_OFFSET, MOST_PIXEL_OFFSET, what) for value in entry["offset"]
+            number(value, f"{where}: offset", -MAX_PIXEL_OFFSET, MAX_PIXEL_OFFSET, what) for value in entry["offset"]
         )
         found[camera_name] = (scale, x, y)
     return found

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from studiorecon.errors import UserError
 
-MOST_LETTERS = 100
+MAX_LETTERS = 100
 # Letters and digits of any script with single blanks and marks between them; (1) is what a second download is called.
 _NAME = re.compile(r"[\w(](?:[\w.+@()-]| (?! ))*(?<![ .])")
 # What the rules' own language takes for its own.
@@ -19,10 +19,10 @@ _OF_THE_SYSTEM = {"thumbs.db", "desktop.ini", "__macosx", "lost+found", "system 
 
 def checked_name(name: str, what: str, remedy: str) -> str:
     """``name``, if folders, tables and rules can bear it; raises UserError that says what it names and ``remedy``."""
-    if len(name) > MOST_LETTERS or not _NAME.fullmatch(name):
+    if len(name) > MAX_LETTERS or not _NAME.fullmatch(name):
         raise UserError(
             f"the name {name!r} of {what} cannot be used: letters, digits, single blanks and . _ - + @ ( ) may be in "
-            f"it, a letter or digit first, {MOST_LETTERS} in all; {remedy}"
+            f"it, a letter or digit first, {MAX_LETTERS} in all; {remedy}"
         )
     return name
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
 
-_MOST_NAMED = 3
-_MOST_LISTED = 10_000
+_MAX_NAMED = 3
+_MAX_LISTED = 10_000
 
 
 def natural(name: str) -> list[tuple[int, str]]:
@@ -43,11 +43,11 @@ def missing_numbers(files: Sequence[Path]) -> list[int]:
     # Times in the names count in no even step, and leave nothing out.
     if not steps or any(gap % step for gap in steps) or sum(gap == step for gap in steps) < len(steps) / 2:
         return []
-    return list(islice((n for a, b in pairwise(numbers) for n in range(a + step, b, step)), _MOST_LISTED))
+    return list(islice((n for a, b in pairwise(numbers) for n in range(a + step, b, step)), _MAX_LISTED))
 
 
 def gaps_named(files: Sequence[Path]) -> str:
     """The missing numbers in words (``3, 4, 9 and 5 more``); empty where none is missing."""
     missing = missing_numbers(files)
-    more = len(missing) - _MOST_NAMED
-    return ", ".join(map(str, missing[:_MOST_NAMED])) + (f" and {more} more" if more > 0 else "")
+    more = len(missing) - _MAX_NAMED
+    return ", ".join(map(str, missing[:_MAX_NAMED])) + (f" and {more} more" if more > 0 else "")

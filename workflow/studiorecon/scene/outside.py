@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Shaped
 
-MOST_TEXT_BYTES = 2**30
+MAX_TEXT_BYTES = 2**30
 """The largest text (JSON, YAML, TOML, table) that is read: keypoints of an hour of a crowd have less."""
-MOST_ARRAY_BYTES = 2**33
+MAX_ARRAY_BYTES = 2**33
 """The most that the arrays of one file may take in memory."""
-_MOST_REPEATED = 200
+_MAX_REPEATED = 200
 _COPY = "it may have been copied only in part: copy it again, or write it again with the program that made it"
 # What a damaged header, which is a Python literal, ends in.
 _BROKEN_HEADER = (ValueError, TypeError, SyntaxError, OverflowError, RecursionError, MemoryError)
@@ -45,7 +45,7 @@ _OTHER_BASE = re.compile(r"[-+]?(0[0-9xXbB_].*|.*:.*)")
 _WIDE = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}
 
 
-def read_bytes(path: Path, most: int = MOST_ARRAY_BYTES) -> bytes:
+def read_bytes(path: Path, most: int = MAX_ARRAY_BYTES) -> bytes:
     """The bytes of a regular file. Raises UserError when it is missing, a folder, a device, not to be read, or larger
     than ``most`` bytes."""
     size = file_size(path)
@@ -79,7 +79,7 @@ def read_text(path: Path, remedy: str = "") -> str:
     Raises UserError, with the line, for UTF-16, for binary files and for other encodings; it ends in ``remedy``, if
     any.
     """
-    data = read_bytes(path, MOST_TEXT_BYTES)
+    data = read_bytes(path, MAX_TEXT_BYTES)
     if data[:2] in _WIDE:
         raise UserError(f"{path} is {_WIDE[data[:2]]} text; {remedy or 'save it as UTF-8'}")
     try:
@@ -168,7 +168,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def read_xml(path: Path) -> ElementTree.Element:
     """The root of an XML file in the encoding that it declares; raises UserError, also for one that declares entities,
     which can grow without end."""
-    data = read_bytes(path, MOST_TEXT_BYTES)
+    data = read_bytes(path, MAX_TEXT_BYTES)
     # Without zero bytes, which UTF-16 has between letters.
     if b"<!DOCTYPE" in (plain := data.replace(b"\0", b"")) or b"<!ENTITY" in plain:
         raise UserError(f"{path} declares entities, which no calibration needs; export it again")
@@ -214,7 +214,7 @@ def read_rows(path: Path, columns: Iterable[str], delimiter: str = "\t") -> list
 
 def read_npz(
     path: Path,
-    most: int = MOST_ARRAY_BYTES,
+    most: int = MAX_ARRAY_BYTES,
     *,
     names: Iterable[str] | None = None,
     but: Container[str] = (),
@@ -249,8 +249,8 @@ def read_npz(
 def read_npy(path: Path) -> Shaped[np.ndarray, " ..."]:
     """The array of an npy file; raises UserError as ``read_npz`` does."""
     size = file_size(path)
-    if size > MOST_ARRAY_BYTES:
-        raise UserError(f"{path} has {size / 2**20:.0f} MiB; at most {MOST_ARRAY_BYTES / 2**20:.0f} MiB are read")
+    if size > MAX_ARRAY_BYTES:
+        raise UserError(f"{path} has {size / 2**20:.0f} MiB; at most {MAX_ARRAY_BYTES / 2**20:.0f} MiB are read")
     with open(path, "rb") as stream:
         return _array(stream, size, str(path))
 
@@ -336,4 +336,4 @@ def _once(node: Any) -> None:
 def first_line(error: BaseException) -> str:
     """What a library says of a damaged file, on one line and not too long: some repeat what they read."""
     line = next(iter(str(error).splitlines()), "") or type(error).__name__
-    return line if len(line) <= _MOST_REPEATED else line[: _MOST_REPEATED - 1] + "…"
+    return line if len(line) <= _MAX_REPEATED else line[: _MAX_REPEATED - 1] + "…"

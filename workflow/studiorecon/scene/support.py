@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 SOMEBODY = 1
 """The level of a pixel where the view shows a person (M of the paper's Eq. 5); 0 is what no photo shows, 255 what is
 seen well."""
-_LEAST = 2
+_MIN = 2
 
 
 def support_levels(
@@ -24,7 +24,7 @@ def support_levels(
     """(H, W) uint8 of a support in [0, 1]; a supported pixel never rounds down to a hole. ``people``: who is in the
     view. Raises ValueError for another shape."""
     require("support", support, ("H", "W"))
-    levels = np.where(support > 0, np.maximum(np.rint(support * 255), _LEAST), 0).astype(np.uint8)
+    levels = np.where(support > 0, np.maximum(np.rint(support * 255), _MIN), 0).astype(np.uint8)
     return levels if people is None else np.where(people, np.uint8(SOMEBODY), levels)
 
 

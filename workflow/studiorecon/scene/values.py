@@ -18,7 +18,7 @@ from studiorecon.errors import UserError
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-MOST_SHOWN = 60
+MAX_SHOWN = 60
 """Of a value that is refused so many characters are shown."""
 _LONGEST_NAME = 255
 
@@ -30,7 +30,7 @@ def shown(value: Any) -> str:
     except (RecursionError, ValueError):
         text = type(value).__name__
     text = " ".join(text.split())
-    return text if len(text) <= MOST_SHOWN else text[: MOST_SHOWN - 1] + "…"
+    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 1] + "…"
 
 
 def mapping(value: Any, where: str, example: str) -> Mapping[Any, Any]:

@@ -30,7 +30,7 @@ MEASURED_TURNS, NO_TURNS = "measured", "undetermined"
 _DEVIATIONS, _COVERS = 1.0, 0.3
 # Its capsule needs so many such Gaussians, and reaches from one to the other of these quantiles of them: strays throw
 # no shadow.
-_LEAST_COVERING, _ENDS = 8, (0.01, 0.99)
+_MIN_COVERING, _ENDS = 8, (0.01, 0.99)
 # OpenCV draws circles to this part of a pixel.
 _FINE_BITS, _FINE = 4, 16
 
@@ -124,7 +124,7 @@ class RigidObject:
         """
         centre, own = self.centre_at(frame), self.gaussians
         covers = own.logit_opacities > np.log(_COVERS / (1 - _COVERS))
-        if centre is None or covers.sum() < _LEAST_COVERING:
+        if centre is None or covers.sum() < _MIN_COVERING:
             return np.zeros((0, 7))
         means = own.means_m[covers].astype(np.float64)
         axes = np.linalg.eigh(np.cov(means.T))[1]

@@ -19,8 +19,8 @@ from studiorecon.scene.outside import read_yaml
 
 DEFAULTS = RESOURCES / "studio" / "defaults.yaml"
 # Sides that H.264 in 8 bits encodes everywhere, and pictures that are drawn in memory in about 4 GB.
-_MOST_SIDE_PX = 8192
-_MOST_DRAWN_PX = 8192 * 8192
+_MAX_SIDE_PX = 8192
+_MAX_DRAWN_PX = 8192 * 8192
 
 Format = Literal["easymocap", "colmap", "pose2sim", "caliscope", "nerfstudio"]
 CALIBRATION_FILES: Mapping[str, tuple[str, ...]] = {
@@ -236,10 +236,10 @@ def _check_ranges(d: Description, path: Path) -> None:
             f"{path}: size is {list(d.size)}; width and height must be even and at least 32, as H.264 needs"
         )
     drawn = d.size[0] * d.size[1] * d.supersampling**2
-    if max(d.size) > _MOST_SIDE_PX or drawn > _MOST_DRAWN_PX:
+    if max(d.size) > _MAX_SIDE_PX or drawn > _MAX_DRAWN_PX:
         raise UserError(
             f"{path}: size {list(d.size)} with supersampling {d.supersampling} is {drawn / 1e6:,.0f} million pixels "
-            f"a picture; at most {_MOST_DRAWN_PX / 1e6:,.0f} million are drawn, no side longer than {_MOST_SIDE_PX}"
+            f"a picture; at most {_MAX_DRAWN_PX / 1e6:,.0f} million are drawn, no side longer than {_MAX_SIDE_PX}"
         )
     if d.cameras.layout == "arc" and d.cameras.held_out > d.cameras.training - 1:
         raise UserError(

@@ -39,7 +39,7 @@ from studiorecon.studio.truth import TruthFrames
 
 LAYOUT = "body_25"
 # Rays of the cameras whose empty rooms one process keeps: each takes 34 bytes.
-_MOST_RAYS = 8_000_000
+_MAX_RAYS = 8_000_000
 _LISTEN_S = 0.2
 
 
@@ -58,7 +58,7 @@ def shared(description: Description, lenses: Sequence[Lens], processes: int) -> 
     """Lenses in takes, all of a take on one clock: none larger than a process's share or than its memory, the largest
     first."""
     rays = description.size[0] * description.size[1] * description.supersampling**2
-    most = max(1, min(-(-len(lenses) // processes), _MOST_RAYS // rays))
+    most = max(1, min(-(-len(lenses) // processes), _MAX_RAYS // rays))
     of_clock: dict[float, list[Lens]] = {}
     for lens in lenses:
         of_clock.setdefault(rig.sync_offsets_frames(description)[lens.name], []).append(lens)

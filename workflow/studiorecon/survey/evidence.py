@@ -20,7 +20,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 from studiorecon.survey import scene_change, stillness
 from studiorecon.survey.clips import Film, halved
-from studiorecon.survey.exposures import LEAST_PIXELS, ExposureView, disagreement, overlaps
+from studiorecon.survey.exposures import MIN_PIXELS, ExposureView, disagreement, overlaps
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -133,7 +133,7 @@ class Evidence:
     @cached_property
     def overlaps(self) -> tuple[list[Overlap], list[float]]:
         """Colour ratios of pairs of cameras on surfaces that both see, and their standard errors."""
-        return overlaps(self.material.views, self.sampling.depth_tolerance, LEAST_PIXELS)
+        return overlaps(self.material.views, self.sampling.depth_tolerance, MIN_PIXELS)
 
     @cached_property
     def gains(self) -> tuple[float, float, Float[np.ndarray, "V 3"]]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _STRIDE = 4
 # Least common surface points of two cameras that are evidence. A difference is certain beyond five standard errors; the
 # interval has two.
-LEAST_PIXELS, CERTAIN, INTERVAL = 50, 5.0, 2.0
+MIN_PIXELS, CERTAIN, INTERVAL = 50, 5.0, 2.0
 
 
 @dataclass(frozen=True)

@@ -22,12 +22,12 @@ _DARKER, _SAME_COLOUR, _FRAMES = 0.05, 0.02, 5
 _RING_M = 1.0
 _SIGMAS = 5.0
 # Regions below this share of the picture are not followed.
-_LEAST_REGION = 0.00025
+_MIN_REGION = 0.00025
 # Pixels that the opening of noise joins err together: so many count as one.
 _PATCH_PX = 9
-_LEAST_RING_PX, _LEAST_FREE = 200, 0.3
+_MIN_RING_PX, _MIN_FREE = 200, 0.3
 # Below this level a ratio is noise; a change of fewer levels (of 255) nobody sees.
-_LEAST_LEVEL, _VISIBLE_LEVELS = 4.0, 6.0
+_MIN_LEVEL, _VISIBLE_LEVELS = 4.0, 6.0
 
 
 def relative(
@@ -44,8 +44,8 @@ def relative(
     """
     require("pictures", pictures, ("T", "H", "W", 3))
     require("free", free, pictures.shape[:3])
-    ratio = np.log(np.maximum(pictures.astype(np.float32), _LEAST_LEVEL))
-    ratio -= np.log(np.maximum(plate.astype(np.float32) * 255, _LEAST_LEVEL))
+    ratio = np.log(np.maximum(pictures.astype(np.float32), _MIN_LEVEL))
+    ratio -= np.log(np.maximum(plate.astype(np.float32) * 255, _MIN_LEVEL))
     ratio -= np.nan_to_num(light_log).astype(np.float32)[:, None, None, None]
     level = np.where(free, ratio.mean(axis=-1), np.inf)
     order = np.argsort(level, axis=0, kind="stable")
@@ -94,7 +94,7 @@ def shadow_share(
         # A shadow is larger than a pixel: noise in single ones is not counted.
         for picture in shaded:
             dark |= cv2.morphologyEx(picture.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
-    if ever.sum() < _LEAST_RING_PX:
+    if ever.sum() < _MIN_RING_PX:
         return NOTHING
     return share(int((dark & ever).sum()), int(ever.sum()), int(ever.sum()) / _PATCH_PX)
 
@@ -116,13 +116,13 @@ def moving_share(
     """
     height, width = free.shape[1:]
     runs = [run for run in runs if run.stop - run.start >= _FRAMES]
-    if not runs or free.mean() < _LEAST_FREE:
+    if not runs or free.mean() < _MIN_FREE:
         return NOTHING
-    noise_log = noise / np.maximum(usual, _LEAST_LEVEL)
+    noise_log = noise / np.maximum(usual, _MIN_LEVEL)
     level, colour = _level_and_colour(ratio)
     shadow = (level < 0) & (colour < np.maximum(_SAME_COLOUR, 3 * noise_log))
     changed = free & (np.abs(level) + colour > np.maximum(_SIGMAS, _VISIBLE_LEVELS / noise) * noise_log) & ~shadow
-    least = max(_LEAST_REGION * height * width, 4.0)
+    least = max(_MIN_REGION * height * width, 4.0)
     best = (0.0, 0.0, least / (height * width))
     for run in runs:
         found = [_regions(c, f, least) for c, f in zip(changed[run], free[run])]

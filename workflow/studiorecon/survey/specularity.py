@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _LIMIT = 0.99
-_LEAST_POINTS, _STRIDE = 200, 4
+_MIN_POINTS, _STRIDE = 200, 4
 # Depth and calibration misplace a sample by about this much; where colours change within it, they say nothing about
 # specularity.
 _MISPLACED_PX = 1.5
@@ -41,7 +41,7 @@ def varying_share(colours: Float[np.ndarray, "V N 3"], noise: Float[np.ndarray, 
     known = np.isfinite(level) & np.isfinite(noise) & (noise > 0)
     count = known.sum(axis=0)
     enough = count >= 2
-    if enough.sum() < _LEAST_POINTS:
+    if enough.sum() < _MIN_POINTS:
         return NOTHING
     weight = np.where(known, 1 / np.where(known, noise, 1.0) ** 2, 0.0)[:, enough]
     value = np.where(known, level, 0.0)[:, enough]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
 # Blocks per side; texture in a block below this many grey levels per pixel holds no flow.
-_BLOCKS, _LEAST_BLOCKS, _LEAST_TEXTURE = 6, 6, 1.5
+_BLOCKS, _MIN_BLOCKS, _MIN_TEXTURE = 6, 6, 1.5
 # Shifts that one linear step can follow; the start is found by correlation.
 _STEPS = 3
 
@@ -52,7 +52,7 @@ def block_shifts(
         if use.mean() < 0.5:
             continue
         g = np.stack([gradient_x[here][use], gradient_y[here][use]], axis=-1).astype(np.float64)
-        if np.sqrt(np.linalg.eigvalsh(g.T @ g / len(g))[0]) < _LEAST_TEXTURE:
+        if np.sqrt(np.linalg.eigvalsh(g.T @ g / len(g))[0]) < _MIN_TEXTURE:
             continue
         shift = start.copy()
         for _ in range(_STEPS):
@@ -69,7 +69,7 @@ def worst_shift(shifts: Float[np.ndarray, "T B 2"]) -> tuple[float, float]:
     """Median shift of the picture that surely moved the most, of ``block_shifts`` (T, B, 2), and its error from the
     scatter of the blocks, px; NaN when too few blocks tell."""
     known = np.isfinite(shifts).all(-1)
-    enough = known.sum(axis=1) >= _LEAST_BLOCKS if len(shifts) else np.zeros(0, bool)
+    enough = known.sum(axis=1) >= _MIN_BLOCKS if len(shifts) else np.zeros(0, bool)
     frames = [_median_vector(f[k]) for f, k in zip(shifts[enough], known[enough])]
     return max(frames, key=lambda f: f[0] - 3 * f[1], default=(np.nan, np.nan))
 
@@ -108,7 +108,7 @@ def light(
             both = usable[t][here] & usable[0][here]
             if both.sum() >= 0.25 * both.size:
                 middles.append(_densest(level[t][here][both] - level[0][here][both]))
-        if len(middles) >= _LEAST_BLOCKS:
+        if len(middles) >= _MIN_BLOCKS:
             value[t] = np.median(middles)
             error[t] = 1.25 * 1.4826 * np.median(np.abs(np.array(middles) - value[t])) / np.sqrt(len(middles))
     return value, error

@@ -26,7 +26,7 @@ _SAME_SURFACE = 0.03
 # Detail is what is left of a picture without its means over so many pixels of the view: side and standard deviation.
 _BLUR_PX, _DETAIL_PX = 11, 2.0
 # More samples of a photo in a pixel than this show nothing finer. Less of a mean than that is none.
-_MOST_SAMPLES, _LEAST_MEAN = 4.0, 1e-6
+_MAX_SAMPLES, _MIN_MEAN = 4.0, 1e-6
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def blend(
         # A floor under the weights keeps the only witness of a surface, however oblique.
         share = np.where(shows, np.exp(-np.nan_to_num(angle) / fade_rad) + 1e-6, 0)
         coarse, weight = coarse + share[..., None] * smooth, weight + share
-        density = np.minimum(count / oversampling**2, _MOST_SAMPLES)
+        density = np.minimum(count / oversampling**2, _MAX_SAMPLES)
         share = np.where(shows, density**2 + 1e-6, 0)
         fine, sharpness = fine + share[..., None] * (rgb - smooth), sharpness + share
         support = np.maximum(support, np.where(shows, np.minimum(4 * count / oversampling**2, 1), 0))
@@ -203,4 +203,4 @@ def blend(
 def _local_mean(rgb: Float[np.ndarray, "H W 3"], shows: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) Gaussian means of the pixels that are shown; 0 far from any."""
     share, total = (gaussian_blur(x, _BLUR_PX, _DETAIL_PX) for x in (shows, rgb * shows[..., None]))
-    return total / np.maximum(share, _LEAST_MEAN)[..., None]
+    return total / np.maximum(share, _MIN_MEAN)[..., None]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Num
 
 # 16:9 footage loses 2 % of its rows in 1280×704; what loses more than this needs another crop, not this one.
-_MOST_CUT = 0.15
+_MAX_CUT = 0.15
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def frame_of(working_hw: tuple[int, int], network_hw: tuple[int, int]) -> Frame:
     step = min(ours / theirs for ours, theirs in zip(working_hw, network_hw))
     left = tuple(ours - theirs * step for ours, theirs in zip(working_hw, network_hw))
     cut = 1 - (step * network_hw[0]) * (step * network_hw[1]) / (working_hw[0] * working_hw[1])
-    if cut > _MOST_CUT:
+    if cut > _MAX_CUT:
         raise UserError(
             f"footage of {working_hw[1]}×{working_hw[0]} would lose {cut:.0%} of its "
             f"picture in {network_hw[1]}×{network_hw[0]}; "

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from jaxtyping import Num
 
 # First, least and most damping, its factors after a refused and a taken step, and trials of one step.
-_DAMPING, _LEAST_DAMPING, _MOST_DAMPING, _MORE, _LESS, _TRIALS = 1e-3, 1e-7, 1e3, 8.0, 5.0, 8
+_DAMPING, _MIN_DAMPING, _MAX_DAMPING, _MORE, _LESS, _TRIALS = 1e-3, 1e-7, 1e3, 8.0, 5.0, 8
 # A frame that gains more than this share in a step is not done; at most that share of the frames is worked on alone.
 _BUSY, _FEW = 0.01, 0.3
 
@@ -48,7 +48,7 @@ def descend(problem: Problem, state: State, iterations: int, tolerance: float) -
             return state, equations, step, True  # no direction gains: a minimum to rounding
         busy = refused | (costs - new_costs > _BUSY * costs)
         state, costs = moved, new_costs
-        damping = np.where(refused, damping * _MORE, np.maximum(damping / _LESS, _LEAST_DAMPING))
+        damping = np.where(refused, damping * _MORE, np.maximum(damping / _LESS, _MIN_DAMPING))
         if gain < tolerance * whole:
             return state, equations, step, True
         if 0 < busy.sum() <= _FEW * len(busy):
@@ -112,9 +112,9 @@ def _alone(
         at = np.flatnonzero(busy)
         state = state.put(at[better], moved.at(better))
         costs[at[better]] = new_costs[better]
-        damping[at] = np.where(better, np.maximum(damping[at] / _LESS, _LEAST_DAMPING), damping[at] * _MORE)
+        damping[at] = np.where(better, np.maximum(damping[at] / _LESS, _MIN_DAMPING), damping[at] * _MORE)
         # A frame is done when a step gains little, or none does however short.
-        busy[at] = np.where(better, before - new_costs > tolerance * before, damping[at] < _MOST_DAMPING)
+        busy[at] = np.where(better, before - new_costs > tolerance * before, damping[at] < _MAX_DAMPING)
         if not busy.any():
             break
     return state, costs, damping

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jaxtyping import Integer
 
 CLEAR_MARGIN = 1.5
-_LEAST_AGREEMENT = 0.3
+_MIN_AGREEMENT = 0.3
 _UNEVEN_LIGHT = 1.5
 _BURNT = 0.1
 # From this level on in all channels a pixel counts as white.
@@ -45,7 +45,7 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
     """
     refused = [report["sync"]["refusal"]] if report["sync"]["refusal"] else []
     unit_known = any(
-        row["hypothesis"].startswith("lengths") and row["score"] > _LEAST_AGREEMENT for row in report["hypotheses"]
+        row["hypothesis"].startswith("lengths") and row["score"] > _MIN_AGREEMENT for row in report["hypotheses"]
     )
     if report["lengths"] and not unit_known:
         # Nothing else can be said in lengths that are not metres; a setting for their unit is said below.
@@ -109,7 +109,7 @@ def _wrong(report: dict[str, Any], limit_px: float) -> list[str]:
     best = max((r for r in report["hypotheses"] if "median_px" not in r), key=lambda row: row["score"])
     as_read = rows["as read"]
     found = [report["odd_one_out"]] if report["odd_one_out"] else []
-    if best["score"] > _LEAST_AGREEMENT and best["score"] > CLEAR_MARGIN * as_read["score"]:
+    if best["score"] > _MIN_AGREEMENT and best["score"] > CLEAR_MARGIN * as_read["score"]:
         found.append(
             f"people fit if {best['hypothesis']} (agreement {best['score']:.2f}, "
             f"{as_read['score']:.2f} as read): {best['remedy']}, or "

@@ -21,8 +21,8 @@ from studiorecon.scene.people import Detections
 # How far a calibration may be off where people are, metres: a gap between rays that stays the same says little about
 # clocks.
 _CALIBRATION_M = 0.03
-_LEAST_FRAMES = 8
-_LEAST_SINE = 0.1
+_MIN_FRAMES = 8
+_MIN_SINE = 0.1
 # Lags inside the interval lose this much twice log-likelihood (95 %), and what chance alone makes of the best of a
 # dozen lags: N gaps of noise, paired anew at every lag, differ by the root of N.
 _INTERVAL = 4.0
@@ -120,7 +120,7 @@ def _costs(
         for other in series if view in series else ():
             if other != view:
                 gaps = _gaps(cameras, rays, (view, series[view]), (other, series[other]), search)
-                misfit, gap_count = _misfit(gaps) if gaps.shape[1] >= _LEAST_FRAMES else (nothing, 0.0)
+                misfit, gap_count = _misfit(gaps) if gaps.shape[1] >= _MIN_FRAMES else (nothing, 0.0)
                 cost[other], count[other] = cost[other] + misfit, count[other] + gap_count
     heard = [v for v in count if count[v] > 0]
     if not heard:
@@ -150,8 +150,8 @@ def _gaps(
     first, second = rays[own[0]][0][mine][None], rays[other[0]][0][partners]
     across = np.cross(first, second)
     sine = np.linalg.norm(across, axis=-1)
-    known = (rays[own[0]][1][mine][None] & rays[other[0]][1][partners] & (sine > _LEAST_SINE)).all(0)
-    gap = across @ (cameras[other[0]].centre_m - cameras[own[0]].centre_m) / np.where(sine > _LEAST_SINE, sine, 1.0)
+    known = (rays[own[0]][1][mine][None] & rays[other[0]][1][partners] & (sine > _MIN_SINE)).all(0)
+    gap = across @ (cameras[other[0]].centre_m - cameras[own[0]].centre_m) / np.where(sine > _MIN_SINE, sine, 1.0)
     return np.where(known, gap, np.nan)
 
 
@@ -159,7 +159,7 @@ def _misfit(gaps: np.ndarray) -> tuple[np.ndarray, float]:
     """(S,) twice the negative log-likelihood of gaps (S, T, K) up to a constant, and how many independent ones they
     are."""
     known = np.isfinite(gaps[0])
-    joints = known.sum(0) >= _LEAST_FRAMES
+    joints = known.sum(0) >= _MIN_FRAMES
     if not joints.any():
         return np.zeros(len(gaps)), 0.0
     gaps, known = gaps[..., joints], known[:, joints]

@@ -8,7 +8,7 @@ from typing import Any
 
 from studiorecon.calibration.checks.advice import CLEAR_MARGIN, HEADLINES, agreeing
 from studiorecon.pages import skeleton
-from studiorecon.rig.hypotheses import MOST_MARGIN
+from studiorecon.rig.hypotheses import MAX_MARGIN
 
 _COLOURS = {"good": "#1a7f37", "usable": "#9a6700", "check": "#9a6700", "cannot tell": "#9a6700", "wrong": "#cf222e"}
 _STYLE = """
@@ -101,7 +101,7 @@ def _camera(report: dict[str, Any], camera: str) -> list[tuple[str, bool]]:
     a, facts, margin = report["footage"][camera], report["facts"][camera], report["margin"][camera]
     clear = margin is not None and margin >= CLEAR_MARGIN
     unclear = not clear and bool(report["people"]) and camera not in report["without_keypoints"]
-    shown = "–" if margin is None else f"≥ {MOST_MARGIN:g}" if margin >= MOST_MARGIN else f"{margin:.1f}"
+    shown = "–" if margin is None else f"≥ {MAX_MARGIN:g}" if margin >= MAX_MARGIN else f"{margin:.1f}"
     plain = (
         f"{facts['field_deg']:.0f}°",
         f"{facts['height_m']:.2f} m",

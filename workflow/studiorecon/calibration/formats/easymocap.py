@@ -17,7 +17,7 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients
 from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world, rotation_of, vector
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import MOST_TEXT_BYTES, read_bytes
+from studiorecon.scene.outside import MAX_TEXT_BYTES, read_bytes
 from studiorecon.scene.values import listed
 
 
@@ -87,7 +87,7 @@ def _lens(intri: dict, name: str, key: str, where: str) -> tuple[RawCamera, list
 
 def is_intri(path: Path) -> bool:
     """Whether a YAML file holds EasyMocap's lenses."""
-    if b"K_" not in read_bytes(path, MOST_TEXT_BYTES):
+    if b"K_" not in read_bytes(path, MAX_TEXT_BYTES):
         return False
     return any(key.startswith("K_") for key in load_storage(path))
 

@@ -15,7 +15,7 @@ _SUFFIXES = {
     ".xml", ".yml", ".yaml", ".json", ".toml", ".calib", ".txt", ".npz", ".npy", ".pkl", ".pickle", ".mat", ".csv",
 }  # fmt: skip
 _WORDS = ("intrinsic", "extrinsic", "camera_matrix", "cameramatrix", "distortion", "dist_coef", "focal", "calib")
-_MOST_BYTES = 2**20
+_MAX_BYTES = 2**20
 
 
 def find_lenses(folder: Path) -> tuple[Path, ...]:
@@ -81,7 +81,7 @@ def _holds_lenses(path: Path) -> bool:
 
 
 def _speaks_of_cameras(path: Path) -> bool:
-    if file_size(path) > _MOST_BYTES:
+    if file_size(path) > _MAX_BYTES:
         return False
     text = read_bytes(path).decode("utf-8", errors="replace").lower()
     return sum(word in text for word in _WORDS) >= 2

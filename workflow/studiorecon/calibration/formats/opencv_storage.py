@@ -54,7 +54,7 @@ _SPELLINGS = {
 }  # fmt: skip
 _KIND = {spelling: kind for kind, spellings in _SPELLINGS.items() for spelling in spellings}
 # A camera has a few hundred bytes; keypoints, which lie in JSON files too, have many more.
-_MOST_BYTES = 2**20
+_MAX_BYTES = 2**20
 _WORD = re.compile(r"[^a-z0-9]")
 
 
@@ -182,7 +182,7 @@ def _pose(held: Mapping[str, Any], where: str) -> np.ndarray:
 
 def holds(path: Path) -> str:
     """``"cameras"`` with poses, ``"lenses"`` without, or ``""``: what a file is, by the names of its entries."""
-    if path.suffix.lower() not in _SUFFIXES or file_size(path) > _MOST_BYTES:
+    if path.suffix.lower() not in _SUFFIXES or file_size(path) > _MAX_BYTES:
         return ""
     text = read_bytes(path).decode("utf-8", errors="replace")
     if not any(_KIND.get(w) == "matrix" for w in _words(text)):

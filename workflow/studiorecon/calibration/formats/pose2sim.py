@@ -9,7 +9,7 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients, model_in
 from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world, rotation_of, vector
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import MOST_TEXT_BYTES, read_bytes, read_toml
+from studiorecon.scene.outside import MAX_TEXT_BYTES, read_bytes, read_toml
 
 # Caliscope's cameras lie in such a file too; its cards and volumes, and Pose2Sim's Config.toml, lie beside.
 TOML_FILES = (("*.toml",), ("calibration/*.toml",))
@@ -66,7 +66,7 @@ def camera_of_table(name: str, table: dict, path: Path, notes: list[str]) -> Raw
 
 def holds_cameras(path: Path) -> bool:
     """Whether a TOML file could be a calibration."""
-    text = read_bytes(path, MOST_TEXT_BYTES).decode("utf-8", errors="replace")
+    text = read_bytes(path, MAX_TEXT_BYTES).decode("utf-8", errors="replace")
     return "matrix" in text and "translation" in text
 
 

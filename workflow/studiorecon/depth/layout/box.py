@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 # Scores below this are other surfaces, not this one: they would drag the mean that places a plane.
 _SAME_SURFACE = 0.2
-_LEAST_VOTERS = 30
+_MIN_VOTERS = 30
 # Walls with this share of the best one's votes are its rivals; the window that decides spans a tenth of the picture's
 # width.
-_RIVAL_SHARE, _MOST_RIVALS = 0.2, 6
+_RIVAL_SHARE, _MAX_RIVALS = 0.2, 6
 _WIDE_SHARE = 20
 
 
@@ -47,7 +47,7 @@ def plane_support(
     is."""
     total, count = 0.0, 0
     for i, picture in enumerate(pictures):
-        if voters[i].sum() < _LEAST_VOTERS:
+        if voters[i].sum() < _MIN_VOTERS:
             continue
         for j, other in enumerate(pictures):
             if i == j:
@@ -73,7 +73,7 @@ def place_plane(
     support = [plane_support(pictures, voters, np.array([*normal, o]), how) for o in tried]
     # Comparisons are lost at the wrong offset, so the mean alone would reward a plane that few pixels still match.
     most = max(count for _, count in support)
-    if most < _LEAST_VOTERS:
+    if most < _MIN_VOTERS:
         return offset, float("nan")
     value = np.array([mean * np.sqrt(count / most) for mean, count in support])
     best = int(value.argmax())
@@ -125,7 +125,7 @@ def strong_offsets(
         (around > padded[:-2]) & (around >= padded[2:]) & (around >= max(least_votes, _RIVAL_SHARE * around.max()))
     )
     offsets = []
-    for peak in peaks[np.argsort(-around[peaks], kind="stable")][:_MOST_RIVALS]:
+    for peak in peaks[np.argsort(-around[peaks], kind="stable")][:_MAX_RIVALS]:
         span = slice(max(peak - 1, 0), peak + 2)
         offsets.append(float((planes[parallel, 3][span] * count[span]).sum() / count[span].sum()))
     return offsets
@@ -181,7 +181,7 @@ def refine_yaw(
     turns = np.arange(-round(span_rad / step_rad), round(span_rad / step_rad) + 1) * step_rad
     value = np.zeros(len(turns))
     for plane, pixels in walls:
-        if sum(int(p.sum()) for p in pixels) < _LEAST_VOTERS:
+        if sum(int(p.sum()) for p in pixels) < _MIN_VOTERS:
             continue
         for k, turn in enumerate(turns):
             c, s = np.cos(turn), np.sin(turn)

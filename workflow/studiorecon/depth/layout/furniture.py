@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 _STEPS_M = (0.16, 0.08, 0.04, 0.02)
-_MOST_MOVES = 8
+_MAX_MOVES = 8
 # A move explains so many pixels more; of what people stand on, such a share of what it explains: whatever is wrong
 # about the floor beside it explains a little.
-_LEAST_MORE, _LEAST_MORE_SHARE = 0.2, 0.02
-_LEAST_SIDE_M, _LEAST_HEIGHT_M = 0.05, 0.04
+_MIN_MORE, _MIN_MORE_SHARE = 0.2, 0.02
+_MIN_SIDE_M, _MIN_HEIGHT_M = 0.05, 0.04
 _CLEARANCE_M = 0.05
 # A box is tried as a cylinder when its sides differ by less than this share; one of one photo always is, and may
 # explain so much less.
@@ -80,7 +80,7 @@ def allowed(
 ) -> Bool[np.ndarray, " N"]:
     """(N,) bool: of some size, inside the room, and away from ``taken`` (M, 4: points and the distance to keep from
     each, metres)."""
-    large = (primitives[:, 4:6] >= _LEAST_SIDE_M).all(axis=1) & (primitives[:, 7] - primitives[:, 6] >= _LEAST_HEIGHT_M)
+    large = (primitives[:, 4:6] >= _MIN_SIDE_M).all(axis=1) & (primitives[:, 7] - primitives[:, 6] >= _MIN_HEIGHT_M)
     centres = np.stack([primitives[:, 1], primitives[:, 2], (primitives[:, 6] + primitives[:, 7]) / 2], axis=-1)
     fits = (
         room_box.contains(centres)
@@ -132,7 +132,7 @@ def climb(
         around = moves(now, step_m, turns)
         return around[allowed(around, room_box, taken)]
 
-    return _moved(room, primitive, gain, steps_m, others, _LEAST_MORE)
+    return _moved(room, primitive, gain, steps_m, others, _MIN_MORE)
 
 
 def _widened(room: Explained, platform: Float[np.ndarray, " 8"], gain: float) -> tuple[Float[np.ndarray, " 8"], float]:
@@ -143,7 +143,7 @@ def _widened(room: Explained, platform: Float[np.ndarray, " 8"], gain: float) ->
         wider = around[:, 4:6].sum(axis=1) > now[4:6].sum()
         return around[wider & (around[:, 6:] == now[6:]).all(axis=1)]
 
-    return _moved(room, platform, gain, _STEPS_M[:3], others, _LEAST_MORE_SHARE * gain)
+    return _moved(room, platform, gain, _STEPS_M[:3], others, _MIN_MORE_SHARE * gain)
 
 
 def _moved(
@@ -155,7 +155,7 @@ def _moved(
     least_more: float,
 ) -> tuple[Float[np.ndarray, " 8"], float]:
     for step_m in steps_m:
-        for _ in range(_MOST_MOVES):
+        for _ in range(_MAX_MOVES):
             around = others(primitive, step_m)
             if not len(around):
                 break

@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 # told from what is below.
 _STEP_M, _DEEPEST_M, _HIGHEST_M = 0.04, 1.2, 1.0
 # A floor on which no more than this share of textured pixels disagrees is the room's.
-_AGREED, _DISAGREED, _LEAST_DISAGREEING = 0.6, 0.3, 0.25
+_AGREED, _DISAGREED, _MIN_DISAGREEING = 0.6, 0.3, 0.25
 # A pixel's height counts where it matches so well, so much better than any that is further off than so many steps, and
 # the pixel that it is found at in the other picture says the same to a step.
-_LEAST_SCORE, _LEAST_LEAD, _APART = 0.7, 0.08, 3
+_MIN_SCORE, _MIN_LEAD, _APART = 0.7, 0.08, 3
 # What people stand on is where their height matches nearly as well as any lower one, and the rest is where it matches
 # clearly worse: stripes match at many heights.
 _NEARLY, _WORSE = 0.15, 0.3
@@ -42,10 +42,10 @@ _CELL_M = 0.1
 _CELL_AGREES = 0.4
 # So many cells around the platform must lie lower, and this share of all that were told there, and of those on it.
 # Nearer than this many steps is the platform's own height.
-_LEAST_CELLS, _LEAST_SHARE, _LEAST_AROUND, _OWN = 50, 0.6, 0.4, 1
+_MIN_CELLS, _MIN_SHARE, _MIN_AROUND, _OWN = 50, 0.6, 0.4, 1
 # Mats and boxes lie on the floor: it is the lowest height that this share of the most frequent one's cells lie at. A
 # floor that lies less than so far down is within what cameras may be off by.
-_LOWEST_SHARE, _LEAST_DOWN_M = 0.6, 0.14
+_LOWEST_SHARE, _MIN_DOWN_M = 0.6, 0.14
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def platform_of(
 
     A tenth of a second for four pictures 240 pixels wide where photos agree on the floor, 3 s where they do not.
     """
-    if _disagreeing(pictures, standing_m, how) < _LEAST_DISAGREEING:
+    if _disagreeing(pictures, standing_m, how) < _MIN_DISAGREEING:
         return None
     told = _told(pictures, standing_m, how)
     if not told.stood_on.any():
@@ -101,7 +101,7 @@ def platform_of(
     outside = ((local[:, :2] < corner) | (local[:, :2] > upper)).any(axis=1)
     lower, same = len(_cells(local[below & outside])), len(_cells(local[level & outside]))
     on_it = len(_cells(local[level & ~outside]))
-    if lower < max(_LEAST_CELLS, _LEAST_SHARE * (lower + same), _LEAST_AROUND * on_it):
+    if lower < max(_MIN_CELLS, _MIN_SHARE * (lower + same), _MIN_AROUND * on_it):
         return None
     # Cells at every step below where people stand, and as far above it.
     count, above = np.zeros((2, round(_DEEPEST_M / _STEP_M) + 2))
@@ -115,12 +115,12 @@ def platform_of(
     floor_m = standing_m - _STEP_M * float((span * count[span]).sum() / count[span].sum())
     # The floor that people stand on lies apart as well where cameras are a degree off, but as much of it above as
     # below.
-    if standing_m - floor_m < _LEAST_DOWN_M or above[: peak + 2].sum() > count[: peak + 2].sum():
+    if standing_m - floor_m < _MIN_DOWN_M or above[: peak + 2].sum() > count[: peak + 2].sum():
         return None
     mats = [
         standing_m - k * _STEP_M
         for k in range(2 * _OWN + 1, peak - 1)
-        if around[k] >= _LEAST_CELLS and count[k] == count[k - 1 : k + 2].max()
+        if around[k] >= _MIN_CELLS and count[k] == count[k - 1 : k + 2].max()
     ]
     score = float(told.score[outside & (np.abs(told.step + peak) <= 1)].mean())
     return Raised(Platform(corner, upper, standing_m), floor_m, score, mats)
@@ -164,7 +164,7 @@ def _pair(picture: Picture, other: Picture, standing_m: float, steps: np.ndarray
     best, top = scores.argmax(axis=0).astype(np.int16), scores.max(axis=0)
     beside = np.abs(np.arange(len(steps))[:, None, None] - best) <= _APART
     second = np.where(beside, -1.0, scores).max(axis=0)
-    sure = (top > _LEAST_SCORE) & (top - second > _LEAST_LEAD) & (best > 1) & (best < len(steps) - 2)
+    sure = (top > _MIN_SCORE) & (top - second > _MIN_LEAD) & (best > 1) & (best < len(steps) - 2)
     return _Pair(best, top, sure, scores[np.abs(steps) <= _OWN].max(axis=0), scores[steps <= _OWN].max(axis=0))
 
 

@@ -33,16 +33,16 @@ _SIDES_M = (0.24, 0.36, 0.6, 0.9, 1.4, 2.1)
 _YAWS_RAD = np.radians([0, 22.5, 45, 67.5])
 _FLAT_VARIANCE = 4e-4
 # Cells of a rectangle count from this sum on; overlapping ones are one; the best so many of every plane go on.
-_LEAST_SUM, _OVERLAP, _PER_PLANE = 6.0, 0.5, 3
+_MIN_SUM, _OVERLAP, _PER_PLANE = 6.0, 0.5, 3
 _DEPTHS_M = (0.25, 0.45, 0.8)
 _TO_WALL_M = 1.0
 # How far outside the cameras furniture is looked for where there is no wall.
 _REACH_M = 2.5
 _SLAB_M = 0.06
 # A slab this far above the floor is held up by something: posts so wide, looked for under all of it at such steps.
-_LEAST_UNDER_M, _POSTS_M, _POST_STEP_M = 0.3, (0.06, 0.1), 0.04
+_MIN_UNDER_M, _POSTS_M, _POST_STEP_M = 0.3, (0.06, 0.1), 0.04
 # What is unlike the face behind it, how far up and aside its pieces may lie apart, and how much of it there must be.
-_UNLIKE, _GAP_PX, _LEAST_AREA, _LEAST_ON_FLOOR = 0.2, (5, 3), 40, 3
+_UNLIKE, _GAP_PX, _MIN_AREA, _MIN_ON_FLOOR = 0.2, (5, 3), 40, 3
 
 
 def advantage(
@@ -97,10 +97,10 @@ def rectangles(
             continue
         band = bands[rows][:1] if standing else bands[rows]
         sums = band[:, columns:] - band[:, :-columns]
-        if sums.max() < _LEAST_SUM:
+        if sums.max() < _MIN_SUM:
             continue
         sums = np.ascontiguousarray(sums, np.float32)
-        peaks = (sums >= _LEAST_SUM) & (sums >= cv2.dilate(sums, np.ones((7, 7), np.uint8)))
+        peaks = (sums >= _MIN_SUM) & (sums >= cv2.dilate(sums, np.ones((7, 7), np.uint8)))
         found += [(float(sums[y, x]), int(y), int(x), rows, columns) for y, x in np.argwhere(peaks)]
     found.sort(reverse=True)
     kept: list[tuple[float, int, int, int, int]] = []
@@ -226,7 +226,7 @@ def standing(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, Float[
         count, labels, stats, _ = cv2.connectedComponentsWithStats(unlike, connectivity=4)
         for k in range(1, count):
             left, top, columns, rows, area = stats[k]
-            if area < _LEAST_AREA or (room.surface[v][labels == k] == 4).sum() < _LEAST_ON_FLOOR:
+            if area < _MIN_AREA or (room.surface[v][labels == k] == 4).sum() < _MIN_ON_FLOOR:
                 continue
             bottom = top + rows - 1
             feet = np.flatnonzero((labels[bottom - max(rows // 12, 1) : bottom + 1] == k).any(axis=0))
@@ -252,7 +252,7 @@ def posts(slab: Float[np.ndarray, " 8"], floor_m: float) -> Float[np.ndarray, "N
     They are too thin to be found by what stands on the floor, and each of them explains little; under a table top they
     are looked for one by one. None under what is not a box or stands nearly on the floor.
     """
-    if slab[0] != 0 or slab[6] - floor_m < _LEAST_UNDER_M:
+    if slab[0] != 0 or slab[6] - floor_m < _MIN_UNDER_M:
         return np.zeros((0, 8))
     c, s = np.cos(slab[3]), np.sin(slab[3])
     found = []

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _STEP_PX, _BESIDE_PX = 0.25, 0.5
 # An edge differs by this much in colour (sum over channels), where this share of its points and so many of them are
 # known. Its middle is that of the places where it differs by nearly as much as at most.
-_LEAST_CONTRAST, _LEAST_SHARE, _LEAST_POINTS, _NEARLY = 0.06, 0.35, 6, 0.9
+_MIN_CONTRAST, _MIN_SHARE, _MIN_POINTS, _NEARLY = 0.06, 0.35, 6, 0.9
 # Sides are looked at above the lower quarter: what is below may be a base. Points of a side, of a foot.
 _ABOVE_BASE, _SIDE_POINTS, _FOOT_POINTS = 0.25, 60, 41
 # The part of a foot's front that counts, to either side of its middle.
@@ -117,7 +117,7 @@ def _change(rgb: np.ndarray, known: np.ndarray, before_px: np.ndarray, after_px:
     pixels = np.stack([before_px, after_px])
     colours, inside = sample(rgb, pixels)
     usable = (inside & sample(known, pixels, "nearest")[0]).all(axis=0)
-    if usable.sum() < max(_LEAST_POINTS, _LEAST_SHARE * len(usable)):
+    if usable.sum() < max(_MIN_POINTS, _MIN_SHARE * len(usable)):
         return np.nan
     return float(np.abs(colours[0] - colours[1])[usable].sum(axis=1).mean())
 
@@ -126,7 +126,7 @@ def _peak(change: Callable[[float], float], places: Float[np.ndarray, " N"]) -> 
     """The middle of where ``change`` is about greatest, if that is an edge: higher than what is beside it, and known
     there."""
     found = np.array([change(place) for place in places])
-    if not np.nanmax(found, initial=0.0) >= _LEAST_CONTRAST:
+    if not np.nanmax(found, initial=0.0) >= _MIN_CONTRAST:
         return None
     top = np.flatnonzero(~(found < _NEARLY * np.nanmax(found)))
     first = last = int(np.nanargmax(found))

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 # An edge is upright to within this, so long at least, and its lower end so far below the horizon and from the picture's
 # rim (share of its longer side).
-_UPRIGHT_DEG, _LEAST_SPAN_DEG, _BELOW_HORIZON_DEG, _RIM_SHARE = 2.0, 2.5, 1.0, 0.02
+_UPRIGHT_DEG, _MIN_SPAN_DEG, _BELOW_HORIZON_DEG, _RIM_SHARE = 2.0, 2.5, 1.0, 0.02
 # Long edges count up to this.
-_MOST_SPAN_DEG = 15.0
+_MAX_SPAN_DEG = 15.0
 # What an end is off by, seen from the camera; and how straight the foot of a wall is, with skirting and frames.
 _END_DEG, _FOOT_M = 0.2, 0.16
 # A wall is faced where a look goes along its normal by this much.
@@ -35,7 +35,7 @@ _FACED = 0.35
 _STEP_M = 0.05
 # So many edges, and so many of them a degree apart as seen from their camera, over so much of the wall, with this share
 # of what all edges that face it count, and no less sure than this.
-_LEAST_EDGES, _LEAST_APART, _LEAST_WIDTH_M, _LEAST_SHARE, _MOST_SIGMA_M = 5, 4, 0.6, 0.2, 0.3
+_MIN_EDGES, _MIN_APART, _MIN_WIDTH_M, _MIN_SHARE, _MAX_SIGMA_M = 5, 4, 0.6, 0.2, 0.3
 # Furniture makes a line of feet too: of two lines about as strong the further one is the wall.
 _RIVAL = 0.8
 # Lines nearer than this to the middle of what cameras look at are furniture, and so much before the outermost camera.
@@ -88,7 +88,7 @@ def _feet_of(view: int, camera: Camera, room: RoomPicture, floor_m: float) -> Fe
     inside = ((lower_px > rim_px) & (lower_px < np.array(camera.wh) - rim_px)).all(-1)
     span_deg = np.ptp(elevation_deg, axis=1)
     height_m = camera.centre_m[2] - floor_m
-    kept = (tilt_deg < _UPRIGHT_DEG) & (span_deg > _LEAST_SPAN_DEG) & (down_deg > _BELOW_HORIZON_DEG) & inside
+    kept = (tilt_deg < _UPRIGHT_DEG) & (span_deg > _MIN_SPAN_DEG) & (down_deg > _BELOW_HORIZON_DEG) & inside
     kept &= height_m > 0
     lower, down = lower[kept], np.radians(down_deg[kept])
     towards = lower[:, :2] / np.maximum(np.linalg.norm(lower[:, :2], axis=-1, keepdims=True), 1e-12)
@@ -106,9 +106,9 @@ def foot_of(
     offsets = seen.place_m @ normal
     sigma = np.hypot(seen.sigma_m * (seen.towards @ normal), _FOOT_M)
     faced = (seen.towards @ normal > _FACED) & (offsets > nearest_m - 2 * sigma)
-    if faced.sum() < _LEAST_EDGES:
+    if faced.sum() < _MIN_EDGES:
         return None
-    weight = np.minimum(seen.span_deg, _MOST_SPAN_DEG) * faced
+    weight = np.minimum(seen.span_deg, _MAX_SPAN_DEG) * faced
     places = np.arange(nearest_m, furthest_m, _STEP_M)
     off = (places[:, None] - offsets) / sigma
     score = (np.exp(-0.5 * off**2) * weight).sum(1)
@@ -120,11 +120,11 @@ def foot_of(
         azimuth_deg = np.degrees(np.arctan2(*seen.towards[own].T))
         apart = {(int(c), round(a)) for c, a in zip(seen.camera[own], azimuth_deg)}
         if (
-            score[k] >= max(_RIVAL * score.max(), _LEAST_SHARE * weight.sum())
-            and own.sum() >= _LEAST_EDGES
-            and len(apart) >= _LEAST_APART
-            and np.ptp(seen.place_m[own] @ beside) >= _LEAST_WIDTH_M
-            and np.median(sigma[own]) <= _MOST_SIGMA_M
+            score[k] >= max(_RIVAL * score.max(), _MIN_SHARE * weight.sum())
+            and own.sum() >= _MIN_EDGES
+            and len(apart) >= _MIN_APART
+            and np.ptp(seen.place_m[own] @ beside) >= _MIN_WIDTH_M
+            and np.median(sigma[own]) <= _MAX_SIGMA_M
         ):
             return float(places[k]), own, float(score[k])
     return None

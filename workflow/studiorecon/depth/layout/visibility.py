@@ -28,7 +28,7 @@ _CONFIDENCE, _BEFORE_M = 0.5, 0.3
 # A keypoint belongs to the joint that is projected nearest, within this share of the picture's longer side.
 _NEAR_SHARE = 0.03
 # Detectors guess hidden joints now and then: so many lines must cross a place.
-_LEAST_LINES = 3
+_MIN_LINES = 3
 # Lines are counted so many at a time: a long film has millions of them, but a room has only so many cells.
 _LINES_AT_ONCE = 20_000
 
@@ -77,7 +77,7 @@ def seen_through(
                 places, crossed = _counted(places, crossed, lines)
                 lines = []
     places, crossed = _counted(places, crossed, lines)
-    return kept_from(places[crossed >= _LEAST_LINES], 0.0)
+    return kept_from(places[crossed >= _MIN_LINES], 0.0)
 
 
 def _counted(places_m: np.ndarray, crossed: np.ndarray, lines: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 # share.
 _THROUGH_SHARE, _CONFIRM_SHARE = 0.07, 0.05
 # A plane inside the room stays where another camera judges it and half of the colours' agreement is there.
-_MOST_COST = 0.5
+_MAX_COST = 0.5
 
 
 def looked_through(
@@ -55,7 +55,7 @@ def back_to_room_box(
     where floor and walls match nothing, a plane that hides from all other cameras costs less than they do. Only planes
     inside the room (label ≥ 6) are questioned; the room box is where everything else already stands.
     """
-    unproven = ~labelled.judged | (labelled.cost > _MOST_COST)
+    unproven = ~labelled.judged | (labelled.cost > _MAX_COST)
     floating = (looked_through(camera, labelled.depth_m, others) | unproven) & (labelled.plane >= 6)
     origin, directions = camera.rays()
     length, face = room_box.intersect(origin, directions)

@@ -18,9 +18,9 @@ UNSEEN = np.float32(0.5)
 # sharper).
 HIDING_SHARE, HIDING_M = 0.03, 0.03
 # As in matching.py: flat windows correlate, so they are told from each other by their means and cost at least this.
-_FLAT_VARIANCE, _FLAT_COST, _LEAST_VARIANCE = 4e-4, 0.3, 1e-3
-_MOST_DIFFERENCE, _MOST_COST = 0.6, 1.2
-_LEAST_PIXELS = 8
+_FLAT_VARIANCE, _FLAT_COST, _MIN_VARIANCE = 4e-4, 0.3, 1e-3
+_MAX_DIFFERENCE, _MAX_COST = 0.6, 1.2
+_MIN_PIXELS = 8
 NEAR_M = 0.1
 # Depth is stored in single precision: what is nearer by less than this share is the same surface.
 BEFORE = 1 - 1e-5
@@ -88,17 +88,17 @@ def window_cost(rgb, v, y, x, samples, seen, surface, top, left, half, mean_weig
             bb += s0 * s0 + s1 * s1 + s2 * s2
             ab += r0 * s0 + r1 * s1 + r2 * s2
             n += 1
-    if n < _LEAST_PIXELS:
+    if n < _MIN_PIXELS:
         return np.float32(-1)
     k = 1 / n
     a0, a1, a2, b0, b1, b2 = a0 * k, a1 * k, a2 * k, b0 * k, b1 * k, b2 * k
     va = max(aa * k - a0 * a0 - a1 * a1 - a2 * a2, np.float32(0))
     vb = max(bb * k - b0 * b0 - b1 * b1 - b2 * b2, np.float32(0))
     cov = ab * k - a0 * b0 - a1 * b1 - a2 * b2
-    apart = min(abs(a0 - b0) + abs(a1 - b1) + abs(a2 - b2), np.float32(_MOST_DIFFERENCE))
+    apart = min(abs(a0 - b0) + abs(a1 - b1) + abs(a2 - b2), np.float32(_MAX_DIFFERENCE))
     score = (cov + _FLAT_VARIANCE) / np.sqrt((va + _FLAT_VARIANCE) * (vb + _FLAT_VARIANCE)) - mean_weight * apart
-    cost = min(max(1 - score, 0.0), _MOST_COST)
-    if va < _LEAST_VARIANCE:
+    cost = min(max(1 - score, 0.0), _MAX_COST)
+    if va < _MIN_VARIANCE:
         cost = max(cost, _FLAT_COST)
     return np.float32(cost)
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 # Colour difference (mean over channels) over which the penalty falls to 1/e, and the floor it never goes below.
 _EDGE_CONTRAST = 0.05
-_LEAST_PENALTY = 0.1
+_MIN_PENALTY = 0.1
 
 
 def label(
@@ -30,7 +30,7 @@ def label(
     weights = []
     for axis in (1, 0):
         contrast = np.abs(np.diff(smooth, axis=axis)).mean(axis=-1)
-        weight = (1 - _LEAST_PENALTY) * np.exp(-contrast / _EDGE_CONTRAST) + _LEAST_PENALTY
+        weight = (1 - _MIN_PENALTY) * np.exp(-contrast / _EDGE_CONTRAST) + _MIN_PENALTY
         weights.append((change_penalty * weight).astype(np.float32))
     return _label(np.ascontiguousarray(cost, np.float32), *weights)
 

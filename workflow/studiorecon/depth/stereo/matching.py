@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 # decide.
 _FLAT_VARIANCE = 4e-4
 # Least share of the window that must be seen by both cameras.
-_LEAST_SHARE = 0.35
+_MIN_SHARE = 0.35
 # Limit of the mean difference's part in the score: beyond it the windows differ anyway.
-_MOST_DIFFERENCE = 0.6
+_MAX_DIFFERENCE = 0.6
 UNKNOWN = np.float32(-9)
 
 
@@ -167,7 +167,7 @@ def _correlate(a, a_known, b, b_known, h, inverse, half, mean_weight, near_m, fa
                 continue
             columns = min(x + left + half, width - 1) - max(x + left - half, 0) + 1
             count = column[x, 0]
-            if count < _LEAST_SHARE * rows * columns:
+            if count < _MIN_SHARE * rows * columns:
                 continue
             scale = 1 / count
             va, vb, cov, difference = column[x, 7] * scale, column[x, 8] * scale, column[x, 9] * scale, np.float32(0)
@@ -178,4 +178,4 @@ def _correlate(a, a_known, b, b_known, h, inverse, half, mean_weight, near_m, fa
                 cov -= ma * mb
                 difference += abs(ma - mb)
             spread = np.sqrt((max(va, np.float32(0)) + _FLAT_VARIANCE) * (max(vb, np.float32(0)) + _FLAT_VARIANCE))
-            score[y, x + left] = (cov + _FLAT_VARIANCE) / spread - mean_weight * min(difference, _MOST_DIFFERENCE)
+            score[y, x + left] = (cov + _FLAT_VARIANCE) / spread - mean_weight * min(difference, _MAX_DIFFERENCE)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 # Pixels that show a thing that is there cost less than before by a tenth at least in rooms whose tables match worst; by
 # nothing, on ten thousand pixels, in a real room whose floor lies lower than it was taken to.
-_LEAST_BETTER = 0.05
+_MIN_BETTER = 0.05
 
 
 @dataclass
@@ -132,7 +132,7 @@ class Explained:
         A wall or floor in the wrong place matches nothing, and whatever hides it explains the photos better.
         """
         _, better, was = self._told(np.asarray(primitive)[None], looks=False)[0]
-        return bool(better < _LEAST_BETTER * was)
+        return bool(better < _MIN_BETTER * was)
 
     def shown(self, primitive: Float[np.ndarray, " 8"]) -> Integer[np.ndarray, " V"]:
         """(V,) pixels of every view that a primitive (8,) would be seen at."""

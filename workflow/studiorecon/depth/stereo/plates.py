@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 _SAME_SURFACE = 0.6
 _FLOOR_SEARCH_M = 0.12
 _FLOOR_STEP_M = 0.03
-_LEAST_PIXELS = 60
+_MIN_PIXELS = 60
 _SAME_DEPTH = 0.02
 # Variance (summed over channels) of a window that is more than sensor noise: 8 grey levels of 255 in one channel.
-_LEAST_VARIANCE = 1e-3
+_MIN_VARIANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Picture:
     def textured(self, window: int) -> Bool[np.ndarray, "H W"]:
         """(H, W) bool: the window around a pixel is not flat. A flat one matches every plane, so it speaks for none."""
         mean, square = (cv2.blur(image, (window, window)) for image in (self.rgb, self.rgb * self.rgb))
-        return channel_sum(square - mean * mean) > _LEAST_VARIANCE
+        return channel_sum(square - mean * mean) > _MIN_VARIANCE
 
     def score(
         self,
@@ -118,12 +118,12 @@ def floor_and_gains(
     overlaps = []
     for (i, j), score in zip(pairs, scores(floor_m)):
         agree = score > _SAME_SURFACE
-        if agree.sum() < _LEAST_PIXELS:
+        if agree.sum() < _MIN_PIXELS:
             continue
         depth_m = pictures[i].depth(np.array([0.0, 0.0, 1.0, floor_m]), near_m, far_m)
         points = pictures[i].camera.unproject(pictures[i].camera.pixel_centres(), depth_m)[agree]
         colours, inside = sample(pictures[j].rgb, pictures[j].camera.project(points)[0][None])
-        overlap = compare(i, j, pictures[i].rgb[agree][inside[0]], colours[0][inside[0]], _LEAST_PIXELS)
+        overlap = compare(i, j, pictures[i].rgb[agree][inside[0]], colours[0][inside[0]], _MIN_PIXELS)
         if overlap is not None:
             overlaps.append(overlap)
     return floor_m, solve_gains(len(pictures), overlaps), len(overlaps)
@@ -153,7 +153,7 @@ def surface_gains(
             same = inside[0] & (np.abs(seen[0] - z) < _SAME_DEPTH * np.where(z > 0, z, np.nan))
             colours = sample(cv2.blur(other.rgb, (window, window)), pixels[None])[0][0]
             mine = cv2.blur(picture.rgb, (window, window))[known]
-            overlap = compare(i, j, mine[same], colours[same], _LEAST_PIXELS)
+            overlap = compare(i, j, mine[same], colours[same], _MIN_PIXELS)
             if overlap is not None:
                 overlaps.append(overlap)
     return solve_gains(len(pictures), overlaps), len(overlaps)

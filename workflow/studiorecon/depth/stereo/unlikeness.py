@@ -29,7 +29,7 @@ _ELSEWHERE_M = 0.6
 _COMPONENTS, _OTHERS, _NEAREST = 12, 1500, 4
 _AT_ONCE = 4096
 # Fewer pieces do not say how a face looks.
-_LEAST_PIECES = 200
+_MIN_PIECES = 200
 # Unlike is what is this much further from others than half of all pieces are; so much is camera noise.
 _USUAL, _NOISE = 1.5, 0.01
 
@@ -45,7 +45,7 @@ def surface_odds(pictures: Sequence[Picture], room_box: RoomBox) -> list[Float[n
     for index, face in enumerate(room_box.rectangles):
         nodes = face.nodes(_CELL_M)
         pieces = [_pieces(picture, on == index, nodes) for picture, (_, on) in zip(pictures, where)]
-        if sum(len(at) for at, _ in pieces) < _LEAST_PIECES:
+        if sum(len(at) for at, _ in pieces) < _MIN_PIECES:
             continue
         apart = _apart(np.concatenate([p for _, p in pieces]), np.concatenate([at for at, _ in pieces]), index < 4)
         usual = _USUAL * float(np.median(apart)) + _NOISE

@@ -73,7 +73,7 @@ CARD = Card(
 CARDS = (CARD,)
 
 
-LEAST_PX = 300
+MIN_PX = 300
 """Least height of the person in the photo: below it a face is a few pixels."""
 _MARGIN = 0.05
 _WHITE = 255
@@ -101,9 +101,9 @@ def preprocess(photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"
         raise UserError(
             "the person touches the picture's border: LHM needs head and feet; choose another frame or camera"
         )
-    if height < LEAST_PX:
+    if height < MIN_PX:
         raise UserError(
-            f"the person is {height} px high and LHM needs {LEAST_PX}; raise capture.width, or choose another frame"
+            f"the person is {height} px high and LHM needs {MIN_PX}; raise capture.width, or choose another frame"
         )
     if width >= height:
         raise UserError(

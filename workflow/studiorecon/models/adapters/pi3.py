@@ -103,7 +103,7 @@ CONFIDENT = 0.1
 """Least confidence of a point (paper, section on view synthesis), of the sigmoid."""
 EDGE = 0.03
 """Relative jump in depth between neighbours beside which a point mixes two surfaces (upstream: rtol)."""
-_LEAST_POINTS = 100
+_MIN_POINTS = 100
 _GIVEN = ("depth_encoder.", "depth_emb", "ray_embed.", "pose_inject_blk.")
 LOWER = "give it fewer or smaller pictures, or a calibration (calibration.source: files) and depth.source: embedded"
 
@@ -199,7 +199,7 @@ def postprocess(
         own, sure = own[rows, columns], sure[rows, columns]
         depth = own[..., 2]
         usable = (sure > CONFIDENT) & (depth > 0) & ~edges(depth)
-        if usable.sum() < _LEAST_POINTS:
+        if usable.sum() < _MIN_POINTS:
             raise UserError(
                 f"the network is sure of {int(usable.sum())} pixels of camera {name}: its picture "
                 "shares nothing with the others; leave it "

@@ -28,7 +28,7 @@ _FLAT_M = 0.045
 _DEEP = ("nose", "left_ear", "right_ear", "left_heel", "right_heel", "left_big_toe", "right_big_toe")
 # Joints are averaged over so long before that, seconds: noise is no depth.
 _CALM_S = 0.25
-_LEAST_JOINTS = 8
+_MIN_JOINTS = 8
 # A mirror's image follows somebody within this, metres, who must have moved by so much across, and for so long, metres
 # and seconds.
 _MIRRORED_M, _MOVED_M, _LASTING_S = 0.1, 0.3, 1.0
@@ -44,7 +44,7 @@ def found_twice(points_m: Float[np.ndarray, "T 12 3"], other_m: Float[np.ndarray
     """Whether two skeletons (T, 12, 3) are at the same place wherever both are known."""
     apart = np.linalg.norm(points_m - other_m, axis=-1)
     apart = apart[np.isfinite(apart)]
-    return len(apart) >= _LEAST_JOINTS and float(np.median(apart)) < _SAME_PLACE_M
+    return len(apart) >= _MIN_JOINTS and float(np.median(apart)) < _SAME_PLACE_M
 
 
 def flatness_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> float:
@@ -55,7 +55,7 @@ def flatness_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> float:
     for block in np.array_split(points_m, max(1, len(points_m) // length)):
         known = np.isfinite(block).all(-1)
         enough = known.sum(0) >= max(1, 0.5 * len(block))
-        if enough.sum() >= _LEAST_JOINTS:
+        if enough.sum() >= _MIN_JOINTS:
             moments.append(np.array([np.median(block[known[:, k], k], axis=0) for k in np.flatnonzero(enough)]))
     if not moments:
         return float("nan")

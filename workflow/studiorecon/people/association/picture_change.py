@@ -38,8 +38,8 @@ _CLOTHED = 2.0
 # where it leaves the cubic through its places so far apart in time, seconds: landmarks drift for longer than a picture
 # lasts, and within that time an arm that swings is a cubic.
 _WANDERINGS, _WANDERING_S = 4.0, 0.1
-_LEAST_PLACES = 20
-_LEAST_VIEWS = 2
+_MIN_PLACES = 20
+_MIN_VIEWS = 2
 _AT = {name: k for k, name in enumerate(STABLE_KEYPOINTS)}
 _LIMBS = [
     (_AT[f"{s}_{a}"], _AT[f"{s}_{b}"])
@@ -227,7 +227,7 @@ def changed(
 
 def view_shares(counts: Num[np.ndarray, "... 2"]) -> Float[np.ndarray, " ..."]:
     """(...,) supported share from (..., 2) counts; NaN with fewer than twenty places to judge."""
-    judged = counts[..., 1] >= _LEAST_PLACES
+    judged = counts[..., 1] >= _MIN_PLACES
     return np.where(judged, counts[..., 0] / np.maximum(counts[..., 1], 1), np.nan)
 
 
@@ -250,6 +250,6 @@ def absent(shares: Float[np.ndarray, "G V"], limbs: Float[np.ndarray, "G V 4"], 
         judged = np.isfinite(own) & trusted
         seen = own[np.isfinite(own)]
         confirmed = (seen >= limits.present_share).any() or (np.nan_to_num(limbs[g]) >= limits.present_share).any()
-        doubted = judged.sum() >= _LEAST_VIEWS and not confirmed
+        doubted = judged.sum() >= _MIN_VIEWS and not confirmed
         out.append(bool(doubted and seen.mean() < limits.absent_share))
     return out

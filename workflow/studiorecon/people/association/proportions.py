@@ -40,9 +40,9 @@ _ENDS = {
 # Bones keep their length: the median over them of how much they differ from their own median (people: 0.01 to 0.03;
 # dogs: 0.08 to 0.27).
 _UNSTEADY = 0.08
-_MOST_OUTSIDE = 1
+_MAX_OUTSIDE = 1
 # A length is known from so many frames, or from half of those in which anything is.
-_LEAST_FRAMES = 3
+_MIN_FRAMES = 3
 
 
 def lengths_m(points_m: Float[np.ndarray, "T 12 3"]) -> dict[str, list[Float[np.ndarray, " F"]]]:
@@ -57,7 +57,7 @@ def lengths_m(points_m: Float[np.ndarray, "T 12 3"]) -> dict[str, list[Float[np.
     for part, limbs in _ENDS.items():
         ends[part] = [(points_m[:, at[first]], points_m[:, at[second]]) for first, second in limbs]
     known = {part: [np.linalg.norm(a - b, axis=-1) for a, b in limbs] for part, limbs in ends.items()}
-    least = max(_LEAST_FRAMES, 0.5 * float(np.isfinite(known["trunk"][0]).sum()))
+    least = max(_MIN_FRAMES, 0.5 * float(np.isfinite(known["trunk"][0]).sum()))
     long = {part: [v[np.isfinite(v)] for v in values] for part, values in known.items()}
     return {part: kept for part, values in long.items() if (kept := [v for v in values if len(v) >= least])}
 
@@ -92,6 +92,6 @@ def why_no_person(points_m: Float[np.ndarray, "T 12 3"]) -> str:
     ]
     if (wavers := unsteadiness(lengths)) > _UNSTEADY:
         told.append(f"bones that change their length by {wavers:.0%}")
-    if len(told) <= _MOST_OUTSIDE:
+    if len(told) <= _MAX_OUTSIDE:
         return ""
     return f"its proportions are not a person's, an animal's rather: {', '.join(told)}"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from studiorecon.splatting.train.schedule import BETA_1, BETA_2, EPSILON_LEAST, EPSILON_STEPS
+from studiorecon.splatting.train.schedule import BETA_1, BETA_2, EPSILON_MIN, EPSILON_STEPS
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Shaped
@@ -82,7 +82,7 @@ class Adam:
         second.copy_(torch.where(seen, torch.lerp(gradient * gradient, second, BETA_2), second))
         unbiased = (second / (1 - BETA_2**self._steps)).sqrt_()
         value -= torch.where(
-            seen, rate / (1 - BETA_1**self._steps) * first / (unbiased + self._epsilons.get(part, EPSILON_LEAST)), 0.0
+            seen, rate / (1 - BETA_1**self._steps) * first / (unbiased + self._epsilons.get(part, EPSILON_MIN)), 0.0
         )
 
     def _settle(self, part: str, gradient: torch.Tensor, value: torch.Tensor, seen: torch.Tensor) -> None:
@@ -98,7 +98,7 @@ class Adam:
             before = torch.nn.functional.pad(before, (0, len(rows) - len(before)))
         self._squares[part] = before + rows
         typical = torch.sqrt(self._squares[part].max() / self._steps).float()
-        self._epsilons[part] = (self._epsilon * typical).clamp_min(EPSILON_LEAST)
+        self._epsilons[part] = (self._epsilon * typical).clamp_min(EPSILON_MIN)
 
     def arrays(self) -> dict[str, Shaped[np.ndarray, " ..."]]:
         """Moments, steps, epsilons and the count of refused entries, for a checkpoint."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from studiorecon.splatting.conventions import LANES, OPACITY, QUATERNION, ROWS, SCALE, SH
 from studiorecon.splatting.cpu.adam import step_arrays, step_blocks
-from studiorecon.splatting.train.schedule import BETA_1, BETA_2, EPSILON_LEAST, EPSILON_STEPS
+from studiorecon.splatting.train.schedule import BETA_1, BETA_2, EPSILON_MIN, EPSILON_STEPS
 from studiorecon.splatting.train.state import TrainingState
 
 if TYPE_CHECKING:
@@ -161,7 +161,7 @@ class BlockAdam:
             self._squares[row] += np.square(seen).sum() / count
         for begin, end in ((0, SCALE), (SCALE, QUATERNION), (QUATERNION, OPACITY), (OPACITY, SH), (SH, ROWS)):
             typical = np.sqrt(self._squares[begin:end].max() * EPSILON_STEPS / self._steps)
-            self._epsilons[begin:end] = max(self._epsilon * typical, EPSILON_LEAST)
+            self._epsilons[begin:end] = max(self._epsilon * typical, EPSILON_MIN)
 
     def arrays(self) -> dict[str, Shaped[np.ndarray, " ..."]]:
         """Epsilons, steps and the count of refused entries, for a checkpoint; the moments are in the state."""

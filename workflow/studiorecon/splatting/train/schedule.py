@@ -15,11 +15,11 @@ from studiorecon.splatting.train.perceptual import PerceptualSettings
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-RATE_LEAST = 1e-12
+RATE_MIN = 1e-12
 BETA_1, BETA_2 = 0.9, 0.999
 EPSILON_STEPS = 4
 """Steps whose gradients settle Adam's relative epsilons."""
-EPSILON_LEAST = 1e-30
+EPSILON_MIN = 1e-30
 """Keeps 0 / 0 away where a kind of parameter has had no gradient at all."""
 
 
@@ -110,7 +110,7 @@ class TrainingSettings:
 def exponential(begin: float, end: float, done: float) -> float:
     """The schedule ``begin``^(1 − done) · ``end``^done, both raised to 1e-12 so that a rate of 0 is no logarithm of 0
     (O07)."""
-    begin, end = max(begin, RATE_LEAST), max(end, RATE_LEAST)
+    begin, end = max(begin, RATE_MIN), max(end, RATE_MIN)
     return float(begin * (end / begin) ** done)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 # Pixels are meant at this width; working frames of another have as much less or more.
 AT_WIDTH = 1280.0
 # The second blur; below this share of the steepest slopes a pixel is no edge; so many edges are asked for at least.
-_AGAIN_PX, _STEEP_SHARE, _LEAST_SLOPE, _LEAST_EDGES = 1.0, 0.01, 0.01, 100
+_AGAIN_PX, _STEEP_SHARE, _MIN_SLOPE, _MIN_EDGES = 1.0, 0.01, 0.01, 100
 # The sharpest of them tell the focus: others are soft in the world.
 _SHARPEST = 0.25
 # Pixels along one edge err together.
@@ -93,14 +93,14 @@ def edge_blur_px(rgb: Float[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H 
     inside = cv2.erode(measured.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
     across = np.abs(dx) >= np.abs(dy)
     beside = np.where(across, _neighbours(slope, 1), _neighbours(slope, 0))
-    edge = inside & (slope >= beside) & (slope > _LEAST_SLOPE) & (softer > 0) & (slope > 1.01 * softer)
-    if edge.sum() < _LEAST_EDGES:
+    edge = inside & (slope >= beside) & (slope > _MIN_SLOPE) & (softer > 0) & (slope > 1.01 * softer)
+    if edge.sum() < _MIN_EDGES:
         return NOTHING
     edge &= slope >= np.quantile(slope[inside], 1 - _STEEP_SHARE)
     ratio = (slope[edge] / softer[edge]).astype(np.float64)
     widths = np.sort(_AGAIN_PX / np.sqrt(ratio**2 - 1))
     sharpest = widths[: max(int(_SHARPEST * len(widths)), 1)]
-    return median(sharpest[::_TOGETHER], _LEAST_EDGES // (4 * _TOGETHER))
+    return median(sharpest[::_TOGETHER], _MIN_EDGES // (4 * _TOGETHER))
 
 
 def _neighbours(slope: np.ndarray, axis: int) -> np.ndarray:
