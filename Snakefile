@@ -13,30 +13,13 @@ configfile: Path(workflow.basedir) / "config/config.yaml"
 
 
 include: "workflow/rules/common.smk"
-include: "workflow/rules/studio.smk"
-include: "workflow/rules/detect.smk"
-include: "workflow/rules/clocks.smk"
-include: "workflow/rules/calibration.smk"
-include: "workflow/rules/capture.smk"
-include: "workflow/rules/tracks.smk"
-include: "workflow/rules/plates.smk"
-include: "workflow/rules/cameras.smk"
-include: "workflow/rules/people.smk"
-include: "workflow/rules/depth.smk"
-include: "workflow/rules/survey.smk"
-include: "workflow/rules/objects.smk"
-include: "workflow/rules/masks.smk"
-include: "workflow/rules/views.smk"
-include: "workflow/rules/background.smk"
-include: "workflow/rules/humans.smk"
-include: "workflow/rules/render.smk"
-include: "workflow/rules/enhance.smk"
-include: "workflow/rules/deliver.smk"
-include: "workflow/rules/report.smk"
-include: "workflow/rules/placement.smk"
-include: "workflow/rules/sweep.smk"
-include: "workflow/rules/weights.smk"
-include: "workflow/rules/images.smk"
+
+
+# A stage is a word in workflow/studiorecon/stages.py, a rule file and a folder of that name.
+for name in ("studio", *STAGES, "placement", "sweep", "weights", "images"):
+
+    include: f"workflow/rules/{name}.smk"
+
 
 
 report: "workflow/report/workflow.rst"

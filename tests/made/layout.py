@@ -8,10 +8,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# In the order in which data meets them.
-STAGES = ["detect", "clocks", "calibration", "capture", "tracks", "plates", "cameras", "people", "depth", "survey"]
-
-
 # The doors to torch inside the package, opened only by ``device: cuda``.
 ON_REQUEST = {"splatting.cuda.tensor_set"}
 

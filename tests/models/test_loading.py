@@ -19,8 +19,8 @@ from studiorecon.models.catalogue.card import Card
 from studiorecon.models.catalogue.registry import MODELS, module_of, of_kind
 from studiorecon.models.catalogue.selection import CHOICES, modules_of, selected
 from studiorecon.models.loading import adapter, load
+from studiorecon.stages import STAGES
 
-from tests.made.layout import STAGES
 from tests.models import networks_table
 
 ROOT = Path(__file__).resolve().parents[2]

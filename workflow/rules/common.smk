@@ -26,6 +26,7 @@ from studiorecon.plan.films import unreadable
 from studiorecon.plan.networks import images_of
 from studiorecon.configuration.overlays import check_overlay
 from studiorecon.configuration.schema import mistakes, typed
+from studiorecon.stages import STAGES
 from studiorecon.sweep.table import BASE, read_rows
 
 HOME = Path(workflow.basedir)

@@ -8,10 +8,9 @@ of each step; ``studiorecon/<stage>/<step>.py`` is the step. Only its ``run()`` 
 is functions on arrays. The first page of a folder (``__init__.py``) says what comes in, what goes out, and in which
 order to read.
 
-Stages (never import each other; no rule takes an input of a later one):
-``detect, clocks, calibration, capture, tracks, plates, cameras, people, depth, survey, objects, masks, views,
-background, humans, render, enhance, deliver, report``. Three tools use them: ``studio`` films synthetic captures with
-known truth, ``placement`` plans camera positions, ``sweep`` measures what accuracy costs.
+``stages`` lists the stages; they never import each other, and no rule takes an input of a later one. Three tools use
+them: ``studio`` films synthetic captures with known truth, ``placement`` plans camera positions, ``sweep`` measures
+what accuracy costs.
 
 Foundations (import no stage, and only foundations before them): ``pages`` (HTML), ``scene`` (data types and their
 files), ``geometry``, ``camera_files``, ``footage``, ``images``, ``keypoints``, ``detector``, ``body``, ``rig``,

@@ -8,11 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-# Stages in the order data flows, which is how a reader looks for them; anything else comes after them.
-STAGES = (
-    *("studio", "detect", "clocks", "calibration", "capture", "tracks", "plates", "cameras", "people", "depth"),
-    *("survey", "objects", "masks", "views", "background", "humans", "render", "enhance", "deliver", "report"),
-)
+from studiorecon.stages import STAGES
+
+# As a reader looks for them; anything else comes after them.
+_ORDER = ("studio", *STAGES)
 _COLUMNS = {"seconds": "s", "cpu_seconds": "cpu_time", "peak_memory_mb": "max_rss"}
 
 
@@ -47,9 +46,8 @@ def cost(folder: Path) -> dict[str, Any]:
         )
         jobs.setdefault(stage, {}).setdefault(step, {})["/".join(rest) or "scene"] = read_benchmark(path)
     stages = {}
-    for stage, steps in sorted(
-        jobs.items(), key=lambda entry: (entry[0] not in STAGES, STAGES.index(entry[0]) if entry[0] in STAGES else 0)
-    ):
+    for stage in sorted(jobs, key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER)):
+        steps = jobs[stage]
         rules = {step: {**_total(list(entries.values())), "jobs": entries} for step, entries in steps.items()}
         stages[stage] = {**_total([job for entries in steps.values() for job in entries.values()]), "rules": rules}
     everything = _total([job for steps in jobs.values() for entries in steps.values() for job in entries.values()])
