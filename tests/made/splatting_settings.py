@@ -11,7 +11,6 @@ SETTINGS = TrainingSettings(
     l1=0.7,
     ssim=0.3,
     density=0.0,
-    depth=0.0,
     position_lr_start=1.6e-4,
     position_lr_end=1.6e-6,
     scale_lr=5e-3,

@@ -132,10 +132,9 @@ def test_a_device_that_trains_sends_nothing_to_the_cpu() -> None:
         Target(look_at("c", np.array([4.0, 0, 1]), [0, 0, 1]).resized((40, 32)), np.zeros((32, 40, 3), np.float32)),
         0,
         np.random.default_rng(0),
-        *(torch.zeros(shape, device="meta", requires_grad=True) for shape in ((32, 40, 3), (32, 40), (32, 40))),
+        *(torch.zeros(shape, device="meta", requires_grad=True) for shape in ((32, 40, 3), (32, 40))),
         torch.zeros((3, 32, 40), device="meta"),
         torch.zeros((32, 40), device="meta"),
-        None,
         "view",
     )
     loss = LpipsTerm(WHOLE, Lpips(*weights), True).on_cuda(view)

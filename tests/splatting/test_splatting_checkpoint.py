@@ -30,12 +30,6 @@ ALWAYS = 1e-9  # seconds: a checkpoint after every step
 VARIANTS = {
     "fixed number": {},
     "gradient": {"densify": "gradient", "densify_every": 8, "densify_from": 8},
-    "relocate": {
-        "densify": "relocate",
-        "densify_every": 8,
-        "densify_from": 8,
-        "prune_opacity": 0.2,
-    },
 }
 
 

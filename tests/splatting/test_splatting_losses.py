@@ -131,7 +131,6 @@ def test_the_papers_density_counts_masked_pixels_like_all_others() -> None:
     assert loss == again != of_alpha(Density(0.1), alpha, weight)[0]
     np.testing.assert_array_equal(gradient, same)
     assert (gradient[weight == 0] != 0).any()
-    nothing = torch.zeros(hw)
     of = Target(
         look_at("c", np.array([4.0, 0, 1]), [0, 0, 1]).resized(hw[::-1]), np.zeros((*hw, 3), np.float32), weight
     )
@@ -141,10 +140,8 @@ def test_the_papers_density_counts_masked_pixels_like_all_others() -> None:
         np.random.default_rng(0),
         torch.zeros((*hw, 3)),
         torch.tensor(alpha),
-        nothing,
         torch.zeros((3, *hw)),
         torch.tensor(weight),
-        None,
         "view",
     )
     assert float(Density(0.1, everywhere=True).on_cuda(seen)) == pytest.approx(loss, rel=1e-5)

@@ -56,16 +56,11 @@ def test_training_repeats_bit_for_bit(lesson: tuple[Gaussians, list[Target]]) ->
 
 def test_every_regulariser_can_be_on_at_once(lesson: tuple[Gaussians, list[Target]]) -> None:
     begin, targets = lesson
-    rasteriser = Rasteriser(near_m=0.01, threads=1)
-    depths = [rasteriser.forward(room(1200, 3), t.camera).depth_m for t in targets]
-    weighted = [
-        replace(t, depth_m=depth, weight=np.full(t.camera.hw, 2.0)) for t, depth in zip(targets, depths, strict=True)
-    ]
+    weighted = [replace(t, weight=np.full(t.camera.hw, 2.0)) for t in targets]
     settings = replace(
         SETTINGS,
         iterations=120,
         density=0.1,
-        depth=0.2,
         largest_scale_m=0.3,
         sh_degree_every=40,
         densify="gradient",
@@ -92,15 +87,14 @@ def test_densification_grows_to_the_cap_and_labels_follow(lesson: tuple[Gaussian
     assert psnr_db(trained.gaussians, targets) > psnr_db(fixed.gaussians, targets)
 
 
-@pytest.mark.parametrize("densify", ["gradient", "relocate"])
-def test_nothing_is_added_after_the_last_step(lesson: tuple[Gaussians, list[Target]], densify: str) -> None:
+def test_nothing_is_added_after_the_last_step(lesson: tuple[Gaussians, list[Target]]) -> None:
     # Naive: growth due at the last iteration is in the result untrained; on the synthetic studio that cost 6 dB on the
     # photos.
     begin, targets = lesson
     settings = replace(
         SETTINGS,
         iterations=20,
-        densify=densify,
+        densify="gradient",
         densify_every=20,
         densify_from=20,
         densify_until=20,

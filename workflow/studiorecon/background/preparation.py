@@ -156,7 +156,7 @@ def plate_targets(photos: Sequence[Photo], boost: float) -> list[Target]:
     """Every plate as a target, with its depth; a photo stands at distance 0 of itself, so its pixels weigh 1 +
     ``boost`` (U15, U16)."""
     weight = view_weight(0.0, cutoff_angle([p.camera for p in photos]), boost)
-    return [Target(p.camera, p.rgb, p.known * np.float32(weight), depth_m=p.depth_m) for p in photos]
+    return [Target(p.camera, p.rgb, p.known * np.float32(weight)) for p in photos]
 
 
 def view_targets(

@@ -55,7 +55,7 @@ class TensorSet:
         self.source = np.arange(initial.count)
         self._place, self._function = place, function or gsplat_function()
         self._targets, self._order = TargetSizes(targets), DrawOrder([target.share for target in targets], rng)
-        self._images: dict[tuple[bool, int], tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]] = {}
+        self._images: dict[tuple[bool, int], tuple[torch.Tensor, torch.Tensor]] = {}
         self._degree = 0
         self._drawn: DeviceView | None = None
         self._put({name: getattr(initial, name) for name in FIELDS})
@@ -84,11 +84,10 @@ class TensorSet:
         key, target = self._targets.at(self._settings, iteration, self._order.draw())
         if key not in self._images:
             self._images[key] = self._image(target)
-        rgb, weight, depth_m = self._images[key]
+        rgb, weight = self._images[key]
         self._degree = degree_at(self._settings, iteration)
         drawn = self._drawn = self._view(target, self._degree)
-        shown = drawn.rgb, drawn.alpha, drawn.depth_sum
-        return TensorView(target, iteration, self._rng, *shown, rgb, weight, depth_m, key)
+        return TensorView(target, iteration, self._rng, drawn.rgb, drawn.alpha, rgb, weight, key)
 
     def step(self, iteration: int, view: TensorView, loss: torch.Tensor) -> tuple[float, float]:
         """Autograd, Adam, density control."""
@@ -112,12 +111,12 @@ class TensorSet:
         """Density control, chosen on the CPU by the same functions."""
         s, drawn = self._settings, self._drawn
         assert drawn is not None
-        if s.densify == "gradient" and density.watched(s, done) and drawn.centres.grad is not None:
+        if density.watched(s, done) and drawn.centres.grad is not None:
             self._seen[0] += drawn.visible * drawn.centres.grad[0].norm(dim=1) * (width / 2)
             self._seen[1] += drawn.visible
         if density.due(s, done):
             mean = (self._seen[0] / self._seen[1].clamp_min(1)).cpu().numpy()
-            grown = density.controlled(self.gaussians(), mean, s, self._extent_m, self._rng)
+            grown = density.grow_scene(self.gaussians(), mean, s, self._extent_m, self._rng)
             self.source = self.source[grown.parent]
             self._put({name: getattr(grown.gaussians, name) for name in FIELDS})
             self.adam.regrow(grown.parent, grown.fresh)
@@ -153,13 +152,12 @@ class TensorSet:
         near_m, function = self._settings.near_m, self._function
         return view(self.leaves, target.camera, behind, near_m, degree=degree, antialias=False, function=function)
 
-    def _image(self, target: Target) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        """Colours (3, H, W), weight (H, W) and depth of a target on the device; masked colours may be NaN."""
-        rgb, weight, depth_m = (
-            None if array is None else torch.as_tensor(np.ascontiguousarray(array, np.float32), device=self._place)
-            for array in (target.rgb, target.weight, target.depth_m)
+    def _image(self, target: Target) -> tuple[torch.Tensor, torch.Tensor]:
+        """Colours (3, H, W) and weight (H, W) of a target on the device; masked colours may be NaN."""
+        weights = np.ones(target.rgb.shape[:2]) if target.weight is None else target.weight.clip(0)
+        rgb, weight = (
+            torch.as_tensor(np.ascontiguousarray(array, np.float32), device=self._place)
+            for array in (target.rgb, weights)
         )
-        assert rgb is not None
-        weight = torch.ones_like(rgb[..., 0]) if weight is None else torch.where(weight > 0, weight, 0.0)
         rgb = rgb.permute(2, 0, 1)
-        return torch.where(weight > 0, rgb, torch.nan_to_num(rgb)).contiguous(), weight, depth_m
+        return torch.where(weight > 0, rgb, torch.nan_to_num(rgb)).contiguous(), weight

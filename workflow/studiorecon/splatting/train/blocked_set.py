@@ -97,14 +97,14 @@ class BlockedSet:
 
     def _control(self, done: int, width: int) -> None:
         s, before = self._settings, self.state
-        if s.densify == "gradient" and density.watched(s, done):
+        if density.watched(s, done):
             drawn = self.rasteriser
             state.add_screen_gradient(
                 drawn.visible, drawn.screen, np.float32(width / 2), before.gradient_sum, before.gradient_count
             )
         if density.due(s, done):
             mean = (before.gradient_sum / np.maximum(before.gradient_count, 1))[: before.blocked.count]
-            grown = density.controlled(self.gaussians(), mean, s, self._extent_m, self._rng)
+            grown = density.grow_scene(self.gaussians(), mean, s, self._extent_m, self._rng)
             self.state = state.regrown(before, grown.gaussians, grown.parent, grown.fresh)
 
     def preview(self) -> Preview:

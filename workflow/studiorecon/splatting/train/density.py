@@ -1,17 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Density control: when and where Gaussians are added, removed or moved.
-
-``grow`` clones and splits where the screen gradient is large and prunes the transparent (3DGS). ``relocate`` keeps the
-number: dead Gaussians move onto live ones, and the picture stays what it was. The latter is after "3D Gaussian
-Splatting as Markov Chain Monte Carlo" (Kheradmand et al., NeurIPS 2024), equations 8 and 9, written from the formulas:
-a live Gaussian that ends up as M coincident copies gives each the opacity 1 − (1 − o)^(1/M), so that their blend in the
-centre is the old one, and scales all by one factor, so that the blend's integral along any line is the old one too.
-"""
+"""Density control: when and where Gaussians are added or removed, as 3DGS does."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from math import comb
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,9 +17,6 @@ if TYPE_CHECKING:
 
 SPLIT_SHRINK = np.log(1.6)
 """A split Gaussian's halves are 1.6 times smaller (3DGS)."""
-COPIES_MAX = 50
-"""Most copies of one Gaussian: the alternating sum of the scale factor loses all digits soon after."""
-_OPACITY_RANGE = 1e-6, 1 - 1e-6
 
 
 @dataclass(frozen=True)
@@ -47,20 +36,18 @@ def watched(settings: TrainingSettings, done: int) -> bool:
 
 
 def due(settings: TrainingSettings, done: int) -> bool:
-    """Whether this is a step after which Gaussians are added or moved."""
+    """Whether this is a step after which Gaussians are added."""
     return watched(settings, done) and done >= settings.densify_from and done % settings.densify_every == 0
 
 
-def controlled(
+def grow_scene(
     gaussians: Gaussians,
     mean_gradient: Float[np.ndarray, " N"],
     settings: TrainingSettings,
     extent_m: float,
     rng: np.random.Generator,
 ) -> Growth:
-    """The Gaussians after density control as ``densify`` says; ``mean_gradient`` (N,) is for "gradient" alone."""
-    if settings.densify == "relocate":
-        return relocate(gaussians, dead_opacity=settings.prune_opacity, rng=rng)
+    """``grow`` with the thresholds of a scene's training."""
     return grow(
         gaussians,
         mean_gradient,
@@ -114,53 +101,4 @@ def _half(gaussians: Gaussians, rng: np.random.Generator) -> Gaussians:
     means = gaussians.means_m + np.einsum("nij,nj->ni", from_quaternion(gaussians.quaternions), offsets)
     return Gaussians(
         means, gaussians.quaternions, gaussians.log_scales - SPLIT_SHRINK, gaussians.logit_opacities, gaussians.sh
-    )
-
-
-def shared_opacity(opacity: Float[np.ndarray, " N"], copies: Integer[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
-    """Opacity (N,) float64 of each of ``copies`` (N,) coincident Gaussians that together are as opaque as one of
-    ``opacity``."""
-    return -np.expm1(np.log1p(-opacity) / copies)
-
-
-def scale_factor(opacity: Float[np.ndarray, " N"], copies: Integer[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
-    """(N,) float64 factor of the copies' standard deviations: o / Σ_i Σ_k C(i−1, k) (−1)^k o'^(k+1) / √(k+1), i = 1…M.
-
-    Swapping the sums leaves Σ_k (−1)^k C(M, k+1) o'^(k+1) / √(k+1): M terms instead of M²/2.
-    """
-    shared, factor = shared_opacity(opacity, copies), np.ones(len(opacity))
-    for count in np.unique(copies):
-        of_count = copies == count
-        o = shared[of_count]
-        total = sum((-1) ** (k - 1) * comb(int(count), k) * o**k / np.sqrt(k) for k in range(1, int(count) + 1))
-        factor[of_count] = opacity[of_count] / total
-    return factor
-
-
-def relocate(gaussians: Gaussians, *, dead_opacity: float, rng: np.random.Generator) -> Growth:
-    """Every Gaussian of at most ``dead_opacity`` becomes a copy of a live one drawn by opacity.
-
-    Number and order stay. Both the moved and those they joined are ``fresh``; ``pruned`` counts the moved.
-    """
-    n = gaussians.count
-    opacity = 1 / (1 + np.exp(-gaussians.logit_opacities.astype(np.float64)))
-    alive = opacity > dead_opacity
-    dead = np.flatnonzero(~alive)
-    if not alive.any() or len(dead) == 0:
-        return Growth(gaussians, np.arange(n), np.zeros(n, bool), 0)
-    chance = np.where(alive, opacity, 0)
-    onto = rng.choice(n, len(dead), p=chance / chance.sum())
-    copies = np.minimum(1 + np.bincount(onto, minlength=n), COPIES_MAX)
-    joined = np.flatnonzero(copies > 1)
-    before = np.clip(opacity[joined], *_OPACITY_RANGE)
-    shared = shared_opacity(before, copies[joined])
-    logits, log_scales = gaussians.logit_opacities.copy(), gaussians.log_scales.copy()
-    logits[joined] = np.log(shared) - np.log1p(-shared)
-    log_scales[joined] += np.log(scale_factor(before, copies[joined]))[:, None].astype(np.float32)
-    parent = np.arange(n)
-    parent[dead] = onto
-    fresh = np.zeros(n, bool)
-    fresh[joined], fresh[dead] = True, True
-    return Growth(
-        replace(gaussians, logit_opacities=logits, log_scales=log_scales).take(parent), parent, fresh, len(dead)
     )

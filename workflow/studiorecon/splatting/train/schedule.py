@@ -38,7 +38,7 @@ class TrainingSettings:
         densify_every, densify_from, densify_until: iterations at which that happens.
         densify_gradient: mean screen gradient, in half image widths, above which a Gaussian is cloned or split.
         densify_scale: share of the scene extent above which it is split rather than cloned.
-        prune_opacity: Gaussians fainter than that are removed, or relocated, when densifying.
+        prune_opacity: Gaussians fainter than that are removed when densifying.
         checkpoint_every_s: seconds between checkpoints, from which a killed training goes on with the same result; 0 =
             none.
     """
@@ -56,7 +56,6 @@ class TrainingSettings:
         paper="(1 - M) (L1 + SSIM + LPIPS) + L_den, Eq. 5; U15",
         letter="photometric",
     )
-    depth: float = setting(0.0, "Relative depth error where targets have depth.", minimum=0)
     position_lr_start: float = 0.00016
     position_lr_end: float = 1.6e-06
     scale_lr: float = 0.005
@@ -81,10 +80,9 @@ class TrainingSettings:
     )
     near_m: float = 0.1
     largest_scale_m: float = 0.5
-    densify: Literal["none", "gradient", "relocate"] = setting(
+    densify: Literal["none", "gradient"] = setting(
         "none",
-        "How the number of Gaussians is controlled: none; gradient = clone and split where the picture asks "
-        "for it; relocate = move dead Gaussians onto live ones (3DGS-MCMC).",
+        "How Gaussians are added: none; gradient = clone and split them where the picture is not yet explained.",
         paper="gradient, appendix C",
         letter="gradient",
     )

@@ -14,7 +14,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.splatting.train.schedule import TrainingSettings, halved_at
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Num
+    from jaxtyping import Bool, Float
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,6 @@ class Target:
         weight: (H, W) float32 per pixel, 0 = masked; None = 1 everywhere.
         share: how often it is drawn, relative to the others.
         background_rgb: colour behind the Gaussians.
-        depth_m: (H, W) z-depth for the depth loss, 0 = unknown; None = none.
         silhouette: (H, W) bool, where the person is, for the silhouette loss; None = none.
     """
 
@@ -36,7 +35,6 @@ class Target:
     weight: Float[np.ndarray, "H W"] | None = None
     share: float = 1.0
     background_rgb: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    depth_m: Num[np.ndarray, "H W"] | None = None
     silhouette: Bool[np.ndarray, "H W"] | None = None
 
     @property
@@ -45,23 +43,16 @@ class Target:
         return np.ones(self.camera.hw, bool) if self.weight is None else self.weight > 0
 
     def sound(self) -> tuple[Target, int]:
-        """The target with every pixel masked whose colour or weight is not finite, and how many that were; unknown
-        depth becomes 0."""
+        """The target with every pixel masked whose colour or weight is not finite, and how many that were."""
         weight = np.ones(self.rgb.shape[:2], np.float32) if self.weight is None else self.weight
         finite = np.isfinite(weight)
         finite &= np.isfinite(self.rgb).all(axis=-1) | (weight == 0)
-        depth = (
-            None if self.depth_m is None else np.where(np.isfinite(self.depth_m), self.depth_m, 0).astype(np.float32)
-        )
         if finite.all():
-            return replace(self, depth_m=depth), 0
-        return replace(self, weight=np.where(finite, weight, 0).astype(np.float32), depth_m=depth), int(
-            np.count_nonzero(~finite)
-        )
+            return self, 0
+        return replace(self, weight=np.where(finite, weight, 0).astype(np.float32)), int(np.count_nonzero(~finite))
 
     def halved(self) -> Target:
-        """The target at half the size; a pixel is masked when any pixel under it is, and depth is taken, never
-        averaged."""
+        """The target at half the size; a pixel is masked when any pixel under it is."""
         width, height = max(1, self.camera.wh[0] // 2), max(1, self.camera.wh[1] // 2)
         weight = None
         rgb = np.ascontiguousarray(self.rgb, np.float32)
@@ -73,10 +64,7 @@ class Target:
                 whole, cv2.resize(self.weight.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA), 0
             )
         small = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
-        depth = (
-            None if self.depth_m is None else cv2.resize(self.depth_m, (width, height), interpolation=cv2.INTER_NEAREST)
-        )
-        return replace(self, camera=self.camera.resized((width, height)), rgb=small, weight=weight, depth_m=depth)
+        return replace(self, camera=self.camera.resized((width, height)), rgb=small, weight=weight)
 
 
 class TargetSizes:

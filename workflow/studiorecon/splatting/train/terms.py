@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from studiorecon.splatting.cpu.alpha_loss import DENSITY_OFFSET, density_terms, silhouette_terms
-from studiorecon.splatting.cpu.planes import DEPTH_ALPHA_MIN
 from studiorecon.splatting.cpu.ssim import C1, C2, window
 from studiorecon.splatting.train.perceptual import Perceptual, PerceptualSettings, perceptual, perceptual_of_tensors
 from studiorecon.splatting.train.photometric import Memory, Photometric, PreparedTarget, flat
@@ -32,9 +31,6 @@ if TYPE_CHECKING:
 STATISTICS_BYTES_MAX = 1 << 30
 """Targets' SSIM statistics kept in memory; those beyond are computed anew at every use (4 to 11 % of the loss's
 time)."""
-
-DEPTH_SOFTNESS = np.float32(0.02)
-"""Relative depth error below which the absolute value is rounded to a parabola."""
 
 
 @dataclass
@@ -72,10 +68,9 @@ class TensorView:
 
     Attributes:
         target, iteration, rng, key, psnr_db: as in ``PlaneView``.
-        rgb, alpha, depth_sum: (H, W, 3), (H, W), (H, W) as drawn.
+        rgb, alpha: (H, W, 3), (H, W) as drawn.
         wanted_rgb: (3, H, W); where the weight is 0 it may be anything finite.
         weight: (H, W), 0 = masked.
-        depth_m: (H, W) of the target, 0 = unknown; None = none.
         squared_error: () mean over the pixels that count; the photometric term sets it.
     """
 
@@ -84,10 +79,8 @@ class TensorView:
     rng: np.random.Generator
     rgb: torch.Tensor
     alpha: torch.Tensor
-    depth_sum: torch.Tensor
     wanted_rgb: torch.Tensor
     weight: torch.Tensor
-    depth_m: torch.Tensor | None
     key: Hashable
     squared_error: torch.Tensor | None = None
 
@@ -236,44 +229,6 @@ class Density:
 
 
 @dataclass(frozen=True)
-class Depth:
-    """Relative error of the depth where the target has one: the mean of ρ(d / wanted − 1), ρ the absolute value
-    rounded to a parabola within 2 %, so that exact depths do not jitter."""
-
-    weight: float
-
-    def on_cpu(self, view: PlaneView) -> float:
-        wanted_m, depth_sum, alpha = view.target.depth_m, view.planes[3], 1 - view.planes[4]
-        if wanted_m is None:
-            return 0.0
-        weight = np.float32(1) if view.target.weight is None else view.target.weight
-        known = (wanted_m > 0) & (weight > 0)
-        drawn = known & (alpha >= DEPTH_ALPHA_MIN)
-        alpha, wanted_m = np.where(drawn, alpha, np.float32(1)), np.where(drawn, wanted_m, np.float32(1))
-        depth_m = depth_sum / alpha
-        error = np.where(drawn, depth_m / wanted_m - 1, np.float32(0))
-        strength = np.float32(self.weight / max(1, int(np.count_nonzero(known))))
-        by_depth = strength * weight * np.clip(error / DEPTH_SOFTNESS, -1, 1) / wanted_m
-        view.gradient[3] += by_depth / alpha
-        view.gradient[4] -= by_depth * depth_m / alpha
-        size = np.abs(error)
-        rounded = np.where(size < DEPTH_SOFTNESS, size**2 / (2 * DEPTH_SOFTNESS), size - DEPTH_SOFTNESS / 2)
-        return float((weight * rounded).sum(dtype=np.float64) * strength)
-
-    def on_cuda(self, view: TensorView) -> torch.Tensor:
-        import torch
-
-        if view.depth_m is None:
-            return view.rgb.new_zeros(())
-        known, soft = (view.depth_m > 0) & (view.weight > 0), float(DEPTH_SOFTNESS)
-        drawn = known & (view.alpha >= float(DEPTH_ALPHA_MIN))
-        ratio = torch.where(drawn, view.depth_sum / torch.where(drawn, view.alpha * view.depth_m, 1.0), 1.0)
-        size = (ratio - 1).abs()
-        rounded = torch.where(size < soft, size**2 / (2 * soft), size - soft / 2)
-        return self.weight * (view.weight * rounded).sum() / known.sum().clamp_min(1)
-
-
-@dataclass(frozen=True)
 class LpipsTerm:
     """The perceptual distance on a random crop at every so-many-th step; without a network it is 0.
 
@@ -304,7 +259,7 @@ class LpipsTerm:
         )
 
 
-WEIGHED: dict[str, Callable[[float], Term]] = {"mask": Silhouette, "density": Density, "depth": Depth}
+WEIGHED: dict[str, Callable[[float], Term]] = {"mask": Silhouette, "density": Density}
 """Terms with one number as their setting, by its name."""
 
 
