@@ -31,7 +31,7 @@ from studiorecon.errors import UserError
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.rig.correspondences import observe
 from studiorecon.rig.from_tracks import bone_factor
-from studiorecon.rig.given_lengths import GivenLengths, stature_m
+from studiorecon.rig.metric_scale import GivenLengths, stature_m
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 

@@ -14,9 +14,9 @@ from studiorecon.errors import UserError
 from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.relative_pose import relative_pose, resection
 from studiorecon.geometry.rotations import angle, exp
-from studiorecon.rig import arrangement
-from studiorecon.rig.given_lengths import GivenLengths
+from studiorecon.rig import pose_consensus
 from studiorecon.rig.gravity import world_from_people
+from studiorecon.rig.metric_scale import GivenLengths
 from studiorecon.scene.clocks import Clock, Clocks, write_clocks
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import Detections, write_detections
@@ -188,8 +188,8 @@ def test_of_two_arrangements_the_likelier_is_used_and_the_interval_covers_the_ot
         return [best[0], replace(best[0], cameras=turned, support=round(0.95 * best[0].support))]
 
     before = from_people.pose_cameras(detections, *given)[1]
-    arrangement_rigs = arrangement.rigs
-    monkeypatch.setattr(arrangement, "rigs", with_rival)
+    arrangement_rigs = pose_consensus.rigs
+    monkeypatch.setattr(pose_consensus, "rigs", with_rival)
     found, report = from_people.pose_cameras(detections, *given)
     assert not any("two arrangements" in sentence for sentence in before["uncertain"])
     assert any("two arrangements of the cameras fit" in sentence for sentence in report["uncertain"])

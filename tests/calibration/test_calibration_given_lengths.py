@@ -16,7 +16,7 @@ from studiorecon.calibration import from_people
 from studiorecon.errors import UserError
 from studiorecon.footage.told_lens import told_focal_px
 from studiorecon.plan.discovery import open_dataset
-from studiorecon.rig.given_lengths import GivenLengths, stature_m
+from studiorecon.rig.metric_scale import GivenLengths, stature_m
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 from studiorecon.studio.description import RESOURCES, read_description

@@ -17,7 +17,7 @@ from studiorecon.geometry.triangulation import Limits
 from studiorecon.keypoints.reading import undistorted
 from studiorecon.rig.correspondences import observe
 from studiorecon.rig.human_size import check_human_size
-from studiorecon.rig.hypotheses import verdicts
+from studiorecon.rig.hypotheses import score_conventions
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -77,7 +77,7 @@ class Capture:
         lenses = self.lenses(folder)
         both = [undistorted(self.detected(lens.name), lens, self.wh) for lens in lenses]
         cameras, seen = [c for c, _ in both], [d for _, d in both]
-        rows, _ = verdicts(cameras, seen, np.arange(0, FRAMES, 4), 0.25, LIMITS)
+        rows, _ = score_conventions(cameras, seen, np.arange(0, FRAMES, 4), 0.25, LIMITS)
         best = max(rows, key=lambda row: row["score"])
         if best["score"] > 0.3 and best["remedy"] and best["score"] > 1.5 * rows[0]["score"]:
             raise UserError(best["remedy"])

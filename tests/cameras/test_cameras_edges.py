@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from studiorecon.cameras import refine
-from studiorecon.cameras.by_the_edges import by_the_edges
-from studiorecon.rig.by_the_room import turns_of
+from studiorecon.cameras.edge_acceptance import apply_edge_refinement
 from studiorecon.rig.correspondences import Observations, observe
-from studiorecon.rig.edge_check import contradiction
+from studiorecon.rig.edge_refinement import edge_contradiction
 from studiorecon.rig.room_picture import RoomPicture
+from studiorecon.rig.room_refinement import edge_rotations
 from studiorecon.scene.camera import Camera
 
 from tests.defaults import loaded
@@ -35,7 +35,7 @@ def by(
     given: list[Camera], seen: Observations, rooms: Sequence[RoomPicture | None]
 ) -> tuple[list[Camera], dict[str, Any]]:
     settings = loaded(refine.Settings)
-    return by_the_edges(given, given, seen, rooms, {"refined": False}, settings.limits, settings.bundle)
+    return apply_edge_refinement(given, given, seen, rooms, {"refined": False}, settings.limits, settings.bundle)
 
 
 def test_a_calibration_that_people_accept_is_put_right_by_the_room(capsys: pytest.CaptureFixture[str]) -> None:
@@ -67,7 +67,7 @@ def test_a_room_that_is_mostly_hidden_moves_no_camera() -> None:
     for room in rooms:
         # Whoever stands before the camera hides the left half, and some of the rest.
         room.known[:, : int(0.45 * room.known.shape[1])] = False
-    assert contradiction(given, turns_of(given, rooms)) is None
+    assert edge_contradiction(given, edge_rotations(given, rooms)) is None
     assert by(given, observed(truth, given), rooms) == (given, {"refined": False})
 
 
@@ -75,7 +75,7 @@ def test_lines_that_run_anywhere_move_no_camera() -> None:
     truth = ring()
     given = about_the_spot(truth, [1.5, -1.5, 1.2, -0.8])
     rooms = [drawn(c, v, clutter=1.0) for v, c in enumerate(truth)]
-    assert contradiction(given, turns_of(given, rooms)) is None
+    assert edge_contradiction(given, edge_rotations(given, rooms)) is None
     assert by(given, observed(truth, given), rooms) == (given, {"refined": False})
 
 

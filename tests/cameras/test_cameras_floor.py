@@ -13,9 +13,9 @@ from studiorecon.cameras import refine
 from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.rotations import angle, exp
 from studiorecon.rig.correspondences import observe
-from studiorecon.rig.level import floor_of, levelled, under_feet
-from studiorecon.rig.room_picture import room_of
-from studiorecon.rig.stale import moved_since
+from studiorecon.rig.floor_alignment import align_to_floor, fit_floor, floor_under_feet
+from studiorecon.rig.moved_cameras import refine_with_wider_prior
+from studiorecon.rig.room_picture import make_room_picture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -54,7 +54,7 @@ def test_a_carpet_puts_knocked_cameras_right_where_a_detector_errs_all_the_time(
     seen, given = seen_askew(truth, 1, 1.5), off(truth, 1, 2.0, 0.1)
     rooms = [room(c, carpet(1), v) for v, c in enumerate(truth)]
     by_people, with_floor = (
-        moved_since(
+        refine_with_wider_prior(
             given, seen, np.arange(FRAMES), settings.gate_m, settings.limits, settings.bundle, lost=True, rooms=told
         )
         for told in ((), rooms)
@@ -94,10 +94,10 @@ def test_a_world_that_was_tilted_and_lifted_is_put_back(degrees: float, lift_m: 
     before_m = rng.uniform([-2, -2, 0], [2, 2, 1.8], (400, 3))
     turn = exp(np.radians([degrees, 0.0, 0.0]))
     risen_m = before_m @ turn.T + [0, 0, lift_m] + rng.normal(0, 0.01, before_m.shape)
-    floor = floor_of(before_m, risen_m[:, 2] - before_m[:, 2])
+    floor = fit_floor(before_m, risen_m[:, 2] - before_m[:, 2])
     assert floor is not None
     cameras = ring()
-    back, tilt_deg, _ = levelled(leant(cameras, degrees, lift_m), floor, np.zeros(2))
+    back, tilt_deg, _ = align_to_floor(leant(cameras, degrees, lift_m), floor, np.zeros(2))
     assert tilt_deg == pytest.approx(abs(degrees), abs=0.1)
     for camera, true in zip(back, cameras):
         assert np.degrees(angle(camera.camera_from_world[:3, :3], true.camera_from_world[:3, :3])) < 0.1
@@ -107,19 +107,19 @@ def test_a_world_that_was_tilted_and_lifted_is_put_back(degrees: float, lift_m: 
 def test_a_floor_that_stayed_keeps_the_cameras() -> None:
     rng = np.random.default_rng(1)
     points_m = rng.uniform(-2, 2, (400, 3))
-    floor = floor_of(points_m, rng.normal(0, 0.01, 400))
+    floor = fit_floor(points_m, rng.normal(0, 0.01, 400))
     assert floor is not None
-    assert levelled(ring(), floor, np.zeros(2))[1:] == (0.0, 0.0)
+    assert align_to_floor(ring(), floor, np.zeros(2))[1:] == (0.0, 0.0)
 
 
 def test_feet_that_rise_on_one_spot_tilt_no_world() -> None:
     """Somebody who balances: the higher the foot, the further to the side, however sure the detector is."""
     across = np.linspace(-0.15, 0.15, 80)
     points = np.column_stack([across, np.tile([0.02, -0.02], 40), 0.9 * across])
-    floor = floor_of(points, points[:, 2])
+    floor = fit_floor(points, points[:, 2])
     assert floor is not None
     assert floor.tilt_deg > 40
-    back, tilt_deg, _ = levelled(ring(), floor, np.zeros(2))
+    back, tilt_deg, _ = align_to_floor(ring(), floor, np.zeros(2))
     assert tilt_deg == 0.0
     for camera, before in zip(back, ring()):
         np.testing.assert_allclose(camera.camera_from_world[:3, :3], before.camera_from_world[:3, :3], atol=1e-12)
@@ -128,18 +128,18 @@ def test_feet_that_rise_on_one_spot_tilt_no_world() -> None:
 def test_somebody_on_a_platform_lifts_no_world() -> None:
     rng = np.random.default_rng(3)
     points_m = rng.uniform(-1, 1, (400, 3))
-    floor = floor_of(points_m, 0.44 + rng.normal(0, 0.005, 400))
+    floor = fit_floor(points_m, 0.44 + rng.normal(0, 0.005, 400))
     assert floor is not None
-    assert levelled(ring(), floor, np.zeros(2))[1:] == (0.0, 0.0)
+    assert align_to_floor(ring(), floor, np.zeros(2))[1:] == (0.0, 0.0)
 
 
 def test_one_spot_shows_no_slope_and_too_few_points_no_floor() -> None:
     rng = np.random.default_rng(2)
     points_m = np.tile([0.4, 0.2, 0.0], (100, 1)) + rng.normal(0, 1e-4, (100, 3))
-    floor = floor_of(points_m, np.full(100, 0.02) + rng.normal(0, 1e-3, 100))
+    floor = fit_floor(points_m, np.full(100, 0.02) + rng.normal(0, 1e-3, 100))
     assert floor is not None
     assert floor.tilt_deg < 0.2
-    assert floor_of(points_m[:20], np.zeros(20)) is None
+    assert fit_floor(points_m[:20], np.zeros(20)) is None
 
 
 def test_feet_and_marks_tell_the_floor_that_people_stand_on() -> None:
@@ -147,10 +147,10 @@ def test_feet_and_marks_tell_the_floor_that_people_stand_on() -> None:
     seen, _ = observe(detect(cameras, PEOPLE, 0.5, np.random.default_rng(3)), cameras, np.arange(FRAMES), 0.25)
     rng = np.random.default_rng(4)
     marks_m = np.column_stack([rng.uniform(-2, 2, (300, 2)), np.zeros(300)]) @ exp(np.radians([2.0, 0, 0])).T
-    floor = under_feet(cameras, seen, marks_m, LIMITS)
+    floor = floor_under_feet(cameras, seen, marks_m, LIMITS)
     assert floor is not None
     assert floor[0].tilt_deg == pytest.approx(2.0, abs=0.1)
-    assert under_feet(cameras, seen.of(np.zeros(len(seen.frame), bool)), marks_m, LIMITS) is None
+    assert floor_under_feet(cameras, seen.of(np.zeros(len(seen.frame), bool)), marks_m, LIMITS) is None
 
 
 def test_a_plate_shows_the_room_where_it_was_measured(tmp_path: Path) -> None:
@@ -158,7 +158,7 @@ def test_a_plate_shows_the_room_where_it_was_measured(tmp_path: Path) -> None:
     picture[:, 10:, :3] = 51
     picture[:5, :, 3] = 0
     cv2.imwrite(str(tmp_path / "cam.1.png"), picture)
-    shown = room_of(tmp_path / "cam.1.png")
+    shown = make_room_picture(tmp_path / "cam.1.png")
     assert shown.grey[10, 5] == 255
     assert shown.grey[10, 20] == 51
     assert shown.known[5:].all()

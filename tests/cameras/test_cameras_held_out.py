@@ -14,7 +14,7 @@ from studiorecon.calibration import choose, files
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.camera_files.colmap import read_model, write_model
 from studiorecon.cameras import held_out, refine
-from studiorecon.cameras.held_out import Bodies, told
+from studiorecon.cameras.held_out import Bodies, describe
 from studiorecon.capture import frames, manifest
 from studiorecon.clocks.timeline import clock_of, common_moments, timeline_of
 from studiorecon.configuration import settings as settings_module
@@ -22,8 +22,8 @@ from studiorecon.footage.source import open_source
 from studiorecon.geometry.bundle import BundleSettings, moved
 from studiorecon.geometry.rotations import exp
 from studiorecon.plan.discovery import open_dataset
-from studiorecon.rig.held_out_pose import Sighted, judged
-from studiorecon.rig.stale import moves
+from studiorecon.rig.held_out_pose import ObservedJoints, estimate_held_out_pose
+from studiorecon.rig.moved_cameras import pose_changes
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.clocks import write_clocks
@@ -39,7 +39,7 @@ BUNDLE, GAIN = BundleSettings(), 0.1
 TRUE = ring(5)[4]
 
 
-def sighted(camera: Camera, seed: int = 0, noise_px: float = 3.0, frames: int = 12) -> Sighted:
+def sighted(camera: Camera, seed: int = 0, noise_px: float = 3.0, frames: int = 12) -> ObservedJoints:
     """Two people who walk about, as ``camera`` sees them."""
     rng = np.random.default_rng(seed)
     people = [walk(np.array([0.6, -1.0, 0]), np.array([0.02, 0.15, 0]), frames)]
@@ -48,7 +48,7 @@ def sighted(camera: Camera, seed: int = 0, noise_px: float = 3.0, frames: int = 
     group, frame, keypoint = (i.ravel() for i in np.indices(points.shape[:3]))
     flat = points.reshape(-1, 3)
     pixels = camera.project(flat)[0] + rng.normal(0, noise_px, (len(flat), 2))
-    return Sighted(flat, pixels, np.full(len(flat), 0.8), frame, group, keypoint)
+    return ObservedJoints(flat, pixels, np.full(len(flat), 0.8), frame, group, keypoint)
 
 
 def knocked(camera: Camera, degrees: float, metres: float, seed: int) -> Camera:
@@ -61,15 +61,15 @@ def knocked(camera: Camera, degrees: float, metres: float, seed: int) -> Camera:
 @pytest.mark.parametrize("seed", range(3))
 def test_a_camera_that_was_knocked_is_put_right(degrees: float, metres: float, seed: int) -> None:
     given = knocked(TRUE, degrees, metres, seed)
-    found = judged(given, sighted(TRUE, seed), LIMITS, BUNDLE, GAIN)
-    left_deg, left_m = moves([found.camera], [TRUE])
+    found = estimate_held_out_pose(given, sighted(TRUE, seed), LIMITS, BUNDLE, GAIN)
+    left_deg, left_m = pose_changes([found.camera], [TRUE])
     assert left_deg[0] < 0.3, left_deg
     assert left_m[0] < 0.05, left_m
     assert found.after_px < 5 < found.before_px
 
 
 def test_a_camera_that_stayed_is_used_as_it_was_given() -> None:
-    found = judged(TRUE, sighted(TRUE), LIMITS, BUNDLE, GAIN)
+    found = estimate_held_out_pose(TRUE, sighted(TRUE), LIMITS, BUNDLE, GAIN)
     np.testing.assert_array_equal(found.camera.camera_from_world, TRUE.camera_from_world)
     assert found.checked
     assert found.turned_deg == found.moved_m == 0
@@ -82,18 +82,18 @@ def test_what_shows_somebody_else_does_not_move_a_camera() -> None:
     mixed = replace(
         seen, pixels=np.where(wrong[:, None], sighted(TRUE).pixels[np.roll(np.arange(len(wrong)), 144)], seen.pixels)
     )
-    found = judged(knocked(TRUE, 2.0, 0.2, 1), mixed, LIMITS, BUNDLE, GAIN)
-    assert moves([found.camera], [TRUE])[0][0] < 0.5
+    found = estimate_held_out_pose(knocked(TRUE, 2.0, 0.2, 1), mixed, LIMITS, BUNDLE, GAIN)
+    assert pose_changes([found.camera], [TRUE])[0][0] < 0.5
 
 
 def test_too_little_leaves_the_camera_unchecked_and_says_so() -> None:
     seen = sighted(TRUE)
     given = knocked(TRUE, 3.0, 0.3, 0)
-    found = judged(given, seen.of(np.arange(len(seen.frame)) < 40), LIMITS, BUNDLE, GAIN)
+    found = estimate_held_out_pose(given, seen.of(np.arange(len(seen.frame)) < 40), LIMITS, BUNDLE, GAIN)
     assert not found.checked
     assert found.camera is given
-    assert "unchecked" in told("c4", found, 5)
-    assert "nobody is expected" in told("c4", found, 0)
+    assert "unchecked" in describe("c4", found, 5)
+    assert "nobody is expected" in describe("c4", found, 0)
 
 
 def test_a_late_picture_is_compared_with_where_people_were_then() -> None:
@@ -132,7 +132,7 @@ def test_a_real_held_out_camera_is_put_right_by_a_real_man(
         keypoints.run(section, name, recorded, out[1], lenses, tmp_path / f"{name}.npz")
     manifest.run("take", [tmp_path / f"{name}.json" for name in names], manifests)
     whole = [read_detections(tmp_path / f"{name}.npz") for name in names]
-    given = refine.cameras_of(list(read_lenses(lenses).values()), read_manifest(manifests).training)
+    given = refine.undistorted_cameras(list(read_lenses(lenses).values()), read_manifest(manifests).training)
     settings = loaded(held_out.Settings)
     cameras = refine.decide(given, [], whole, 100, 30.0, True, settings).training
     write_model(tmp_path / "training", cameras[:3])
@@ -145,7 +145,7 @@ def test_a_real_held_out_camera_is_put_right_by_a_real_man(
         held_out.run(settings, *scene, seen, films, networks, [], "", *out)
         (about,) = read_json(out[1])["cameras"]
         assert about["checked"]
-        left[degrees] = moves(read_model(tmp_path / "heldout"), cameras[3:])[0][0], about["after_px"]
+        left[degrees] = pose_changes(read_model(tmp_path / "heldout"), cameras[3:])[0][0], about["after_px"]
     # One man on one spot, seen by two different detectors, leaves about a degree; both poses show him equally well.
     assert left[0.0][0] < 0.7
     assert left[3.0][0] < 1.4

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from studiorecon.calibration import doctor
 from studiorecon.cameras import refine
-from studiorecon.rig.watching import others_told, watching
+from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -64,10 +64,10 @@ def test_cameras_that_were_moved_are_put_right_without_the_one_that_sees_nobody(
 def test_who_passes_a_camera_for_a_second_in_a_long_film_is_seen_by_it() -> None:
     seen = detect(ring(), [walk([0, 0, 0], [0.002, 0, 0], 600)], 1.5, np.random.default_rng(0))
     at_a_door = [*seen[:3], first(seen[3], 40)]
-    assert watching(at_a_door, 30.0) == [0, 1, 2, 3], "1.3 s"
-    assert watching(at_a_door, 60.0) == watching(at_a_door, 0.0) == [0, 1, 2], "0.7 s, and nobody knows"
-    assert not others_told(at_a_door, 30.0)
-    assert list(others_told(at_a_door, 60.0)) == ["c3"]
+    assert active_cameras(at_a_door, 30.0) == [0, 1, 2, 3], "1.3 s"
+    assert active_cameras(at_a_door, 60.0) == active_cameras(at_a_door, 0.0) == [0, 1, 2], "0.7 s, and nobody knows"
+    assert not inactive_camera_notes(at_a_door, 30.0)
+    assert list(inactive_camera_notes(at_a_door, 60.0)) == ["c3"]
 
 
 def test_a_camera_that_sees_nobody_changes_nothing_about_a_good_calibration() -> None:

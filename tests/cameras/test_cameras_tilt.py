@@ -8,7 +8,7 @@ import pytest
 from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.rotations import exp
 from studiorecon.rig.correspondences import observe
-from studiorecon.rig.gravity import tell_tilt, tilt_of
+from studiorecon.rig.gravity import check_tilt, people_tilt
 from studiorecon.scene.camera import Camera
 
 from tests.made.cameras import LIMITS, detect, ring, walk
@@ -31,7 +31,7 @@ def test_people_tell_by_how_much_the_world_leans(degrees: float, caplog: pytest.
     leant = leaning(cameras, degrees)
     seen, _ = observe(found, leant, np.arange(40), 0.25)
     caplog.set_level("INFO")
-    tilt = tell_tilt(leant, seen, LIMITS)
+    tilt = check_tilt(leant, seen, LIMITS)
     assert tilt == pytest.approx(degrees, abs=1.5)
     warned = "off the world's vertical" in caplog.text
     assert warned == (degrees > 12)
@@ -40,4 +40,4 @@ def test_people_tell_by_how_much_the_world_leans(degrees: float, caplog: pytest.
 def test_too_few_bodies_say_nothing() -> None:
     points = walk(np.zeros(3), np.zeros(3), 5)
     group, frame, keypoint = (i.ravel() for i in np.indices((1, 5, 12)))
-    assert tilt_of(points.reshape(-1, 3), group, frame, keypoint) is None
+    assert people_tilt(points.reshape(-1, 3), group, frame, keypoint) is None

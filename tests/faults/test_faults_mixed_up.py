@@ -13,7 +13,7 @@ from studiorecon.calibration import doctor
 from studiorecon.cameras import refine
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
-from studiorecon.rig.odd_one_out import odd_one_out
+from studiorecon.rig.outlier_camera import find_outlier_camera
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -136,7 +136,10 @@ def yawed(degrees: float) -> Callable[[np.ndarray], np.ndarray]:
 @pytest.mark.parametrize("degrees", [5.0, -8.0])
 def test_a_camera_that_was_knocked_is_put_right_and_not_taken_for_a_cropped_picture(degrees: float) -> None:
     truth, detections = capture()
-    assert odd_one_out(*with_pose((truth, detections), yawed(degrees)), np.arange(FRAMES), 0.25, LIMITS) is not None
+    assert (
+        find_outlier_camera(*with_pose((truth, detections), yawed(degrees)), np.arange(FRAMES), 0.25, LIMITS)
+        is not None
+    )
     found = decided(with_pose((truth, detections), yawed(degrees)))
     assert found.report["stale"]
     turned = [
@@ -171,7 +174,7 @@ def test_the_doctor_says_it_first(case: str) -> None:
 @pytest.mark.parametrize("count", [3, 4, 5])
 def test_nobody_is_named_where_nothing_was_mixed_up(count: int, seed: int) -> None:
     cameras, detections = capture(count, seed)
-    assert odd_one_out(cameras, detections, np.arange(FRAMES), 0.25, LIMITS) is None
+    assert find_outlier_camera(cameras, detections, np.arange(FRAMES), 0.25, LIMITS) is None
     assert decided((cameras, detections)).report["stature_m"] == pytest.approx(1.65, abs=0.15)
 
 
@@ -184,7 +187,7 @@ def test_a_camera_that_sees_others_than_everybody_else_is_not_named() -> None:
         [there], [walk(there.centre_m * 2 * [1, 1, 0], np.zeros(3), FRAMES)], 1.0, np.random.default_rng(0)
     )
     rig = [cameras[0], there, *cameras[2:]], [detections[0], elsewhere, *detections[2:]]
-    assert odd_one_out(*rig, np.arange(FRAMES), 0.25, LIMITS) is None
+    assert find_outlier_camera(*rig, np.arange(FRAMES), 0.25, LIMITS) is None
 
 
 @pytest.mark.parametrize(

@@ -35,15 +35,15 @@ from studiorecon.images.encoded import png
 from studiorecon.keypoints.reading import undistorted
 from studiorecon.keypoints.retiming import on_common_clock
 from studiorecon.progress import say
-from studiorecon.rig.bundle import Agreement, Trust, error_medians
+from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
+from studiorecon.rig.bundle import AgreementLimits, CalibrationPrior, error_medians
 from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.correspondences import Observations, observe
 from studiorecon.rig.human_size import check_human_size, check_units
-from studiorecon.rig.hypotheses import LENS_READINGS, best_swap, lens_row, verdicts
+from studiorecon.rig.hypotheses import LENS_READINGS, best_swap, score_conventions, score_lens_model
 from studiorecon.rig.lens_model import LensReading, as_model
-from studiorecon.rig.odd_one_out import odd_one_out
+from studiorecon.rig.outlier_camera import find_outlier_camera
 from studiorecon.rig.room_picture import RoomPicture
-from studiorecon.rig.watching import others_told, watching
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import Clocks, read_clocks
 from studiorecon.scene.files import read_json, write_json, write_text
@@ -63,7 +63,7 @@ Readings = Mapping[str, tuple[Sequence[Camera], Sequence[Detections]]]
 
 
 @dataclass(frozen=True)
-class Settings(Agreement, Trust):
+class Settings(AgreementLimits, CalibrationPrior):
     """When cameras agree with people, and how far those given are trusted."""
 
 
@@ -90,7 +90,7 @@ def examined(
     frames = min(int(a["frames"]) for a in about)
     chosen, people = evenly_spread(frames, _FRAMES), any(len(d.frame) for d in detections)
     few = chosen[:: max(1, len(chosen) // 6)]
-    table, margins = verdicts(cameras, detections, few, settings.gate_m, settings.limits)
+    table, margins = score_conventions(cameras, detections, few, settings.gate_m, settings.limits)
     seen, _ = observe(detections, cameras, chosen, settings.gate_m)
     median: float | None = None
     each: list[float | None] = [None] * len(cameras)
@@ -106,16 +106,16 @@ def examined(
             px = None if median is None else _median_px(swap[1], detections, chosen, settings)
             table.append({**swap[0], **({} if px is None else {"median_px": px})})
     for name, (cams, found) in (lens_readings or {}).items():
-        row = lens_row(name, cams, found, few, settings.gate_m)
+        row = score_lens_model(name, cams, found, few, settings.gate_m)
         table.append({**row, "median_px": _median_px(cams, found, chosen, settings)})
     fps = max(float(a["fps"]) for a in about)
-    watched = watching(detections, fps)
+    watched = active_cameras(detections, fps)
     told = settings.gate_m, settings.limits, settings.bundle
     refined, odd = None, None
     if people:
         refined = refined_on_people(cameras, detections, watched, frames, median, 0.5 * limit_px, *told, rooms)
     if people and (median is None or any(e is None or e > limit_px for e in each)):
-        odd = odd_one_out(cameras, detections, chosen, settings.gate_m, settings.limits)
+        odd = find_outlier_camera(cameras, detections, chosen, settings.gate_m, settings.limits)
         if odd is not None and (not odd.cause or odd.turned) and refined is not None and refined.elsewhere:
             odd = None  # cameras that were moved explain it
     shown, shown_points = _best_frame(cameras, seen, settings.limits)
@@ -129,7 +129,7 @@ def examined(
         "lengths": _wrong_lengths(cameras, detections, seen, few, settings) if people else None,
         "people": people,
         "without_keypoints": [a["camera"] for a in about if not a["keypoints"]],
-        "sees_nobody": others_told([d for d, a in zip(detections, about) if a["keypoints"]], fps),
+        "sees_nobody": inactive_camera_notes([d for d, a in zip(detections, about) if a["keypoints"]], fps),
         "hypotheses": table,
         "margin": dict(zip(names, margins)),
         "odd_one_out": None if odd is None else odd.sentence(),

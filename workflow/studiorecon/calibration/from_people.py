@@ -22,13 +22,13 @@ from studiorecon.geometry.lens import mapped_lens
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.keypoints.retiming import on_common_clock
 from studiorecon.progress import say, warn
-from studiorecon.rig.arrangement import Arrangement, apart, arranged
-from studiorecon.rig.bundle import Agreement
-from studiorecon.rig.certainty import between_deg, sigma_of
+from studiorecon.rig.bundle import AgreementLimits
 from studiorecon.rig.from_tracks import Rig, bone_factor, scaled
-from studiorecon.rig.given_lengths import GivenLengths, Scale, by_given_lengths, stature_m
 from studiorecon.rig.gravity import world_from_people
-from studiorecon.rig.one_floor import on_one_floor
+from studiorecon.rig.ground_plane import align_to_ground_plane
+from studiorecon.rig.metric_scale import GivenLengths, Scale, scale_from_lengths, stature_m
+from studiorecon.rig.pose_consensus import PoseConsensus, find_pose_consensus, pose_distance
+from studiorecon.rig.pose_uncertainty import pose_sigmas, rotation_interval_deg
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.self_calibration import self_calibrated, turned_by_edges
 from studiorecon.scene.camera import Camera, Lens
@@ -79,7 +79,7 @@ class PeopleRigSettings:
 
 
 @dataclass(frozen=True)
-class Settings(Agreement):
+class Settings(AgreementLimits):
     """When the cameras that people show are believed."""
 
     people_rig: PeopleRigSettings = PeopleRigSettings()
@@ -108,7 +108,7 @@ def pose_cameras(
     """
     known = {**(told_px or {}), **focal_px}
     about = settings.people_rig
-    found = arranged(
+    found = find_pose_consensus(
         detections, wh, known, frames, about.frames, template_m, settings.gate_m, settings.limits, about.rival_share
     )
     if found is None:
@@ -126,11 +126,13 @@ def pose_cameras(
     told = {v: edges[n] for v, n in enumerate(names) if n in edges} if edges else {}
     rig, result, turns = turned_by_edges(rig, result, found.seen, template_m, lens, known_px, told, settings)
     pictures = [(rooms or {}).get(n) for n in names]
-    rig, result, marks = on_one_floor(rig, result, found.seen, template_m, lens, known_px, pictures, settings, turns)
-    turn, place, focal_sigma = sigma_of(rig, result, lens, settings.limits, known_px, turns, marks)
+    rig, result, marks = align_to_ground_plane(
+        rig, result, found.seen, template_m, lens, known_px, pictures, settings, turns
+    )
+    turn, place, focal_sigma = pose_sigmas(rig, result, lens, settings.limits, known_px, turns, marks)
     uncertain = _uncertain(names, focal_px, turn, place, focal_sigma, about)
     if found.rival is not None:
-        degrees, metres = apart(found.rival, result.cameras)
+        degrees, metres = pose_distance(found.rival, result.cameras)
         turn, place = np.hypot(turn, degrees), np.hypot(place, metres)
         uncertain.append(_of_two(found, degrees))
     if unplaced := [n for n in given.between if n in found.left_out]:
@@ -157,7 +159,7 @@ def pose_cameras(
         "focal_sigma": dict(zip(names, focal_sigma.tolist())),
         "world": how,
         "points": points,
-        "between_deg": between_deg(turn),
+        "between_deg": rotation_interval_deg(turn),
         "uncertain": uncertain,
         "on_floor": {} if marks is None else {f"{names[a]} {names[b]}": n for (a, b), n in marks.seen_by.items()},
         "along_edges": {names[v]: turn.along for v, turn in turns.items()},
@@ -204,7 +206,7 @@ def mean_body(body: BodyModel) -> Float[np.ndarray, "12 3"]:
     return body.keypoints(STABLE_KEYPOINTS, np.zeros((1, 72)), np.zeros(body.shapes), np.zeros((1, 3)))[0]
 
 
-def _of_two(found: Arrangement, degrees: np.ndarray) -> str:
+def _of_two(found: PoseConsensus, degrees: np.ndarray) -> str:
     """What is said of two arrangements that fit about equally well and differ by ``degrees`` (V,)."""
     assert found.rival is not None
     return (
@@ -238,7 +240,7 @@ def _settled_in_the_world(
 
     # Who is p0 hangs on where people stand in the world that association will see.
     turned = points @ upright(by_bones)[0][:3, :3].T
-    measured = by_given_lengths(given, result.cameras, turned, rig.points, rig.seen, template_m, stature)
+    measured = scale_from_lengths(given, result.cameras, turned, rig.points, rig.seen, template_m, stature)
     scale = measured or by_bones
     world_from_rig, how = upright(scale)
     cameras = []

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-def changes_of(
+def pose_and_lens_changes(
     given: Sequence[Camera], refined: Sequence[Camera], radial: Float[np.ndarray, " V"]
 ) -> list[dict[str, Any]]:
     """A row for each camera: its turn and move, by how much its focal length is longer, and its ``radial`` term."""
@@ -36,9 +36,9 @@ def changes_of(
     return changes
 
 
-def changes_since(
+def changes_since_refinement(
     given: Sequence[Camera], refined: Sequence[Camera], report: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
     """The same, with the radial terms that an earlier refinement told in ``report``."""
     radial = [change["radial_k1"] for change in report.get("changes", [])] or [0.0] * len(given)
-    return changes_of(given, refined, np.array(radial))
+    return pose_and_lens_changes(given, refined, np.array(radial))

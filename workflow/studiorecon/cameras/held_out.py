@@ -31,7 +31,7 @@ from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.progress import progress, say, warn
 from studiorecon.rig.correspondences import observe
-from studiorecon.rig.held_out_pose import Judged, Sighted, judged
+from studiorecon.rig.held_out_pose import HeldOutPose, ObservedJoints, estimate_held_out_pose
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.clocks import read_clocks
@@ -86,7 +86,7 @@ def bodies_in(
     return Bodies(wanted, points)
 
 
-def looked_at(
+def redetect(
     network: BlazePose,
     worth: dict[str, list[float]],
     camera: Camera,
@@ -94,7 +94,7 @@ def looked_at(
     pictures: Sequence[Integer[np.ndarray, "H W 3"]],
     bodies: Bodies,
     late_frames: Float[np.ndarray, " F"],
-) -> tuple[Sighted, int]:
+) -> tuple[ObservedJoints, int]:
     """What the network finds in ``pictures`` (those of ``frames``) where ``bodies`` are by the camera as it is given,
     and at how many places it looked."""
     rows, places = [], 0
@@ -117,10 +117,12 @@ def looked_at(
     columns = list(zip(*rows)) if rows else [()] * 6
     shapes = ((-1, 3), (-1, 2), (-1,), (-1,), (-1,), (-1,))
     kinds = (float, float, float, int, int, int)
-    return Sighted(*(np.array(c, dtype=kind).reshape(shape) for c, kind, shape in zip(columns, kinds, shapes))), places
+    return ObservedJoints(
+        *(np.array(c, dtype=kind).reshape(shape) for c, kind, shape in zip(columns, kinds, shapes))
+    ), places
 
 
-def told(camera: str, found: Judged, places: int) -> str:
+def describe(camera: str, found: HeldOutPose, places: int) -> str:
     """One sentence about a held-out camera."""
     if not found.checked:
         why = "nobody is expected in its pictures" if not places else f"too little was found at {places} places"
@@ -173,9 +175,9 @@ def run(
             continue
         pictures = [read_frame(film[camera.name], int(frame)) for frame in chosen]
         late = common.late_frames(camera.name)
-        sighted, places = looked_at(network, read_json(networks[2]), camera, chosen.tolist(), pictures, bodies, late)
-        answer = judged(camera, sighted, settings.limits, settings.bundle, settings.min_gain)
-        sentence = told(camera.name, answer, places)
+        sighted, places = redetect(network, read_json(networks[2]), camera, chosen.tolist(), pictures, bodies, late)
+        answer = estimate_held_out_pose(camera, sighted, settings.limits, settings.bundle, settings.min_gain)
+        sentence = describe(camera.name, answer, places)
         (warn if answer.turned_deg or not answer.checked else say)(sentence)
         about = {name: value for name, value in asdict(answer).items() if name != "camera"}
         found.append({"camera": camera.name, **about, "places": places, "sentence": sentence})

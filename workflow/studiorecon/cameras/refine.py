@@ -14,35 +14,35 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.calibration import read_calibration
 from studiorecon.camera_files.colmap import write_model
-from studiorecon.cameras.by_the_edges import by_the_edges
-from studiorecon.cameras.by_the_floor import by_the_floor, on_the_same_floor
-from studiorecon.cameras.changes import changes_of, changes_since
+from studiorecon.cameras.changes import changes_since_refinement, pose_and_lens_changes
+from studiorecon.cameras.edge_acceptance import apply_edge_refinement
+from studiorecon.cameras.floor_acceptance import apply_floor_refinement, keep_floor_level
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frame
 from studiorecon.geometry.bundle import LensPrior, moved
 from studiorecon.images.encoded import write_png
 from studiorecon.progress import say, warn
+from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
 from studiorecon.rig.bundle import (
-    Agreement,
+    AgreementLimits,
+    CalibrationPrior,
     LensSettings,
-    Trust,
     contradicted,
     error_medians,
     fitted,
     lenses_called_for,
     straightened,
 )
-from studiorecon.rig.certainty import stale_between_deg
 from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.correspondences import Observations, observe
-from studiorecon.rig.gravity import tell_tilt
+from studiorecon.rig.gravity import check_tilt
 from studiorecon.rig.human_size import check_human_size, check_units
 from studiorecon.rig.hypotheses import check_conventions, refuse_swapped
-from studiorecon.rig.odd_one_out import odd_one_out, warn_of_odd
-from studiorecon.rig.room_picture import RoomPicture, room_of
-from studiorecon.rig.stale import tell, where_they_stand_now
-from studiorecon.rig.watching import others_told, watching
+from studiorecon.rig.moved_cameras import relocalise, report_moved_cameras
+from studiorecon.rig.outlier_camera import find_outlier_camera, warn_of_outlier_cameras
+from studiorecon.rig.pose_uncertainty import moved_rotation_interval_deg
+from studiorecon.rig.room_picture import RoomPicture, make_room_picture
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_manifest
 from studiorecon.scene.files import write_json
@@ -61,7 +61,7 @@ _ABOUT_AS_WELL = 1.1
 
 
 @dataclass(frozen=True)
-class Settings(Agreement, Trust):
+class Settings(AgreementLimits, CalibrationPrior):
     """How the calibration is checked and refined, on ``frames`` spread over the clip, every other one of which judges
     the fit that the rest made: refined poses are kept when their median reprojection error there falls by the share
     ``min_gain``. ``lens_change`` says when lenses may change too."""
@@ -93,7 +93,7 @@ class Refinement:
     report: dict[str, Any]
 
 
-def cameras_of(lenses: Sequence[Lens], footage: Sequence[Footage]) -> list[Camera]:
+def undistorted_cameras(lenses: Sequence[Lens], footage: Sequence[Footage]) -> list[Camera]:
     """Undistorted working cameras at the given poses, in the order of ``footage``."""
     pose = {lens.name: lens.camera_from_world for lens in lenses}
     for entry in footage:
@@ -122,7 +122,7 @@ def decide(
     if not any(len(d.frame) for d in detections):
         warn("no keypoints: the calibration is used as it was given, unchecked")
         return Refinement(training, held_out, np.zeros((0, 3)), {**report, "reason": "no keypoints"})
-    unwatched, watched = others_told(detections, fps), watching(detections, fps)
+    unwatched, watched = inactive_camera_notes(detections, fps), active_cameras(detections, fps)
     for sentence in unwatched.values():
         warn(sentence)
     if len(watched) < 2:
@@ -137,7 +137,7 @@ def decide(
     # The others agree all the same where one of them was knocked.
     alone = any(e is None and len(d.frame) for e, d in zip(before_each, detections))
     anew = (
-        where_they_stand_now(
+        relocalise(
             training, detections, watched, chosen, *told, np.nan if alone else before, _SUSPICIOUS * limit, rooms
         )
         if settings.refine
@@ -157,13 +157,13 @@ def decide(
         moved_px = np.inf if anew is None else anew.report["after_px"]
         refuse_swapped(training, detections, chosen, settings.gate_m, settings.limits, before, moved_px)
     if anew is not None or not len(points) or any(e is None or e > limit for e in before_each):
-        odd = odd_one_out(training, detections, chosen, settings.gate_m, settings.limits)
+        odd = find_outlier_camera(training, detections, chosen, settings.gate_m, settings.limits)
         # A camera that was knocked and one whose picture was cropped look alike; the former is put right.
         if odd is not None and (anew is None or (odd.cause and not odd.turned)):
             raise UserError(odd.sentence())
     if anew is not None:
-        between_deg = stale_between_deg(anew, settings.limits)
-        tell(given, anew, between_deg)
+        between_deg = moved_rotation_interval_deg(anew, settings.limits)
+        report_moved_cameras(given, anew, between_deg)
         training, seen = anew.cameras, anew.seen
         report = {**report, "stale": {**anew.report, "between_deg": between_deg}}
     if blind and (share := contradicted(training, seen, detections, settings.limits)) > _MAX_CONTRADICTED:
@@ -178,11 +178,13 @@ def decide(
     if settings.refine and len(training) > 2 and (len(points) or anew):
         adjusted, seen, report = _try_refinement(training, seen, report, settings)
     if settings.refine and anew is None and len(rooms):
-        adjusted, report = by_the_edges(given, adjusted, seen, rooms, report, settings.limits, settings.bundle)
+        adjusted, report = apply_edge_refinement(given, adjusted, seen, rooms, report, settings.limits, settings.bundle)
         if not report.get("edges", {}).get("believed"):
-            adjusted, report = by_the_floor(given, adjusted, seen, rooms, report, settings.limits, settings.bundle)
+            adjusted, report = apply_floor_refinement(
+                given, adjusted, seen, rooms, report, settings.limits, settings.bundle
+            )
     if settings.refine and anew is None:
-        adjusted, report = on_the_same_floor(given, adjusted, seen, report, settings.limits)
+        adjusted, report = keep_floor_level(given, adjusted, seen, report, settings.limits)
     after, after_each, points = error_medians(adjusted, seen, settings.limits)
     report |= {"after_px": after, "after_px_per_camera": after_each}
     if anew is not None:
@@ -191,7 +193,7 @@ def decide(
             "reason": "the cameras stand elsewhere than the calibration says",
             "unseen_before_px": before_px,
         }
-        report["changes"] = changes_since(given, adjusted, report)
+        report["changes"] = changes_since_refinement(given, adjusted, report)
     if after > limit:
         worst = max((e, c.name) for e, c in zip(after_each, training) if e is not None)
         raise UserError(
@@ -202,9 +204,9 @@ def decide(
             "are synchronised"
         )
     told_already = [camera.name in unwatched for camera in training]
-    warn_of_odd(adjusted, seen, detections, after_each, limit, settings.limits, told_already)
+    warn_of_outlier_cameras(adjusted, seen, detections, after_each, limit, settings.limits, told_already)
     report["stature_m"] = check_human_size(adjusted, seen, settings.limits)
-    report["tilt_deg"] = tell_tilt(adjusted, seen, settings.limits)
+    report["tilt_deg"] = check_tilt(adjusted, seen, settings.limits)
     if not floor_known and len(points):
         adjusted, held_out, points = _on_floor(adjusted, held_out, seen, points, settings)
     return Refinement(adjusted, held_out, points, report)
@@ -281,13 +283,13 @@ def _try_refinement(
     report |= {
         "refined": True,
         "reason": "refinement clearly helped",
-        "changes": changes_of(training, refined.cameras, refined.radial),
+        "changes": pose_and_lens_changes(training, refined.cameras, refined.radial),
     }
-    _tell(report, lens.focal or lens.radial, lens.radial)
+    _log_changes(report, lens.focal or lens.radial, lens.radial)
     return refined.cameras, straightened(seen, refined.cameras, refined.radial), report
 
 
-def _tell(report: dict[str, Any], focal: bool, radial: bool) -> None:
+def _log_changes(report: dict[str, Any], focal: bool, radial: bool) -> None:
     after = (
         report["lens"]["unseen_with_radial_px" if radial else "unseen_with_focal_px"]
         if focal
@@ -345,12 +347,12 @@ def run(
     found = read_manifest(manifest)
     given = read_calibration(calibration)
     lenses = list(given.lenses.values())
-    training, held_out = cameras_of(lenses, found.training), cameras_of(lenses, found.held_out)
+    training, held_out = undistorted_cameras(lenses, found.training), undistorted_cameras(lenses, found.held_out)
     seen = [usable(read_detections(p)) for p in detections]
     unusable = sum(count for _, count in seen)
     if unusable:
         warn(f"{unusable} keypoints are not finite or at exactly (0, 0), and were left out")
-    looks = {path.stem: room_of(path) for path in plates}
+    looks = {path.stem: make_room_picture(path) for path in plates}
     outcome = decide(
         training,
         held_out,

@@ -18,7 +18,7 @@ from studiorecon.clocks.timeline import common_moments
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.keypoints.reading import undistorted
 from studiorecon.keypoints.retiming import on_common_clock
-from studiorecon.rig.bundle import Agreement, Trust, fitted
+from studiorecon.rig.bundle import AgreementLimits, CalibrationPrior, fitted
 from studiorecon.rig.correspondences import Observations, observe
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import Clock
@@ -143,12 +143,14 @@ def _placed(
     given, on = zip(*(undistorted(d, *lenses[d.camera]) for d in timed))
     middle = evenly_spread(moments.frames - 2 * beside, _MOMENTS) + beside
     frames = np.unique(np.concatenate([middle - beside, middle, middle + beside]))
-    agreement = Agreement()
+    agreement = AgreementLimits()
     observations, _ = observe(on, start or given, frames, agreement.gate_m)
     if not len(observations.frame):
         return None
     # The moments beside those in the middle only tell speeds.
-    adjusted = fitted(given, observations.of(np.isin(observations.frame, middle)), agreement.limits, Trust().bundle)
+    adjusted = fitted(
+        given, observations.of(np.isin(observations.frame, middle)), agreement.limits, CalibrationPrior().bundle
+    )
     # Where people show too little of them, cameras stay where they were.
     cameras = adjusted.cameras if adjusted else list(start or given)
     observations, _ = observe(on, cameras, frames, agreement.gate_m)
@@ -169,7 +171,7 @@ def _lateness(placed: _Placed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     stretches of time leave that open, and one standard deviation with what is wrong all the time; NaN where too little
     tells."""
     cameras, seen, fps = placed.cameras, placed.seen, placed.fps
-    limits = Agreement().limits
+    limits = AgreementLimits().limits
     wide = replace(limits, outlier_units=limits.outlier_units * _LOOSE)
     beside = max(1, round(_BESIDE_S * fps))
     names = list(zip(seen.group.tolist(), seen.keypoint.tolist(), seen.frame.tolist()))

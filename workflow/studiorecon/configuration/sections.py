@@ -51,8 +51,8 @@ SECTIONS: tuple[Section, ...] = (
         (
             "calibration.network:Settings",
             "calibration.files:Settings",
-            "rig.bundle:Agreement",
-            "rig.bundle:Trust",
+            "rig.bundle:AgreementLimits",
+            "rig.bundle:CalibrationPrior",
         ),
     ),
     Section(

@@ -22,7 +22,7 @@ from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
 from studiorecon.progress import progress, say
-from studiorecon.rig.room_picture import room_of
+from studiorecon.rig.room_picture import make_room_picture
 from studiorecon.scene.room import FACES, RoomBox, write_room
 from studiorecon.signature import Written
 
@@ -143,7 +143,7 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     raised = platform_of(pictures, fitted.axes, float(fitted.low_m[2]), _matching(settings))
     if raised is not None:
         fitted = _on_lower_floor(fitted, raised, pictures, settings)
-    feet = uprights.feet(cameras, [room_of(plate) for plate in plates], float(fitted.low_m[2]))
+    feet = uprights.feet(cameras, [make_room_picture(plate) for plate in plates], float(fitted.low_m[2]))
     fitted, uprights_at = uprights.with_walls(fitted, feet, cameras)
     for index, (name, face) in enumerate(zip(FACES, fitted.faces)):
         if fitted.fitted[index]:

@@ -25,7 +25,7 @@ _POSES_ONLY = LensPrior(0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class Agreement:
+class AgreementLimits:
     """When cameras agree with people; every step that judges or moves cameras on people is told.
 
     A calibration is refused when people's keypoints are off by more than ``max_error_share`` of the longer image side.
@@ -39,7 +39,7 @@ class Agreement:
 
 
 @dataclass(frozen=True)
-class Trust:
+class CalibrationPrior:
     """How far the given cameras are trusted where people call for others."""
 
     bundle: BundleSettings = BundleSettings()

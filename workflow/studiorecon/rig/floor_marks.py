@@ -139,7 +139,7 @@ def floor_marks(
         at = _edged_places(laid[a], place_m)
         patches = [_patch(laid[a], place, place_m) for place in at]
         again = {
-            b: _found_again(patches, at, laid[b], shifts[a, b] if (a, b) in shifts else -shifts[b, a], place_m)
+            b: _match_back(patches, at, laid[b], shifts[a, b] if (a, b) in shifts else -shifts[b, a], place_m)
             for b in views
             if b != a
         }
@@ -231,7 +231,7 @@ def _coarse(
         spectra = {v: _spectra(_laid(rooms[v], cameras[v], grid_m, plane_m)) for v in views}
         total, shifts = 0.0, {}
         for a, b in itertools.combinations(views, 2):
-            score = _alike(spectra[a], spectra[b], grid_m.shape[:2], reach)
+            score = _correlate(spectra[a], spectra[b], grid_m.shape[:2], reach)
             row, column = np.unravel_index(int(np.argmax(score)), score.shape)
             total += float(score[row, column])
             shifts[a, b] = (np.array([column, row]) - reach) * _COARSE_M
@@ -250,7 +250,7 @@ def _spectra(laid: _Laid) -> np.ndarray:
     return spectra
 
 
-def _alike(first: np.ndarray, second: np.ndarray, shape: Sequence[int], reach: int) -> np.ndarray:
+def _correlate(first: np.ndarray, second: np.ndarray, shape: Sequence[int], reach: int) -> np.ndarray:
     """(2 reach + 1, 2 reach + 1) how alike two floors of ``shape`` are by the second one's shift, at most 1; -1 where
     they share too little."""
     padded, at = [fft.next_fast_len(2 * n, real=True) for n in shape], np.arange(-reach, reach + 1)
@@ -319,7 +319,7 @@ def _disc(shape: tuple[int, ...], row: int, column: int, radius: int) -> np.ndar
     return inside
 
 
-def _found_again(
+def _match_back(
     patches: Sequence[np.ndarray],
     at: np.ndarray,
     laid: _Laid,

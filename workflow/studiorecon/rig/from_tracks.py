@@ -90,7 +90,7 @@ def sightings(detections: Sequence[Detections], frames: Integer[np.ndarray, " F"
     return Sightings(detections, frames, tuple(dense))
 
 
-def rigs(
+def propose_rigs(
     seen: Sightings, cameras: Sequence[Camera], template_m: Num[np.ndarray, "12 3"], gate_m: float, limits: Limits
 ) -> list[Rig]:
     """The best rigs that were found, most support first; ``cameras`` give sizes and lenses, their poses do not matter.
@@ -261,7 +261,7 @@ def _grown(
         a: replace(cameras[a], camera_from_world=np.eye(4)),
         b: replace(cameras[b], camera_from_world=second_from_first),
     }
-    rig = settled(seen, placed, template_m, gate_m, limits, first_pair=True)
+    rig = refine_rig(seen, placed, template_m, gate_m, limits, first_pair=True)
     while rig is not None:
         candidates = [
             (v, found)
@@ -271,13 +271,13 @@ def _grown(
         if not candidates:
             return rig
         view, (_, pose) = max(candidates, key=lambda c: (c[1][0], -c[0]))
-        rig = settled(
+        rig = refine_rig(
             seen, {**rig.cameras, view: replace(cameras[view], camera_from_world=pose)}, template_m, gate_m, limits
         )
     return None
 
 
-def settled(
+def refine_rig(
     seen: Sightings,
     placed: Mapping[int, Camera],
     template_m: Num[np.ndarray, "12 3"],

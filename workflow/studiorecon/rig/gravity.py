@@ -28,7 +28,7 @@ _ROUNDS = 20
 _MIN_UPRIGHT = 20
 
 
-def tilt_of(
+def people_tilt(
     points_m: Num[np.ndarray, "N 3"],
     group: Num[np.ndarray, " N"],
     frame: Num[np.ndarray, " N"],
@@ -46,13 +46,13 @@ def tilt_of(
     return float(np.degrees(np.arctan2(np.hypot(up[0], up[1]), up[2])))
 
 
-def tell_tilt(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> float | None:
-    """``tilt_of`` what the cameras place of people, with a warning where it is the world that leans."""
+def check_tilt(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> float | None:
+    """``people_tilt`` what the cameras place of people, with a warning where it is the world that leans."""
     if not len(seen.frame):
         return None
     found = triangulate(seen.pixels, seen.confidence, cameras, limits)
     points_m = np.where(found.valid[:, None], found.points_m, np.nan)
-    tilt = tilt_of(points_m, seen.group, seen.frame, seen.keypoint)
+    tilt = people_tilt(points_m, seen.group, seen.frame, seen.keypoint)
     if tilt is not None and tilt > _MAX_TILT_DEG:
         warn(
             f"people stand {tilt:.0f}° off the world's vertical: the calibration's floor leans, or another axis points "

@@ -2,8 +2,8 @@
 """The pose of a camera that takes no part, from people whom the other cameras place: the pose that pictures at it are
 judged by.
 
-Nothing that this camera shows moves a point or another camera. As in ``stale``, the prior at the given pose has rungs,
-and the narrower is taken where it explains unseen halves about as well as the wide one.
+Nothing that this camera shows moves a point or another camera. As in ``moved_cameras``, the prior at the given pose has
+rungs, and the narrower is taken where it explains unseen halves about as well as the wide one.
 """
 
 from __future__ import annotations
@@ -18,8 +18,15 @@ from studiorecon.geometry.relative_pose import resection
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.geometry.triangulation import Limits, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
-from studiorecon.rig.stale import ABOUT_AS_WELL, FREE_DEG, FREE_M, FURTHEST_DEG, FURTHEST_M, HALF_OF_THE_JOINTS
-from studiorecon.rig.stale import moves as moves_of
+from studiorecon.rig.moved_cameras import (
+    ABOUT_AS_WELL,
+    FREE_DEG,
+    FREE_M,
+    FURTHEST_DEG,
+    FURTHEST_M,
+    HALF_OF_THE_JOINTS,
+    pose_changes,
+)
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -35,7 +42,7 @@ _LOOSE = 3.0
 
 
 @dataclass(frozen=True)
-class Sighted:
+class ObservedJoints:
     """N joints that the other cameras place, as one camera shows them.
 
     Attributes:
@@ -51,13 +58,13 @@ class Sighted:
     group: Integer[np.ndarray, " N"]
     keypoint: Integer[np.ndarray, " N"]
 
-    def of(self, which: Bool[np.ndarray, " N"]) -> Sighted:
+    def of(self, which: Bool[np.ndarray, " N"]) -> ObservedJoints:
         """Those that ``which`` chooses."""
-        return Sighted(**{name: getattr(self, name)[which] for name in self.__dataclass_fields__})
+        return ObservedJoints(**{name: getattr(self, name)[which] for name in self.__dataclass_fields__})
 
 
 @dataclass(frozen=True)
-class Judged:
+class HeldOutPose:
     """The camera to judge by, and what is told of it.
 
     Attributes:
@@ -77,60 +84,64 @@ class Judged:
     checked: bool
 
 
-def judged(given: Camera, seen: Sighted, limits: Limits, bundle: BundleSettings, gain: float) -> Judged:
+def estimate_held_out_pose(
+    given: Camera, seen: ObservedJoints, limits: Limits, bundle: BundleSettings, gain: float
+) -> HeldOutPose:
     """The pose of ``given`` that explains what it ``seen``; its own where no other lowers the error of unseen halves by
     the share ``gain``."""
     before_px = _median_px(given, seen)
     if len(seen.frame) < _MIN_POINTS or len(np.unique(seen.frame)) < 2:
-        return Judged(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
+        return HeldOutPose(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
     unit = float(unit_px([given], limits)[0])
     start = _started(given, seen, unit)
     # Somebody else's joints, and limbs that the network mixed up, have no say for any pose.
     seen = seen.of(np.linalg.norm(_units(start, seen, unit), axis=-1) < limits.outlier_units)
     if len(seen.frame) < _MIN_POINTS:
-        return Judged(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
+        return HeldOutPose(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
     # No rung between: six numbers, and a camera either stands or was moved; half a pull leaves it at neither place.
     rungs = [bundle, replace(bundle, prior_deg=FREE_DEG, prior_m=FREE_M)]
     as_given = _unseen(given, given, seen, unit, None)
     errors = [_unseen(start, given, seen, unit, rung) for rung in rungs]
     if not min(errors) < (1 - gain) * as_given:
-        return Judged(given, len(seen.frame), before_px, before_px, 0.0, 0.0, True)
+        return HeldOutPose(given, len(seen.frame), before_px, before_px, 0.0, 0.0, True)
     chosen = next(k for k, error in enumerate(errors) if error <= ABOUT_AS_WELL * min(errors))
     found = _fitted(start, given, seen, unit, rungs[chosen])
-    degrees, metres = moves_of([found], [given])
+    degrees, metres = pose_changes([found], [given])
     if degrees[0] > FURTHEST_DEG or metres[0] > FURTHEST_M:
-        return Judged(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
-    return Judged(found, len(seen.frame), before_px, _median_px(found, seen), float(degrees[0]), float(metres[0]), True)
+        return HeldOutPose(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
+    return HeldOutPose(
+        found, len(seen.frame), before_px, _median_px(found, seen), float(degrees[0]), float(metres[0]), True
+    )
 
 
-def _median_px(camera: Camera, seen: Sighted) -> float | None:
+def _median_px(camera: Camera, seen: ObservedJoints) -> float | None:
     off = np.linalg.norm(camera.project(seen.points_m)[0] - seen.pixels, axis=-1)
     return float(np.median(np.nan_to_num(off, nan=np.inf))) if len(off) and np.isfinite(off).any() else None
 
 
-def _started(given: Camera, seen: Sighted, unit: float) -> Camera:
+def _started(given: Camera, seen: ObservedJoints, unit: float) -> Camera:
     """Where the search begins: a resection, which does not mind that many joints are somebody else's; or as given."""
     focal, principal = np.array(given.focal_px), np.array(given.principal_px)
     found = resection(seen.points_m, (seen.pixels - principal) / focal, _LOOSE * unit / float(focal.mean()))
     if found is None:
         return given
     camera = replace(given, camera_from_world=found[0])
-    degrees, metres = moves_of([camera], [given])
+    degrees, metres = pose_changes([camera], [given])
     near = degrees[0] <= FURTHEST_DEG and metres[0] <= FURTHEST_M
     return min((given, camera), key=lambda c: _error(c, seen, unit)) if near else given
 
 
-def _units(camera: Camera, seen: Sighted, unit: float) -> np.ndarray:
+def _units(camera: Camera, seen: ObservedJoints, unit: float) -> np.ndarray:
     """(N, 2) residuals in error units, large behind the camera."""
     off = (camera.project(seen.points_m)[0] - seen.pixels) / unit
     return np.nan_to_num(off, nan=10 * _MAX_UNITS)
 
 
-def _error(camera: Camera, seen: Sighted, unit: float) -> float:
+def _error(camera: Camera, seen: ObservedJoints, unit: float) -> float:
     return float(np.minimum(np.linalg.norm(_units(camera, seen, unit), axis=-1), _MAX_UNITS).mean())
 
 
-def _unseen(start: Camera, given: Camera, seen: Sighted, unit: float, rung: BundleSettings | None) -> float:
+def _unseen(start: Camera, given: Camera, seen: ObservedJoints, unit: float, rung: BundleSettings | None) -> float:
     """Mean error in error units, at most 3, of halves of the clip and of the joints after fitting the other half;
     ``rung`` None: of the given pose, which is fitted to nothing."""
     early = seen.frame <= np.median(seen.frame)
@@ -144,7 +155,7 @@ def _unseen(start: Camera, given: Camera, seen: Sighted, unit: float, rung: Bund
     return float(np.mean(errors)) if errors else float("inf")
 
 
-def _fitted(start: Camera, given: Camera, seen: Sighted, unit: float, rung: BundleSettings) -> Camera:
+def _fitted(start: Camera, given: Camera, seen: ObservedJoints, unit: float, rung: BundleSettings) -> Camera:
     """The pose that lowers the Huber cost under the prior of ``rung``, by Gauss-Newton; all frames of a joint count as
     one observation, as everywhere in ``rig``."""
     joints = len(np.unique(seen.group * len(STABLE_KEYPOINTS) + seen.keypoint))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
 # Stature of a mean adult by the length of a bone between keypoints, metres (shoulder to hip, hip to knee, knee to
-# ankle): the same mean adult as in ``rig.stale``.
+# ankle): the same mean adult as in ``rig.moved_cameras``.
 _ADULT_M = 1.70
 _BONES = {("shoulder", "hip"): 0.52, ("hip", "knee"): 0.42, ("knee", "ankle"): 0.41}
 # A toddler, and the tallest who ever lived, with a third of doubt: bones of few keypoints are short or long.

@@ -53,7 +53,7 @@ REMEDIES = {
 LENS_READINGS: dict[str, LensReading] = {"the lenses are fisheyes": "fisheye", "the lenses are not fisheyes": "opencv"}
 
 
-def verdicts(
+def score_conventions(
     cameras: Sequence[Camera],
     detections: Sequence[Detections],
     frames: Integer[np.ndarray, " F"],
@@ -100,22 +100,22 @@ def verdicts(
     return table, margins
 
 
-def lens_row(
+def score_lens_model(
     name: str,
     cameras: Sequence[Camera],
     detections: Sequence[Detections],
     frames: Integer[np.ndarray, " F"],
     gate_m: float,
 ) -> dict[str, Any]:
-    """The row of ``verdicts`` for cameras and detections as another lens model would have them."""
+    """The row of ``score_conventions`` for cameras and detections as another lens model would have them."""
     return {"hypothesis": name, "score": _score(cameras, detections, frames, gate_m), "remedy": REMEDIES[name]}
 
 
 def best_swap(
     cameras: Sequence[Camera], detections: Sequence[Detections], frames: Integer[np.ndarray, " F"], gate_m: float
 ) -> tuple[dict[str, Any], list[Camera]] | None:
-    """The row of ``verdicts`` for the two cameras whose exchange people like best, and all cameras then; None with
-    fewer than three."""
+    """The row of ``score_conventions`` for the two cameras whose exchange people like best, and all cameras then; None
+    with fewer than three."""
     rows: list[tuple[dict[str, Any], list[Camera]]] = []
     for i, j in combinations(range(len(cameras)), 2) if len(cameras) > 2 else ():
         poses = [c.camera_from_world for c in cameras]

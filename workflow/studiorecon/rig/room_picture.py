@@ -37,7 +37,7 @@ class RoomPicture:
         return straight_edges(self.grey, self.known)
 
 
-def room_of(plate: Path) -> RoomPicture:
+def make_room_picture(plate: Path) -> RoomPicture:
     """A clean plate in grey, and where people never left it unseen."""
     rgb, measured = read_plate(plate)
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)

@@ -11,8 +11,8 @@ import numpy as np
 
 from studiorecon.geometry.bundle import Adjusted, LensPrior
 from studiorecon.progress import say
-from studiorecon.rig.bundle import Agreement
-from studiorecon.rig.from_tracks import Rig, Sightings, adjusted, settled
+from studiorecon.rig.bundle import AgreementLimits
+from studiorecon.rig.from_tracks import Rig, Sightings, adjusted, refine_rig
 from studiorecon.rig.room_turns import RoomTurn, room_turns
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def self_calibrated(
     template_m: Num[np.ndarray, "12 3"],
     lens: LensPrior,
     known_px: Mapping[int, float],
-    agreement: Agreement,
+    agreement: AgreementLimits,
 ) -> tuple[Rig, Adjusted]:
     """Poses and focal lengths together, with the groups formed anew after every change, until the focal lengths
     stay."""
@@ -39,7 +39,7 @@ def self_calibrated(
     for _ in range(_ROUNDS):
         before = np.array([rig.cameras[v].focal_px[0] for v in sorted(rig.cameras)])
         after = np.array([c.focal_px[0] for c in result.cameras])
-        again = settled(seen, dict(enumerate(result.cameras)), template_m, agreement.gate_m, agreement.limits)
+        again = refine_rig(seen, dict(enumerate(result.cameras)), template_m, agreement.gate_m, agreement.limits)
         if again is None:
             break
         rig = again
@@ -57,7 +57,7 @@ def turned_by_edges(
     lens: LensPrior,
     known_px: Mapping[int, float],
     edges: Mapping[int, Num[np.ndarray, "N 4"]],
-    agreement: Agreement,
+    agreement: AgreementLimits,
 ) -> tuple[Rig, Adjusted, dict[int, RoomTurn]]:
     """The rig with what the room's edges say about its turns, and that; as it is where they say nothing, or where
     people contradict them."""
@@ -66,7 +66,7 @@ def turned_by_edges(
         return rig, result, {}
     held, after = rig, result
     for _ in range(_EDGE_ROUNDS):
-        again = settled(
+        again = refine_rig(
             seen, dict(enumerate(after.cameras)), template_m, agreement.gate_m, agreement.limits, turns=turns
         )
         if again is None:

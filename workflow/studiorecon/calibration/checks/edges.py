@@ -9,10 +9,10 @@ from typing import Any
 from studiorecon.calibration.checks.refined import Refined, moves_told
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.triangulation import Limits
-from studiorecon.rig.by_the_room import turns_of
 from studiorecon.rig.correspondences import Observations
-from studiorecon.rig.edge_check import contradiction, put_right
+from studiorecon.rig.edge_refinement import edge_contradiction, refine_on_edges
 from studiorecon.rig.room_picture import RoomPicture
+from studiorecon.rig.room_refinement import edge_rotations
 from studiorecon.scene.camera import Camera
 
 # Past this a camera looks 20 cm beside what is three metres away: films would show it, whoever is right.
@@ -39,18 +39,18 @@ def by_edges(
     # Nothing is known of the others: held-out cameras, whose pictures are not looked at.
     known = [v for v, room in enumerate(rooms) if room is not None or (seen.confidence[v] > 0).any()]
     given, rooms, seen = [given[v] for v in known], [rooms[v] for v in known], seen.by(known)
-    before = contradiction(given, turns_of(given, rooms))
+    before = edge_contradiction(given, edge_rotations(given, rooms))
     if before is None:
         return {"told": False, "clear": False}
     moved = people is not None and (people.elsewhere or people.better)
     cameras = [people.cameras[v] for v in known] if people is not None and moved else given
-    after = contradiction(cameras, turns_of(cameras, rooms)) if moved else before
+    after = edge_contradiction(cameras, edge_rotations(cameras, rooms)) if moved else before
     mended, after_deg, between_deg, worse = False, None, None, None
     if after is not None:
         mended, after_deg = before.clear and not after.clear, after.off_deg
         # Where cameras were moved since, edges joined people already.
         if after.clear and len(seen.frame) and not (people is not None and people.elsewhere):
-            right = put_right(given, cameras, seen, rooms, limits, bundle)
+            right = refine_on_edges(given, cameras, seen, rooms, limits, bundle)
             if right is not None:
                 worse = right.people_px[1] / right.people_px[0] - 1
             if right is not None and right.believed:

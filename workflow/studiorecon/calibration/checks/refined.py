@@ -13,10 +13,10 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.bundle import error_medians, fitted
-from studiorecon.rig.certainty import people_tell, stale_between_deg
 from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.moved_cameras import pose_changes, relocalise
+from studiorecon.rig.pose_uncertainty import moved_rotation_interval_deg, rotation_observability
 from studiorecon.rig.room_picture import RoomPicture
-from studiorecon.rig.stale import moves, where_they_stand_now
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -35,8 +35,8 @@ class Refined:
         seen: what people show them.
         px, elsewhere: the median error then, and whether they clearly stand elsewhere than they were given.
         better: whether people fit clearly better with them, so that refinement takes them.
-        asked_deg, between_deg: what people leave open of how cameras are turned to one another (``people_tell``); None
-            where there is too little to say.
+        asked_deg, between_deg: what people leave open of how cameras are turned to one another
+            (``rotation_observability``); None where there is too little to say.
     """
 
     cameras: list[Camera]
@@ -61,7 +61,7 @@ class Refined:
 
 def moves_told(cameras: Sequence[Camera], given: Sequence[Camera]) -> dict[str, dict[str, float]]:
     """camera → degrees and metres that it was turned and moved by from where it was given."""
-    degrees, metres = moves(cameras, given)
+    degrees, metres = pose_changes(cameras, given)
     return {
         c.name: {"turned_deg": float(d), "moved_m": float(m)} for c, d, m in zip(given, degrees, metres, strict=True)
     }
@@ -89,15 +89,17 @@ def refined_on_people(
         return None
     chosen = evenly_spread(frames, _FRAMES)
     before_px = np.nan if median_px is None else median_px
-    anew = where_they_stand_now(
-        cameras, detections, watched, chosen, gate_m, 0.0, limits, bundle, before_px, allowed_px, rooms
-    )
+    anew = relocalise(cameras, detections, watched, chosen, gate_m, 0.0, limits, bundle, before_px, allowed_px, rooms)
     seen = observe(detections, cameras, chosen, gate_m)[0] if anew is None else anew.seen
     held = anew if anew is not None or not len(seen.frame) else fitted(cameras, seen, limits, bundle)
     if held is None:
         return None
     px = error_medians(held.cameras, seen, limits)[0]
-    told = people_tell(cameras, seen, limits) if anew is None else (0.0, stale_between_deg(anew, limits))
+    told = (
+        rotation_observability(cameras, seen, limits)
+        if anew is None
+        else (0.0, moved_rotation_interval_deg(anew, limits))
+    )
     asked_deg, between_deg = (None, None) if told is None else told
     better = median_px is None or px < (1 - _WORTH_REFINING) * median_px
     return Refined(held.cameras, seen, px, anew is not None, better, asked_deg, between_deg)

@@ -58,7 +58,7 @@ def stature_m(body: BodyModel) -> float:
     return float(np.ptp(heights))
 
 
-def by_given_lengths(
+def scale_from_lengths(
     given: GivenLengths,
     cameras: Sequence[Camera],
     points: Num[np.ndarray, "N 3"],
@@ -101,7 +101,7 @@ def by_given_lengths(
             "check who is who, or give one height_m for all: height_m: 1.70"
         )
     named = ", ".join(f"{name} is {given.height_m[name]:.2f} m tall" for name in factors)
-    who = "; ".join(f"{name}: {_where(people[int(name[1:])], cameras, points, seen)}" for name in factors)
+    who = "; ".join(f"{name}: {_visibility_note(people[int(name[1:])], cameras, points, seen)}" for name in factors)
     factor = float(np.exp(np.mean(np.log(list(factors.values())))))
     return Scale(factor, _OF_HEIGHT / np.sqrt(len(factors)), f"lengths by heights: {named} ({who})")
 
@@ -131,7 +131,7 @@ def _by_distance(given: GivenLengths, cameras: Sequence[Camera]) -> Scale:
     return Scale(given.distance_m / max(apart, 1e-9), 0.005, told)
 
 
-def _where(group: int, cameras: Sequence[Camera], points: np.ndarray, seen: Observations) -> str:
+def _visibility_note(group: int, cameras: Sequence[Camera], points: np.ndarray, seen: Observations) -> str:
     """Where somebody is, in words for who has the pictures: the first camera that sees them, and its pixels."""
     mine = np.flatnonzero((seen.group == group) & np.isfinite(points).all(-1))
     frame = seen.frame[mine].min()

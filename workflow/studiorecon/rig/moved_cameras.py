@@ -22,11 +22,11 @@ from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.progress import warn
 from studiorecon.rig.bundle import error_medians
-from studiorecon.rig.by_the_room import by_the_room
 from studiorecon.rig.correspondences import Observations, observe
-from studiorecon.rig.from_tracks import rigs, sightings
-from studiorecon.rig.level import levelled, under_feet
+from studiorecon.rig.floor_alignment import align_to_floor, floor_under_feet
+from studiorecon.rig.from_tracks import propose_rigs, sightings
 from studiorecon.rig.room_picture import RoomPicture
+from studiorecon.rig.room_refinement import refine_on_room
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -60,7 +60,7 @@ _ADULT_M = np.stack([np.pad(_SIDE_M * [s, 1.0], ((0, 0), (0, 1))) for s in (1.0,
 
 
 @dataclass(frozen=True)
-class Stale:
+class MovedCameras:
     """Cameras that clearly stand elsewhere than they were given.
 
     Attributes:
@@ -74,7 +74,7 @@ class Stale:
     report: dict[str, Any]
 
 
-def where_they_stand_now(
+def relocalise(
     given: Sequence[Camera],
     detections: Sequence[Detections],
     watched: Sequence[int],
@@ -86,7 +86,7 @@ def where_they_stand_now(
     before_px: float,
     allowed_px: float,
     rooms: Sequence[RoomPicture | None] = (),
-) -> Stale | None:
+) -> MovedCameras | None:
     """Cameras at the places that people call for; None where they stayed, or where people do not say where they are.
 
     ``before_px``: median error as given, NaN where no three cameras agree. The answer must be better by the share
@@ -95,7 +95,7 @@ def where_they_stand_now(
     """
     if len(watched) < 2:
         return None
-    found = moved_since(
+    found = refine_with_wider_prior(
         [given[v] for v in watched],
         [detections[v] for v in watched],
         frames,
@@ -115,13 +115,13 @@ def where_they_stand_now(
         cameras[v] = camera
     seen = found.seen if len(watched) == len(given) else observe(detections, cameras, frames, gate_m)[0]
     before = before_px if np.isfinite(before_px) else None
-    return Stale(cameras, seen, {**found.report, "before_px": before, "after_px": after_px})
+    return MovedCameras(cameras, seen, {**found.report, "before_px": before, "after_px": after_px})
 
 
-def tell(given: Sequence[Camera], found: Stale, between_deg: float) -> None:
+def report_moved_cameras(given: Sequence[Camera], found: MovedCameras, between_deg: float) -> None:
     """Say where the cameras stand now, and how well that is known: ``between_deg`` is half of the 95 % interval of the
     rotation between any two of them."""
-    degrees, metres = moves(found.cameras, given)
+    degrees, metres = pose_changes(found.cameras, given)
     place = np.array(list(found.report["sigma_m"].values()))
     warn(
         "people call for cameras that stand elsewhere than the calibration says: "
@@ -134,7 +134,7 @@ def tell(given: Sequence[Camera], found: Stale, between_deg: float) -> None:
     )
 
 
-def moved_since(
+def refine_with_wider_prior(
     given: Sequence[Camera],
     detections: Sequence[Detections],
     frames: Integer[np.ndarray, " F"],
@@ -143,7 +143,7 @@ def moved_since(
     bundle: BundleSettings,
     lost: bool,
     rooms: Sequence[RoomPicture | None] = (),
-) -> Stale | None:
+) -> MovedCameras | None:
     """The cameras under the narrowest prior that explains unseen halves; None where that is ``bundle``'s own, or people
     say too little.
 
@@ -155,16 +155,18 @@ def moved_since(
     wide = replace(bundle, prior_deg=FREE_DEG, prior_m=FREE_M)
     best: tuple[int, list[Camera]] = (0, [])
     for first in _STARTS if lost else _STARTS[:1]:
-        found = _settled(given, given, detections, frames, _ROUNDS[first:], limits, wide)
+        found = _converge(given, given, detections, frames, _ROUNDS[first:], limits, wide)
         best = max(best, found, key=lambda f: f[0])
-    if lost and not _everybody_counts(best[1], detections, frames, gate_m, limits):
+    if lost and not _use_all_people(best[1], detections, frames, gate_m, limits):
         few = frames[:: max(1, len(frames) // _RIG_FRAMES)]
         followed = sightings(detections, few, limits.min_confidence)
-        rig = next((r for r in rigs(followed, given, _ADULT_M, gate_m, limits) if len(r.cameras) == len(given)), None)
+        rig = next(
+            (r for r in propose_rigs(followed, given, _ADULT_M, gate_m, limits) if len(r.cameras) == len(given)), None
+        )
         if rig is not None:
             start = without_drift([rig.cameras[v] for v in range(len(given))], given)[0]
-            best = max(best, _settled(start, given, detections, frames, _ROUNDS[1:], limits, wide), key=lambda f: f[0])
-    if not _everybody_counts(best[1], detections, frames, gate_m, limits):
+            best = max(best, _converge(start, given, detections, frames, _ROUNDS[1:], limits, wide), key=lambda f: f[0])
+    if not _use_all_people(best[1], detections, frames, gate_m, limits):
         return None
     seen, _ = observe(detections, best[1], frames, gate_m)
     rungs = [bundle, replace(bundle, prior_deg=_MIDDLE * bundle.prior_deg, prior_m=_MIDDLE * bundle.prior_m), wide]
@@ -174,10 +176,10 @@ def moved_since(
     if chosen == 0 or used is None:
         return None
     result = _fit(used, best[1], given, limits, 1.0, rungs[chosen])
-    room = by_the_room(result.cameras, given, seen, rooms, limits, rungs[chosen]) if len(rooms) else None
+    room = refine_on_room(result.cameras, given, seen, rooms, limits, rungs[chosen]) if len(rooms) else None
     if room is not None and room.explained:
         result = room.adjusted
-    result = replace(result, cameras=_by_those_that_stand(result.cameras, given, bundle))
+    result = replace(result, cameras=_align_to_unmoved(result.cameras, given, bundle))
     turn_deg, place_m = np.degrees(result.sigma[:, :3]).max(1), result.sigma[:, 3:6].max(1)
     if turn_deg.max() > _MAX_SIGMA_DEG or place_m.max() > _MAX_SIGMA_M:
         return None
@@ -192,28 +194,30 @@ def moved_since(
         report["room"] = room.report
     seen = observe(detections, result.cameras, frames, gate_m)[0]
     marks_m = room.marks_m(limits) if room is not None and room.explained else np.zeros((0, 3))
-    floor = under_feet(result.cameras, seen, marks_m, limits)
+    floor = floor_under_feet(result.cameras, seen, marks_m, limits)
     cameras = result.cameras
     if floor is not None:
-        cameras, tilt_deg, lift_m = levelled(result.cameras, *floor)
+        cameras, tilt_deg, lift_m = align_to_floor(result.cameras, *floor)
         report["levelled"] = {"tilt_deg": tilt_deg, "lift_m": lift_m}
-    return Stale(cameras, observe(detections, cameras, frames, gate_m)[0], report)
+    return MovedCameras(cameras, observe(detections, cameras, frames, gate_m)[0], report)
 
 
-def moves(found: Sequence[Camera], given: Sequence[Camera]) -> tuple[Num[np.ndarray, " V"], Num[np.ndarray, " V"]]:
+def pose_changes(
+    found: Sequence[Camera], given: Sequence[Camera]
+) -> tuple[Num[np.ndarray, " V"], Num[np.ndarray, " V"]]:
     """Degrees and metres that the cameras were turned and moved by."""
     turned = np.stack([f.camera_from_world[:3, :3] @ g.camera_from_world[:3, :3].T for f, g in zip(found, given)])
     apart = np.array([f.centre_m - g.centre_m for f, g in zip(found, given)])
     return np.degrees(np.linalg.norm(log(turned), axis=-1)), np.linalg.norm(apart, axis=-1)
 
 
-def _by_those_that_stand(found: Sequence[Camera], given: Sequence[Camera], bundle: BundleSettings) -> list[Camera]:
+def _align_to_unmoved(found: Sequence[Camera], given: Sequence[Camera], bundle: BundleSettings) -> list[Camera]:
     """The cameras laid on the given ones that moved least: one that was knocked does not carry away the others, nor
     those that took no part."""
     weights = np.ones(len(given))
     for _ in range(_LAID):
         laid = without_drift(found, given, weights.tolist())[0]
-        degrees, metres = moves(laid, given)
+        degrees, metres = pose_changes(laid, given)
         weights = 1 / np.maximum(np.hypot(degrees / bundle.prior_deg, metres / bundle.prior_m), 1.0)
     return laid
 
@@ -246,7 +250,7 @@ def _fit(
     return adjust_with_lenses(start, used.pixels, used.weights, used.points_m, huber_px, bundle, _POSES_ONLY, given)
 
 
-def _settled(
+def _converge(
     start: Sequence[Camera],
     given: Sequence[Camera],
     detections: Sequence[Detections],
@@ -264,13 +268,13 @@ def _settled(
         if used is None:
             return 0, []
         current = _fit(used, current, given, limits, units, bundle).cameras
-    degrees, metres = moves(current, given)
+    degrees, metres = pose_changes(current, given)
     if used is None or degrees.max() > FURTHEST_DEG or metres.max() > FURTHEST_M:
         return 0, []
     return int((used.weights > 0).sum()), current
 
 
-def _everybody_counts(
+def _use_all_people(
     cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
 ) -> bool:
     """Whether every camera agrees with half as many observations as the one that agrees with most."""

@@ -1,23 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cameras that people accept and the room's straight edges contradict, put right by both (``rig.edge_check``)."""
+"""Cameras that people accept and the room's straight edges contradict, put right by both (``rig.edge_refinement``)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
-from studiorecon.cameras.changes import changes_since
+from studiorecon.cameras.changes import changes_since_refinement
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.progress import say, warn
-from studiorecon.rig.by_the_room import turns_of
 from studiorecon.rig.correspondences import Observations
-from studiorecon.rig.edge_check import contradiction, put_right
+from studiorecon.rig.edge_refinement import edge_contradiction, refine_on_edges
 from studiorecon.rig.room_picture import RoomPicture
+from studiorecon.rig.room_refinement import edge_rotations
 from studiorecon.scene.camera import Camera
 
 
-def by_the_edges(
+def apply_edge_refinement(
     given: list[Camera],
     adjusted: list[Camera],
     seen: Observations,
@@ -27,14 +27,14 @@ def by_the_edges(
     bundle: BundleSettings,
 ) -> tuple[list[Camera], dict[str, Any]]:
     """The cameras where the room's straight edges clearly call for others, if people are hardly the worse for it."""
-    before = contradiction(adjusted, turns_of(adjusted, rooms))
+    before = edge_contradiction(adjusted, edge_rotations(adjusted, rooms))
     if before is None or not len(seen.frame):
         return adjusted, report
     told: dict[str, Any] = {"cameras": before.cameras, "off_deg": before.off_deg, "off_sigmas": before.sigmas}
     report = {**report, "edges": {**told, "believed": False}}
     if not before.clear:
         return adjusted, report
-    found = put_right(given, adjusted, seen, rooms, limits, bundle)
+    found = refine_on_edges(given, adjusted, seen, rooms, limits, bundle)
     if found is None:
         return adjusted, report
     px = found.people_px
@@ -45,7 +45,7 @@ def by_the_edges(
             f"{px[0]:.2f} px as they stand"
         )
         return adjusted, report
-    changes = changes_since(given, found.cameras, report)
+    changes = changes_since_refinement(given, found.cameras, report)
     warn(
         "the room's straight edges call for cameras that stand elsewhere than the calibration says, which people alone "
         f"do not tell: they are {off}, {found.off_deg:.1f}° after, and people's keypoints "

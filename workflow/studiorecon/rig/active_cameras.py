@@ -14,16 +14,16 @@ from studiorecon.scene.people import Detections
 _LONG_S, _HARDLY = 1.0, 0.2
 
 
-def watching(detections: Sequence[Detections], fps: float) -> list[int]:
+def active_cameras(detections: Sequence[Detections], fps: float) -> list[int]:
     """Indices of the cameras that show people for more than some frames; ``fps`` 0: nobody knows how long these are."""
     frames = _frames(detections)
     least = _HARDLY * max(frames, default=0)
     return [v for v, count in enumerate(frames) if count and count >= (min(least, _LONG_S * fps) if fps else least)]
 
 
-def others_told(detections: Sequence[Detections], fps: float) -> dict[str, str]:
+def inactive_camera_notes(detections: Sequence[Detections], fps: float) -> dict[str, str]:
     """Camera → one sentence about it, for every one that shows nobody, or hardly anybody, where another does."""
-    frames, watched = _frames(detections), watching(detections, fps)
+    frames, watched = _frames(detections), active_cameras(detections, fps)
     if not watched:
         return {}
     sighted = ", ".join(detections[v].camera for v in watched)

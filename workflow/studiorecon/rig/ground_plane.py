@@ -11,9 +11,9 @@ import numpy as np
 
 from studiorecon.geometry.bundle import Adjusted, LensPrior
 from studiorecon.progress import say
-from studiorecon.rig.bundle import Agreement
+from studiorecon.rig.bundle import AgreementLimits
 from studiorecon.rig.floor_marks import FloorMarks, floor_marks
-from studiorecon.rig.from_tracks import Rig, Sightings, adjusted, settled
+from studiorecon.rig.from_tracks import Rig, Sightings, adjusted, refine_rig
 from studiorecon.rig.gravity import world_from_people
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_turns import RoomTurn
@@ -27,7 +27,7 @@ _REACH_M = (0.30, 0.12, 0.12)
 _KEPT_SUPPORT, _FLOOR_COSTS, _MAX_SIGMAS = 0.85, 1.35, 3.0
 
 
-def on_one_floor(
+def align_to_ground_plane(
     rig: Rig,
     result: Adjusted,
     seen: Sightings,
@@ -35,7 +35,7 @@ def on_one_floor(
     lens: LensPrior,
     known_px: Mapping[int, float],
     rooms: Sequence[RoomPicture | None],
-    agreement: Agreement,
+    agreement: AgreementLimits,
     turns: Mapping[int, RoomTurn],
 ) -> tuple[Rig, Adjusted, FloorMarks | None]:
     """The rig with what the floor shows joined, and that; as it is where the floor shows nothing, or where people
@@ -47,7 +47,7 @@ def on_one_floor(
             break
         cameras = dict(enumerate(after.cameras))
         for _ in range(2):
-            again = settled(seen, cameras, template_m, agreement.gate_m, agreement.limits, turns=turns, marks=found)
+            again = refine_rig(seen, cameras, template_m, agreement.gate_m, agreement.limits, turns=turns, marks=found)
             if again is None:
                 return rig, result, None
             held, (after, _) = again, adjusted(again, lens, agreement.limits, known_px, turns, found)

@@ -51,7 +51,7 @@ _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
-class Odd:
+class OutlierCamera:
     """A camera that disagrees with all others.
 
     Attributes:
@@ -88,13 +88,13 @@ class _Reading:
     turned: bool = False
 
 
-def odd_one_out(
+def find_outlier_camera(
     cameras: Sequence[Camera],
     detections: Sequence[Detections],
     frames: Integer[np.ndarray, " F"],
     gate_m: float,
     limits: Limits,
-) -> Odd | None:
+) -> OutlierCamera | None:
     """The camera that the others, who agree with one another, contradict; None where there is none.
 
     ``frames`` are looked at, 48 of them at most. Three cameras name one only together with what was mixed up: two
@@ -111,7 +111,7 @@ def odd_one_out(
         without.append((int(np.isfinite(points[..., 0]).sum()), v, points))
     if len(cameras) > 3:  # whose absence leaves most that three others agree on
         without = [max(without, key=lambda row: row[0])]
-    found: list[tuple[float, Odd]] = []
+    found: list[tuple[float, OutlierCamera]] = []
     for count, v, points in without:
         rest = [k for k in range(len(cameras)) if k != v]
         usual = float(np.median([_share(points, own[k], cameras[k])[0] for k in rest]))
@@ -121,13 +121,15 @@ def odd_one_out(
         readings = _readings(v, cameras, detections, own, chosen, points)
         then, best = max(((_share(points, r.seen, r.camera)[0], r) for r in readings), key=lambda row: row[0])
         if then >= _EXPLAINED * usual:
-            found.append((then / usual, Odd(cameras[v].name, share, then, best.cause, best.remedy, best.turned)))
+            found.append(
+                (then / usual, OutlierCamera(cameras[v].name, share, then, best.cause, best.remedy, best.turned))
+            )
         elif len(cameras) > 3 and _in_picture(points, cameras[v]) >= _MIN_POINTS:
             remedy = (
                 "see whether its video, keypoints and calibration are of one camera and one take, or leave it out "
                 f"(train: [{', '.join(cameras[k].name for k in rest)}] in capture.yaml)"
             )
-            found.append((0.0, Odd(cameras[v].name, share, share, "", remedy)))
+            found.append((0.0, OutlierCamera(cameras[v].name, share, share, "", remedy)))
     return max(found, key=lambda row: row[0], default=(0.0, None))[1]
 
 
@@ -283,7 +285,7 @@ def _same(one: np.ndarray, two: np.ndarray) -> bool:
     return len(apart) >= _MIN_POINTS and bool(np.median(apart) < 0.5)
 
 
-def warn_of_odd(
+def warn_of_outlier_cameras(
     cameras: Sequence[Camera],
     seen: Observations,
     detections: Sequence[Detections],

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.cameras.changes import changes_since
+from studiorecon.cameras.changes import changes_since_refinement
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.progress import say
-from studiorecon.rig.by_the_room import CALLED_SIGMAS, by_the_room, where_people_stand
 from studiorecon.rig.correspondences import Observations
+from studiorecon.rig.floor_alignment import align_to_floor, fit_floor
 from studiorecon.rig.floor_marks import floor_marks
-from studiorecon.rig.level import floor_of, levelled
 from studiorecon.rig.room_picture import RoomPicture
+from studiorecon.rig.room_refinement import CALLED_SIGMAS, refine_on_room, standing_area
 from studiorecon.scene.camera import Camera
 
 # How far a floor that is not far off may lie beside itself, metres: at first, and once that was made use of.
@@ -27,7 +27,7 @@ _ROOM_REACH_M = (0.15, 0.08)
 _PEOPLE_COST = 1.05
 
 
-def by_the_floor(
+def apply_floor_refinement(
     given: list[Camera],
     adjusted: list[Camera],
     seen: Observations,
@@ -39,7 +39,7 @@ def by_the_floor(
     """The cameras where the room's floor calls for them too, if it explains itself and people are not the worse for
     it."""
     # Nearly always cameras stand where they are said to, and one look at the floor shows it.
-    marks = floor_marks(adjusted, rooms, *where_people_stand(adjusted, seen, limits), _ROOM_REACH_M[0])
+    marks = floor_marks(adjusted, rooms, *standing_area(adjusted, seen, limits), _ROOM_REACH_M[0])
     if marks is None:
         return adjusted, report
     if (off_sigmas := marks.off_sigmas(adjusted, limits)) < CALLED_SIGMAS:
@@ -50,7 +50,7 @@ def by_the_floor(
         )
         return adjusted, {**report, "room": {"places": places, "off_sigmas_before": off_sigmas, "believed": False}}
     about = [replace(g, intrinsics=a.intrinsics) for g, a in zip(given, adjusted)]
-    found = by_the_room(adjusted, about, seen, rooms, limits, bundle, _ROOM_REACH_M, _PEOPLE_COST)
+    found = refine_on_room(adjusted, about, seen, rooms, limits, bundle, _ROOM_REACH_M, _PEOPLE_COST)
     if found is None:
         return adjusted, report
     report = {**report, "room": found.report}
@@ -63,7 +63,7 @@ def by_the_floor(
             f"{found.report['people_px_after']:.2f} px after"
         )
         return adjusted, report
-    changes = changes_since(given, found.cameras, report)
+    changes = changes_since_refinement(given, found.cameras, report)
     say(
         f"the cameras were refined on {pairs}, {before:.1f} of their own standard deviations off before, {after:.1f} "
         "after: "
@@ -72,7 +72,7 @@ def by_the_floor(
     return found.cameras, {**report, "refined": True, "reason": "the room's floor calls for it", "changes": changes}
 
 
-def on_the_same_floor(
+def keep_floor_level(
     given: list[Camera], adjusted: list[Camera], seen: Observations, report: dict[str, Any], limits: Limits
 ) -> tuple[list[Camera], dict[str, Any]]:
     """The refined cameras, all of them moved back by as much as what people stand on has tilted and risen."""
@@ -80,10 +80,10 @@ def on_the_same_floor(
         return adjusted, report
     before, after = (triangulate(seen.pixels, seen.confidence, c, limits) for c in (given, adjusted))
     both = before.verified & after.verified if len(given) > 2 else before.valid & after.valid
-    risen = floor_of(before.points_m[both], after.points_m[both, 2] - before.points_m[both, 2])
+    risen = fit_floor(before.points_m[both], after.points_m[both, 2] - before.points_m[both, 2])
     if risen is None:
         return adjusted, report
-    level, tilt_deg, lift_m = levelled(adjusted, risen, np.median(before.points_m[both, :2], axis=0))
+    level, tilt_deg, lift_m = align_to_floor(adjusted, risen, np.median(before.points_m[both, :2], axis=0))
     if tilt_deg or lift_m:
         say(f"refinement had tilted the floor by {tilt_deg:.2f}° and lifted it by {1000 * lift_m:.0f} mm: put back")
     return level, {**report, "levelled": {"tilt_deg": tilt_deg, "lift_m": lift_m}}

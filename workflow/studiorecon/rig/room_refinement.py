@@ -47,7 +47,7 @@ _UNSAID_DEG, _UNSAID_BY_EDGES_DEG, _UNSAID_M = 0.1, 0.5, 0.01
 
 
 @dataclass(frozen=True)
-class ByTheRoom:
+class RoomRefinement:
     """Cameras that people and the room together call for.
 
     Attributes:
@@ -75,7 +75,7 @@ class ByTheRoom:
         return found.points_m[found.valid]
 
 
-def by_the_room(
+def refine_on_room(
     cameras: Sequence[Camera],
     given: Sequence[Camera],
     seen: Observations,
@@ -84,14 +84,14 @@ def by_the_room(
     bundle: BundleSettings,
     reach_m: Sequence[float] = REACH_M,
     people_cost: float = PEOPLE_COST,
-) -> ByTheRoom | None:
+) -> RoomRefinement | None:
     """``cameras`` moved by people and the room under a prior about ``given``; None where the room shows nothing.
 
     ``seen`` are people's joints, ``rooms`` the pictures of the room, None where there is none. The room is not believed
     where people fit ``people_cost`` times as badly with it.
     """
-    middle_m, floor_m = where_people_stand(cameras, seen, limits)
-    turns = turns_of(cameras, rooms) if np.min(bundle.prior_deg) > _WIDE_DEG else {}
+    middle_m, floor_m = standing_area(cameras, seen, limits)
+    turns = edge_rotations(cameras, rooms) if np.min(bundle.prior_deg) > _WIDE_DEG else {}
     held_deg = np.broadcast_to(bundle.prior_deg, len(cameras)).astype(float).copy()
     about = list(given)
     for v, turn in turns.items():
@@ -131,7 +131,7 @@ def by_the_room(
     unsaid = np.zeros(result.sigma.shape[1])
     unsaid[:3], unsaid[3:6] = np.radians(_UNSAID_BY_EDGES_DEG if marks is None else _UNSAID_DEG), _UNSAID_M
     result = replace(result, sigma=np.hypot(result.sigma, unsaid))
-    return ByTheRoom(
+    return RoomRefinement(
         current,
         marks,
         result,
@@ -141,7 +141,7 @@ def by_the_room(
     )
 
 
-def turns_of(cameras: Sequence[Camera], rooms: Sequence[RoomPicture | None]) -> dict[int, RoomTurn]:
+def edge_rotations(cameras: Sequence[Camera], rooms: Sequence[RoomPicture | None]) -> dict[int, RoomTurn]:
     """How the straight edges in the pictures of the room turn the cameras; empty where they do not tell.
 
     A room that is mostly hidden says nothing: the few edges left are not a fair choice, and agree with one another on
@@ -151,9 +151,7 @@ def turns_of(cameras: Sequence[Camera], rooms: Sequence[RoomPicture | None]) -> 
     return room_turns(dict(enumerate(cameras)), edges)
 
 
-def where_people_stand(
-    cameras: Sequence[Camera], seen: Observations, limits: Limits
-) -> tuple[Num[np.ndarray, " 2"], float]:
+def standing_area(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[Num[np.ndarray, " 2"], float]:
     """Middle of where people are, metres, and the height of what they stand on; by where the cameras look, and 0, where
     there is nobody."""
     if len(seen.frame):

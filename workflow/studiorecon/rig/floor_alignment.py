@@ -55,7 +55,7 @@ class Floor:
         return float(np.degrees(np.sqrt(np.trace(self.covariance[:2, :2]))))
 
 
-def floor_of(points_m: Num[np.ndarray, "N 3"], height_m: Num[np.ndarray, " N"]) -> Floor | None:
+def fit_floor(points_m: Num[np.ndarray, "N 3"], height_m: Num[np.ndarray, " N"]) -> Floor | None:
     """The plane by which ``height_m`` (N,) changes over where ``points_m`` (N, 3) stand, robustly; None of too few.
 
     Its covariance is the scatter between parts of the points in the order they come in, which are not independent.
@@ -84,7 +84,7 @@ def _plane(points_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
     return np.append(found[:2], found[2] - found[:2] @ middle)
 
 
-def under_feet(
+def floor_under_feet(
     cameras: Sequence[Camera], seen: Observations, marks_m: Num[np.ndarray, "M 3"], limits: Limits
 ) -> tuple[Floor, Num[np.ndarray, " 2"]] | None:
     """The floor that people stand on by ``cameras``, and the middle of where they do; None where too few feet show it.
@@ -103,7 +103,7 @@ def under_feet(
     # The lower foot of every body stands.
     lowest = np.lexsort([feet_m[:, 2], body])
     feet_m = feet_m[lowest[np.unique(body[lowest], return_index=True)[1]]]
-    by_feet, by_marks = floor_of(feet_m, feet_m[:, 2] - _ANKLE_HEIGHT_M), floor_of(marks_m, marks_m[:, 2])
+    by_feet, by_marks = fit_floor(feet_m, feet_m[:, 2] - _ANKLE_HEIGHT_M), fit_floor(marks_m, marks_m[:, 2])
     if by_feet is None:
         return None
     middle_m: np.ndarray = np.median(feet_m[:, :2], axis=0)
@@ -121,7 +121,9 @@ def under_feet(
     return Floor(np.array([*slope, height_m - slope @ middle_m]), covariance), middle_m
 
 
-def levelled(cameras: Sequence[Camera], floor: Floor, at_m: Num[np.ndarray, " 2"]) -> tuple[list[Camera], float, float]:
+def align_to_floor(
+    cameras: Sequence[Camera], floor: Floor, at_m: Num[np.ndarray, " 2"]
+) -> tuple[list[Camera], float, float]:
     """The cameras in a world whose floor lies at z = 0 about ``at_m``, and by how much (degrees, metres) it was tilted
     and lifted there; (cameras, 0, 0) where that is less than it is known to, or than anybody sees. A slope or a
     height that is no refinement's moves nothing."""

@@ -20,8 +20,8 @@ from studiorecon.geometry.triangulation import Limits, Triangulated, triangulate
 from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.floor_marks import FloorMarks
 from studiorecon.rig.from_tracks import Rig, adjusted, places_of_joints
+from studiorecon.rig.moved_cameras import HALF_OF_THE_JOINTS, MovedCameras, pose_changes
 from studiorecon.rig.room_turns import RoomTurn
-from studiorecon.rig.stale import HALF_OF_THE_JOINTS, Stale, moves
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -34,13 +34,13 @@ _FLOOR_DEG = 0.2
 _PRINCIPAL_SHARE = 0.006
 _MIN_POINTS = 60
 _LENSES_KNOWN = LensPrior(0.0, 0.0)
-# How much wider the interval of the worst pair is for errors about all three axes than ``between_deg`` says.
+# How much wider the interval of the worst pair is for errors about all three axes than ``rotation_interval_deg`` says.
 ABOUT_ALL_AXES = 3.4 / 3.0
 # Fields of the floor that err together: a carpet's border, the edge of a platform.
 _FIELD_M = 0.5
 
 
-def sigma_of(
+def pose_sigmas(
     rig: Rig,
     result: Adjusted,
     lens: LensPrior,
@@ -88,9 +88,9 @@ def sigma_of(
     return turn, place, np.minimum(focal, lens.log_focal)
 
 
-def people_tell(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[float, float] | None:
+def rotation_observability(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[float, float] | None:
     """What people alone, with calibrated lenses, tell of how any two of calibrated cameras are turned to one another:
-    by how many degrees they would turn two of them, and half of the 95 % interval of that (``between_deg``).
+    by how many degrees they would turn two of them, and half of the 95 % interval of that (``rotation_interval_deg``).
 
     A calibration fits people while it is off by as much as the sum: one man on one spot allows degrees. None where
     there is too little. Of cameras that see nobody people tell nothing.
@@ -104,19 +104,19 @@ def people_tell(cameras: Sequence[Camera], seen: Observations, limits: Limits) -
     if int(counted.sum()) < _MIN_POINTS:
         return None
     result, _ = adjusted(rig, _LENSES_KNOWN, limits)
-    turn_deg, _, _ = sigma_of(rig, result, _LENSES_KNOWN, limits, principal_share=0.0)
+    turn_deg, _, _ = pose_sigmas(rig, result, _LENSES_KNOWN, limits, principal_share=0.0)
     pairs = [(a, b) for a in range(len(cameras)) for b in range(a)]
     ours, given = ([c.camera_from_world[:3, :3] for c in group] for group in (result.cameras, cameras))
     turned = [angle(ours[a] @ ours[b].T, given[a] @ given[b].T) for a, b in pairs]
-    return float(np.degrees(np.max(turned))), between_deg(turn_deg)
+    return float(np.degrees(np.max(turned))), rotation_interval_deg(turn_deg)
 
 
-def stale_between_deg(found: Stale, limits: Limits) -> float:
-    """``between_deg`` of cameras that were put right, for errors about all three axes: of what their fit says, and
-    where no room joined the people, of what halves of the people disagree by."""
-    found_deg = between_deg(np.array(list(found.report["sigma_deg"].values())))
+def moved_rotation_interval_deg(found: MovedCameras, limits: Limits) -> float:
+    """``rotation_interval_deg`` of cameras that were put right, for errors about all three axes: of what their fit
+    says, and where no room joined the people, of what halves of the people disagree by."""
+    found_deg = rotation_interval_deg(np.array(list(found.report["sigma_deg"].values())))
     if not found.report.get("room", {}).get("explained"):
-        told = people_tell(found.cameras, found.seen, limits)
+        told = rotation_observability(found.cameras, found.seen, limits)
         found_deg = max(found_deg, 0.0 if told is None else told[1])
     return ABOUT_ALL_AXES * found_deg
 
@@ -149,7 +149,7 @@ def _off_by(
     off = []
     for rig, marks in parts:
         part, _ = adjusted(rig, lens, limits, known_px, turns, marks)
-        degrees, metres = moves(without_drift(part.cameras, result.cameras)[0], result.cameras)
+        degrees, metres = pose_changes(without_drift(part.cameras, result.cameras)[0], result.cameras)
         focal = [np.log(a.focal_px[0] / b.focal_px[0]) for a, b in zip(part.cameras, result.cameras)]
         # A turn has three numbers and so has a place: per number, as the formal ones are.
         off.append([degrees / np.sqrt(3), metres / np.sqrt(3), focal])
@@ -169,9 +169,9 @@ def _part(rig: Rig, chosen: np.ndarray) -> Rig:
     return Rig(rig.cameras, rig.seen.of(chosen), some, rig.support)
 
 
-def between_deg(turn_deg: Num[np.ndarray, " V"]) -> float:
-    """95 % interval (half width, degrees) of the rotation between the two least certain of cameras with ``sigma_of``'s
-    turns, which the worst of all pairs of them keeps.
+def rotation_interval_deg(turn_deg: Num[np.ndarray, " V"]) -> float:
+    """95 % interval (half width, degrees) of the rotation between the two least certain of cameras with
+    ``pose_sigmas``'s turns, which the worst of all pairs of them keeps.
 
     3 standard deviations: of six pairs, between 2.6 for errors about one axis and 3.4 for such about all three.
     """

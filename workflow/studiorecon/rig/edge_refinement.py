@@ -17,12 +17,12 @@ import numpy as np
 from studiorecon.geometry.bundle import BundleSettings, without_drift
 from studiorecon.geometry.rotations import angle
 from studiorecon.geometry.triangulation import Limits
-from studiorecon.rig.by_the_room import by_the_room, turns_of
-from studiorecon.rig.certainty import ABOUT_ALL_AXES, between_deg
 from studiorecon.rig.correspondences import Observations
+from studiorecon.rig.moved_cameras import FREE_DEG, FREE_M
+from studiorecon.rig.pose_uncertainty import ABOUT_ALL_AXES, rotation_interval_deg
 from studiorecon.rig.room_picture import RoomPicture
+from studiorecon.rig.room_refinement import edge_rotations, refine_on_room
 from studiorecon.rig.room_turns import RoomTurn
-from studiorecon.rig.stale import FREE_DEG, FREE_M
 from studiorecon.scene.camera import Camera
 
 # Edges that two cameras share contradict how these are turned past so many of their standard deviations, and degrees.
@@ -32,7 +32,7 @@ _PEOPLE_COST = 1.05
 
 
 @dataclass(frozen=True)
-class Contradiction:
+class EdgeContradiction:
     """The two cameras whose edges contradict most how they are turned to one another: by how many degrees, and how many
     of the edges' own standard deviations that is."""
 
@@ -46,7 +46,7 @@ class Contradiction:
         return self.sigmas >= _CALLED_SIGMAS and self.off_deg >= _CALLED_DEG
 
 
-def contradiction(cameras: Sequence[Camera], turns: Mapping[int, RoomTurn]) -> Contradiction | None:
+def edge_contradiction(cameras: Sequence[Camera], turns: Mapping[int, RoomTurn]) -> EdgeContradiction | None:
     """Where the edges contradict ``cameras`` most; None where fewer than two cameras' edges tell."""
     found = []
     for a, b in combinations(sorted(turns), 2):
@@ -54,12 +54,12 @@ def contradiction(cameras: Sequence[Camera], turns: Mapping[int, RoomTurn]) -> C
         given = cameras[a].camera_from_world[:3, :3] @ cameras[b].camera_from_world[:3, :3].T
         off = float(np.degrees(angle(by_edges, given)))
         sigmas = off / float(np.hypot(turns[a].sigma_deg, turns[b].sigma_deg))
-        found.append(Contradiction((cameras[a].name, cameras[b].name), off, sigmas))
+        found.append(EdgeContradiction((cameras[a].name, cameras[b].name), off, sigmas))
     return max(found, key=lambda one: one.sigmas, default=None)
 
 
 @dataclass(frozen=True)
-class PutRight:
+class EdgeRefinement:
     """Cameras that the edges and people call for together.
 
     Attributes:
@@ -77,22 +77,22 @@ class PutRight:
     believed: bool
 
 
-def put_right(
+def refine_on_edges(
     given: Sequence[Camera],
     adjusted: Sequence[Camera],
     seen: Observations,
     rooms: Sequence[RoomPicture | None],
     limits: Limits,
     bundle: BundleSettings,
-) -> PutRight | None:
+) -> EdgeRefinement | None:
     """``adjusted`` cameras moved to where the edges in ``rooms`` and people call for, about the ``given`` ones; None
     where the room shows nothing."""
     free = replace(bundle, prior_deg=FREE_DEG, prior_m=FREE_M)
-    found = by_the_room(adjusted, given, seen, rooms, limits, free, people_cost=_PEOPLE_COST)
+    found = refine_on_room(adjusted, given, seen, rooms, limits, free, people_cost=_PEOPLE_COST)
     if found is None:
         return None
     cameras = without_drift(found.cameras, given)[0]
-    after = contradiction(cameras, turns_of(cameras, rooms))
-    known_deg = ABOUT_ALL_AXES * between_deg(np.degrees(found.adjusted.sigma[:, :3]).max(1))
+    after = edge_contradiction(cameras, edge_rotations(cameras, rooms))
+    known_deg = ABOUT_ALL_AXES * rotation_interval_deg(np.degrees(found.adjusted.sigma[:, :3]).max(1))
     px = found.report["people_px_before"], found.report["people_px_after"]
-    return PutRight(cameras, 0.0 if after is None else after.off_deg, known_deg, px, found.explained)
+    return EdgeRefinement(cameras, 0.0 if after is None else after.off_deg, known_deg, px, found.explained)

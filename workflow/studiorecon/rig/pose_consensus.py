@@ -18,8 +18,8 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.geometry.bundle import without_drift
 from studiorecon.geometry.rotations import angle
 from studiorecon.geometry.triangulation import Limits
-from studiorecon.rig.from_tracks import Rig, Sightings, rigs, sightings
-from studiorecon.rig.stale import moves
+from studiorecon.rig.from_tracks import Rig, Sightings, propose_rigs, sightings
+from studiorecon.rig.moved_cameras import pose_changes
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -36,7 +36,7 @@ _SAME_DEG = 5.0
 
 
 @dataclass(frozen=True)
-class Arrangement:
+class PoseConsensus:
     """The cameras that people place.
 
     Attributes:
@@ -54,7 +54,7 @@ class Arrangement:
     rival: Rig | None
 
 
-def arranged(
+def find_pose_consensus(
     detections: Sequence[Detections],
     wh: Sequence[tuple[int, int]],
     known_px: Mapping[str, float],
@@ -64,7 +64,7 @@ def arranged(
     gate_m: float,
     limits: Limits,
     rival_share: float,
-) -> Arrangement | None:
+) -> PoseConsensus | None:
     """The best arrangement of all cameras, or of as many as people place; None where they do not even place two.
 
     ``known_px``: camera → focal length, where it is known. At most ``looked_at`` of ``frames`` are looked at, spread
@@ -82,7 +82,7 @@ def arranged(
 
     def look(at: Sightings, hfov_deg: float, wider: float, known: Sequence[Rig] = ()) -> list[Rig]:
         start = _started(known, names, wh, known_px, hfov_deg)
-        return _better(best, rigs(at, start, template_m, gate_m, _widened(limits, wider)))
+        return _better(best, propose_rigs(at, start, template_m, gate_m, _widened(limits, wider)))
 
     for wider, hfov_deg in itertools.product(_WIDER, guesses):
         if best and (wider > _WIDER[0] or len(best[0].cameras) == len(names)):
@@ -101,7 +101,7 @@ def arranged(
         found = look(again, guesses[0], _WIDER[-1], best)
         best, seen = (found, again) if found[0] is not best[0] else (best, seen)
     placed = sorted(best[0].cameras)
-    return Arrangement(
+    return PoseConsensus(
         placed,
         _of(best[0], placed),
         Sightings([detections[v] for v in placed], seen.frames, tuple(seen.pixels[v] for v in placed)),
@@ -110,10 +110,10 @@ def arranged(
     )
 
 
-def apart(rival: Rig, cameras: Sequence[Camera]) -> tuple[Num[np.ndarray, " V"], Num[np.ndarray, " V"]]:
+def pose_distance(rival: Rig, cameras: Sequence[Camera]) -> tuple[Num[np.ndarray, " V"], Num[np.ndarray, " V"]]:
     """Degrees and metres by which ``cameras`` differ from those of another arrangement that is laid on them."""
     laid = without_drift([rival.cameras[v] for v in sorted(rival.cameras)], cameras)[0]
-    return moves(laid, cameras)
+    return pose_changes(laid, cameras)
 
 
 def _spread(frames: np.ndarray, wanted: int) -> np.ndarray:
