@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.pages.ending import read_warnings
-from studiorecon.report.page import learned
 from studiorecon.report.sections import appendix, comparison_slider, timeline
 from studiorecon.report.sections import tables as sections
 from studiorecon.report.sections.judgement import judgement
@@ -296,11 +295,6 @@ def test_a_budget_is_told_beside_what_its_jobs_took() -> None:
     assert "predicted to take 3 min 20 s of processor time and took 6 min 01 s." in told
     assert "The defaults would take 5 min for 0.9 dB more." in told
     assert "budget" not in sections.reached({"pictures": {}}, spent, {})
-
-
-def test_the_next_prediction_learns_from_stages_that_were_predicted_and_took_something() -> None:
-    spent = {"stages": {name: {"cpu_seconds": s} for name, s in (("studio", 50.0), ("depth", 90.0), ("clocks", None))}}
-    assert learned({"depth": 60.0, "clocks": 1.0, "views": 9.0}, spent) == {"listed_s": 60.0, "spent_s": 90.0}
 
 
 def test_warnings_are_told_once_with_their_step(tmp_path: Path) -> None:

@@ -4,17 +4,14 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from studiorecon.plan.schedule import WAITS_FOR
 
 from tests.workflow.conftest import House, make_house
 
@@ -140,26 +137,6 @@ def test_a_person_whose_training_fails_is_retried_alone_and_no_stale_film_counts
     house.snakemake("--cores", "2", "--until", "enhance_shot", *overlay)
     left = set(house.plan(*overlay))
     assert left == AFTER_HUMANS - {"render_shot", "enhance_shot"}, "what the films need is finished too"
-
-
-def test_a_budget_knows_what_waits_for_what(finished: House) -> None:
-    graph = finished.snakemake("--rulegraph", "--cores", "2").stdout
-    names = dict(re.findall(r'(\d+)\[label = "(\w+)"', graph))
-    needs: dict[str, set[str]] = {rule: set() for rule in names.values()}
-    for needed, by in re.findall(r"(\d+) -> (\d+)", graph):
-        needs[names[by]].add(names[needed])
-    assert len(set(WAITS_FOR) & set(needs)) > 20
-    for rule in set(WAITS_FOR) & set(needs):
-        real, said = (everything(rule, of) & set(WAITS_FOR) & set(needs) for of in (needs, WAITS_FOR))
-        assert real <= said, f"{rule} waits for more"
-        # A checkpoint decides which jobs there are; here no furniture is looked for, in which nobody may stand.
-        direct = (set(WAITS_FOR[rule]) & set(needs)) - {"survey_decide", "people_associate"}
-        assert direct - real <= ({"people_fit"} if rule == "depth_room" else set()), f"{rule} waits for less"
-
-
-def everything(rule: str, needs: Mapping[str, Collection[str]]) -> set[str]:
-    """All that a rule needs, and what that needs."""
-    return set(needs[rule]).union(*(everything(other, needs) for other in needs[rule]))
 
 
 def test_a_killed_run_is_resumed(finished: House, tmp_path: Path) -> None:

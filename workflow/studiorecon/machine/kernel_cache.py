@@ -28,11 +28,6 @@ def folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "studiorecon" / "kernels"
 
 
-def compiled_since(moment_s: float) -> bool:
-    """Whether numba has compiled a kernel since then (seconds of the epoch)."""
-    return any(path.stat().st_mtime >= moment_s for path in folder().rglob("*.nbc"))
-
-
 class ByContent:
     """Place and freshness of one compiled function, as numba asks for them."""
 

@@ -11,13 +11,11 @@ data; they read both as ``PLAN`` and ``files`` (``workflow/rules/common.smk``). 
 * ``networks``: the upstream networks that are asked for, their images and GPUs;
 * ``decisions``: the ``Plan`` that these make up; ``refusals``, ``dates``: what cannot be run; ``make``: all of
   it together;
-* ``budget``: the preset that ``budget_min`` buys, by ``workload`` (how much is asked of every rule, for the people of
-  ``headcount``, where ``foreseen`` gaps get new views), ``prices`` and ``schedule`` (how long jobs take side by
-  side);
+* ``budget``: the preset that ``budget_min`` buys, by ``workload`` (what is asked of every rule) and ``prices``;
 * ``command``: the shell line of a rule, from the signature of its step;
 * ``told``: which settings a step is told, with what ``survey.force`` decides;
 * ``brought``, ``rule_files``: the files that rules take where these hang on the plan, on who was found or on the
   survey; ``left_lock``: whether a run that was killed left its lock.
 
-Decodes no pictures, but where a budget has people counted, and compiles nothing: Snakemake reads it at every start.
+Decodes no pictures and compiles nothing: Snakemake reads it at every start.
 """

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -20,11 +20,10 @@ from studiorecon.configuration.schema import part_of
 from studiorecon.errors import UserError
 from studiorecon.home import PRESETS
 from studiorecon.plan.decisions import Plan
-from studiorecon.plan.foreseen import called_for, foreseen
 from studiorecon.plan.prices import Point, Predicted, PriceList, pace_here, predict, read_prices, spent
-from studiorecon.plan.workload import Footage, footage_of, workload
+from studiorecon.plan.workload import Footage, footage_of, segments_with_views, workload
 
-_RESULTS, _PACE = Path("results"), Path("timings") / "pace.json"
+_PACE = Path("timings") / "pace.json"
 
 
 @dataclass(frozen=True)
@@ -47,13 +46,11 @@ class Stated:
 
 @dataclass(frozen=True)
 class Offer:
-    """A point, how long it will take, the likeliest processor seconds in that here and, stage by stage, on the machine
-    of the list, and the configuration that it makes."""
+    """A point, how long it will take, the processor seconds in that, and the configuration that it makes."""
 
     point: Point
     predicted: Predicted
     work_s: float
-    listed_s: Mapping[str, float]
     config: Mapping[str, Any]
 
     @property
@@ -63,16 +60,16 @@ class Offer:
 
 @dataclass(frozen=True)
 class Choice:
-    """What a budget buys: the chosen offer, all of them, cheapest first, for how many people, and whether the chosen
-    one fits."""
+    """What a budget buys: the chosen offer, all of them, cheapest first, and the footage they are for."""
 
     minutes: float
-    people: int
+    footage: Footage
     chosen: Offer
     offers: tuple[Offer, ...]
 
     @property
     def fits(self) -> bool:
+        """Whether the chosen one is predicted to end in time."""
         return self.chosen.predicted.seconds <= 60 * self.minutes
 
     def sentence(self) -> str:
@@ -80,7 +77,7 @@ class Choice:
         p = self.chosen.predicted
         return (
             f"budget of {self.minutes:g} min: {self.chosen.name}, about {_minutes(p.seconds)} "
-            f"({_minutes(p.low_s)} to {_minutes(p.high_s)}) with {_people(self.people)}; {self.more()}"
+            f"({_minutes(p.low_s)} to {_minutes(p.high_s)}) with {_people(self.footage)}; {self.more()}"
         )
 
     def more(self) -> str:
@@ -107,7 +104,6 @@ class Choice:
             "low_s": round(p.low_s),
             "high_s": round(p.high_s),
             "work_s": round(self.chosen.work_s),
-            "listed_s": {stage: round(seconds, 1) for stage, seconds in self.chosen.listed_s.items()},
             "more": self.more(),
         }
 
@@ -115,8 +111,8 @@ class Choice:
 def bought(
     config: Mapping[str, Any], said: Mapping[str, Any], schema: Mapping[str, Any], plan: Plan, cores: int
 ) -> Choice:
-    """What ``budget_min`` buys on this machine, whose pace is told by runs that a budget chose before, or probed once
-    and kept in ``timings/pace.json``; raises UserError where footage cannot be read.
+    """What ``budget_min`` buys on this machine, whose pace is probed once and kept in ``timings/pace.json``; raises
+    UserError where footage cannot be read.
 
     ``said`` is what command line and configuration files hold, ``schema`` the configuration's.
     """
@@ -127,9 +123,8 @@ def bought(
         )
     prices = read_prices()
     footage = footage_of(plan, config["capture"]["picture_fps"])
-    minutes = config["budget_min"]
-    pace = pace_here(prices, _PACE, f"{plan.scene} {minutes:g}", sorted(_RESULTS.glob("*/report/cost.json")))
-    return choose(minutes, config, Stated(said, schema), footage, plan, prices, cores, pace)
+    stated = Stated(said, schema)
+    return choose(config["budget_min"], config, stated, footage, plan, prices, cores, pace_here(prices, _PACE))
 
 
 def choose(
@@ -146,21 +141,15 @@ def choose(
     offers = []
     for point in prices.points:
         made = laid_over(config, stated, preset(point.preset))
-        gaps, (surely, possibly) = foreseen(plan, made), called_for(plan)
-        ends = zip(footage.counts, (gaps.fewest, gaps.likely, gaps.most), (surely, surely, possibly))
-        least, likely, most = (workload(replace(footage, people=people), made, n, rules) for people, n, rules in ends)
-        listed_s: dict[str, float] = {}
-        for rule, seconds in spent(likely, prices).items():
-            stage = rule.partition("_")[0]
-            listed_s[stage] = listed_s.get(stage, 0.0) + seconds
-        took = predict(likely, prices, cores, pace, least, most)
-        offers.append(Offer(point, took, sum(listed_s.values()) / pace, listed_s, made))
+        work = workload(footage, made, segments_with_views(plan, made), plan.forced)
+        work_s = sum(spent(work, prices).values()) / pace
+        offers.append(Offer(point, predict(work, prices, cores, pace), work_s, made))
     offers.sort(key=lambda offer: offer.predicted.seconds)
     fitting = [offer for offer in offers if offer.predicted.seconds <= 60 * minutes]
     defaults = next(offer.point for offer in offers if not offer.point.preset)
     # Of equal scores the quicker.
     ranked = [(gain_db(offer.point, defaults), -offer.predicted.seconds, k) for k, offer in enumerate(fitting)]
-    return Choice(minutes, footage.people, fitting[max(ranked)[2]] if ranked else offers[0], tuple(offers))
+    return Choice(minutes, footage, fitting[max(ranked)[2]] if ranked else offers[0], tuple(offers))
 
 
 def gain_db(point: Point, over: Point) -> float:
@@ -186,8 +175,10 @@ def laid_over(config: Mapping[str, Any], stated: Stated, over: Mapping[str, Any]
     return made
 
 
-def _people(count: int) -> str:
-    return "one person" if count == 1 else f"{count or 'no'} people"
+def _people(footage: Footage) -> str:
+    if not footage.counted:
+        return f"{footage.people} people assumed"
+    return "one person" if footage.people == 1 else f"{footage.people or 'no'} people"
 
 
 def _minutes(seconds: float) -> str:

@@ -5,20 +5,17 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from studiorecon.home import RESOURCES
-from studiorecon.plan.schedule import finished_s
 from studiorecon.plan.workload import Work
 from studiorecon.scene.files import read_json, write_json
 
 PRICES = RESOURCES / "prices.json"
-_ROUNDS, _SIZE = 5, 400_000
 
 
 @dataclass(frozen=True)
@@ -48,8 +45,9 @@ class PriceList:
     Attributes:
         probe_s: what ``probe_s()`` said on that machine.
         start_s: seconds that the workflow takes by itself, before, between and after jobs.
-        stretch: seconds that a job takes beside others for each of its processor seconds.
-        spread: (low, high) measured over predicted time on the runs it was made from, at the ends.
+        stretch: seconds of a run for each second that its rules take one after the other (below 1 where rules overlap,
+            above where jobs slow each other down).
+        spread: (low, high) measured over predicted time, at the ends; it includes what is unknown before a run.
         rules: rule → price. points: the presets, cheapest first.
     """
 
@@ -73,14 +71,9 @@ class Predicted:
 def read_prices(path: Path = PRICES) -> PriceList:
     """The price list as it is bundled."""
     held = json.loads(path.read_text(encoding="utf-8"))
-    return PriceList(
-        held["probe_s"],
-        held["start_s"],
-        held["stretch"],
-        tuple(held["spread"]),
-        {rule: Price(**price) for rule, price in held["rules"].items()},
-        tuple(Point(**point) for point in held["points"]),
-    )
+    rules = {rule: Price(**price) for rule, price in held.pop("rules").items()}
+    points = tuple(Point(**point) for point in held.pop("points"))
+    return PriceList(**held | {"spread": tuple(held["spread"])}, rules=rules, points=points)
 
 
 def spent(work: Mapping[str, Work], prices: PriceList) -> dict[str, float]:
@@ -92,32 +85,20 @@ def spent(work: Mapping[str, Work], prices: PriceList) -> dict[str, float]:
     }
 
 
-def predict(
-    work: Mapping[str, Work],
-    prices: PriceList,
-    cores: int,
-    pace: float,
-    least: Mapping[str, Work] | None = None,
-    most: Mapping[str, Work] | None = None,
-) -> Predicted:
-    """How long it takes on ``cores``, each ``pace`` times as fast as those of the list, where every job waits for what
-    it needs (``schedule``); from ``least`` to ``most`` work where it is not known how much there will be."""
-    shortest, likeliest, longest = (_seconds(one, prices, cores, pace) for one in (least or work, work, most or work))
-    low, high = prices.spread
-    return Predicted(likeliest, min(shortest, likeliest) * low, max(longest, likeliest) * high)
+def predict(work: Mapping[str, Work], prices: PriceList, cores: int, pace: float) -> Predicted:
+    """How long it takes on ``cores``, each ``pace`` times as fast as those of the list: rule after rule, the jobs of
+    each side by side."""
+    one_by_one_s = sum(taken_s / min(cores, work[rule].jobs) for rule, taken_s in spent(work, prices).items())
+    seconds = prices.start_s + prices.stretch * one_by_one_s / pace
+    return Predicted(seconds, seconds * prices.spread[0], seconds * prices.spread[1])
 
 
-def _seconds(work: Mapping[str, Work], prices: PriceList, cores: int, pace: float) -> float:
-    jobs_s = {rule: [took_s / work[rule].jobs] * work[rule].jobs for rule, took_s in spent(work, prices).items()}
-    return prices.start_s + prices.stretch * finished_s(jobs_s, cores) / pace
-
-
-def probe_s() -> float:
+def probe_s(rounds: int = 5, size: int = 400_000) -> float:
     """Seconds of one fixed piece of work like the workflow's own, the best of a few: sorting, looking up, adding up."""
     rng = np.random.default_rng(0)
-    values, places = rng.random(_SIZE), rng.integers(0, _SIZE, _SIZE)
+    values, places = rng.random(size), rng.integers(0, size, size)
     took = []
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         begin = time.perf_counter()
         for _ in range(4):
             order = np.argsort(values[places], kind="stable")
@@ -127,21 +108,9 @@ def probe_s() -> float:
     return min(took)
 
 
-def pace_here(prices: PriceList, remembered: Path, run: str, finished: Sequence[Path] = ()) -> float:
-    """How much faster this machine is than the list's, told by runs that a budget chose here before, or else by the
-    probe; remembered for ``run``, so that a run planned again is planned alike.
-
-    ``finished`` are the costs of runs (``report/cost.json``), in which stand the processor seconds that were predicted
-    for the machine of the list and those that their jobs took here.
-    """
-    held: dict[str, Any] = read_json(remembered) if remembered.is_file() else {}
-    if run in held.get("runs", {}):
-        return held["runs"][run]
-    told = [entry for path in finished if (entry := read_json(path).get("budget")) and entry["spent_s"]]
-    if told:
-        pace = sum(entry["listed_s"] for entry in told) / sum(entry["spent_s"] for entry in told)
-    else:
-        held["probe_s"] = held.get("probe_s") or probe_s()
-        pace = prices.probe_s / held["probe_s"]
-    write_json(remembered, held | {"runs": held.get("runs", {}) | {run: pace}})
-    return pace
+def pace_here(prices: PriceList, remembered: Path) -> float:
+    """How much faster this machine is than the list's, probed once and kept in the file ``remembered``, so that a run
+    planned again is planned alike."""
+    if not remembered.is_file():
+        write_json(remembered, {"probe_s": probe_s()})
+    return prices.probe_s / read_json(remembered)["probe_s"]

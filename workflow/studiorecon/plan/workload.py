@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much there is to do: what footage and settings ask of every rule, before anything runs.
+"""How much work a run is, from its footage and settings, before anything runs.
 
 Every rule has one unit of work, in which its time is nearly a straight line: frames, pixels, steps. ``prices`` says
 what a unit costs.
@@ -7,34 +7,38 @@ what a unit costs.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from studiorecon.footage.source import open_source
+import numpy as np
+
+from studiorecon.footage.source import FootageSource, open_source
+from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.plan.decisions import Plan
-from studiorecon.plan.foreseen import JOBS
-from studiorecon.plan.headcount import people_seen
 from studiorecon.render.kinds import film
+from studiorecon.scene.effects import COVERED_DEG
 from studiorecon.studio.description import read_description
 
-# By so many a count from a few pictures was off in nine captures.
-_MISCOUNTED = 1
 _MEGA = 1e6
+ASSUMED_PEOPLE = 2
+"""People where no keypoints say how many: most captures have one to three."""
 # Share of the photos' pixels that no other photo shows finer, in the demo.
 _OWN = 0.65
-# Gaussians where nobody sees, in the demo's room of 60 m² at this step.
-_UNSEEN, _UNSEEN_STEP_M = 36_000, 0.04
+# Gaussians where nobody sees, per square of ``fill_step_m``'s side in m², in the demo's room of 60 m².
+_UNSEEN_M2 = 58.0
 # What the defaults of depth's catalogue of planes stand for.
 _PLANE_STEPS_M = (0.04, 0.06)
+ON_DEMAND = {"objects_find": "dynamic_objects", "render_light": "moving_shadows", "render_shade": "moving_shadows"}
+"""Rule → the effect that calls for it; counted only where ``survey.force`` says so."""
 
 
 @dataclass(frozen=True)
 class Footage:
     """What was filmed: cameras that train, cameras held out, those in which the detector looks for people, frames that
-    are used, picture size in pixels, people, between how many that is, and whether it is a made studio, which a run
-    films first; that counts where it is done, too: a run planned again is planned alike."""
+    are used, picture size in pixels, people, whether their number is known, and whether it is a made studio, which a
+    run films first."""
 
     training: int
     held_out: int
@@ -42,13 +46,8 @@ class Footage:
     frames: int
     wh: tuple[int, int]
     people: int
-    people_between: tuple[int, int]
+    counted: bool = True
     made: bool = False
-
-    @property
-    def counts(self) -> tuple[int, int, int]:
-        """The fewest, the likeliest and the most people."""
-        return self.people_between[0], self.people, self.people_between[1]
 
 
 @dataclass(frozen=True)
@@ -60,13 +59,15 @@ class Work:
 
 
 def footage_of(plan: Plan, picture_fps: float) -> Footage:
-    """The footage of a plan, from its files, of which a few pictures are decoded to count people; raises UserError
-    where one cannot be read."""
+    """The footage of a plan, from its files; raises UserError where one cannot be read.
+
+    Recorded keypoints say how many people there are: as many as two cameras see in the median frame.
+    """
     count = plan.dataset.frame_count
     cameras = (len(plan.training), len(plan.held_out), len(set(plan.sight.detected) & set(plan.training)))
     if plan.studio:
         described = read_description(Path(plan.description))
-        return Footage(*cameras, described.frames, described.size, described.people, (described.people,) * 2, True)
+        return Footage(*cameras, described.frames, described.size, described.people, made=True)
     first = plan.dataset.first_frame
     sources = {camera: open_source(path, picture_fps) for camera, path in plan.dataset.footage.items()}
     lengths = [
@@ -78,18 +79,36 @@ def footage_of(plan: Plan, picture_fps: float) -> Footage:
     frames = max(min([*lengths, *([count] if count else [])]), 1)
     widest = max((source.wh for source in sources.values()), key=max)
     if not plan.people:
-        return Footage(*cameras, frames, widest, 0, (0, 0))
-    trained = {camera: sources[camera] for camera in plan.training}
-    people = max(people_seen(trained, plan.dataset.keypoints, first, frames), 1)
-    return Footage(*cameras, frames, widest, people, (max(people - _MISCOUNTED, 1), people + _MISCOUNTED))
+        return Footage(*cameras, frames, widest, 0)
+    recorded = [_people_in(plan.dataset.keypoints[c], sources[c]) for c in plan.training if c in plan.dataset.keypoints]
+    people = max(sorted(recorded)[-2:][0], 1) if recorded else ASSUMED_PEOPLE
+    return Footage(*cameras, frames, widest, people, counted=bool(recorded))
+
+
+def _people_in(keypoints: Path, source: FootageSource) -> int:
+    """How many people the keypoint files of one camera show in the median frame with any."""
+    _, per_frame = np.unique(read_keypoints(keypoints, source.wh).frame, return_counts=True)
+    return int(np.median(per_frame)) if len(per_frame) else 0
+
+
+def segments_with_views(plan: Plan, config: Mapping[str, Any]) -> int:
+    """How many gaps between cameras probably get new views: what ``survey.force`` says, else all of them where cameras
+    stand further apart than the survey accepts.
+
+    What the scene's own run decides meanwhile does not count: a run planned again is planned alike.
+    """
+    if not config["background"]["views_share"]:
+        return 0
+    apart = 360.0 / max(len(plan.training), 1) > COVERED_DEG
+    every = max(len(plan.segments) - (plan.forced.get("closed_path") == "off"), 0)
+    return every if plan.forced.get("view_synthesis", "on" if apart else "off") == "on" else 0
 
 
 def workload(
-    footage: Footage, config: Mapping[str, Any], gaps: int, called_for: Collection[str] = ()
+    footage: Footage, config: Mapping[str, Any], segments: int, forced: Mapping[str, str] | None = None
 ) -> dict[str, Work]:
-    """Rule → its work where ``gaps`` between cameras get new views and of the rules that the survey may call for
-    (``foreseen.JOBS``) those of ``called_for`` run, in jobs and in units of its own; megapixels are of all pictures
-    that a job goes through."""
+    """Rule → its jobs and the units of each, where ``segments`` between cameras get new views and the effects
+    ``forced`` "on" call for their rules; megapixels are of all pictures that a job goes through."""
     width, height = _working(footage.wh, config["capture"]["width"])
     training, frames, people = footage.training, footage.frames, footage.people
     everyone = training + footage.held_out
@@ -128,7 +147,7 @@ def workload(
         "survey_decide": Work(1, training * frames * picture_mpx),
         "objects_find": Work(int(people > 0), training * frames * picture_mpx),
         "masks_segment": Work(training if people else 0, frames * picture_mpx),
-        "views_synthesize": Work(gaps, views["views_per_segment"] * picture_mpx),
+        "views_synthesize": Work(segments, views["views_per_segment"] * picture_mpx),
         "background_train": Work(1, room["training"]["iterations"] * (gaussians + picture_mpx / 10)),
         "humans_train": Work(people, human["iterations"] * picture_mpx * (1 + human["gaussians"] / 1e4)),
         "render_light": Work(int(people > 0), training * frames * picture_mpx),
@@ -143,8 +162,8 @@ def workload(
         "deliver_export": Work(1, seeds),
         "report_page": Work(1, drawn * picture_mpx),
     }
-    open_ = {rule for rules in JOBS.values() for rule in rules}.difference(called_for)
-    return {rule: asked for rule, asked in work.items() if asked.jobs and rule not in open_}
+    wanted = {rule: (forced or {}).get(effect) == "on" for rule, effect in ON_DEMAND.items()}
+    return {rule: asked for rule, asked in work.items() if asked.jobs and wanted.get(rule, True)}
 
 
 def _working(wh: tuple[int, int], longer_side: int) -> tuple[int, int]:
@@ -162,7 +181,7 @@ def _gaussians(room: Mapping[str, Any], seeds: float) -> float:
     cap = room["training"]["cap"] / _MEGA or float("inf")
     if room["training"]["densify"] != "none" and cap < float("inf"):
         return cap
-    unseen = min(_UNSEEN * (_UNSEEN_STEP_M / room["fill_step_m"]) ** 2, room["fill_limit"]) if room["fill"] else 0.0
+    unseen = min(_UNSEEN_M2 / room["fill_step_m"] ** 2, room["fill_limit"]) if room["fill"] else 0.0
     return min(seeds + unseen / _MEGA, cap)
 
 

@@ -19,7 +19,6 @@ from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import read_frame
-from studiorecon.machine.kernel_cache import compiled_since
 from studiorecon.pages import html
 from studiorecon.pages.ending import read_warnings
 from studiorecon.progress import say, warn
@@ -153,27 +152,14 @@ def truth_pictures(
     return rows
 
 
-def learned(listed_s: Mapping[str, float], spent: Mapping[str, Any]) -> dict[str, float]:
-    """Processor seconds of this run in the stages that a budget's prediction knows, as predicted for the machine of the
-    price list and as ``spent`` (``cost``) has them: what the next prediction's pace is told by."""
-    taken_s = {stage: entry["cpu_seconds"] for stage, entry in spent["stages"].items() if entry["cpu_seconds"]}
-    both = sorted(set(listed_s) & set(taken_s))
-    return {"listed_s": sum(listed_s[stage] for stage in both), "spent_s": sum(taken_s[stage] for stage in both)}
-
-
-def spent_on(benchmarks: Path, budget: Mapping[str, Any]) -> dict[str, Any]:
-    """What the run cost, on which machine, and what a later prediction learns of it."""
+def spent_on(benchmarks: Path) -> dict[str, Any]:
+    """What the run cost, and on which machine."""
     spent = cost(benchmarks)
     spent["machine"] = {
         "system": platform.system(),
         "processor": platform.machine(),
         "python": platform.python_version(),
     }
-    if budget:
-        # Kernels are compiled once: a run that had to is no guide to the next one.
-        began_s = min((path.stat().st_mtime for path in benchmarks.rglob("*.tsv")), default=0.0)
-        if not compiled_since(began_s):
-            spent["budget"] = learned(budget["listed_s"], spent)
     return spent
 
 
@@ -263,7 +249,7 @@ def run(
     """Write the page; lists of optional files may be empty, and the page then says what is missing. The other files
     that it shows bear the names of ``results/<scene>``."""
     capture, measured, chosen = read_manifest(manifest), read_json(metrics), json.loads(budget)
-    spent = spent_on(benchmarks, chosen)
+    spent = spent_on(benchmarks)
     write_json(costs, spent)
     names = tuple(camera.name for camera in read_model(model.parent)), tuple(f.camera for f in capture.held_out)
     made = Made(manifest.parents[1], *names, tuple(film.stem for film in films))
