@@ -35,6 +35,7 @@ from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.views import synthesize
 
 from tests.defaults import loaded
+from tests.made.steps import call
 
 RESULTS = Path(__file__).parent / "results" / "background.json"
 FOUR_PHOTOS = {"views_share": 0.0, "fill": False}
@@ -147,8 +148,13 @@ def main() -> None:
                 training = {**changes.get("training", {}), "checkpoint_every_s": 0.0}
                 settings = loaded(train.Settings, **{**changes, "training": training, "seed": seed})
                 made = Path(place) / "scene.ply"
-                train.run(
-                    settings, **given, background=made, provenance=Path(place) / "provenance.npz", working=Path(place)
+                call(
+                    train.run,
+                    settings,
+                    **given,
+                    background=made,
+                    provenance=Path(place) / "provenance.npz",
+                    working=Path(place),
                 )
                 gaussians = read_ply(made)
                 runs.append(

@@ -21,6 +21,7 @@ from studiorecon.scene.path import read_path, write_path
 from studiorecon.splatting.cpu.rasterise import Rasteriser
 
 from tests.made.background import cameras, capture, look, run, settings  # noqa: F401
+from tests.made.steps import call
 
 VIEWS = 6
 
@@ -51,7 +52,7 @@ def halved(
     capture = capture | {"views": [], "supports": []}
     out = {"half": "half.ply", "provenance": "half.npz", "renders": "half.mkv", "renders_path": "half.json"}
     files = {name: tmp_path / file for name, file in out.items()}
-    half.run(own, **capture, **files, working=tmp_path / "working")
+    call(half.run, own, **capture, **files, working=tmp_path / "working")
     painter = Painter()
     monkeypatch.setattr(refined, "load", lambda *_, **__: painter)
     refined.run(
@@ -150,4 +151,4 @@ def test_without_views_there_is_no_half(
 ) -> None:
     files = {name: tmp_path / name for name in ("half", "provenance", "renders", "renders_path")}
     with pytest.raises(UserError, match="nothing is looked at half-way"):
-        half.run(settings(), **capture, **files, working=tmp_path)
+        call(half.run, settings(), **capture, **files, working=tmp_path)

@@ -23,6 +23,7 @@ from studiorecon.footage.video import write_lossless
 
 from tests.made.delivered import options
 from tests.made.scene import FPS, FRAMES, render_options, write_scene
+from tests.made.steps import call
 
 SCRIPT = Path(__file__).resolve().parents[2] / "resources/blender.py"
 LOOK = """
@@ -55,7 +56,7 @@ def test_blender_opens_the_scene_as_it_is(tmp_path: Path, root: Path) -> None:
     names = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
     render = render_options(tmp_path, "orbit", 2)
     given = {name: render[name] for name in names}
-    scene_glb.run("made", **given, objects=[], glb=folder / "scene.glb")
+    call(scene_glb.run, **given, objects=[], glb=folder / "scene.glb")
     cameras = read_model(chosen["model"].parent)
     for camera in cameras:
         frames = [np.zeros((camera.hw[0], camera.hw[1], 3), np.uint8)] * FRAMES
@@ -76,7 +77,7 @@ def test_blender_opens_the_scene_as_it_is(tmp_path: Path, root: Path) -> None:
     for camera in cameras:
         assert told["pixels"][camera.name] == pytest.approx(camera.project(np.array([point_m]))[0][0], abs=0.05)
         assert told["films"][camera.name] == [FRAMES]
-    scene = read_finished("made", **given)
+    scene = call(read_finished, **given)
     heads = np.array(told["heads"])
     for person in scene.people:
         assert np.linalg.norm(heads - person.trans[frame], axis=-1).min() < 1e-3

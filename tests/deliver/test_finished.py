@@ -16,6 +16,7 @@ from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.path import PathStep, write_path
 
 from tests.made.scene import FPS, FRAMES, render_options, replace_gaussians, write_scene
+from tests.made.steps import call
 
 TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
 
@@ -29,7 +30,7 @@ def files(tmp_path: Path, root: Path) -> dict:
 
 
 def test_everything_of_the_scene_is_there(files: dict) -> None:
-    scene = read_finished("made", **files)
+    scene = call(read_finished, **files)
     assert scene.capture.frames == FRAMES
     assert [camera.name for camera in scene.cameras] == ["cam0", "cam1", "cam2", "cam3"]
     assert scene.room.count == len(scene.provenance)
@@ -41,7 +42,7 @@ def test_everything_of_the_scene_is_there(files: dict) -> None:
 def test_the_marks_of_another_room_are_refused(files: dict) -> None:
     write_npz(files["provenance"], {"provenance": np.zeros(3, np.uint8)})
     with pytest.raises(UserError, match=r"provenance\.npz .*\(3,\)"):
-        read_finished("made", **files)
+        call(read_finished, **files)
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -57,7 +58,7 @@ def test_a_gaussian_that_is_no_number_is_refused_in_one_sentence(files: dict, wh
     else:
         replace_gaussians(path, files["avatars"][1], broken)
     with pytest.raises(UserError, match=rf"{path.name} holds 1 Gaussians.*number 5"):
-        read_finished("made", **files)
+        call(read_finished, **files)
 
 
 def test_an_infinite_logit_is_an_opacity() -> None:

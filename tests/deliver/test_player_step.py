@@ -18,6 +18,7 @@ from studiorecon.scene.path import PathStep, write_path
 
 from tests.made.player import PARTS
 from tests.made.scene import FPS, FRAMES, WH, render_options, replace_gaussians, write_scene
+from tests.made.steps import call
 
 TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
 
@@ -28,7 +29,6 @@ def files(tmp_path: Path, root: Path) -> dict:
     write_path(tmp_path / "render/orbit.json", [PathStep(c, 1.0, "00") for c in cameras["held_out"]], FPS)
     given = render_options(tmp_path, "orbit")
     return {name: given[name] for name in TAKEN} | {
-        "scene": "made",
         "objects": [],
         "paths": [tmp_path / "render/orbit.json"],
         "videos": [tmp_path / f"capture/{camera.name}.mkv" for camera in cameras["training"]],
@@ -41,7 +41,7 @@ def files(tmp_path: Path, root: Path) -> dict:
 
 
 def test_a_page_and_its_poster_come_out_and_the_same_bytes_again(files: dict, capsys: pytest.CaptureFixture) -> None:
-    player.run(**files)
+    call(player.run, **files)
     told = capsys.readouterr().out
     assert "nobody throws a shadow here" in told
     assert f"1 people and 0 things over {FRAMES} frames" in told
@@ -51,7 +51,7 @@ def test_a_page_and_its_poster_come_out_and_the_same_bytes_again(files: dict, ca
     poster = cv2.imread(str(files["poster"]))
     assert poster is not None
     assert poster.shape[1] / poster.shape[0] == pytest.approx(WH[0] / WH[1], abs=0.01)
-    player.run(**files)
+    call(player.run, **files)
     assert files["page"].read_bytes() == page
 
 
@@ -59,7 +59,7 @@ def test_exposures_and_shadows_come_along(files: dict, tmp_path: Path, capsys: p
     write_factors(tmp_path / "gains.json", {"cam1": np.array([[0.8, 0.9, 1.0]])})
     at, factors = np.array([3, 5]), np.full((2, 2), 0.5)
     write_npz(tmp_path / "shade.npz", {"at": at, "times": np.array([0, FRAMES - 1]), "factors": factors})
-    player.run(**files | {"exposure": [tmp_path / "gains.json"], "shade": [tmp_path / "shade.npz"]})
+    call(player.run, **files | {"exposure": [tmp_path / "gains.json"], "shade": [tmp_path / "shade.npz"]})
     assert "throws a shadow" not in capsys.readouterr().out
     text = files["page"].read_text(encoding="utf-8")
     assert text.count('"exposure":') == 1
@@ -73,7 +73,7 @@ def test_a_gaussian_that_is_no_number_leaves_no_page(files: dict) -> None:
     sh[7, 0, 1] = np.inf
     replace_gaussians(files["gaussians"][0], files["avatars"][0], replace(own, sh=sh))
     with pytest.raises(UserError, match=r"p0\.ply holds 1 Gaussians with a value that is no number.*number 7"):
-        player.run(**files)
+        call(player.run, **files)
     assert not files["page"].exists()
 
 

@@ -33,6 +33,7 @@ from studiorecon.splatting.rigid_object import RigidObject
 
 from tests.made.browser import pixels, software_gl
 from tests.made.scene import FPS, FRAMES, render_options, write_scene
+from tests.made.steps import call
 
 TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
 _VALIDATE = """
@@ -123,7 +124,7 @@ def node(package: str) -> dict[str, str]:
 
 def options(folder: Path, people: int) -> dict:
     given = render_options(folder, "orbit", people)
-    return {name: given[name] for name in TAKEN} | {"scene": "made", "objects": [], "glb": folder / "deliver/scene.glb"}
+    return {name: given[name] for name in TAKEN} | {"objects": [], "glb": folder / "deliver/scene.glb"}
 
 
 def y_up(points: np.ndarray) -> np.ndarray:
@@ -138,9 +139,9 @@ def test_the_room_is_stored_as_the_extension_says(tmp_path: Path, root: Path) ->
     rng = np.random.default_rng(1)
     own = replace(own, quaternions=3 * rng.normal(size=(own.count, 4)), sh=rng.normal(size=(own.count, 9, 3)))
     write_ply(given["background"], own)
-    scene_glb.run(**given)
+    call(scene_glb.run, **given)
     written = given["glb"].read_bytes()
-    scene_glb.run(**given)
+    call(scene_glb.run, **given)
     assert given["glb"].read_bytes() == written, "the same scene, the same bytes"
     document = pygltflib.GLTF2().load(str(given["glb"]))
     primitive = document.meshes[0].primitives[0]
@@ -185,7 +186,7 @@ def test_the_room_is_stored_as_the_extension_says(tmp_path: Path, root: Path) ->
 
 def with_a_thing(folder: Path, given: dict) -> None:
     """The scene of ``given`` with a loose thing, as its glTF."""
-    scene = read_finished(**{name: value for name, value in given.items() if name != "glb"})
+    scene = call(read_finished, **{name: value for name, value in given.items() if name != "glb"})
     own = scene.room.take(np.arange(9))
     places = np.linspace([0.0, 0, 1], [1, 0, 1], FRAMES)
     places[2] = np.nan
@@ -246,7 +247,7 @@ def test_playcanvas_draws_the_room_through_the_scene_s_own_cameras(tmp_path: Pat
     modules = Path(node("playcanvas")["NODE_PATH"])
     cameras = write_scene(tmp_path, root, people=2, filmed=False)["training"]
     given = options(tmp_path, 2)
-    scene_glb.run(**given)
+    call(scene_glb.run, **given)
     served = tmp_path / "served"
     served.mkdir()
     shutil.copy(given["glb"], served / "scene.glb")
@@ -293,5 +294,5 @@ def test_a_gaussian_that_is_no_number_leaves_no_file(tmp_path: Path, root: Path)
     scales[4, 2] = np.nan
     write_ply(given["background"], replace(own, log_scales=scales))
     with pytest.raises(UserError, match=r"scene\.ply holds 1 Gaussians.*number 4"):
-        scene_glb.run(**given)
+        call(scene_glb.run, **given)
     assert not given["glb"].exists()

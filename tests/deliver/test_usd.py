@@ -18,6 +18,7 @@ from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.splatting.rigid_object import RigidObject
 
 from tests.made.scene import FPS, FRAMES, render_options, replace_gaussians, write_scene
+from tests.made.steps import call
 
 TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
 
@@ -33,7 +34,6 @@ def loads() -> None:
 def options(folder: Path, people: int) -> dict:
     given = render_options(folder, "orbit", people)
     return {name: given[name] for name in TAKEN} | {
-        "scene": "made",
         "objects": [],
         "stage": folder / "deliver/scene.usdc",
     }
@@ -45,9 +45,9 @@ def test_usd_core_skins_the_bodies_and_sees_through_the_cameras(tmp_path: Path, 
 
     cameras = write_scene(tmp_path, root, people=2, filmed=False)["training"]
     given = options(tmp_path, 2)
-    usd.run(**given)
+    call(usd.run, **given)
     written = given["stage"].read_bytes()
-    usd.run(**given)
+    call(usd.run, **given)
     assert given["stage"].read_bytes() == written, "the same scene, the same bytes"
     stage = Usd.Stage.Open(str(given["stage"]))
     assert UsdGeom.GetStageUpAxis(stage) == "Z"
@@ -127,7 +127,7 @@ def test_an_empty_room_and_a_crowd(tmp_path: Path, root: Path, people: int) -> N
     from pxr import Usd
 
     write_scene(tmp_path, root, people=people, filmed=False)
-    usd.run(**options(tmp_path, people))
+    call(usd.run, **options(tmp_path, people))
     stage = Usd.Stage.Open(str(tmp_path / "deliver/scene.usdc"))
     assert sum(prim.GetTypeName() == "SkelRoot" for prim in stage.Traverse()) == people
 
@@ -142,7 +142,7 @@ def test_a_gaussian_that_is_no_number_leaves_no_stage(tmp_path: Path, root: Path
     means[5, 1] = np.nan
     replace_gaussians(given["gaussians"][0], given["avatars"][0], replace(own, means_m=means))
     with pytest.raises(UserError, match=r"p0\.ply holds 1 Gaussians.*number 5"):
-        usd.run(**given)
+        call(usd.run, **given)
     assert not given["stage"].exists()
 
 

@@ -31,6 +31,7 @@ from studiorecon.scene.path import PathStep, read_path
 from tests.made.enhance import SEARCH
 from tests.made.enhance_limits import PAPER
 from tests.made.scene import FRAMES, GAINS, enhance_options, refilmed, render_options, ring, write_scene
+from tests.made.steps import call
 
 TRANSFER = Transfer(depth_tolerance=0.03, angle_power=4.0, feather_px=4.0, smooth_px=0.0)
 
@@ -47,7 +48,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory, root: Path, default_settings
     section["shots"] = {"heldout": {"kind": "heldout"}}
     settings = settings_module.load(render_shot.Settings, section, "render")
     for shot in ("train", "heldout"):
-        render_shot.run(settings, **render_options(folder, shot, people=0))
+        call(render_shot.run, settings, **render_options(folder, shot, people=0))
     return folder
 
 

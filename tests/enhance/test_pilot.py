@@ -25,6 +25,7 @@ from studiorecon.scene.path import PathStep
 
 from tests.made.enhance import SEARCH
 from tests.made.scene import enhance_options, render_options, ring, write_scene
+from tests.made.steps import call
 
 HW = (48, 64)
 TRANSFER = Transfer(feather_px=0.0, smooth_px=0.0)
@@ -127,7 +128,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory, root: Path, default_settings
     for name, missing in (("dark", 0.1), ("right", 0.0)):
         write_ply(folder / "background/scene.ply", replace(right, sh=right.sh - np.float32(missing / 0.28209479)))
         for shot in ("train", "heldout"):
-            render_shot.run(settings, **render_options(folder, shot, people=0))
+            call(render_shot.run, settings, **render_options(folder, shot, people=0))
         (folder / "render").rename(folder / name)
     return folder
 

@@ -23,6 +23,7 @@ from studiorecon.scene.gaussians import SH_C0, Gaussians
 from studiorecon.scene.stand_ins import strangers
 
 from tests.made.scene import render_options, write_scene
+from tests.made.steps import call
 
 NETWORKS = ("pose_detection.onnx", "pose_landmark_heavy.onnx")
 
@@ -67,7 +68,9 @@ def test_a_photo_with_alpha_becomes_a_performer_in_a_film(
     for wanted in ({}, {"p0": "photos/anna.png"}):
         section["shots"] = {"guest": {**orbit, "frames": 2, "replace": wanted}}
         options = render_options(tmp_path, "guest")
-        render_shot.run(settings_module.load(render_shot.Settings, section, "render"), **options, stand_ins=[made])
+        call(
+            render_shot.run, settings_module.load(render_shot.Settings, section, "render"), **options, stand_ins=[made]
+        )
         films.append((read_stack(options["video"]).astype(int), read_stack(options["truth"])))
     (plain, _), (guest, truth) = films
     there = np.abs(guest - plain).max(axis=-1) > 60

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import ast
 import importlib
-import inspect
 import re
 import subprocess
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 from studiorecon import code
+from studiorecon.__main__ import options_of
 from studiorecon.configuration import settings as settings_module
 from studiorecon.configuration.step_settings import section_of
 from studiorecon.plan.command import command
@@ -156,14 +156,12 @@ def test_every_stage_has_rules_settings_schema_and_tests(stage: str) -> None:
     assert stage in (ROOT / "README.md").read_text()
 
 
-# What background.smk names once for both rules that train the room.
-ROOM = set(
-    re.findall(
-        r'^    "(\w+)":',
-        re.search(r"^ROOM = \{\n(.*?)^\}", (ROOT / "workflow/rules/background.smk").read_text(), re.M | re.S)[1],
-        re.MULTILINE,
-    )
-)
+# What rule files name once for several rules: constant → names of inputs.
+SHARED_INPUTS = {
+    name: set(re.findall(r'^    "(\w+)":', entries, re.MULTILINE))
+    for path in sorted((ROOT / "workflow/rules").glob("*.smk"))
+    for name, entries in re.findall(r"^([A-Z]+) = \{\n(.*?)^\}", path.read_text(), re.MULTILINE | re.DOTALL)
+}
 
 
 def names_in(block: str, directive: str) -> set[str]:
@@ -171,7 +169,8 @@ def names_in(block: str, directive: str) -> set[str]:
     section = re.search(rf"^( *){directive}:\n((?:\1 +.*\n|\n)+)", block, re.MULTILINE)
     deeper = f"{section.group(1)}    " if section else ""
     names = set(re.findall(rf"^{deeper}(\w+)=", section.group(2), re.MULTILINE)) if section else set()
-    return names | (ROOM if section and "**ROOM" in section.group(2) else set())
+    shared = re.findall(r"\*\*([A-Z]+)", section.group(2)) if section else []
+    return names.union(*(SHARED_INPUTS[name] for name in shared))
 
 
 def told_in(line: str, kind: str) -> set[str]:
@@ -226,8 +225,9 @@ def test_rule_names_exactly_what_its_step_takes(file: str, step: str, block: str
 def test_a_command_line_says_what_run_takes_and_quotes_all_of_it(step: str) -> None:
     module, line = importlib.import_module(f"studiorecon.{step}"), command(step)
     options = [name.replace("-", "_") for name in re.findall(r"--([a-z0-9-]+) ", line)]
-    assert sorted(options) == sorted([*inspect.signature(module.run).parameters, "log"])
-    assert hasattr(module, "Settings") == ("settings" in options)
+    assert sorted(options) == sorted(
+        ["log", *(["settings"] * hasattr(module, "Settings")), *(name for name, *_ in options_of(module.run))]
+    )
     assert all(field.endswith(":q") or field == "threads" for field in re.findall(r"\{([^}]*)\}", line))
 
 

@@ -19,6 +19,7 @@ from studiorecon.scene.path import PathStep, write_path
 from studiorecon.scene.room import RoomBox, write_room
 
 from tests.made.scene import ring
+from tests.made.steps import call
 
 BOX = RoomBox(
     yaw_rad=0.2,
@@ -103,7 +104,8 @@ def capture(tmp_path_factory: pytest.TempPathFactory, cameras: list[Camera]) -> 
 
 
 def run(settings: train.Settings, capture: dict, folder: Path, **replaced: object) -> np.ndarray:
-    train.run(
+    call(
+        train.run,
         settings,
         **(capture | replaced),
         background=folder / "scene.ply",

@@ -35,6 +35,7 @@ from studiorecon.splatting.cpu.rasterise import Rasteriser
 
 from tests.made.gaussians import with_colours
 from tests.made.scene import FRAMES, WH, avatar, render_options, ring, room, write_scene
+from tests.made.steps import call
 
 ORBIT = Orbit(
     kind="orbit",
@@ -138,7 +139,7 @@ def test_time_advances_as_named_and_stays_inside_the_capture(kind: str | float, 
 
 def test_a_shot_leaves_pictures_depth_truth_and_path(scene: Path, settings: render_shot.Settings) -> None:
     options = render_options(scene, "heldout")
-    render_shot.run(settings, **options)
+    call(render_shot.run, settings, **options)
     steps, fps = read_path(options["path"])
     assert [s.segment for s in steps] == ["view0"] * FRAMES + ["view1"] * FRAMES
     assert [s.frame for s in steps] == [*range(FRAMES)] * 2
@@ -161,7 +162,7 @@ def test_a_shot_leaves_pictures_depth_truth_and_path(scene: Path, settings: rend
 
 def test_a_person_in_a_filled_frame_is_not_called_measured(scene: Path, settings: render_shot.Settings) -> None:
     options = render_options(scene, "heldout")
-    render_shot.run(settings, **options)
+    call(render_shot.run, settings, **options)
     last = FRAMES - 1
     away = np.abs(read_frame(options["depth"], last).astype(int) - read_frame(options["depth"], 0)) > 300
     near = away & (read_frame(options["depth"], last) < 2700)
@@ -173,7 +174,7 @@ def test_the_same_inputs_give_the_same_bytes(scene: Path, settings: render_shot.
     options = render_options(scene, "orbit")
     contents = []
     for _ in range(2):
-        render_shot.run(settings, **options)
+        call(render_shot.run, settings, **options)
         contents.append([options[name].read_bytes() for name in ("video", "truth", "depth", "path", "ledger")])
     assert contents[0] == contents[1]
 
@@ -183,14 +184,14 @@ def test_an_empty_room_is_rendered_without_people_files(
 ) -> None:
     write_scene(tmp_path, root, people=0, filmed=False)
     options = render_options(tmp_path, "train", people=0)
-    render_shot.run(settings, **{**options, "heldout_model": None, "body": None})
+    call(render_shot.run, settings, **{**options, "heldout_model": None, "body": None})
     assert len(read_path(options["path"])[0]) == 4 * FRAMES
 
 
 @pytest.mark.parametrize(("shot", "sentence"), [("dolly", "no shot 'dolly'"), ("spiral", "kind 'spiral'")])
 def test_unknown_shots_are_refused(scene: Path, settings: render_shot.Settings, shot: str, sentence: str) -> None:
     with pytest.raises(UserError, match=sentence):
-        render_shot.run(settings, **render_options(scene, shot))
+        call(render_shot.run, settings, **render_options(scene, shot))
     assert not (scene / f"render/{shot}.mkv").exists()
 
 
@@ -199,7 +200,7 @@ def test_provenance_of_another_background_is_refused(
 ) -> None:
     np.savez(tmp_path / "other.npz", provenance=np.zeros(3, np.uint8))
     with pytest.raises(UserError, match=r"other\.npz .*provenance .*N = "):
-        render_shot.run(settings, **{**render_options(scene, "orbit"), "provenance": tmp_path / "other.npz"})
+        call(render_shot.run, settings, **{**render_options(scene, "orbit"), "provenance": tmp_path / "other.npz"})
 
 
 def flat(points: np.ndarray, rgb: np.ndarray) -> Gaussians:
@@ -284,7 +285,11 @@ def test_a_wall_blocks_and_a_floater_does_not() -> None:
 def test_an_orbit_through_a_wall_is_shrunk_until_it_is_clear(scene: Path, settings: render_shot.Settings) -> None:
     wide = {"orbit": {**settings.shots["orbit"], "radius": 1.2}}
     options = render_options(scene, "orbit")
-    render_shot.run(settings_module.load(render_shot.Settings, {**vars(settings), "shots": wide}, "render"), **options)
+    call(
+        render_shot.run,
+        settings_module.load(render_shot.Settings, {**vars(settings), "shots": wide}, "render"),
+        **options,
+    )
     radius = max(np.linalg.norm(step.camera.centre_m[:2]) for step in read_path(options["path"])[0])
     assert 2.0 < radius < 2.75, "the walls stand 3 m away and 0.3 m must stay clear"
 
@@ -304,7 +309,11 @@ def test_a_path_through_a_person_and_a_wall_is_warned_about(
     file = scene / "planted.json"
     file.write_text(json.dumps({"fl_x": 60, "w": 96, "h": 64, "frames": frames}))
     shots = {"planted": {"kind": "path", "file": str(file), "time": "hold"}}
-    render_shot.run(settings_module.load(render_shot.Settings, {**vars(settings), "shots": shots}, "render"), **options)
+    call(
+        render_shot.run,
+        settings_module.load(render_shot.Settings, {**vars(settings), "shots": shots}, "render"),
+        **options,
+    )
     rows = read_table(options["ledger"], LEDGER_COLUMNS)
     assert [row["near"] for row in rows] == ["", "p0", "background", ""]
     told = [sentence for _, sentence in film_warnings([options["ledger"]], 0.5, 60.0)]

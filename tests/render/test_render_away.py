@@ -22,6 +22,7 @@ from studiorecon.render.statistics import obstacles
 from studiorecon.scene.path import PathStep
 
 from tests.made.scene import FRAMES, avatar, render_options, ring, room, write_scene
+from tests.made.steps import call
 
 # There from frame 2 to frame 3.
 THERE = np.array([False, False, True, True, False, False])
@@ -114,7 +115,7 @@ def test_films_and_cameras_that_follow_them(
     def films(name: str, shot: str, people: int) -> dict[str, np.ndarray]:
         options = render_options(tmp_path, shot, people)
         options |= {key: tmp_path / name / options[key].name for key in (*kinds, "path", "ledger")}
-        render_shot.run(settings, **options)
+        call(render_shot.run, settings, **options)
         return {kind: read_stack(options[kind]) for kind in kinds}
 
     files = tmp_path / "humans/p0.ply", tmp_path / "humans/p0.npz"

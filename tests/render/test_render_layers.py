@@ -16,6 +16,7 @@ from studiorecon.render import shot as render_shot
 
 from tests.made.render_layers import channels_of
 from tests.made.scene import render_options, write_scene
+from tests.made.steps import call
 
 HALF = (
     "R",
@@ -41,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, root: Path, default_setting
     section["shots"] = {"orbit": {**section["shots"]["orbit"], "frames": 3}}
     settings = settings_module.load(render_shot.Settings, section, "render")
     options = render_options(folder, "orbit")
-    render_shot.run(settings, **options)
+    call(render_shot.run, settings, **options)
     stale = folder / "render/orbit.layers/000007.exr"
     stale.parent.mkdir()
     stale.write_bytes(b"of an earlier, longer film")
@@ -49,7 +50,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, root: Path, default_setting
         name: options[name] for name in ("shot", "path", "background", "provenance", "gaussians", "avatars", "body")
     }
     settings = settings_module.load(render_layers.Settings, section, "render")
-    render_layers.run(settings, **inputs, folder=folder / "render/orbit.layers")
+    call(render_layers.run, settings, **inputs, folder=folder / "render/orbit.layers")
     return folder
 
 

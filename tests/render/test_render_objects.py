@@ -26,6 +26,7 @@ from studiorecon.splatting.rigid_object import RigidObject, write_objects
 
 from tests.made.render_layers import channels_of
 from tests.made.scene import FRAMES, WH, avatar, render_options, ring, room, write_scene
+from tests.made.steps import call
 
 ABSENT, FILLED = 4, 2
 
@@ -59,7 +60,7 @@ def films(tmp_path_factory: pytest.TempPathFactory, root: Path, default_settings
     for name, objects in (("with", [folder / "objects/objects.npz"]), ("without", [])):
         options = render_options(folder, "heldout")
         options |= {key: folder / name / options[key].name for key in ("video", "truth", "depth", "path", "ledger")}
-        render_shot.run(settings, **options, objects=objects)
+        call(render_shot.run, settings, **options, objects=objects)
     return folder
 
 
@@ -94,7 +95,7 @@ def test_a_thing_has_its_own_matte(films: Path, default_settings: Callable) -> N
         name: options[name] for name in ("shot", "path", "background", "provenance", "gaussians", "avatars", "body")
     }
     settings = settings_module.load(render_layers.Settings, section, "render")
-    render_layers.run(settings, **inputs, objects=[films / "objects/objects.npz"], folder=films / "layers")
+    call(render_layers.run, settings, **inputs, objects=[films / "objects/objects.npz"], folder=films / "layers")
     core = seen(films, 0)
     first, gone = channels_of(films / "layers/000000.exr"), channels_of(films / f"layers/{ABSENT:06d}.exr")
     assert first["matte.o0"][core].mean() > 0.9

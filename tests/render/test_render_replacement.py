@@ -26,9 +26,11 @@ from studiorecon.render.shot import read_composite
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.path import read_path
 from studiorecon.scene.people import Person
+from studiorecon.splatting.scene_files import SceneFiles
 
 from tests.defaults import loaded
 from tests.made.scene import avatar, render_options, ring, write_scene
+from tests.made.steps import call
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +119,7 @@ def film(scene: Path, default_settings: Callable, wanted: dict[str, str]) -> tup
     section = default_settings("render")
     section["shots"] = {"swap": {**section["shots"]["orbit"], "frames": 2, "replace": wanted}}
     options = render_options(scene, "swap")
-    render_shot.run(settings_module.load(render_shot.Settings, section, "render"), **options)
+    call(render_shot.run, settings_module.load(render_shot.Settings, section, "render"), **options)
     return read_stack(options["video"]), read_stack(options["truth"])
 
 
@@ -151,7 +153,7 @@ def test_who_is_left_out_leaves_the_room_behind(scene: Path, default_settings: C
     assert files["path"].read_bytes() == path, "the camera goes where it would have gone"
     assert (np.abs(without.astype(int) - filmed).max(axis=-1) > 20).sum() > 200, "somebody stood there"
     near_m = loaded(render_shot.Settings).near_m
-    canvas = Canvas(read_composite(files["background"], files["provenance"], [], [], None, "swap", {}), near_m)
+    canvas = Canvas(read_composite(SceneFiles(files["background"], files["provenance"]), "swap", {}), near_m)
     for picture, step in zip(without, read_path(files["path"])[0]):
         rendering, _ = canvas.draw(step.camera, step.frame, section["background_rgb"])
         np.testing.assert_array_equal(picture, to_bytes(rendering.rgb))

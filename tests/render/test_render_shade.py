@@ -11,8 +11,10 @@ from studiorecon.render import shade as render_shade
 from studiorecon.render.room_light import Lamps, Light, write_light
 from studiorecon.render.shot import read_composite
 from studiorecon.scene.gaussians_ply import read_ply
+from studiorecon.splatting.scene_files import SceneFiles
 
 from tests.made.scene import FRAMES, render_options, write_scene
+from tests.made.steps import call
 
 LAMP_M = np.array([-1.2, 0.9, 2.6])
 
@@ -34,7 +36,7 @@ def files(tmp_path_factory: pytest.TempPathFactory, root: Path) -> dict:
 
 def shaded(files: dict, kept: bool) -> dict[str, np.ndarray]:
     write_light(files["light"], lamp(kept))
-    render_shade.run(**{name: path for name, path in files.items() if name != "provenance"})
+    call(render_shade.run, **files)
     with np.load(files["shade"]) as data:
         return dict(data)
 
@@ -44,12 +46,8 @@ def test_the_shade_is_the_one_of_films(files: dict) -> None:
     assert found["times"].tolist() == list(range(FRAMES))
     assert found["factors"].shape == (FRAMES, len(found["at"]))
     assert found["factors"].min() < 0.9
-    composite = read_composite(
-        *(files[name] for name in ("background", "provenance", "gaussians", "avatars", "body")),
-        "orbit",
-        {},
-        [files["light"]],
-    )
+    scene = SceneFiles(*(files[name] for name in ("background", "provenance", "gaussians", "avatars", "body")))
+    composite = read_composite(scene, "orbit", {}, [files["light"]])
     assert composite.shading is not None
     means = read_ply(files["background"]).means_m[found["at"]]
     for frame in (0, FRAMES - 1):

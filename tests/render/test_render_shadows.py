@@ -36,6 +36,7 @@ from studiorecon.splatting.discs import discs
 from studiorecon.splatting.rigid_object import RigidObject
 
 from tests.made.scene import avatar, render_options, ring, room, write_scene
+from tests.made.steps import call
 
 ROOM_BOX = RoomBox(0.0, np.array([-3.0, -3.0, 0.0]), np.array([3.0, 3.0, 2.8]), np.ones(6, bool), np.ones(6))
 LAMP_M, LAMP_HALF_M, LAMP_SHARE = np.array([-1.2, 0.9, 2.8]), 0.3, 0.5
@@ -483,7 +484,7 @@ def test_films_show_the_shadow_on_the_floor_alone_and_the_same_truth(
         if light is not None:
             write_light(tmp_path / "light.json", light)
         given = [tmp_path / "light.json"] if light is not None else []
-        render_shot.run(settings_module.load(render_shot.Settings, section, "render"), **options, light=given)
+        call(render_shot.run, settings_module.load(render_shot.Settings, section, "render"), **options, light=given)
         films[name] = options["video"].read_bytes(), read_stack(options["video"]).astype(int)
         truths[name] = options["truth"].read_bytes()
     assert films["off"][0] == films["none"][0], "a light that was not kept changes no byte"

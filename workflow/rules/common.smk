@@ -125,6 +125,16 @@ image, model_image, gpus = IMAGES.named, IMAGES.of_network, IMAGES.gpus
 MODEL = [f"results/{{scene}}/cameras/{name}.txt" for name in ("images", "cameras")]
 HELDOUT_MODEL = [f"results/{{scene}}/cameras/heldout/{name}.txt" for name in ("images", "cameras")]
 
+# The scene as Gaussians: what is drawn or delivered.
+TRAINED = {
+    "background": "results/{scene}/background/scene.ply",
+    "provenance": "results/{scene}/background/provenance.npz",
+    "gaussians": files.human_gaussians,
+    "avatars": files.human_avatars,
+    "body": files.body,
+    "objects": files.loose_objects,
+}
+
 
 def settings(step):
     """What one step is told of the configuration, as JSON."""

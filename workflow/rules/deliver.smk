@@ -38,12 +38,7 @@ rule deliver_player:
     input:
         manifest="results/{scene}/capture/manifest.json",
         model=MODEL,
-        background="results/{scene}/background/scene.ply",
-        provenance="results/{scene}/background/provenance.npz",
-        gaussians=files.human_gaussians,
-        avatars=files.human_avatars,
-        body=files.body,
-        objects=files.loose_objects,
+        **TRAINED,
         paths=collect("results/{scene}/render/{shot}.json", shot=files.films, allow_missing=True),
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
         exposure=files.exposure,
@@ -74,12 +69,7 @@ rule deliver_scene_glb:
     input:
         manifest="results/{scene}/capture/manifest.json",
         model=MODEL,
-        background="results/{scene}/background/scene.ply",
-        provenance="results/{scene}/background/provenance.npz",
-        gaussians=files.human_gaussians,
-        avatars=files.human_avatars,
-        body=files.body,
-        objects=files.loose_objects,
+        **TRAINED,
     output:
         glb="results/{scene}/deliver/scene.glb",
     log:
@@ -134,12 +124,7 @@ rule deliver_usd:
     input:
         manifest="results/{scene}/capture/manifest.json",
         model=MODEL,
-        background="results/{scene}/background/scene.ply",
-        provenance="results/{scene}/background/provenance.npz",
-        gaussians=files.human_gaussians,
-        avatars=files.human_avatars,
-        body=files.body,
-        objects=files.loose_objects,
+        **TRAINED,
     output:
         stage="results/{scene}/deliver/scene.usdc",
     log:

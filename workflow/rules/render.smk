@@ -35,17 +35,12 @@ rule render_shot:
         model=MODEL,
         heldout_model=HELDOUT_MODEL,
         manifest="results/{scene}/capture/manifest.json",
-        background="results/{scene}/background/scene.ply",
-        provenance="results/{scene}/background/provenance.npz",
-        gaussians=files.human_gaussians,
-        avatars=files.human_avatars,
-        body=files.body,
+        **TRAINED,
         # Camera paths that shots follow: an edited path makes its film again.
         followed=files.shot_path,
         # Who stands in for whom: a new file of theirs makes the film again.
         stand_ins=files.stand_ins,
         light=files.room_light,
-        objects=files.loose_objects,
     output:
         video="results/{scene}/render/{shot}.mkv",
         truth="results/{scene}/render/{shot}.truth.mkv",
@@ -78,14 +73,9 @@ rule render_shot:
 rule render_layers:
     input:
         path="results/{scene}/render/{shot}.json",
-        background="results/{scene}/background/scene.ply",
-        provenance="results/{scene}/background/provenance.npz",
-        gaussians=files.human_gaussians,
-        avatars=files.human_avatars,
-        body=files.body,
+        **TRAINED,
         stand_ins=files.stand_ins,
         light=files.room_light,
-        objects=files.loose_objects,
     output:
         folder=directory("results/{scene}/render/{shot}.layers"),
     log:
@@ -110,11 +100,7 @@ rule render_layers:
 rule render_shade:
     input:
         manifest="results/{scene}/capture/manifest.json",
-        background="results/{scene}/background/scene.ply",
-        gaussians=files.human_gaussians,
-        avatars=files.human_avatars,
-        body=files.body,
-        objects=files.loose_objects,
+        **TRAINED,
         light="results/{scene}/render/room.light.json",
     output:
         shade="results/{scene}/render/room.shade.npz",

@@ -3,8 +3,8 @@
 
 Imports only ``studiorecon.STAGE.STEP`` and calls its ``run(settings, ...)``. Every keyword of ``run`` is an option of
 the same name (underscores become dashes); its annotation says how the text is read: ``Path``, ``str``, ``int``,
-``float``, or a list of one of them. ``list[Path]`` may be empty, ``Path | None`` may be left out. By hand ``--settings
-config/config.yaml`` will do.
+``float``, or a list of one of them. ``list[Path]`` may be empty, ``Path | None`` may be left out. A keyword that is a
+dataclass of such is as many options as it has fields. By hand ``--settings config/config.yaml`` will do.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ import sys
 import traceback
 import types
 import typing
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from studiorecon.configuration import settings as settings_module
 from studiorecon.configuration.step_settings import section_of
@@ -113,7 +115,7 @@ def _run(module: types.ModuleType, step: str, options: dict, log: Path | None) -
         settings_type = module.Settings if dataclasses.is_dataclass(getattr(module, "Settings", None)) else None
         if settings_type is not None:
             options["settings"] = settings_module.load(settings_type, values, step.split(".")[0])
-        module.run(**options)
+        module.run(**gathered(module.run, options))
     except UserError as refusal:
         fail(f"{step}: {refusal}")
     except Exception as error:
@@ -177,18 +179,39 @@ def _parse(step: str, run: typing.Callable, argv: list[str]) -> dict:
         help="this step's section of the configuration as JSON, or a configuration file (config/config.yaml)",
     )
     parser.add_argument("--log", type=Path, default=None, help="file that receives every sentence of the step")
-    hints = typing.get_type_hints(run)
-    for name, parameter in inspect.signature(run).parameters.items():
-        if name == "settings":
-            continue
-        kind, is_list, optional = _read_annotation(hints[name])
-        required = parameter.default is inspect.Parameter.empty and not optional and not is_list
-        default = [] if is_list else None if parameter.default is inspect.Parameter.empty else parameter.default
+    for name, hint, default in options_of(run):
+        kind, is_list, optional = _read_annotation(hint)
+        required = default is dataclasses.MISSING and not optional and not is_list
+        default = [] if is_list else None if default is dataclasses.MISSING else default
         extra = {"nargs": "*"} if is_list else {}
         parser.add_argument(
             "--" + name.replace("_", "-"), dest=name, type=kind, required=required, default=default, **extra
         )
     return vars(parser.parse_args(argv))
+
+
+def options_of(run: Callable) -> Iterator[tuple[str, Any, Any]]:
+    """Name, type and default (or ``dataclasses.MISSING``) of every option of a step but its settings."""
+    hints = typing.get_type_hints(run)
+    for name, parameter in inspect.signature(run).parameters.items():
+        if name == "settings":
+            continue
+        if dataclasses.is_dataclass(hints[name]):
+            kinds = typing.get_type_hints(hints[name])
+            yield from ((field.name, kinds[field.name], field.default) for field in dataclasses.fields(hints[name]))
+        else:
+            given = parameter.default
+            yield name, hints[name], dataclasses.MISSING if given is inspect.Parameter.empty else given
+
+
+def gathered(run: Callable, options: Mapping[str, Any]) -> dict[str, Any]:
+    """The keywords of ``run`` from its options: those that are fields of a dataclass make one."""
+    keywords = dict(options)
+    for name, kind in typing.get_type_hints(run).items():
+        if name not in ("settings", "return") and dataclasses.is_dataclass(kind):
+            own = [field.name for field in dataclasses.fields(kind) if field.name in keywords]
+            keywords[name] = kind(**{field: keywords.pop(field) for field in own})
+    return keywords
 
 
 def _read_annotation(hint: typing.Any) -> tuple[type, bool, bool]:

@@ -20,6 +20,7 @@ from studiorecon.scene.people import read_people
 from studiorecon.splatting.device import rasteriser
 from studiorecon.splatting.rendering import Rendering
 from studiorecon.splatting.rigid_object import RigidObject
+from studiorecon.splatting.scene_files import SceneFiles
 
 # Nearer to the lens nothing is drawn.
 _NEAR_M = 0.2
@@ -47,18 +48,15 @@ def load(folder: str | Path, body: str | Path | None = None) -> FinishedScene:
     decisions, objects = place / "survey" / "decisions.json", place / "objects" / "objects.npz"
     loose = decisions.is_file() and read_decisions(decisions)["dynamic_objects"].called_for and objects.is_file()
     shots = sorted(path for path in (place / "render").glob("*.json") if path.with_suffix(".mkv").is_file())
-    scene = read_finished(
-        scene=capture.scene,
-        manifest=manifest,
-        model=place / "cameras" / "images.txt",
+    files = SceneFiles(
         background=place / "background" / "scene.ply",
         provenance=place / "background" / "provenance.npz",
         gaussians=[place / "humans" / f"{person}.ply" for person in people],
         avatars=[place / "humans" / f"{person}.npz" for person in people],
         body=Path(body) if body else RESOURCES / "body.npz",
         objects=[objects] if loose else [],
-        paths=[path for path in shots if path.stem != "train"],
     )
+    scene = read_finished(manifest, place / "cameras/images.txt", files, [p for p in shots if p.stem != "train"])
     lengths = {p.person: p.frames for p in scene.people} | {o.person: len(o.centres_m) for o in scene.things}
     for moving, frames in lengths.items():
         if frames != capture.frames:

@@ -23,13 +23,7 @@ from studiorecon.splatting.train.checkpoint import Checkpoint, fingerprint
 
 def run(
     settings: Settings,
-    model: Path,
-    plates: list[Path],
-    depths: list[Path],
-    room_box: Path,
-    path: Path,
-    views: list[Path],
-    supports: list[Path],
+    sources: Sources,
     threads: int,
     half: Written,
     provenance: Written,
@@ -37,17 +31,13 @@ def run(
     renders_path: Written,
     working: Place,
     device: str = "cpu",
-    gains: list[Path] | None = None,
     specularity: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
-    videos: list[Path] | None = None,
-    masks: list[Path] | None = None,
 ) -> None:
     """Write the room half-way (``half``, ``provenance``) and a film of it (``renders``, ``renders_path``); inputs as in
     ``background.train``, which goes on from here."""
     device = resolve(device)
-    cameras = read_model(model.parent)
-    sources = Sources(model, plates, depths, room_box, path, views, supports, gains or [], videos or [], masks or [])
+    cameras = read_model(sources.model.parent)
     rng = np.random.default_rng(settings.seed)
     given = prepared(settings, sources, cameras, specularity is None or len(specularity) > 0, rng)
     training = Training(given.settings, cameras, rng, threads, device, working, lpips)
@@ -60,7 +50,7 @@ def run(
     checkpoint = Checkpoint(working / "half.checkpoint.npz", mark, settings.training.checkpoint_every_s)
     room, marks = training.first_half(given, checkpoint)
     drawing = training.drawing()
-    around = training.looks(path)
+    around = training.looks(sources.path)
     pictures = [np.clip(drawing.forward(room, camera).rgb, 0, 1) for camera in progress(around, "views of the room")]
     write_room(half, provenance, room, marks)
     write_renders(renders, renders_path, around, pictures)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -55,9 +55,9 @@ class Sources:
     path: Path
     views: list[Path]
     supports: list[Path]
-    gains: list[Path]
-    videos: list[Path]
-    masks: list[Path]
+    gains: list[Path] = field(default_factory=list)
+    videos: list[Path] = field(default_factory=list)
+    masks: list[Path] = field(default_factory=list)
 
     def files(self) -> list[Path]:
         """All of them, in an order that does not change."""

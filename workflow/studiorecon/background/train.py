@@ -30,28 +30,19 @@ from studiorecon.splatting.train.checkpoint import Checkpoint, fingerprint
 
 def run(
     settings: Settings,
-    model: Path,
-    plates: list[Path],
-    depths: list[Path],
-    room_box: Path,
-    path: Path,
-    views: list[Path],
-    supports: list[Path],
+    sources: Sources,
     threads: int,
     background: Written,
     provenance: Written,
     working: Place,
     device: str = "cpu",
-    gains: list[Path] | None = None,
     specularity: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
-    videos: list[Path] | None = None,
-    masks: list[Path] | None = None,
     half: list[Path] | None = None,
 ) -> None:
-    """Train the background and write it with its provenance; plates are divided by the ``gains``, if any.
+    """Train the background and write it with its provenance; plates are divided by their gains, if any.
 
-    With ``photos`` "first_frames" the first pictures of ``videos`` are trained on, without those whom ``masks`` show.
+    With ``photos`` "first_frames" the first pictures of the videos are trained on, without those whom masks show.
     Without a file in ``specularity`` the survey does not call for colours that change with the view; None: it was not
     asked.
 
@@ -62,8 +53,7 @@ def run(
     weights of the perceptual term.
     """
     device = resolve(device)
-    cameras = read_model(model.parent)
-    sources = Sources(model, plates, depths, room_box, path, views, supports, gains or [], videos or [], masks or [])
+    cameras = read_model(sources.model.parent)
     rng = np.random.default_rng(settings.seed)
     given = prepared(settings, sources, cameras, specularity is None or len(specularity) > 0, rng)
     training = Training(given.settings, cameras, rng, threads, device, working, lpips)

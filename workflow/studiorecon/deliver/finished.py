@@ -10,17 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
-from studiorecon.body.model import BodyModel
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Manifest, read_manifest
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.path import PathStep, read_path
-from studiorecon.scene.provenance import read_provenance
-from studiorecon.splatting.rigid_object import RigidObject, read_objects
+from studiorecon.splatting.rigid_object import RigidObject
+from studiorecon.splatting.scene_files import SceneFiles
 
 if TYPE_CHECKING:
     from jaxtyping import Integer
@@ -50,40 +48,31 @@ class FinishedScene:
     things: Sequence[RigidObject] = ()
     paths: Mapping[str, Sequence[PathStep]] = field(default_factory=dict)
 
+    @property
+    def contents(self) -> str:
+        """What is in it, for people."""
+        return (
+            f"the room as {self.room.count} Gaussians, {len(self.people)} people, {len(self.things)} things and "
+            f"{len(self.cameras)} cameras over {self.capture.frames} frames"
+        )
 
-def read_finished(
-    scene: str,
-    manifest: Path,
-    model: Path,
-    background: Path,
-    provenance: Path,
-    gaussians: Sequence[Path] = (),
-    avatars: Sequence[Path] = (),
-    body: Path | None = None,
-    objects: Sequence[Path] = (),
-    paths: Sequence[Path] = (),
-) -> FinishedScene:
-    """The scene from its files: ``model`` is images.txt of the training cameras, ``gaussians`` and ``avatars`` one
-    each per person, ``paths`` the films' ``render/<shot>.json``.
+
+def read_finished(manifest: Path, model: Path, files: SceneFiles, paths: Sequence[Path] = ()) -> FinishedScene:
+    """The scene from its files: ``model`` is images.txt of the training cameras, ``paths`` the films'
+    ``render/<shot>.json``.
 
     Raises UserError when files are missing or belong to different scenes, and for a Gaussian that holds a value that is
     no number: no other program skips it as ours does.
     """
-    room = finite(read_ply(background), background)
-    marks = read_provenance(provenance, room.count)
-    people: list[Avatar] = []
-    if avatars:
-        if body is None:
-            raise UserError(f"{scene} has people, but no body model was given for their motion")
-        skeleton = BodyModel.load(body)
-        people = [read_avatar(ply, npz, skeleton) for ply, npz in zip(gaussians, avatars, strict=True)]
-    for person, ply in zip(people, gaussians):
+    capture, (room, marks) = read_manifest(manifest), files.room()
+    people, things = files.people(), files.things()
+    finite(room, files.background)
+    for person, ply in zip(people, files.gaussians):
         finite(person.gaussians, ply)
-    things = [thing for path in objects for thing in read_objects(path)]
     for thing in things:
-        finite(thing.gaussians, Path(f"{objects[0]} ({thing.person})"))
+        finite(thing.gaussians, Path(f"{files.objects[0]} ({thing.person})"))
     films = {path.stem: read_path(path)[0] for path in paths}
-    return FinishedScene(scene, read_manifest(manifest), read_model(model.parent), room, marks, people, things, films)
+    return FinishedScene(capture.scene, capture, read_model(model.parent), room, marks, people, things, films)
 
 
 def finite(gaussians: Gaussians, source: Path) -> Gaussians:

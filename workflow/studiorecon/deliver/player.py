@@ -27,6 +27,7 @@ from studiorecon.scene.files import complete, write_text
 from studiorecon.scene.gaussians import concatenate
 from studiorecon.signature import Written
 from studiorecon.splatting.device import rasteriser
+from studiorecon.splatting.scene_files import SceneFiles
 
 if TYPE_CHECKING:
     from jaxtyping import Integer
@@ -118,15 +119,9 @@ def page_of(title: str, told: dict[str, Any], held: Bytes, poster: bytes, parts:
 
 
 def run(
-    scene: str,
     manifest: Path,
     model: Path,
-    background: Path,
-    provenance: Path,
-    gaussians: list[Path],
-    avatars: list[Path],
-    body: Path | None,
-    objects: list[Path],
+    files: SceneFiles,
     paths: list[Path],
     videos: list[Path],
     exposure: list[Path],
@@ -137,7 +132,7 @@ def run(
 ) -> None:
     """Write the ``page`` and its ``poster``, a JPEG that other pages show; ``videos`` are what the training cameras
     filmed, ``exposure`` what their pictures are divided by, ``shade`` who darkens the floor when."""
-    finished = read_finished(scene, manifest, model, background, provenance, gaussians, avatars, body, objects, paths)
+    finished = read_finished(manifest, model, files, paths)
     held, factors = Bytes(), read_factors(exposure, finished.capture.frames)
     shaded = None
     for path in shade:
@@ -151,7 +146,9 @@ def run(
     picture = jpeg(poster_of(finished), QUALITY)
     with complete(poster) as partial:
         partial.write_bytes(picture)
-    write_text(page, page_of(f"{scene}: 4D scene", told | {"told": [*sentences, *_ALWAYS]}, held, picture, parts))
+    write_text(
+        page, page_of(f"{finished.name}: 4D scene", told | {"told": [*sentences, *_ALWAYS]}, held, picture, parts)
+    )
     for sentence in sentences:
         say(f"player: {sentence}")
     count = sum(entry["count"] for entry in told["sets"])

@@ -31,6 +31,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import SH_C0, Gaussians
 from studiorecon.signature import Written
 from studiorecon.splatting.rigid_object import RigidObject
+from studiorecon.splatting.scene_files import SceneFiles
 
 if TYPE_CHECKING:
     from jaxtyping import Integer
@@ -169,23 +170,16 @@ def document_of(scene: FinishedScene, buffer: Buffer) -> dict[str, Any]:
 
 
 def run(
-    scene: str,
     manifest: Path,
     model: Path,
-    background: Path,
-    provenance: Path,
-    gaussians: list[Path],
-    avatars: list[Path],
-    body: Path | None,
-    objects: list[Path],
+    files: SceneFiles,
     glb: Written,
 ) -> None:
     """Write the finished scene as ``glb``."""
-    finished = read_finished(scene, manifest, model, background, provenance, gaussians, avatars, body, objects)
+    finished = read_finished(manifest, model, files)
     buffer = Buffer()
     write_document(glb, document_of(finished, buffer), buffer)
     say(
-        f"scene.glb: the room as {finished.room.count} Gaussians, {len(finished.people)} people, "
-        f"{len(finished.things)} things and {len(finished.cameras)} cameras over {finished.capture.frames} frames, "
-        f"{glb.stat().st_size / 1e6:.1f} MB; opens in three.js, PlayCanvas and Blender: {glb}"
+        f"scene.glb: {finished.contents}, {glb.stat().st_size / 1e6:.1f} MB; "
+        f"opens in three.js, PlayCanvas and Blender: {glb}"
     )

@@ -26,6 +26,7 @@ from studiorecon.scene.files import complete
 from studiorecon.scene.gaussians import SH_C0, Gaussians
 from studiorecon.signature import Written
 from studiorecon.splatting.rigid_object import RigidObject
+from studiorecon.splatting.scene_files import SceneFiles
 
 if TYPE_CHECKING:
     from jaxtyping import Integer
@@ -159,20 +160,14 @@ def add_camera(stage: Any, path: str, camera: Camera) -> None:
 
 
 def run(
-    scene: str,
     manifest: Path,
     model: Path,
-    background: Path,
-    provenance: Path,
-    gaussians: list[Path],
-    avatars: list[Path],
-    body: Path | None,
-    objects: list[Path],
+    files: SceneFiles,
     stage: Written,
 ) -> None:
     """Write the ``stage`` (USD, binary) of the finished scene."""
     usd = pxr()
-    finished = read_finished(scene, manifest, model, background, provenance, gaussians, avatars, body, objects)
+    finished = read_finished(manifest, model, files)
     with complete(stage) as partial:
         partial.unlink(missing_ok=True)
         made = usd.Usd.Stage.CreateNew(str(partial))
@@ -195,11 +190,7 @@ def run(
             made.GetPrimAtPath(path).SetDisplayName(camera.name)
         made.GetRootLayer().Save()
         del made
-    say(
-        f"scene.usdc: the room as {finished.room.count} Gaussians, {len(finished.people)} people, "
-        f"{len(finished.things)} things and {len(finished.cameras)} cameras over {finished.capture.frames} frames, "
-        f"{stage.stat().st_size / 1e6:.1f} MB; opens in usdview: {stage}"
-    )
+    say(f"scene.usdc: {finished.contents}, {stage.stat().st_size / 1e6:.1f} MB; opens in usdview: {stage}")
 
 
 def _vectors(values: np.ndarray) -> Any:

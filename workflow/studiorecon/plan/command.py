@@ -6,8 +6,8 @@
     python -m studiorecon people.fit --settings {params.settings:q} --log {log:q} --person {wildcards.person:q}
     --model {input.model[0]:q} --detections {input.detections:q} --body {input.body:q} --fit {output.fit:q}
 
-so the rule names its inputs, outputs and params as the step does. Signatures are read, not imported: numbers and
-pictures have no place in a plan.
+so the rule names its inputs, outputs and params as the step does. What takes a dataclass of paths takes each of its
+fields. Signatures are read, not imported: numbers and pictures have no place in a plan.
 """
 
 from __future__ import annotations
@@ -37,9 +37,24 @@ def signature(step: str) -> list[tuple[str, str]]:
         raise FileNotFoundError(f"no module studiorecon.{step}")
     tree = ast.parse(path.read_bytes())
     run = next(node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "run")
-    taken = [(a.arg, ast.unparse(a.annotation)) for a in (*run.args.args, *run.args.kwonlyargs) if a.annotation]
+    taken = []
+    for a in (*run.args.args, *run.args.kwonlyargs):
+        kind = ast.unparse(a.annotation) if a.annotation else "str"
+        taken += (_fields(kind, tree) if a.arg != "settings" else None) or [(a.arg, kind)]
     first = 1 if taken[0][0] == "settings" else 0
     return [*taken[:first], ("log", "log"), *taken[first:]]
+
+
+def _fields(kind: str, tree: ast.Module) -> list[tuple[str, str]] | None:
+    """Names and annotations of the fields of a dataclass of ours that a module defines or imports; None for others."""
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef) and node.name == kind:
+            fields = [field for field in node.body if isinstance(field, ast.AnnAssign)]
+            return [(ast.unparse(field.target), ast.unparse(field.annotation)) for field in fields]
+        if isinstance(node, ast.ImportFrom) and kind in [alias.name for alias in node.names]:
+            path = module_path((node.module or "").removeprefix("studiorecon."))
+            return None if path is None else _fields(kind, ast.parse(path.read_bytes()))
+    return None
 
 
 def _value(name: str, kind: str) -> str:

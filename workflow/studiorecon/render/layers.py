@@ -24,6 +24,7 @@ from studiorecon.render.shot import read_composite
 from studiorecon.scene.path import read_path
 from studiorecon.signature import Written
 from studiorecon.splatting.device import resolve
+from studiorecon.splatting.scene_files import SceneFiles
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -54,31 +55,15 @@ def run(
     settings: Settings,
     shot: str,
     path: Path,
-    background: Path,
-    provenance: Path,
-    gaussians: list[Path],
-    avatars: list[Path],
-    body: Path | None,
+    files: SceneFiles,
     folder: Written,
     light: list[Path] | None = None,
-    objects: list[Path] | None = None,
     stand_ins: list[Path] | None = None,
     device: str = "cpu",
 ) -> None:
     """Write one file per step of the shot's ``path`` into ``folder``; files of an earlier, longer film are removed."""
     steps, _ = read_path(path)
-    scene = read_composite(
-        background,
-        provenance,
-        gaussians,
-        avatars,
-        body,
-        shot,
-        settings.shots,
-        light or (),
-        objects or (),
-        stand_ins or (),
-    )
+    scene = read_composite(files, shot, settings.shots, light or (), stand_ins or ())
     people = [moving.person for moving in scene.moving]
     canvas = Canvas(scene, settings.near_m, resolve(device))
     for old in folder.glob("*.exr"):

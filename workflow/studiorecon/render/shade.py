@@ -8,37 +8,23 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.arrays import evenly_spread
-from studiorecon.body.avatar.avatar_files import read_avatar
-from studiorecon.body.model import BodyModel
 from studiorecon.progress import progress, say
 from studiorecon.render.room_light import read_light
 from studiorecon.render.shading import shading
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.signature import Written
-from studiorecon.splatting.rigid_object import read_objects
+from studiorecon.splatting.scene_files import SceneFiles
 
 # Who plays the shades continues them in between; shadows have soft edges and move as slowly as people do.
 MOMENTS = 120
 
 
-def run(
-    manifest: Path,
-    background: Path,
-    gaussians: list[Path],
-    avatars: list[Path],
-    body: Path | None,
-    objects: list[Path],
-    light: Path,
-    shade: Written,
-) -> None:
+def run(manifest: Path, files: SceneFiles, light: Path, shade: Written) -> None:
     """Write ``at`` (M,) indices of the room's Gaussians that can be shaded, ``times`` (K,) frames, and ``factors``
     (K, M) by which their colours are multiplied; all empty where the ``light`` was not kept."""
-    model = BodyModel.load(body) if body is not None else None
-    people = [read_avatar(ply, npz, model) for ply, npz in zip(gaussians, avatars, strict=True) if model is not None]
-    things = [thing for path in objects for thing in read_objects(path)]
-    found = shading(read_light(light), read_ply(background), people, people, things)
+    (room, _), people = files.room(), files.people()
+    found = shading(read_light(light), room, people, people, files.things())
     times = evenly_spread(read_manifest(manifest).frames, MOMENTS)
     if found is None:
         say("shade: no light explains the shadows, so nobody throws any")

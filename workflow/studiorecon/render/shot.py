@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
-from studiorecon.body.model import BodyModel
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.footage.streams import writing
@@ -32,12 +31,10 @@ from studiorecon.render.statistics import PictureStatistics, angles_deg, obstacl
 from studiorecon.render.subjects import Subjects
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.path import PathStep, write_path
-from studiorecon.scene.provenance import read_provenance
 from studiorecon.signature import Written
 from studiorecon.splatting.device import resolve
-from studiorecon.splatting.rigid_object import read_objects
+from studiorecon.splatting.scene_files import SceneFiles
 
 if TYPE_CHECKING:
     from jaxtyping import Integer
@@ -79,31 +76,15 @@ def picture(
 
 
 def read_composite(
-    background: Path,
-    provenance: Path,
-    gaussians: Sequence[Path],
-    avatars: Sequence[Path],
-    body: Path | None,
-    shot: str,
-    shots: Mapping,
-    light: Sequence[Path] = (),
-    objects: Sequence[Path] = (),
-    stand_ins: Sequence[Path] = (),
+    files: SceneFiles, shot: str, shots: Mapping, light: Sequence[Path] = (), stand_ins: Sequence[Path] = ()
 ) -> Composite:
     """Background, people and things from their files, with whom the shot replaces; under the ``light``, if any, they
     shade the room.
 
     Raises UserError when the provenance is another background's.
     """
-    static = read_ply(background)
-    classes = read_provenance(provenance, static.count)
-    people: list[Avatar] = []
-    if pairs := list(zip(gaussians, avatars, strict=True)):
-        assert body is not None
-        body_model = BodyModel.load(body)
-        people = [read_avatar(ply, npz, body_model) for ply, npz in pairs]
+    (static, classes), people, things = files.room(), files.people(), files.things()
     cast = replaced(people, shots.get(shot, {}).get("replace", {}), shot, stand_ins)
-    things = [thing for path in objects for thing in read_objects(path)]
     shade = shading(read_light(light[0]), static, cast, people, things) if light else None
     names = {person.person for person in cast}
     return Composite(static, classes, cast, shade, things, [person for person in people if person.person not in names])
@@ -119,18 +100,13 @@ def run(
     model: Path,
     heldout_model: Path | None,
     manifest: Path,
-    background: Path,
-    provenance: Path,
-    gaussians: list[Path],
-    avatars: list[Path],
-    body: Path | None,
+    files: SceneFiles,
     video: Written,
     truth: Written,
     depth: Written,
     path: Written,
     ledger: Written,
     light: list[Path] | None = None,
-    objects: list[Path] | None = None,
     stand_ins: list[Path] | None = None,
     device: str = "cpu",
 ) -> None:
@@ -139,18 +115,7 @@ def run(
     capture = read_manifest(manifest)
     training = read_model(model.parent)
     held_out = read_model(heldout_model.parent) if heldout_model is not None else []
-    scene = read_composite(
-        background,
-        provenance,
-        gaussians,
-        avatars,
-        body,
-        shot,
-        settings.shots,
-        light or (),
-        objects or (),
-        stand_ins or (),
-    )
+    scene = read_composite(files, shot, settings.shots, light or (), stand_ins or ())
     everybody = typing.cast("list[Avatar]", [*scene.people, *scene.absent])  # as read_composite made them
     captured = sorted(everybody, key=lambda person: person.person)
     subjects = subjects_of(captured, training, capture.frames, capture.fps)

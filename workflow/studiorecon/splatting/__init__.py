@@ -10,6 +10,7 @@ In come ``scene.gaussians.Gaussians`` and cameras; out come pictures, gradients,
 ``device``       which of the two draws
 ``discs``, ``seeds``  flat Gaussians on surfaces: on given points, and a room's first ones on depth maps
 ``rigid_object``  a set of Gaussians that moves as one
+``scene_files``  a trained scene, read from its files
 ``train``        the one training loop, its terms, optimiser and density control
 ``reference``    the slow float64 truth that tests compare with
 
