@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A body as two dozen capsules, one per joint: enough to say what light it keeps from the floor."""
+"""The body as two dozen capsules, one per joint, to compute the light it blocks from the floor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from studiorecon.body.model import BodyModel
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-# A joint that moves fewer vertices than this is part of its neighbours.
+# A joint that moves fewer vertices than this counts as part of its neighbours.
 _MIN_VERTICES = 6
 
 
@@ -24,7 +24,7 @@ class Occluder:
     Attributes:
         joint: (C,) the joint that moves each.
         ends_m: (C, 2, 3) ends of their axes in the rest pose.
-        radius_m: (C,).
+        radius_m: (C,) radii.
     """
 
     joint: Num[np.ndarray, " C"]
@@ -32,7 +32,8 @@ class Occluder:
     radius_m: Num[np.ndarray, " C"]
 
     def posed(self, world_from_rest: Num[np.ndarray, "24 4 4"]) -> Num[np.ndarray, "C 7"]:
-        """Capsules in the world, two ends and a radius, from joint transforms; none when those are not finite.
+        """(C, 7) capsules in the world, two ends and a radius, from joint transforms; none if a transform is not
+        finite.
 
         Raises ValueError for another shape.
         """
@@ -46,9 +47,9 @@ class Occluder:
 
 
 def occluder(model: BodyModel, betas: Num[np.ndarray, " B"]) -> Occluder:
-    """Every joint's vertices, those that it moves most, as a capsule along their longest direction.
+    """A capsule for each joint, along the longest direction of the vertices that the joint moves most.
 
-    The radius is their mean distance from the axis, and the axis ends that much before they do.
+    The radius is their mean distance from the axis, and the axis ends one radius before they do.
     """
     vertices, strongest = model.rest_vertices(betas), model.weights.argmax(axis=1)
     joints, ends, radii = [], [], []

@@ -28,7 +28,7 @@ from studiorecon.scene.outside import laid_out_as, read_npz
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
-# Vertices of SMPL's own topology (6,890) for the points that no joint stands for; limb points are taken at the joints.
+# Vertices of SMPL's own topology (6,890) for points without a joint; limb points are taken at the joints.
 _SMPL_VERTICES = {
     "nose": 332, "right_eye": 6260, "left_eye": 2800, "right_ear": 4071, "left_ear": 583, "head_top": 411,
     "left_big_toe": 3216, "left_small_toe": 3226, "left_heel": 3387,
@@ -96,8 +96,10 @@ class BodyModel:
         return self.shape_directions.shape[-1]
 
     def scaled(self, scale: float) -> BodyModel:
-        """The body with all its lengths times ``scale``, of the same shape space (paper, Eq. 4). Its betas β are the
-        unscaled body's ``of_size(β, scale)``."""
+        """The body with all its lengths times ``scale``, in the same shape space (paper, Eq. 4).
+
+        Its betas β are the unscaled body's ``of_size(β, scale)``.
+        """
         lengths = ("template_m", "shape_directions", "joint_template_m", "joint_directions", "pose_directions")
         held = {name: getattr(self, name) for name in lengths}
         return replace(self, **{name: scale * array for name, array in held.items() if array is not None})
@@ -176,11 +178,11 @@ class BodyModel:
         return np.einsum("tjxy,kjy->tkx", world, offsets) + np.einsum("kj,tjx->tkx", share, joints) + trans_m[:, None]
 
     def keypoint_basis(self, names: Sequence[str]) -> tuple[Num[np.ndarray, "K 24"], Num[np.ndarray, "K 24 3 1+B"]]:
-        """Shares and anchors with which K keypoints need no mesh.
+        """Shares and anchors that give K keypoints without the mesh.
 
         A linear surface point under skinning is Σ_j G_j (anchor_kj(β) − share_kj J_j(β)) + share_kj J_j^posed, G_j the
-        joint's world rotation: the sums over vertices are done once, here. Raises KeyError for a name the body does not
-        have.
+        joint's world rotation: the sums over vertices are done once, here. Raises KeyError for a name that the body
+        lacks.
         """
         rows = [self.keypoint_names.index(n) if n in self.keypoint_names else _missing(n) for n in names]
         vertices, joints = self.keypoint_vertices[rows], self.keypoint_joints[rows]
@@ -206,10 +208,10 @@ class BodyModel:
 
 
 def upright_global_orientation(heading_rad: float) -> Num[np.ndarray, " 3"]:
-    """(3,) axis-angle for ``poses[:, :3]`` of a body standing upright in the z-up world, facing (cos, sin) of
+    """(3,) axis-angle for ``poses[:, :3]`` of an upright body in the z-up world, facing (cos, sin) of
     ``heading_rad``."""
     c, s = np.cos(heading_rad), np.sin(heading_rad)
-    # Columns: where the body's left (x), up (y) and forward (z) point in the world.
+    # Columns: directions of the body's left (x), up (y) and forward (z) in the world.
     return rotations.log(np.array([[-s, 0.0, c], [c, 0.0, s], [0.0, 1.0, 0.0]]))
 
 
@@ -223,15 +225,18 @@ def of_size(betas: Num[np.ndarray, " B"], scale: float) -> Num[np.ndarray, " B+1
 
 
 def shape_and_size(betas: Num[np.ndarray, " _"], shapes: int) -> tuple[Num[np.ndarray, " B"], float]:
-    """Coordinates (B,) of the shape space and the scale that ``betas`` of a body with B ``shapes`` stand for: what
-    ``of_size`` was given. Raises ValueError as ``rest_joints`` does."""
+    """Coordinates (B,) of the shape space and the scale encoded in ``betas``, for B ``shapes``; the inverse of
+    ``of_size``.
+
+    Raises ValueError as ``rest_joints`` does.
+    """
     shape, size = _betas(betas, shapes)
     return shape / size, size
 
 
 def _betas(betas: np.ndarray, count: int) -> tuple[np.ndarray, float]:
-    """Factors (B,) of the shape directions and of the template; missing betas are 0, surplus ones but the size must
-    be."""
+    """Factors (B,) of the shape directions and of the template; missing betas are 0, and surplus ones must be except
+    the size."""
     given = np.asarray(betas, dtype=np.float64).reshape(-1)
     if np.any(given[count + 1 :] != 0) or (len(given) > count and not given[count] > -1):
         raise ValueError(f"{len(given)} betas for a shape space of {count}")
@@ -300,7 +305,7 @@ def _read(data: dict[str, np.ndarray], path: Path) -> BodyModel:
 
 
 def _keypoints(data: dict[str, np.ndarray], vertex_count: int) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
-    """Names and regressors (K, V), (K, 24): what the file brings, or SMPL's vertices and joints; every joint as
+    """Names and regressors (K, V), (K, 24) from the file or from SMPL's vertices and joints; every joint is
     ``<name>_joint``."""
     rows: dict[str, tuple[dict[int, float], dict[int, float]]] = {
         f"{n}_joint": ({}, {j: 1.0}) for j, n in enumerate(JOINT_NAMES)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where detected people stand in the picture, generously: pixels that say nothing about the background at that
-moment."""
+"""Regions of the image where detected people are, drawn generously: pixels that may hide the background."""
 
 from __future__ import annotations
 
@@ -19,8 +18,8 @@ if TYPE_CHECKING:
 
 # Keypoints below this confidence are guesses that would stretch the outline across the room.
 _MIN_CONFIDENCE = 0.2
-# Half-thickness of limbs and radius of the head, as shares of a person's height; a hand reaches on by this share of the
-# forearm.
+# Half-thickness of limbs and radius of the head, as shares of a person's height; a hand extends the forearm by this
+# share.
 _LIMB, _HEAD, _HAND = 0.035, 0.065, 0.5
 _FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear", "head_top")
 _TORSO = ("left_shoulder", "right_shoulder", "right_hip", "left_hip")
@@ -33,7 +32,8 @@ def people_regions(
     """(T, H, W) bool: where detected people are at the working frames ``frames`` (T,).
 
     Thick limbs, torso and head along the layout's bones, grown by ``margin`` times the person's height, because clothes
-    and hair are wider than bodies. A detection holds for ``hold`` frames before and after, because detectors blink.
+    and hair are wider than bodies. A detection also covers ``hold`` frames before and after, because detectors miss
+    single frames.
     """
     regions = np.zeros((len(frames), *hw), np.uint8)
     layout = LAYOUTS[detections.layout]
@@ -77,7 +77,7 @@ def draw_person(
 
 
 def _height_px(points: dict[str, np.ndarray]) -> float:
-    """A person's height in pixels: along the longer leg and the torso, so that crouching does not shrink it."""
+    """A person's height in pixels, along the longer leg and the torso, so that crouching does not shrink it."""
     found = np.array(list(points.values()))
     longest = float(np.max(np.ptp(found, axis=0)))
     for side in ("left", "right"):
@@ -90,5 +90,5 @@ def _height_px(points: dict[str, np.ndarray]) -> float:
 
 
 def _pixel(point: np.ndarray) -> tuple[int, int]:
-    # Far outside, drawing only costs time; the clip keeps the number within OpenCV's integers.
+    # Far outside, drawing only costs time; the clip keeps numbers within OpenCV's integers.
     return int(np.clip(np.floor(point[0]), -10000, 10000)), int(np.clip(np.floor(point[1]), -10000, 10000))

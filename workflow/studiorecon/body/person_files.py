@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One person's body over time as a file: AMASS-style npz, with what is broken in it repaired as far as can be."""
+"""One person's body over time as a file: AMASS-style npz; frames that are not finite are repaired on reading."""
 
 from __future__ import annotations
 
@@ -42,10 +42,9 @@ def write_person(path: Path, person: Person) -> None:
 
 
 def read_person(path: Path) -> Person:
-    """A person's body. Frames that hold numbers that are not finite are said, count as not measured and are filled
-    between sound ones.
+    """The person of a file; frames with numbers that are not finite are filled and not valid.
 
-    Raises UserError as ``intermediate.read`` does, also where no frame is sound.
+    A warning counts them. Raises UserError as ``intermediate.read`` does, also when no frame is finite.
     """
 
     def made(data: dict[str, Any]) -> tuple[Person, np.ndarray]:

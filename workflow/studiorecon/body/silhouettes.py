@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where fitted bodies are in a picture, with room for clothes, hair and what the fit is off."""
+"""Regions of an image that fitted bodies cover, with a margin for clothes, hair and the error of the fit."""
 
 from __future__ import annotations
 
@@ -28,9 +28,8 @@ def grown_outlines(
 ) -> Bool[np.ndarray, "H W"]:
     """(H, W) bool: the bodies of ``people`` at one frame, grown by ``margin_m`` at their distance.
 
-    Bodies that were only filled in there are grown ``filled_margin`` times as much: they may stand further off. Whoever
-    is away then has none.
-    ``body`` may be None where there are no people.
+    Bodies that were filled in at this frame are grown ``filled_margin`` times as much, because they may be further off.
+    People who are away have no region. ``body`` may be None where there are no people.
     """
     covered = np.zeros(camera.hw, np.uint8)
     for person in people:

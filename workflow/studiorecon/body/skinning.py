@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Linear blend skinning: joint rotations down the tree, and points carried by blended transforms."""
+"""Linear blend skinning: forward kinematics down the joint tree, and points carried by blended transforms."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ def forward_kinematics(
     parents: Num[np.ndarray, " J"],
     root_m: Num[np.ndarray, "T 3"] | float = 0.0,
 ) -> tuple[Num[np.ndarray, "T J 3 3"], Num[np.ndarray, "T J 3"]]:
-    """World rotations and joints, root joint at ``root_m``, the origin by default.
+    """World rotations and joints, root joint at ``root_m``, by default the origin.
 
-    ``rotations`` are each joint's relative to its parent, ``rest_joints_m`` the shaped T-pose, or one per frame;
-    parents come before their children. Raises ValueError that names the argument for other shapes; a rotation that is
-    not finite makes its own frame so, no other.
+    ``rotations`` are relative to each joint's parent; ``rest_joints_m`` is the shaped T-pose, for all frames or one per
+    frame. Parents come before their children. Raises ValueError that names the argument for other shapes. A rotation
+    that is not finite spoils only its own frame.
     """
     sizes = require("rotations", rotations, ("T", "J", 3, 3))
     require("rest_joints_m", rest_joints_m, ("J", 3) if np.ndim(rest_joints_m) == 2 else ("T", "J", 3), sizes)
@@ -45,11 +45,10 @@ def world_from_rest(
     joints_m: Num[np.ndarray, "T J 3"],
     rest_joints_m: Num[np.ndarray, "J 3"],
 ) -> Num[np.ndarray, "T 24 4 4"]:
-    """(T, 24, 4, 4) transforms that carry rest points to the world: rotate about the rest joint, then move to the posed
-    one.
+    """(T, 24, 4, 4) transforms of rest points to the world: rotate about the rest joint, then move to the posed joint.
 
-    With the T-pose and the rest joints themselves this is the identity (L08: the inverse bind is included).
-    Raises ValueError that names the argument for other shapes.
+    With the T-pose and the rest joints this is the identity (L08: the inverse bind is included). Raises ValueError that
+    names the argument for other shapes.
     """
     sizes = require("world_rotations", world_rotations, ("T", "J", 3, 3))
     require("joints_m", joints_m, ("T", "J", 3), sizes)
@@ -64,7 +63,7 @@ def world_from_rest(
 def skin(
     points_m: Num[np.ndarray, "... V 3"], weights: Num[np.ndarray, "V J"], transforms: Num[np.ndarray, "T J 4 4"]
 ) -> Num[np.ndarray, "T V 3"]:
-    """Points, the same in every frame or each frame's own, carried by transforms, in the dtype of ``weights``.
+    """Points, the same in every frame or per frame, carried by blended transforms; the dtype is that of ``weights``.
 
     A dense product with BLAS beats gathering four transforms per point: 1 ms against 3 ms for 13,718 vertices in
     float32. Raises ValueError that names the argument for other shapes.

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A person as Gaussians in the body's rest pose. In come canonical Gaussians and a motion; out come posed Gaussians.
+"""One person as Gaussians in the body's rest pose; with a motion they become posed Gaussians.
 
-``weight_grid`` and ``binding`` tie Gaussians to the body, ``posing`` moves them and brings gradients back,
-``temporal`` (told where and when by ``encoding``, asked at ``control_points``) changes their looks over time, ``drift``
-reads it at the moments of a film, ``avatar_files`` keeps all of it.
+``weight_grid`` and ``binding`` tie Gaussians to the body. ``posing`` moves them and returns gradients. ``temporal``
+changes their colour and opacity over time: ``encoding`` encodes position and time, ``control_points`` are where the
+network is evaluated, ``drift`` evaluates it at the times of a film. ``avatar_files`` reads and writes all of it.
 """

@@ -32,7 +32,7 @@ from studiorecon.scene.schema import Maybe, Schema, flag, frame_rate, metres, ra
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
 
-# Moments whose pose is kept: films ask for the same ones picture after picture, and camera after camera.
+# Number of poses in the cache: films ask for the same ones for every picture and every camera.
 _MOMENTS_KEPT = 4096
 _NETWORK = "network."
 _AVATAR: dict[str, Schema] = {
@@ -74,10 +74,9 @@ class Avatar:
         valid: (T,) bool: frames in which the body was measured.
         fps: frames per second.
         metric: True when lengths are metres.
-        network: what colour and opacity of the Gaussians that it acts on add over time; None when nothing.
-        decision: the decision on that network as in ``survey/decisions.json``, JSON; "" when nobody asked.
-        present: (T,) bool: frames in which the person is there; in others nothing of them is drawn. All when none are
-            given.
+        network: adds residuals over time to colour and opacity of the Gaussians that it acts on; None for none.
+        decision: the decision on that network as in ``survey/decisions.json``, JSON; "" when the survey made none.
+        present: (T,) bool: frames in which the person is present; in others nothing is drawn. All True by default.
     """
 
     person: str
@@ -110,10 +109,11 @@ class Avatar:
         return float((self.provenance == MEASURED).mean()) if len(self.provenance) else 0.0
 
     def pose_at(self, frame: float) -> tuple[Num[np.ndarray, " 72"], Num[np.ndarray, " 3"]]:
-        """Axis-angle pose and pelvis position, metres, at a 0-based frame, between frames on the sphere of rotations.
+        """Axis-angle pose and pelvis position, metres, at a 0-based frame; rotations between frames are interpolated on
+        the sphere.
 
-        Frames outside the clip show its first or last pose: a film may hold the end. A camera may follow somebody who
-        is away: it is led to where they come back.
+        Frames outside the clip return its first or last pose, because a film may hold the end. While the person is
+        away, the pose moves towards where they come back, because a camera may follow them.
         """
         at = float(np.clip(frame, 0, self.frames - 1))
         low = min(int(at), max(self.frames - 2, 0))
@@ -128,17 +128,17 @@ class Avatar:
         ] + share * self.trans[low + 1]
 
     def there(self, frame: float) -> bool:
-        """Whether the person is there at a 0-based, possibly fractional frame: the nearer frame says it."""
+        """Whether the person is present at a 0-based, possibly fractional frame; the nearest frame decides."""
         at = float(np.clip(frame, 0, self.frames - 1))
         return bool(self.present[int(at) + (at - int(at) > 0.5)])
 
     def joints_m(self, frame: float) -> Num[np.ndarray, "24 3"]:
-        """(24, 3) world joints at a 0-based, possibly fractional frame, metres; infinitely far away when the person
-        is."""
+        """(24, 3) world joints at a 0-based, possibly fractional frame, metres; infinitely far away while the person is
+        away."""
         return self._moved(frame)[1] if self.there(frame) else np.full((24, 3), np.inf)
 
     def world_from_rest(self, frame: float) -> Num[np.ndarray, "24 4 4"]:
-        """(24, 4, 4) transforms of the joints at a 0-based, possibly fractional frame; not to be written to."""
+        """(24, 4, 4) transforms of the joints at a 0-based, possibly fractional frame; read-only."""
         return self._moved(frame)[0]
 
     @cached_property
@@ -168,8 +168,8 @@ class Avatar:
         return Drift(self.network, self.gaussians.means_m[self.drifting]) if self.network else None
 
     def looks_at(self, frame: float) -> tuple[Float[np.ndarray, "N K 3"], Float[np.ndarray, " N"]]:
-        """Harmonics and logit opacities of the canonical Gaussians at a 0-based, possibly fractional frame: what the
-        network adds over time, on those that it acts on."""
+        """Harmonics and logit opacities of the canonical Gaussians at a 0-based, possibly fractional frame, with the
+        network's residuals."""
         own, seen = self.gaussians, self.drifting
         if self._drift is None or not seen.any():
             return own.sh, own.logit_opacities
@@ -186,8 +186,8 @@ class Avatar:
         return np.where(length > 1e-6, forward / np.maximum(length, 1e-6), [1.0, 0.0])
 
     def posed(self, frame: float) -> Gaussians:
-        """The person's Gaussians in the world at a 0-based, possibly fractional frame; as many, but not drawn, when
-        the person is away."""
+        """The person's Gaussians in the world at a 0-based, possibly fractional frame; the same number, but invisible,
+        while the person is away."""
         own = self.gaussians
         if not self.there(frame):
             return own.undrawn()
@@ -197,8 +197,8 @@ class Avatar:
 
 
 def write_avatar(ply: Path, npz: Path, avatar: Avatar, mark: str = "") -> None:
-    """Write the canonical Gaussians and, beside them, what moves them (AMASS-style names) and ``mark``, what they were
-    trained from."""
+    """Write the canonical Gaussians, their motion (AMASS-style names) and ``mark``, which identifies their training
+    data."""
     write_ply(ply, avatar.gaussians)
     arrays = {name: getattr(avatar, name) for name in _ARRAYS}
     arrays |= {
@@ -215,7 +215,7 @@ def write_avatar(ply: Path, npz: Path, avatar: Avatar, mark: str = "") -> None:
 
 
 def written_from(ply: Path, npz: Path) -> str:
-    """The mark that ``write_avatar`` was given; "" when a file is missing, cannot be read, or the two were not written
+    """The mark given to ``write_avatar``; "" when a file is missing or unreadable, or the two were not written
     together."""
     if not (ply.is_file() and npz.is_file()):
         return ""
@@ -233,8 +233,11 @@ def _sha256(path: Path) -> str:
 
 
 def read_avatar(ply: Path, npz: Path, model: BodyModel, *, brought: bool = False) -> Avatar:
-    """Read what ``write_avatar`` wrote; raises UserError as ``intermediate.read`` does, also when the two were not
-    written together or the body model is another one. A user may have renamed or painted what is ``brought``."""
+    """Read the files of ``write_avatar``.
+
+    Raises UserError as ``intermediate.read`` does, also when the two were not written together or belong to another
+    body model. The Gaussians of ``brought`` may have been renamed or repainted by a user.
+    """
     gaussians = read_ply(ply)
 
     def made(data: dict[str, Any]) -> Avatar:
@@ -265,7 +268,7 @@ def read_avatar(ply: Path, npz: Path, model: BodyModel, *, brought: bool = False
 
 
 def read_decision(npz: Path) -> Decision | None:
-    """What was decided on the network of an avatar's file, None when nobody asked; raises UserError as
+    """The survey's decision on the network in an avatar's file, None when it made none; raises UserError as
     ``intermediate.read`` does."""
 
     def made(data: dict[str, Any]) -> Decision | None:

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaussians of a person in the rest pose, whoever made them, tied to the body: its shape, their place on it, their
-skinning weights.
+"""Ties a person's Gaussians in the rest pose to the body: its shape, its place among them, and their skinning weights.
 
-A canonical person of another method (LHM's, or any ``.ply`` of that kind) says nothing about the skeleton it was made
-on, and knees bend in the wrong place on another's. So the body's shape is fitted to the Gaussians first (the rest pose
-is linear in the shape: alternating nearest points and least squares), then every Gaussian takes the weights of the
-surface beside it.
+Gaussians of another method (LHM's, or any ``.ply`` of that kind) come without their skeleton, and knees would bend in
+the wrong place on another one. So the body's shape is fitted to the Gaussians first: the rest pose is linear in the
+shape, and nearest points alternate with least squares. Then every Gaussian takes the weights of the nearest surface.
 """
 
 from __future__ import annotations
@@ -29,12 +27,12 @@ if TYPE_CHECKING:
 _BONES_KEPT = 4
 _FITTED_ON = 2000
 _ROUNDS = 40
-# Clothes and hair stand off the body by about this much; points further off than three times this pull no harder.
+# Clothes and hair are about this far from the body; points more than three times as far pull no harder.
 _STAND_OFF_M = 0.03
-# Shape coordinates are standard normal; neighbouring points stand off together, so that only this many count as
+# Shape coordinates are standard normal; offsets of neighbouring points are correlated, so only this many count as
 # independent.
 _INDEPENDENT_POINTS = 100
-# A body in another pose leaves hands or feet further than this from any Gaussian.
+# In another pose, hands or feet are further than this from any Gaussian.
 _FURTHEST_M = 0.10
 _HEIGHTS_M = (0.6, 2.5)
 
@@ -58,10 +56,10 @@ class Binding:
 
 
 def bind(given: Gaussians, model: BodyModel, named: str) -> Binding:
-    """Tie canonical Gaussians to the body; ``named`` says in messages where they come from.
+    """Tie canonical Gaussians to the body; ``named`` is their source in messages.
 
-    Gaussians that are not finite are left out. Raises UserError when they are no standing body in the rest pose: arms
-    out to the sides, y up, z forward, metres.
+    Gaussians that are not finite are left out. Raises UserError when they are not a standing body in the rest pose:
+    arms out to the sides, y up, z forward, metres.
     """
     finite = np.isfinite(
         np.concatenate([given.means_m, given.log_scales, given.quaternions, given.sh[:, 0]], axis=1)
@@ -100,10 +98,9 @@ def bind(given: Gaussians, model: BodyModel, named: str) -> Binding:
 def surface_weights(
     points_m: Num[np.ndarray, "N 3"], vertices_m: Num[np.ndarray, "V 3"], weights: Num[np.ndarray, "V J"]
 ) -> tuple[Integer[np.ndarray, "N 4"], Num[np.ndarray, "N 4"]]:
-    """Joints and weights of points from the surface beside them: the four nearest of the vertices, each by its inverse
-    squared distance, so that a thigh's skin hardly listens to the other thigh's (L06).
+    """Joints and skinning weights of points, from the four nearest vertices by inverse squared distance.
 
-    Raises ValueError for other shapes.
+    The square keeps a thigh's skin from following the other thigh (L06). Raises ValueError for other shapes.
     """
     sizes = require("vertices_m", vertices_m, ("V", 3))
     require("weights", weights, ("V", "J"), sizes)
@@ -120,7 +117,7 @@ def _outside(model: BodyModel) -> np.ndarray:
 
 
 def _fit(points_m: np.ndarray, model: BodyModel) -> tuple[np.ndarray, np.ndarray, float]:
-    """Shape (B,), place (3,) of the body's rest pose among ``points_m``, and the distance within which 95 % of it has a
+    """Shape (B,), offset (3,) of the rest pose to ``points_m``, and the distance within which 95 % of the body has a
     point."""
     vertices = np.flatnonzero(_outside(model))
     vertices = vertices[np.linspace(0, len(vertices) - 1, min(len(vertices), _FITTED_ON)).astype(int)]
@@ -135,7 +132,8 @@ def _fit(points_m: np.ndarray, model: BodyModel) -> tuple[np.ndarray, np.ndarray
         body = template + directions @ betas + shift
         to_point, point = tree.query(body)
         to_body, vertex = scipy.spatial.cKDTree(body).query(points_m)
-        # Both ways: the body's hands reach for the Gaussians' hands, and the Gaussians' own extremes pull at the body.
+        # Nearest points in both directions: from the body to the Gaussians, and from the Gaussians' extremes to the
+        # body.
         rows = np.concatenate([np.arange(len(body)), vertex])
         target = np.concatenate([points_m[point], points_m]) - template[rows]
         distance = np.concatenate([to_point, to_body])

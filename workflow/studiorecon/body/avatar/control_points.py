@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A few hundred points on the body that carry what changes slowly over it, and how every Gaussian takes part in it.
+"""Control points: a few hundred points on the body that carry slow changes, and every Gaussian's share in them.
 
-What drifts on a person beside the pose, light and folds, is as coarse as a hand is wide. So the network is asked at
-some hundred points, and its answers are spread over the thousands of Gaussians between them.
+Light and folds vary over a person about as coarsely as a hand is wide. So the network is evaluated at some hundred
+points and its output is interpolated to thousands of Gaussians.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ import scipy
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num, Shaped
 
-# Points that a Gaussian between them listens to.
+# Number of control points that a Gaussian interpolates.
 _NEAREST = 4
 
 
 @dataclass(frozen=True)
 class ControlPoints:
-    """M points and N Gaussians that move with them.
+    """M control points and N Gaussians that interpolate them.
 
     Attributes:
-        points_m: (M, 3) float64 places in the rest pose, metres.
-        near: (N, 4) int32 the points that each Gaussian is nearest to.
-        shares: (N, 4) float32 how much it listens to each; rows sum to 1.
+        points_m: (M, 3) float64 positions in the rest pose, metres.
+        near: (N, 4) int32 the control points nearest to each Gaussian.
+        shares: (N, 4) float32 weight of each; rows sum to 1.
     """
 
     points_m: Float[np.ndarray, "M 3"]
@@ -38,10 +38,10 @@ class ControlPoints:
 
     @classmethod
     def on(cls, means_m: Num[np.ndarray, "N 3"], count: int) -> ControlPoints:
-        """``count`` of the places ``means_m``, as far apart as may be, and the shares of all N in them.
+        """``count`` of the positions ``means_m``, as far apart as possible, and the shares of all N Gaussians in them.
 
-        A share falls to 0 where the next point takes over, so that nothing jumps from one Gaussian to its neighbour.
-        The same places give the same points; where there are fewer, all of them are points.
+        A share falls to 0 where the next point takes over, so that neighbouring Gaussians do not differ by a step. The
+        same positions give the same points; with fewer than ``count``, all of them are points.
         """
         means = np.asarray(means_m, np.float64)
         points = means[spread_out(means, count)]
@@ -51,7 +51,8 @@ class ControlPoints:
         if asked > _NEAREST:
             shares = np.square(1 - distance / np.maximum(distance[:, -1:], 1e-9))[:, :_NEAREST]
         else:
-            # Too few points for one to take over from: the nearest counts most. Padding keeps rows of one length.
+            # With so few points none takes over from another: the nearest has the largest share. Padding gives all rows
+            # one length.
             padding = ((0, 0), (0, _NEAREST - asked))
             shares, near = np.pad(1 / np.maximum(distance, 1e-9), padding), np.pad(near, padding)
         total = shares.sum(axis=1, keepdims=True)
@@ -59,25 +60,25 @@ class ControlPoints:
         return cls(points, near[:, :_NEAREST].astype(np.int32), shares.astype(np.float32))
 
     def spread(self, values: Num[np.ndarray, "M C"]) -> Float[np.ndarray, "N C"]:
-        """Values of the Gaussians, float32, from those of the points."""
+        """Values at the Gaussians, float32, interpolated from those at the points."""
         out = np.empty((len(self.near), values.shape[1]), np.float32)
         _spread(self.near, self.shares, np.ascontiguousarray(values, np.float32), out)
         return out
 
     def gathered(self, gradient: Num[np.ndarray, "N C"]) -> Float[np.ndarray, "M C"]:
-        """The gradient by the points' values, float32, from that by the Gaussians'; NaN and inf count 0."""
+        """Gradient by the points' values, float32, from that by the Gaussians'; NaN and inf count 0."""
         out = np.zeros((len(self.points_m), gradient.shape[1]), np.float32)
         _gather(self.near, self.shares, np.ascontiguousarray(gradient, np.float32), out)
         return out
 
     def to_arrays(self) -> dict[str, Shaped[np.ndarray, " ..."]]:
-        """What a file needs to hold."""
+        """The arrays to store in a file."""
         return {"points_m": self.points_m, "near": self.near, "shares": self.shares}
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> ControlPoints | None:
-        """The inverse of ``to_arrays``, None when nothing of it is held; raises ValueError for points that there are
-        not."""
+        """The inverse of ``to_arrays``, None when ``held`` has no control points; raises ValueError for indices out of
+        range."""
         if "points_m" not in held:
             return None
         if held["near"].size and held["near"].max() >= len(held["points_m"]):
@@ -86,8 +87,10 @@ class ControlPoints:
 
 
 def spread_out(points_m: Num[np.ndarray, "N 3"], count: int) -> Integer[np.ndarray, " K"]:
-    """Indices of ``count`` points, or of all where there are fewer, each the one furthest from all before it; the first
-    is the one nearest to their mean."""
+    """Indices of ``count`` points (of all if there are fewer) by farthest-point sampling.
+
+    The first is the point nearest to their mean; each next one is farthest from all before it.
+    """
     chosen = np.empty(min(count, len(points_m)), np.int64)
     chosen[0] = np.square(points_m - points_m.mean(axis=0)).sum(axis=1).argmin()
     gap = np.full(len(points_m), np.inf)

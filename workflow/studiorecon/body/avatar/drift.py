@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a temporal network adds to a person at any moment of a film: asked once a frame, read between frames.
+"""A temporal network's residuals at any time of a film: evaluated once per frame and interpolated between frames.
 
-The network was taught at whole frames. Between two of them its answer is read on the straight line, as places on the
-body are, and films that show a frame several times, or from several cameras, ask for it once.
+The network was trained at whole frames. Between two frames its residuals are interpolated linearly, as body positions
+are. Films that show a frame several times, or from several cameras, evaluate it once.
 """
 
 from __future__ import annotations
@@ -17,22 +17,25 @@ from studiorecon.body.avatar.temporal import TemporalNetwork
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
 
-# Answers that are kept, bytes: a thousand frames of some hundred points, a hundred of ten thousand Gaussians.
+# Size of the cache in bytes: a thousand frames of some hundred points, or a hundred of ten thousand Gaussians.
 _KEPT = 1 << 26
 
 
 class Drift:
-    """A network at the Gaussians it was made for."""
+    """A network at the Gaussians that it was made for."""
 
     def __init__(self, network: TemporalNetwork, means_m: Num[np.ndarray, "N 3"]) -> None:
-        """``means_m``: the places of the Gaussians that the network speaks of, in the rest pose."""
+        """Cache the network's residuals for Gaussians at ``means_m`` in the rest pose."""
         self._network, self._means_m = network, means_m
         rows = len(means_m) if network.control is None else len(network.control.points_m)
         self._answers = lru_cache(max(2, _KEPT // max(16 * rows, 1)))(self._asked)
 
     def residuals(self, frame: float) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
-        """What to add to the constant harmonic and to the logit opacity, float32, at a 0-based, possibly fractional
-        frame; before the first and after the last, theirs."""
+        """Residuals of the constant harmonic and of the logit opacity, float32, at a 0-based, possibly fractional
+        frame.
+
+        Before the first and after the last frame they are those of that frame.
+        """
         at = float(np.clip(frame, 0, self._network.frames - 1))
         low = int(at)
         found, share = self._answers(low), np.float32(at - low)

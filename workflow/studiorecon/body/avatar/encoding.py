@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the temporal network is told: position and time as sines of rising frequency (paper, appendix: multires 10, 63 +
-21 inputs).
+"""The temporal network's input: position and time as sines of rising frequency (paper, appendix: multires 10, 63 + 21
+inputs).
 
 The identity is part of the code (3 + 3·2·10 = 63, 1 + 2·10 = 21). Frequencies are 2^k without π, as the predecessor's
 code has them (U47); ``half_turns`` puts the π of the formula back.
@@ -21,10 +21,10 @@ BANDS = 10
 def in_body_box(
     points_m: Num[np.ndarray, "N 3"], low_m: Num[np.ndarray, " 3"], high_m: Num[np.ndarray, " 3"]
 ) -> Float[np.ndarray, "N 3"]:
-    """Points, float64, with the box from ``low_m`` to ``high_m`` as [−1, 1]; a box without extent counts as a metre
-    wide.
+    """Points, float64, scaled so that the box from ``low_m`` to ``high_m`` is [−1, 1]; a box without extent counts as a
+    metre wide.
 
-    Sines of 2⁹ x lose all digits in metres far from the origin (O01), never inside the box.
+    In metres far from the origin, sines of 2⁹ x lose all digits (O01); inside the box they never do.
     """
     low, high = np.asarray(low_m, np.float64), np.asarray(high_m, np.float64)
     half = np.where(high > low, (high - low) / 2, 0.5)
@@ -39,12 +39,11 @@ def encode_position(normalised: Num[np.ndarray, "N 3"], half_turns: bool = False
 def encode_time(
     frame: float, frames: int, half_turns: bool = False, every_band: bool = False
 ) -> Float[np.ndarray, " 21"]:
-    """(21,) float32 code of 0-based ``frame``, which may lie between two, of ``frames``; time runs from 0 to 1.
+    """(21,) float32 code of 0-based ``frame`` of ``frames``; it may be fractional, and time runs from 0 to 1.
 
-    Where there is one frame only it is 0 (O03).
-
-    Bands above half a cycle per frame are 0: they would be aliased, a noise of the frame's number (O02). The inputs
-    stay 21. ``every_band`` gives them all the same, as the paper's network has them.
+    With a single frame time is 0 (O03). Bands above half a cycle per frame are 0, because they would be aliased to
+    noise in the frame number (O02); the inputs stay 21. ``every_band`` keeps all bands, as the paper's network has
+    them.
     """
     code = _encoded(np.array([[frame / max(frames - 1, 1)]]), BANDS, half_turns)[0]
     if not every_band:
@@ -53,17 +52,16 @@ def encode_time(
 
 
 def time_bands(frames: int, half_turns: bool = False) -> int:
-    """How many bands, from the slowest on, turn by at most half a cycle between two of ``frames`` frames."""
+    """Number of bands, from the slowest, that turn by at most half a cycle between two of ``frames`` frames."""
     per_frame = 2.0 ** np.arange(BANDS) * (np.pi if half_turns else 1.0) / max(frames - 1, 1) / (2 * np.pi)
     return int(np.count_nonzero(per_frame <= 0.5))
 
 
 def _encoded(values: np.ndarray, bands: int, half_turns: bool) -> np.ndarray:
-    """(N, D) float64 → (N, D (1 + 2 bands)) float32; the argument of the sines is float64, or its rounding would be
-    theirs.
+    """(N, D) float64 → (N, D (1 + 2 bands)) float32; the sines' argument is float64, to keep its rounding out of them.
 
-    Each band is twice the one before it, by the formulas of the double angle: sines are dear, and nine doublings lose
-    three digits of sixteen. Points run along the last axis meanwhile: three at a time would cost five times as much.
+    Each band is twice the one before it, by the double-angle formulas: sines are slow, and nine doublings lose three
+    digits of sixteen. Points run along the last axis: three at a time would cost five times as much.
     """
     waves = np.empty((bands, 2, values.shape[1], len(values)))
     angle = np.ascontiguousarray(values.T) * (np.pi if half_turns else 1.0)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Linear blend skinning of Gaussians: canonical means, orientations and SH into a pose, and gradients back out of it.
+"""Linear blend skinning of Gaussians: means, orientations and SH into a pose, and gradients back from it.
 
-The mean follows the blended matrix exactly; orientation and view dependence follow its polar rotation, because a blend
-of rotations is not one (L05, U44). The polar factor of a collapsed blend (a half-half twist of 180°) does not
-exist; there the bone with the largest weight decides (L04).
+The mean follows the blended matrix exactly. Orientation and view dependence follow its polar rotation, because a blend
+of rotations is not a rotation (L05, U44). A collapsed blend (a half-half twist of 180°) has no polar factor; there the
+bone with the largest weight decides (L04).
 """
 
 from __future__ import annotations
@@ -24,11 +24,13 @@ _COLLAPSED = 1e-6  # determinant below which a blend has no usable polar rotatio
 _KERNEL: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"nsz", "contract"}}
 
 
-# The kernels below keep a Gaussian's numbers in scalars: an array of nine, made anew for each, took half their time.
+# The kernels below use scalars: allocating an array of nine for each Gaussian took half their time.
 @numba.njit(**_KERNEL)
 def _polar(m):
-    """Nearest rotation of a row-major matrix by Newton's iteration (Higham 1986), nine numbers, and whether there is
-    one: a blend that has collapsed or is mirrored has none."""
+    """Nearest rotation of a row-major matrix by Newton's iteration (Higham 1986), nine numbers, and whether it exists.
+
+    A collapsed or mirrored blend has none.
+    """
     a, b, c, d, e, f, g, h, i = m
     for _ in range(40):
         ca, cb, cc = e * i - f * h, f * g - d * i, d * h - e * g
@@ -68,7 +70,7 @@ def _quaternion(r):
 
 @numba.njit(**_KERNEL)
 def _turn_sh(r, sh, i, out):
-    """Coefficients of Gaussian ``i`` whose value along r·d is the given one's along d; orthogonal, so the backward pass
+    """Rotate the SH of Gaussian ``i``: the value along r·d is the given one's along d. Orthogonal, so the backward pass
     is r transposed."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = r
     for channel in range(3):
@@ -114,10 +116,10 @@ def carry_out(
     posed_quaternions,
     posed_sh,
 ):
-    """Canonical Gaussians into the pose; quaternions keep their length (the renderer normalises).
+    """Pose canonical Gaussians; quaternions keep their length (the renderer normalises).
 
-    Fills what ``carry_back`` needs: the blended ``linear`` (N, 3, 3), its polar rotation ``turn`` (N, 3, 3) and that as
-    ``turn_quaternions`` (N, 4).
+    Also fills the inputs of ``carry_back``: the blended ``linear`` (N, 3, 3), its polar rotation ``turn`` (N, 3, 3) and
+    that as ``turn_quaternions`` (N, 4).
     """
     for i in range(bones.shape[0]):
         a = b = c = d = e = f = g = h = j = x = y = z = 0.0
@@ -183,7 +185,7 @@ def carry_out(
 def carry_back(
     grad_means, grad_quaternions, grad_sh, linear, turn, turn_quaternions, out_means, out_quaternions, out_sh
 ):
-    """Gradients at posed Gaussians to gradients at canonical ones (the skinning weights are held)."""
+    """Turn gradients at posed Gaussians into gradients at canonical ones; skinning weights are constant."""
     for i in range(grad_means.shape[0]):
         gx, gy, gz = grad_means[i, 0], grad_means[i, 1], grad_means[i, 2]
         for c in range(3):
@@ -211,11 +213,10 @@ def carry_back(
 
 @numba.njit(**_KERNEL)
 def bone_wrenches(means, grad_means, bones, weights, world_from_rest, force, torque):
-    """Adds up over Gaussians the posed-mean gradient carried by each bone: ``force`` (24, 3), ``torque`` (24, 3) about
-    the origin.
+    """Sum the posed-mean gradients of each bone: ``force`` (24, 3), and ``torque`` (24, 3) about the origin.
 
-    A small turn ω of a joint at p moves every point x of its subtree by ω × (x − p), so the loss changes by
-    ω · (Σ torque − p × Σ force) over the bones of the subtree.
+    A small turn ω of a joint at p moves every point x of its subtree by ω × (x − p), so the loss changes by ω · (Σ
+    torque − p × Σ force) over the bones of the subtree.
     """
     for i in range(means.shape[0]):
         g0, g1, g2 = grad_means[i, 0], grad_means[i, 1], grad_means[i, 2]

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What changes on a person over time beside the pose: a small network adds to colour and opacity of every Gaussian
-(paper, appendix D).
+"""A small network that adds changes over time to colour and opacity of a person's Gaussians (paper, appendix D).
 
 (Δc, Δα) = f(γ(μ), γ(t)): 8 layers of 256, the input joined again after layer 4, 63 + 21 inputs (``encoding``). The
-residuals are added to the raw values, the constant harmonic and the logit opacity, and the last layer starts at zero,
-so the network enters without a jump (U48). The paper asks it at every Gaussian; with ``control`` it is asked
-at some hundred points, whose answers are spread over the Gaussians between them. Matrices and gradients are written
-out: that is fifty lines, and no step needs torch to draw a person.
+residuals are added to the raw values: the constant harmonic and the logit opacity. The last layer starts at zero, so
+the network starts without a jump (U48). The paper evaluates it at every Gaussian; with ``control`` it is evaluated at
+some hundred points and interpolated. Matrices and gradients are written out here in fifty lines, so that no step needs
+torch to draw a person.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 WIDTH, LAYERS, SKIP = 256, 8, 4
 _POSITION_INPUTS, _TIME_INPUTS, _OUTPUTS = 63, 21, 4
 _INPUTS = _POSITION_INPUTS + _TIME_INPUTS
-_PAPERS = ("every_band", "everywhere")  # stored where they are so
+_PAPERS = ("every_band", "everywhere")  # stored only when True
 NETWORK: dict[str, Schema] = {
     "flat": real("P"),
     "shape": whole("3", low=1),
@@ -45,7 +44,7 @@ NETWORK: dict[str, Schema] = {
 
 @dataclass
 class TemporalNetwork:
-    """One person's network (U49: one each, so that people can be trained alone).
+    """One person's network (U49: one each, so that people can be trained separately).
 
     Attributes:
         flat: all parameters as one float32 vector, so that an optimiser has one array to move.
@@ -54,9 +53,9 @@ class TemporalNetwork:
         low_m: (3,) corner of the box that positions are normalised to (O01).
         high_m: (3,) the opposite corner.
         frames: number of frames that time runs over.
-        control: the points it is asked at; None asks it at every Gaussian (paper).
-        every_band: time's frequencies count that frames cannot show (paper).
-        everywhere: it acts on Gaussians that no camera saw as well (paper).
+        control: the points at which it is evaluated; None evaluates it at every Gaussian (paper).
+        every_band: whether to use time frequencies above what the frames can sample (paper).
+        everywhere: whether it also acts on Gaussians that no camera saw (paper).
     """
 
     flat: Float[np.ndarray, " P"]
@@ -115,13 +114,14 @@ class TemporalNetwork:
     def residuals(
         self, means_m: Num[np.ndarray, "N 3"], frame: float
     ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
-        """What to add to the constant harmonic and to the logit opacity, float32, at a 0-based, possibly fractional
+        """Residuals of the constant harmonic and of the logit opacity, float32, at a 0-based, possibly fractional
         frame.
 
-        With control points the answer is theirs, for the Gaussians they were made for, wherever those are now.
+        With control points the positions do not matter: the residuals are those of the Gaussians the points were made
+        for.
 
         Raises:
-            ValueError: ``means_m`` is not (N, 3), or not of as many as the control points carry.
+            ValueError: ``means_m`` is not (N, 3), or has another N than the control points.
         """
         require("means_m", means_m, ("N", 3), finite=False)
         if self.control is None:
@@ -148,7 +148,7 @@ class TemporalNetwork:
         code[:, :_POSITION_INPUTS] = place
         at = float(np.clip(frame, 0, self.frames - 1))
         code[:, _POSITION_INPUTS:] = encode_time(at, self.frames, every_band=self.every_band)
-        # A poisoned Gaussian must not poison what all share through the gradient.
+        # One Gaussian with NaN must not spoil the gradient that all share.
         code[~np.isfinite(code).all(axis=1)] = 0
         self._kept, hidden = [code], code
         *inner, (weights, biases) = self.matrices()
@@ -162,14 +162,14 @@ class TemporalNetwork:
         return hidden @ weights + biases
 
     def gradient(self, by_colour: Num[np.ndarray, "N 3"], by_logit: Num[np.ndarray, " N"]) -> Float[np.ndarray, " P"]:
-        """Gradient of ``flat`` from those of the last ``residuals``; positions are held, as the predecessor does."""
+        """Gradient by ``flat`` from those by the last ``residuals``; positions are constant, as in the predecessor."""
         found = np.empty_like(self.flat)
         back = np.empty((len(by_colour), _OUTPUTS), self.flat.dtype)
         back[:, :3], back[:, 3] = by_colour, by_logit
         if self.control is not None:
             back = self.control.gathered(back).astype(self.flat.dtype, copy=False)
         back[~np.isfinite(back)] = 0
-        # The half of a body that a camera does not see teaches nothing.
+        # Gaussians that no camera sees have no gradient: about half of a body.
         taught = np.flatnonzero(back.any(axis=1))
         back = back[taught]
         layers = list(zip(self.matrices(), self.matrices(found), self._kept))
@@ -177,12 +177,13 @@ class TemporalNetwork:
             fed = kept[taught]
             by_matrix[...], by_bias[...] = fed.T @ back, back.sum(axis=0)
             if index > 0:
-                # What the layer was fed ends with the one before it, whose rectifier passes nothing where it gave 0.
+                # The end of a layer's input is the previous layer's output; its rectifier passes no gradient where it
+                # was 0.
                 back = (back @ matrix[-self.width :].T) * (fed[:, -self.width :] > 0)
         return found
 
     def to_arrays(self) -> dict[str, Shaped[np.ndarray, " ..."]]:
-        """Everything a file needs to hold."""
+        """The arrays to store in a file."""
         shape = np.array([self.width, self.layers, self.frames])
         own = {"flat": self.flat, "shape": shape, "low_m": self.low_m, "high_m": self.high_m}
         own |= {name: np.array(True) for name in _PAPERS if getattr(self, name)}
@@ -208,7 +209,7 @@ def with_residuals(
     logits: Num[np.ndarray, " N"],
     frame: float,
 ) -> tuple[Num[np.ndarray, "N 1 3"], Num[np.ndarray, " N"]]:
-    """Constant harmonics and logits with what ``network`` adds to the ``seen`` Gaussians; unchanged without a
+    """Constant harmonics and logits with the residuals of ``network`` on the ``seen`` Gaussians; unchanged without a
     network."""
     if network is None or not seen.any():
         return colour, logits

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Skinning weights everywhere around the body: a voxel grid queried at canonical points (paper: 64³, appendix D).
+"""Skinning weights in the space around the body: a voxel grid sampled at canonical points (paper: 64³, appendix D).
 
-The grid covers a cube around the canonical body with a margin (U45), is sampled with border padding and its
-answers are renormalised, so a Gaussian that leaves the cube keeps its neighbour's motion (L01).
+The grid covers a cube around the canonical body with a margin (U45). It is sampled with border padding and the weights
+are renormalised, so a Gaussian that leaves the cube keeps its neighbour's motion (L01).
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ class WeightGrid:
 
 @numba.njit(cache=True)
 def _trilinear(at, weights, found):
-    """Weights at places (N, 3) in nodes, held at the border: training asks at every step."""
+    """Interpolate at positions (N, 3) in nodes, clamped to the border; compiled because training calls it at every
+    step."""
     last, bones = weights.shape[0] - 1, weights.shape[3]
     mixed = np.empty(bones)
     for i in range(len(at)):

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pose and shape of a body from 3D points over time. In come named points with standard deviations; out comes a
-``Fit``.
+"""Fits a body's pose and shape to named 3D points over time; returns a ``Fit``.
 
-In reading order: ``fit`` (the door), ``start`` (where it begins), ``prior`` (what is known before), ``basis`` (points
-as functions of the pose, with derivatives), ``problem`` and ``normal_equations`` (cost and its linearisation),
-``elimination`` (its solution), ``levenberg_marquardt`` (the solver), ``multi_start`` (bodies that explain it as well),
-``paper_solver`` (the paper's fit taken literally).
+In reading order: ``fit`` (the entry point), ``start`` (initial pose), ``prior`` (pose prior), ``basis`` (points as
+functions of the pose, with derivatives), ``problem`` and ``normal_equations`` (cost and its linearisation),
+``elimination`` (their solution), ``levenberg_marquardt`` (the solver), ``multi_start`` (other bodies that explain the
+points as well), ``paper_solver`` (the paper's fit taken literally).
 """

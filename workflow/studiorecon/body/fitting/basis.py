@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keypoints, joints and surface points as functions of pose, position, shape and scale, with their derivatives, without
-the mesh."""
+"""Keypoints, joints and surface points as functions of pose, position, shape and scale, with derivatives, without the
+mesh."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ class State:
 
     @property
     def shared(self) -> Num[np.ndarray, " S"]:
-        """(S,) what all frames share: betas, log scale, corrections."""
+        """(S,) the unknowns shared by all frames: betas, log scale, corrections."""
         return np.concatenate([self.betas, [self.log_scale], self.corrections.reshape(-1)])
 
     def at(self, frames: Bool[np.ndarray, " F"] | slice) -> State:
-        """Some frames only."""
+        """The state of some frames."""
         return State(self.local[frames], self.trans[frames], self.betas, self.log_scale, self.corrections)
 
     def put(self, frames: Bool[np.ndarray, " F"] | Integer[np.ndarray, " part"] | slice, part: State) -> State:
-        """The state whose ``frames`` are those of ``part``; what is shared stays."""
+        """The state with ``frames`` replaced by those of ``part``; shared unknowns stay."""
         local, trans = self.local.copy(), self.trans.copy()
         local[frames], trans[frames] = part.local, part.trans
         return State(local, trans, self.betas, self.log_scale, self.corrections)
@@ -44,7 +44,7 @@ class State:
     def moved(
         self, local_turn: Num[np.ndarray, "F 24 3"], shift: Num[np.ndarray, "F 3"], shared: Num[np.ndarray, " S"]
     ) -> State:
-        """The state after small turns about the joints' own axes, shifts and a change of what is shared."""
+        """The state after small turns about the joints' own axes, shifts, and a change of the shared unknowns."""
         count = len(self.betas)
         return State(
             self.local @ rotations.exp(local_turn),
@@ -57,10 +57,10 @@ class State:
 
 @dataclass(frozen=True)
 class BodyPoints:
-    """Points in a pose and what their derivatives are made of."""
+    """Points in a pose, and the terms of their derivatives."""
 
     points: Num[np.ndarray, "F K 3"]
-    parts: Num[np.ndarray, "F 24 K 3"]  # what each joint contributes, about the pelvis and unscaled
+    parts: Num[np.ndarray, "F 24 K 3"]  # each joint's contribution, about the pelvis and unscaled
     world: Num[np.ndarray, "F 24 3 3"]
     joints: Num[np.ndarray, "F 24 3"]  # about the pelvis and unscaled
 
@@ -94,15 +94,15 @@ class Basis:
         self.carrier = share.argmax(1)
         self.body, self.share, self.ancestors = body, share, ancestors
         skeleton = np.concatenate([body.joint_template_m[..., None], body.joint_directions], axis=-1)
-        # (24, K, 3, 1 + B): what each joint's rotation acts on, as a function of (1, betas).
+        # (24, K, 3, 1 + B): the vectors that each joint's rotation turns, as a function of (1, betas).
         self.offsets = np.moveaxis(anchors - share[:, :, None, None] * skeleton, 0, 1)
-        # (72, K · B): the same by the betas alone, laid out for one product with all joints' rotations.
+        # (72, K · B): the same by the betas only, laid out for one product with all joints' rotations.
         self.shape_offsets = np.ascontiguousarray(np.swapaxes(self.offsets[..., 1:], 1, 2)).reshape(72, -1)
         self.subtree_share = np.ascontiguousarray((ancestors @ share.T).T)  # (K, 24)
         self.bone_directions = body.joint_directions - body.joint_directions[np.maximum(body.parents, 0)]
         carried = (share != 0) | (self.offsets != 0).any((2, 3)).T
         parents = np.asarray(body.parents, dtype=np.int64)
-        # What ``normal_equations.add_points`` reads.
+        # Inputs of ``normal_equations.add_points``.
         self.skeleton = parents, np.ascontiguousarray(self.bone_directions)
         self.compiled = (
             np.ascontiguousarray(share),
@@ -146,14 +146,14 @@ class Basis:
         return BodyPoints(points, parts, world, joints)
 
     def _offsets(self, state: State) -> np.ndarray:
-        """(24, K, 3) what each joint's rotation acts on."""
+        """(24, K, 3) the vectors that each joint's rotation turns."""
         offsets = self.offsets @ np.append(1.0, state.betas)
         own = self.carrier[: self.corrected]
         offsets[own, range(len(own))] += state.corrections[: len(own)]
         return offsets
 
     def linear(self, state: State) -> Linear:
-        """Points and derivatives."""
+        """The points and their derivatives."""
         posed = self.posed(state)
         return Linear(posed.points, self.turned(state, posed), self.shaped(state, posed), posed.world)
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What solves the normal equations of a body over time: steps of everything, and what the points leave unknown.
+"""Solves the normal equations of a body over time: the steps, and the uncertainty that the points leave.
 
-The 75 × 75 blocks of the frames are factored by Cholesky; H⁻¹ C is never formed, only L⁻¹ C, whose product with itself
-is what the shared unknowns lose by the elimination (Schur complement). A frame's equations and factors take 0.2 MB, so
-those of a long film are formed some frames after others, and again once the shared unknowns are known.
+The 75 × 75 blocks of the frames are factored by Cholesky. H⁻¹ C is never formed, only L⁻¹ C; its product with itself is
+the Schur complement's reduction of the shared unknowns. A frame's equations and factors take 0.2 MB, so long films form
+them block by block, and again once the shared unknowns are known.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 # Frames handled at once: their rows (0.7 MB for 25 points) then stay in the cache.
 _CHUNK = 12
-# Frames whose equations are held at once; those of half a minute at 30 frames per second are formed only once.
+# Frames whose equations are in memory at once; those of half a minute at 30 frames per second are formed only once.
 _BLOCK = 75 * _CHUNK
 
 _Factored = tuple[slice, Normal, np.ndarray, np.ndarray, np.ndarray]
 
 
 def blocks(frames: int) -> list[slice]:
-    """Frames whose equations are held at once, block after block."""
+    """Slices of the frames whose equations are in memory at once."""
     return [slice(start, start + _BLOCK) for start in range(0, frames, _BLOCK)]
 
 
@@ -42,10 +42,10 @@ class Equations:
         self._only: Normal | None = None
 
     def step(self, damping: Num[np.ndarray, " F"]) -> State | None:
-        """The state after a step, frames damped by ``damping`` (F,), or None where the equations are not positive
+        """The state after a step, frames damped by ``damping`` (F,); None where the equations are not positive
         definite.
 
-        In single precision where that suffices: a step of 1e-4 of its length beside the best is as good, and the cost
+        In single precision where that suffices: a step that is off by 1e-4 of its length is as good, and the cost
         decides.
         """
         try:
@@ -74,23 +74,24 @@ class Equations:
         Num[np.ndarray, "F 24"],
         Num[np.ndarray, " B"],
     ]:
-        """Joints at ``state``, where the last step led, and Laplace's deviations: of joints, turns, parts and betas.
+        """Joints at ``state``, after the last step, and Laplace's deviations of joints, turns, parts and betas.
 
-        A joint's is the root of its covariance's mean eigenvalue. A turn's is about the joint's own axes, a part's the
-        angle of its orientation in the world (all turns above it and their correlation), both for the shape found.
-        Raises FloatingPointError when even a little added weight does not make the equations definite: numbers that are
-        not finite came in.
+        A joint's is the root of its covariance's mean eigenvalue. A turn's is about the joint's own axes. A part's is
+        the angle of its orientation in the world, from all turns above it and their correlation. Turns and parts are
+        for the estimated shape. Raises FloatingPointError when even a little added weight does not make the equations
+        definite, because the input was not finite.
         """
         nothing = np.zeros(len(self.state.trans))
         try:
             product, normal, again = self._eliminated(nothing, 0.0, (np.float64,))
         except np.linalg.LinAlgError:
-            # No prior and an unobserved joint: the least that makes it definite makes its deviation enormous.
+            # Without a prior, an unobserved joint is singular: the smallest weight that makes it definite gives an
+            # enormous deviation.
             try:
                 product, normal, again = self._eliminated(nothing + 1e-9, 1.0, (np.float64,))
             except np.linalg.LinAlgError as error:
                 raise FloatingPointError("the normal equations of the fit are not positive definite") from error
-        # Σ a a′ over the columns of this is what the shared unknowns leave of the joints' covariance.
+        # Σ a a′ over the columns of this is the shared unknowns' part of the joints' covariance.
         spread = np.linalg.inv(np.linalg.cholesky(normal.shared - product[:-1, :-1])).T
         found = [self._deviations(state.at(block[0]), *block[1:4], spread) for block in again]
         joints, sigmas, turns, parts = (np.concatenate(part) for part in zip(*found))
@@ -100,10 +101,9 @@ class Equations:
     def _eliminated(
         self, damping: np.ndarray, floor: float, kinds: tuple[type, ...]
     ) -> tuple[np.ndarray, Normal, Iterable[_Factored]]:
-        """Σ [C g]ᵀ H⁻¹ [C g] (S + 1, S + 1) over all blocks, the last one's equations, which have all that is shared,
-        and all blocks factored again.
+        """Σ [C g]ᵀ H⁻¹ [C g] (S + 1, S + 1) over all blocks, the last block's equations, and all blocks factored again.
 
-        Raises LinAlgError where a block is not positive definite.
+        The last block's equations hold all shared terms. Raises LinAlgError where a block is not positive definite.
         """
         once = list(self._factored(damping, floor, kinds)) if len(self._blocks) == 1 else None
         product = np.zeros((len(self._problem.shared_precision) + 1,) * 2)
@@ -112,7 +112,7 @@ class Equations:
         return product, block[1], once or self._factored(damping, floor, kinds)
 
     def _factored(self, damping: np.ndarray, floor: float, kinds: tuple[type, ...]) -> Iterator[_Factored]:
-        """Frames, equations and ``_factors`` of block after block."""
+        """Yields frames, equations and ``_factors`` block by block."""
         precision = self._problem.shared_precision
         shared, side = np.diag(precision), precision * self.state.shared
         for some in self._blocks:
@@ -128,7 +128,7 @@ class Equations:
     def _deviations(
         self, state: State, normal: Normal, lower: np.ndarray, solved: np.ndarray, spread: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Joints, and deviations of joints, turns and parts, of some frames."""
+        """Joints, and deviations of joints, turns and parts, in some frames."""
         linear = self._problem.skeleton.linear(state)
         frames, shapes = len(lower), linear.shaped.shape[-1]
         variance, turns, parts = np.empty((frames, 72)), np.empty((frames, 24, 3, 3)), np.empty((frames, 24))
@@ -156,8 +156,10 @@ class Equations:
 def _factors(
     normal: Normal, damping: np.ndarray, floor: float, kind: type
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Factors L of H, transposed (F, 75, 75), rows of L⁻¹[C g] (F, S + 1, 75), and Σ [C g]ᵀ H⁻¹ [C g] (S + 1, S + 1);
-    None where H is not positive definite."""
+    """Factors L of H, transposed (F, 75, 75), rows of L⁻¹[C g] (F, S + 1, 75), and Σ [C g]ᵀ H⁻¹ [C g] (S + 1, S + 1).
+
+    None where H is not positive definite.
+    """
     lower: np.ndarray = normal.own.astype(kind)
     solved: np.ndarray = normal.rows.astype(kind)
     diagonal = np.einsum("fii->fi", lower)

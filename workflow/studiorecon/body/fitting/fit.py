@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pose and shape of a body from 3D keypoints over time: batched Levenberg-Marquardt with analytic derivatives.
 
-One person, T frames, K keypoints: 24 rotations and a position per frame, one shape (and optionally one scale) for all,
-which a Schur complement eliminates to (paper §fitting; S06, M03-M07, U37-U39; ``problem``). Points of the
-surface join where the source gives a body (U33). The cost is that of a maximum a posteriori estimate: residuals in
-standard deviations with a Huber bound, angles in deviations of a pose prior with limits, betas in deviations of the
-shape space. 25 points do not determine 24 rotations: without the prior spine, collar and twist run away (21 → 34 mm at
-the surface for 10 mm of noise). What stays unknown is said: ``Fit.turn_sigma_rad``.
+One person, T frames, K keypoints: 24 rotations and a position per frame, and one shape (optionally one scale) for all,
+which a Schur complement eliminates to (paper §fitting; S06, M03-M07, U37-U39; ``problem``). Surface points are used
+where the source gives a body (U33). The cost is that of a maximum a posteriori estimate: residuals in standard
+deviations with a Huber bound, angles in deviations of a pose prior with limits, betas in deviations of the shape space.
+25 points do not determine 24 rotations: without the prior, spine, collar and twist run away (21 → 34 mm at the surface
+for 10 mm of noise). ``Fit.turn_sigma_rad`` reports the remaining uncertainty.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ PER_FRAME = (
 
 @dataclass(frozen=True)
 class FitSettings:
-    """What the fit trusts.
+    """Weights and limits of the fit.
 
     Attributes:
         iterations: most Levenberg-Marquardt steps; it ends earlier when a step gains less than ``tolerance`` of the
@@ -57,10 +57,10 @@ class FitSettings:
         huber_units: deviations beyond which a point pulls with constant force.
         pose_weight: multiplies the squared angle prior; 1 = the deviations of ``body/fitting/prior.py``.
         limit_weight: multiplies the squared excess beyond the joints' limits; 0 = none.
-        beta_weight: multiplies Σ β² in every frame (paper: λ_β = 10). Counted once per person instead, real footage
-            bends the shape to 15 deviations, because a detector's habits repeat in every frame.
-        vertex_weight: what all surface points of a frame count for together, as a share of its keypoints, at most 1
-            (U33: they carry the monocular prior, not image evidence); 0 = not used.
+        beta_weight: multiplies Σ β² in every frame (paper: λ_β = 10). Counted only once per person, real footage bends
+            the shape to 15 deviations, because a detector's errors repeat in every frame.
+        vertex_weight: total weight of a frame's surface points, as a share of its keypoints, at most 1 (U33: they carry
+            the monocular prior, not image evidence); 0 = not used.
         shape: "shared" by all frames, or one "per_frame" (the paper's; U39).
         free_scale: estimate one scale as well; only where lengths are not metres, since scale and β₀ are exchangeable.
     """
@@ -80,7 +80,7 @@ class FitSettings:
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Observed points of the surface: ``vertices`` of the body model, ``points_m``, NaN = none, ``sigma_m``."""
+    """Observed surface points: ``vertices`` of the body model, ``points_m`` (NaN = none) and ``sigma_m``."""
 
     vertices: Integer[np.ndarray, " V"]
     points_m: Num[np.ndarray, "T V 3"]
@@ -93,11 +93,11 @@ class Fit:
 
     Attributes:
         rotations: (T, 24, 3, 3) relative to the parent, ``trans_m`` (T, 3) pelvis, ``betas`` (B,), ``scale`` of the
-            body; with a shape per frame ``betas`` is their median, ``frame_betas`` (T, B) what each frame found.
+            body; with a shape per frame ``betas`` is the median of ``frame_betas`` (T, B).
         corrections_m: (K, 3) detector's point minus the body's, in the axes of the joint that carries it most.
         valid: (T,) bool.
         joints_m: (T, 24, 3); ``joint_sigma_m``: (T, 24) posterior deviation, root of the covariance's mean eigenvalue;
-            deviations include what else explains a frame with few points (``rivals``).
+            deviations include other bodies that explain a frame with few points (``rivals``).
         turn_sigma_rad: (T, 24, 3) posterior deviation of each joint's turn about its own axes; ``part_sigma_rad`` (T,
             24) of each part's orientation in the world; ``beta_sigma`` (B,) of the betas.
         residual_m: (T, K) distance between body and keypoint, NaN where there was none.
@@ -129,12 +129,11 @@ def fit(
     settings: FitSettings,
     surface: SurfacePoints | None = None,
 ) -> Fit:
-    """The body that explains ``points_m`` (T, K, 3) named ``names``, with deviations ``sigma_m`` (T, K); NaN or inf =
-    not seen.
+    """The body that best fits ``points_m`` (T, K, 3), called ``names``, with deviations ``sigma_m`` (T, K).
 
-    float64; about 2 ms a frame for 25 points, 10 with 200 points of the surface. Frames whose keypoints do not fix the
-    body's position are left out (M06). Raises ValueError for other shapes, negative deviations and a ``vertex_weight``
-    outside [0, 1].
+    NaN or inf is not seen. float64; about 2 ms a frame for 25 points, 10 with 200 points of the surface. Frames whose
+    keypoints do not fix the body's position are left out (M06). Raises ValueError for other shapes, negative deviations
+    and a ``vertex_weight`` outside [0, 1].
     """
     check(names, points_m, sigma_m, settings, surface)
     if settings.shape == "per_frame":
@@ -187,7 +186,7 @@ def check(
     settings: FitSettings,
     surface: SurfacePoints | None,
 ) -> None:
-    """Raise ValueError, naming the argument and its shape, for what no fit can start from."""
+    """Raise ValueError, with the argument and its shape, for input that no fit can start from."""
     sizes = require("points_m", points_m, ("T", "K", 3), {"K": len(names)})
     require("sigma_m", sigma_m, ("T", "K"), sizes)
     if not 0 <= settings.vertex_weight <= 1:
@@ -205,7 +204,7 @@ def check(
 
 
 def nothing_known(frames: int, count: int, shapes: int, valid: Bool[np.ndarray, " T"]) -> Fit:
-    """A fit of ``frames`` frames and ``count`` keypoints in which nothing has been measured yet."""
+    """An empty fit of ``frames`` frames and ``count`` keypoints, in which nothing has been measured."""
     return Fit(
         rotations=np.full((frames, 24, 3, 3), np.nan),
         trans_m=np.full((frames, 3), np.nan),
@@ -233,7 +232,7 @@ def gather(
     settings: FitSettings,
     surface: SurfacePoints | None,
 ) -> PointEvidence:
-    """Keypoints and surface points as one set; in every frame the surface counts ``vertex_weight`` times its
+    """Keypoints and surface points as one set; in every frame the surface weighs ``vertex_weight`` times its
     keypoints."""
     share, anchors = body.keypoint_basis(names)
     targets, sigma = np.asarray(points_m, dtype=np.float64), np.asarray(sigma_m, dtype=np.float64)
@@ -243,7 +242,7 @@ def gather(
         targets = np.concatenate([targets, surface.points_m], axis=1)
         sigma = np.concatenate([sigma, surface.sigma_m], axis=1)
     seen = np.isfinite(targets).all(-1) & np.isfinite(sigma)
-    # The input is replaced before the arithmetic, not its result after (M02).
+    # NaN is replaced before the arithmetic, because a mask afterwards would come too late (M02).
     precision = np.where(seen, 1.0 / (np.where(seen, sigma, 0.0) ** 2 + settings.point_sigma_m**2), 0.0)
     counts = np.ones_like(precision)
     joints, skin = precision[:, : len(names)].sum(1), precision[:, len(names) :].sum(1)
@@ -265,8 +264,8 @@ def _fit_each_frame(
     settings: FitSettings,
     surface: SurfacePoints | None,
 ) -> Fit:
-    """Every frame with its own shape and corrections (U39); their median stands for the person, so joints shift by a
-    few mm."""
+    """Fit every frame with its own shape and corrections (U39); the person has their median, so joints shift by a few
+    mm."""
     frames = range(len(points_m))
     alone = replace(settings, shape="shared")
     fits = [
@@ -290,7 +289,7 @@ def _fit_each_frame(
 
 
 def chosen(surface: SurfacePoints | None, frames: Bool[np.ndarray, " T"] | slice) -> SurfacePoints | None:
-    """The surface in some frames."""
+    """The surface points of some frames."""
     return (
         None if surface is None else SurfacePoints(surface.vertices, surface.points_m[frames], surface.sigma_m[frames])
     )

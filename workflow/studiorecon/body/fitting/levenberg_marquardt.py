@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Levenberg-Marquardt over many frames that share a shape, each damped by itself.
+"""Levenberg-Marquardt over many frames that share a shape, with one damping per frame.
 
-Wild points keep single frames busy long after shape and corrections stand. One damping for all would make everybody
-wait for them: 30 steps of everything where 5 do. So a frame that a step makes worse keeps its pose and is damped more,
-and the few frames that are not done go on alone, with the shape held fixed, before everything moves again. No step
-raises the cost.
+Outliers keep single frames busy long after shape and corrections have converged. With one damping for all, all frames
+would wait for them: 30 steps where 5 suffice. So a frame that a step makes worse keeps its pose and is damped more. The
+few frames that have not converged continue with the shape fixed, before all move together again. No step raises the
+cost.
 """
 
 from __future__ import annotations
@@ -22,15 +22,16 @@ if TYPE_CHECKING:
 
 # First, least and most damping, its factors after a refused and a taken step, and trials of one step.
 _DAMPING, _MIN_DAMPING, _MAX_DAMPING, _MORE, _LESS, _TRIALS = 1e-3, 1e-7, 1e3, 8.0, 5.0, 8
-# A frame that gains more than this share in a step is not done; at most that share of the frames is worked on alone.
+# A frame that gains more than this share in a step has not converged; at most that share of the frames continues
+# separately.
 _BUSY, _FEW = 0.01, 0.3
 
 
 def descend(problem: Problem, state: State, iterations: int, tolerance: float) -> tuple[State, Equations, int, bool]:
-    """The state at the least cost that ``iterations`` steps reach, the last equations, the steps taken and
-    whether they converged.
+    """The state of least cost within ``iterations`` steps, the last equations, the number of steps, and whether they
+    converged.
 
-    Converged = a step of everything gains less than ``tolerance`` of the cost, or none gains anything.
+    Converged: a step of all unknowns gains less than ``tolerance`` of the cost, or nothing.
     """
     costs, damping = problem.costs(state), np.full(len(state.trans), _DAMPING)
     for step in range(1, iterations + 1):
@@ -62,8 +63,8 @@ def descend(problem: Problem, state: State, iterations: int, tolerance: float) -
 def _held_where_worse(
     problem: Problem, state: State, moved: State, costs: np.ndarray
 ) -> tuple[State, np.ndarray, np.ndarray]:
-    """``moved``, but with their own old pose where that is better with the new shape; costs (F,), and the frames (F,)
-    held."""
+    """``moved``, but frames keep their old pose where that is better with the new shape; costs (F,), and which frames
+    (F,) kept it."""
     new_costs = problem.costs(moved)
     worse = new_costs > costs
     if worse.any():
@@ -86,9 +87,9 @@ def alone(
     tolerance: float,
     damping: Num[np.ndarray, " F"] | None = None,
 ) -> tuple[State, Num[np.ndarray, " F"], Num[np.ndarray, " F"]]:
-    """Every frame by itself with all that is shared held fixed, until none gains: state, costs, damping.
+    """State, costs and damping after every frame is solved with the shared unknowns fixed, until none gains.
 
-    ``costs`` are those of ``state``; ``damping`` is where to start, by default where ``descend`` does.
+    ``costs`` are those of ``state``; ``damping`` is the start value, by default that of ``descend``.
     """
     costs, damping = costs.copy(), np.full(len(costs), _DAMPING) if damping is None else damping.copy()
     for some in blocks(len(costs)):
@@ -113,7 +114,7 @@ def _alone(
         state = state.put(at[better], moved.at(better))
         costs[at[better]] = new_costs[better]
         damping[at] = np.where(better, np.maximum(damping[at] / _LESS, _MIN_DAMPING), damping[at] * _MORE)
-        # A frame is done when a step gains little, or none does however short.
+        # A frame has converged when a step gains little, or when none gains however short it is.
         busy[at] = np.where(better, before - new_costs > tolerance * before, damping[at] < _MAX_DAMPING)
         if not busy.any():
             break

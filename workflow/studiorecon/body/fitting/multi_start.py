@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Other bodies that explain a frame nearly as well: what few points cannot tell apart is told, not hidden (
-M06).
+"""Other bodies that explain a frame nearly as well, for a sigma that covers what few points cannot decide (M06).
 
-With a shoulder, both hips or most of the points gone, a body seen from behind or upside down may meet the rest as well.
-Around the least cost all is well determined, so the deviations there would claim 24° where the body is 166° wrong. Each
-such frame is also solved from the opposite sides; the best solution is kept, and the others widen the deviations by how
-likely they are and how far away.
+With a shoulder, both hips or most points missing, a body seen from behind or upside down may fit the rest as well.
+Around the least cost everything is well determined, so the deviations there would claim 24° where the body is 166°
+wrong. Each such frame is also solved from the opposite sides. The best solution is used; the others widen its
+deviations by their likelihood and distance.
 """
 
 from __future__ import annotations
@@ -24,17 +23,16 @@ from studiorecon.geometry import rotations
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
-# Fewer keypoints, or fewer of the trunk's four corners, are few.
+# Fewer keypoints, or fewer of the trunk's four corners, count as few.
 _POINTS, _CORNERS = 12, 3
 _TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
-# Seen from behind, upside down, and both; axis-angles of the body's own axes (x to its left, y upwards).
+# Seen from behind, upside down, and both; axis-angles about the body's own axes (x to its left, y upwards).
 _TURNS = ((0.0, np.pi, 0.0), (np.pi, 0.0, 0.0), (0.0, 0.0, np.pi))
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Mean squares, over all solutions and weighed by likelihood, of how far they are from the best: to be added to
-    variances.
+    """Variances to add for other solutions: mean squared distances from the best one, weighted by likelihood.
 
     Attributes:
         joints_m2: (F, 24) per coordinate; turns_rad2: (F, 24, 3) of each joint's turn about its own axes; parts_rad2:
@@ -47,7 +45,7 @@ class Spread:
 
 
 def few(names: list[str], seen: Num[np.ndarray, "F K"]) -> Num[np.ndarray, " F"]:
-    """(F,) frames of which ``seen`` (F, K) leaves too little to be sure which way the body faces."""
+    """(F,) bool: frames whose ``seen`` (F, K) keypoints are too few to be sure which way the body faces."""
     corners = [k for k, name in enumerate(names) if name.removesuffix("_joint") in _TRUNK]
     return (seen.sum(1) < _POINTS) | (seen[:, corners].sum(1) < _CORNERS)
 
@@ -55,8 +53,8 @@ def few(names: list[str], seen: Num[np.ndarray, "F K"]) -> Num[np.ndarray, " F"]
 def best_of(
     problem: Problem, state: State, chosen: Bool[np.ndarray, " F"], iterations: int, tolerance: float
 ) -> tuple[State, Spread]:
-    """The state with the least cost that is found from any side in the ``chosen`` frames, and what the other solutions
-    add.
+    """The state of least cost from all start directions in the ``chosen`` frames, and the variance of the other
+    solutions.
 
     About 10 ms for each chosen frame. Shape and corrections stay.
     """

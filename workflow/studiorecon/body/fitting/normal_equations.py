@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What 3D points add to the normal equations of a body, frame by frame, compiled.
+"""The points' part of a body's normal equations, frame by frame, compiled.
 
-A point moves with the few joints between it and the pelvis, 8 of 24 for a wrist, and its three coordinates weigh the
-same. So neither zeros nor rows are formed: turns ω_i, ω_j about world axes meet in w (D_i·D_j 1 − D_j D_iᵀ), a turn and
-a vector v in w D_i × v. Turns are ordered by axis, then joint: row 24 a + j; see ``problem``.
+A point moves with the few joints between it and the pelvis, 8 of 24 for a wrist, and its three coordinates have the
+same weight. So neither zeros nor rows are formed: turns ω_i, ω_j about world axes meet in w (D_i·D_j 1 − D_j D_iᵀ), a
+turn and a vector v in w D_i × v. Turns are ordered by axis, then joint: row 24 a + j; see ``problem``.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ def add_points(skeleton, points, state, weight, residual, own, rows, shared, sha
     """Add all frames' points to ``own`` (F, 75, 75), ``rows`` (F, S + 1, 75), ``shared`` (S, S) and ``shared_side``
     (S,).
 
-    ``skeleton``: parents (24,) and bones' change by betas (24, 3, B). ``points``: share (K, 24) and share of each
-    subtree (K, 24); the joints that carry a point and those that move it, ascending, −1 at the end (K, 25) each;
-    offsets' change by betas (24, K, 3, B); the joint in whose axes a correction is (K,); how many have one. ``state``:
-    world rotations (F, 24, 3, 3) and joints (F, 24, 3) about the pelvis, offsets (24, K, 3), scale. ``weight`` (F, K),
-    ``residual`` and points about the pelvis (F, K, 3) each, stacked. ``rows`` of one row, the gradient, leaves out what
-    is shared.
+    ``skeleton``: parents (24,) and the bones' derivatives by betas (24, 3, B). ``points``: share (K, 24) and share of
+    each subtree (K, 24); the joints that carry a point and those that move it, ascending, padded with −1 (K, 25) each;
+    the offsets' derivatives by betas (24, K, 3, B); the joint in whose axes a correction is (K,); the number of
+    corrections. ``state``: world rotations (F, 24, 3, 3) and joints (F, 24, 3) about the pelvis, offsets (24, K, 3),
+    scale. ``weight`` (F, K), ``residual`` and points about the pelvis (F, K, 3) each, stacked. With a single row in
+    ``rows``, the gradient, shared unknowns are left out.
     """
     parents, bones = skeleton
     share, subtree, carriers, movers, shape_offsets, carrier, corrected = points
@@ -107,7 +107,7 @@ def _dot(a, b):
 
 @numba.njit(cache=True, nogil=True)
 def _add_row(row, movers, lever, w, vector):
-    """Add what a point's turns and shift have in common with its move along ``vector`` (3,) to a row (75,)."""
+    """Add the product of a point's turns and shift with its move along ``vector`` (3,) to a row (75,)."""
     x, y, z = w * vector[0], w * vector[1], w * vector[2]
     for i in movers:
         if i < 0:
@@ -122,7 +122,7 @@ def _add_row(row, movers, lever, w, vector):
 
 @numba.njit(cache=True, nogil=True)
 def _moved_joints(world, parents, bones, moved):
-    """Fill ``moved`` (24, 3, B) with the joints' change by betas."""
+    """Fill ``moved`` (24, 3, B) with the joints' derivatives by betas."""
     for j in range(24):
         parent = parents[j]
         for x in range(3):
@@ -137,7 +137,7 @@ def _moved_joints(world, parents, bones, moved):
 
 @numba.njit(cache=True, nogil=True)
 def _by_shape(world, share, carriers, shape_offsets, moved, scale, out):
-    """Fill the first B rows of ``out`` (B + 1, 3) with a point's change by betas."""
+    """Fill the first B rows of ``out`` (B + 1, 3) with a point's derivatives by betas."""
     shapes = moved.shape[2]
     out[:] = 0.0
     for j in carriers:
@@ -153,7 +153,7 @@ def _by_shape(world, share, carriers, shape_offsets, moved, scale, out):
 
 @numba.njit(cache=True, nogil=True)
 def _spread(turned, reach, own):
-    """Put one frame's blocks of turns (24, 24, 9), j ≤ i, and Σ w D (24, 3) where they belong in ``own`` (75, 75)."""
+    """Copy one frame's blocks of turns (24, 24, 9), j ≤ i, and Σ w D (24, 3) into ``own`` (75, 75)."""
     own[73, 73] = own[74, 74] = own[72, 72]
     for i in range(24):
         for j in range(i + 1):

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's fit taken literally: L = Σ‖J − Jʷ‖² + Σ‖V − Vʷ‖² + λ_β‖β‖², in metres, each frame alone, 30 iterations.
+"""The paper's fit taken literally: L = Σ‖J − Jʷ‖² + Σ‖V − Vʷ‖² + λ_β‖β‖², in metres, per frame, 30 iterations.
 
-"30 iterations" is read as alternation of closed-form parts and linear betas (U38): no first-order method
-converges in 30 (M03). One iteration turns every joint, root to leaves, by the best rotation of all points below it
-(Wahba's problem) and then solves betas and position by ridge regression; both steps lower L exactly. There is no pose
-prior, no Huber bound, no correction of the detector's points and one shape per frame (U39). What that loses against
-``fitting``: twist and the split of the spine stay where the start left them, one wild point bends a frame, and λ_β = 10
-in metres pins the shape to the mean (S07).
+"30 iterations" is read as alternation of closed-form parts and linear betas (U38): no first-order method converges in
+30 (M03). One iteration turns every joint, root to leaves, by the best rotation of all points below it (Wahba's problem)
+and then solves betas and position by ridge regression; both steps lower L exactly. There is no pose prior, no Huber
+bound, no correction of the detector's points and one shape per frame (U39). So, unlike ``fitting``, twist and the split
+of the spine stay as they started, one outlier bends a frame, and λ_β = 10 in metres pins the shape to the mean (S07).
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ from studiorecon.geometry import rotations
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-# Pull towards no turn, as a share of the lever arms' sum of squares: it decides only about turns that the points do not
-# see.
+# Weight of no turn, as a share of the lever arms' sum of squares; it decides only turns that the points do not
+# determine.
 _STAY = 1e-9
-# Frames are fitted together as long as what joints carry of their points fits here (numbers; 320 MB each array).
+# Frames are fitted together as long as the joints' parts of their points fit here (numbers; 320 MB each array).
 _AT_ONCE = 40_000_000
 
 
@@ -49,11 +48,11 @@ def fit(
     settings: FitSettings,
     surface: SurfacePoints | None = None,
 ) -> Fit:
-    """As ``fitting.fit``, from ``iterations``, ``tolerance`` and ``beta_weight`` (λ_β) alone; deviations only say what
-    is seen.
+    """The body as from ``fitting.fit``, by ``iterations``, ``tolerance`` and ``beta_weight`` (λ_β) only.
 
-    No uncertainty comes out: where measured, ``joint_sigma_m`` is the frame's root mean square distance to its points
-    per axis, and ``turn_sigma_rad`` stays infinite. About 20 ms a frame. Raises ValueError as ``fitting.fit`` does.
+    Of ``sigma_m`` only finite or not is used. There is no uncertainty: where measured, ``joint_sigma_m`` is the frame's
+    root mean square distance to its points per axis, and ``turn_sigma_rad`` stays infinite. About 20 ms a frame. Raises
+    ValueError as ``fitting.fit`` does.
     """
     fitting.check(names, points_m, sigma_m, settings, surface)
     frames = len(points_m)
@@ -86,7 +85,7 @@ def _together(
     settings: FitSettings,
     surface: SurfacePoints | None,
 ) -> Fit:
-    """``fit`` of frames that fit into memory at once."""
+    """The fit of frames that fit into memory at once."""
     frames, count = points_m.shape[:2]
     seen = np.isfinite(points_m).all(-1) & np.isfinite(sigma_m)
     first = start(body, names, np.where(seen[..., None], points_m, 0.0), seen)
@@ -117,7 +116,7 @@ def _together(
 
 
 def _shaped_offsets(basis: Basis, betas: np.ndarray) -> np.ndarray:
-    """(F, 24, K, 3) what each joint's rotation acts on, for a shape per frame."""
+    """(F, 24, K, 3) the vectors that each joint's rotation turns, for a shape per frame."""
     return basis.offsets[..., 0] + np.einsum("jkxb,fb->fjkx", basis.offsets[..., 1:], betas, optimize=True)
 
 
@@ -131,7 +130,7 @@ def _points(basis: Basis, pose: _Pose, offsets: np.ndarray) -> tuple[np.ndarray,
 
 
 def _turned(basis: Basis, pose: _Pose, targets: np.ndarray, seen: np.ndarray) -> _Pose:
-    """Every joint turned by the rotation that brings the points below it closest to their targets."""
+    """The pose with every joint turned by the rotation that brings the points below it closest to their targets."""
     local, offsets = pose.local.copy(), _shaped_offsets(basis, pose.betas)
     for joint in range(24):
         if not basis.subtree_share[:, joint].any():
@@ -142,13 +141,12 @@ def _turned(basis: Basis, pose: _Pose, targets: np.ndarray, seen: np.ndarray) ->
             - basis.subtree_share[:, joint, None] * joints[:, None, joint]
         )
         wanted = targets - (points - below)
-        # Weighted by what the joint moves of a point: 0 for all points above it.
+        # Weighted by the joint's share in moving a point: 0 for all points above it.
         moment = np.swapaxes(wanted * seen[..., None], 1, 2) @ below
         moment += _STAY * np.einsum("fk,fkx,fkx->f", seen, below, below)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
         turned = rotations.project_to_so3(moment) @ world[:, joint]
         parent = basis.body.parents[joint]
-        # Projected again: rounding would otherwise double with every joint down the tree and ruin a long descent
-        # (R18).
+        # Projected again: rounding would double with every joint down the tree and break a long descent (R18).
         local[:, joint] = rotations.project_to_so3(
             np.swapaxes(world[:, parent], -1, -2) @ turned if parent >= 0 else turned
         )
@@ -156,7 +154,7 @@ def _turned(basis: Basis, pose: _Pose, targets: np.ndarray, seen: np.ndarray) ->
 
 
 def _shaped(basis: Basis, pose: _Pose, targets: np.ndarray, seen: np.ndarray, beta_weight: float) -> _Pose:
-    """Betas and position of every frame by ridge regression for the rotations as they are."""
+    """The pose with betas and position of every frame from ridge regression, rotations fixed."""
     shapes, corrections = basis.body.shapes, np.zeros((basis.corrected, 3))
     at_mean = basis.linear(State(pose.local, np.zeros_like(pose.trans), np.zeros(shapes), 0.0, corrections))
     frames, count = at_mean.points.shape[:2]

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known about poses before any measurement: a relaxed standing body, and how far each joint usually bends from
-it.
+"""Pose prior: a relaxed standing body, and how far each joint usually bends from it.
 
-Keypoints leave twist and the split along the spine unobserved (M04); these deviations decide there. They are
-wide where keypoints speak (hips, shoulders, elbows, knees) and narrow where they do not (collars, spine, hands). Beyond
-the limits of what bones and ligaments allow (a knee forwards, a forearm turned twice) a second, steep pull begins.
+Keypoints leave twist and the split along the spine unobserved (M04); these deviations decide there. They are wide where
+keypoints measure (hips, shoulders, elbows, knees) and narrow where they do not (collars, spine, hands). Beyond the
+limits of bones and ligaments (a knee forwards, a forearm turned twice) a second, steep pull begins.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ if TYPE_CHECKING:
     from jaxtyping import Num
 
 # Axis-angle of the relaxed pose from the T-pose for the left side, and deviations about x, y, z; radians. SMPL's axes:
-# the arm lies along x (x is its twist, elbows bend about y), the leg along y (y is its twist, hips and knees bend about
-# x).
+# the arm points along x (x is its twist, elbows bend about y), the leg along y (y is its twist, hips and knees bend
+# about x).
 _MIDDLE = {"shoulder": (0.0, 0.0, -1.0), "elbow": (0.0, -0.4, 0.0), "hip": (-0.15, 0.0, 0.0), "knee": (0.3, 0.0, 0.0)}
 _DEVIATION = {
     "hip": (0.9, 0.5, 0.5),
@@ -55,7 +54,7 @@ _LIMITS = {
     "neck": ((-1.1, 1.1), (-1.0, 1.0), (-0.9, 0.9)),
     "head": ((-1.0, 1.0), (-1.0, 1.0), (-0.8, 0.8)),
 } | {f"spine{n}": ((-0.8, 1.1), (-0.6, 0.6), (-0.6, 0.6)) for n in (1, 2, 3)}
-LIMIT_SIGMA_RAD = 0.1  # how far beyond a limit is one deviation
+LIMIT_SIGMA_RAD = 0.1  # one deviation of the excess beyond a limit
 
 
 @cache
@@ -96,7 +95,7 @@ def limits() -> tuple[Num[np.ndarray, "24 3"], Num[np.ndarray, "24 3"]]:
 
 
 def excess(bent: Num[np.ndarray, "F 24 3"]) -> Num[np.ndarray, "F 24 3"]:
-    """How far bends lie beyond the limits, with sign; 0 within."""
+    """How far bends are beyond the limits, with sign; 0 within."""
     low, high = limits()
     return bent - np.clip(bent, low, high)
 

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cost of a body that should explain 3D points over time, and its normal equations; see ``elimination`` for their
-solution.
+"""The cost of a body that explains 3D points over time, and its normal equations; ``elimination`` solves them.
 
-Unknown per frame are 24 turns and a shift (75 numbers), shared by all frames the betas, a log scale and the keypoints'
-corrections. Turning joint i by ω about world axes moves point k by ω × D_ki, D_ki the sum over i's descendants j of
-G_j(anchor_kj − share_kj J_j) + share_kj (J_j^posed − J_i^posed). A point's correction is in the axes of the joint that
-carries it most; what a point adds to the equations is in ``normal_equations``. Turns are ordered by
-axis, then joint: row 24 a + j.
+Unknown per frame are 24 turns and a shift (75 numbers); shared by all frames are the betas, a log scale and the
+keypoints' corrections. Turning joint i by ω about world axes moves point k by ω × D_ki, D_ki the sum over i's
+descendants j of G_j(anchor_kj − share_kj J_j) + share_kj (J_j^posed − J_i^posed). A point's correction is in the axes
+of the joint that carries it most; ``normal_equations`` computes a point's terms. Turns are ordered by axis, then joint:
+row 24 a + j.
 """
 
 from __future__ import annotations
@@ -31,13 +30,13 @@ OWN = 75
 
 @dataclass(frozen=True)
 class PointEvidence:
-    """Points to explain: N detector's keypoints, which have corrections, then surface points, which have none.
+    """Points to fit: N detector's keypoints, which have corrections, then surface points, which have none.
 
     Attributes:
         basis: the same points on the body.
         targets_m: (F, K, 3), any number where not seen; ``precision``: (F, K) inverse variance of a coordinate, 0 = not
             seen.
-        share: (F, K) how often a point counts (surface points less than once, U33).
+        share: (F, K) weight of a point (surface points less than 1, U33).
     """
 
     basis: Basis
@@ -48,8 +47,7 @@ class PointEvidence:
 
 @dataclass(frozen=True)
 class Pulls:
-    """What draws the body besides the points, see ``fitting.FitSettings``: weights and deviations, and the Huber
-    bound."""
+    """Weights and deviations of the priors, and the Huber bound; see ``fitting.FitSettings``."""
 
     huber_units: float
     pose_weight: float
@@ -61,7 +59,7 @@ class Pulls:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations at a state: H, rows of C and then the gradient, what is shared, and G."""
+    """Normal equations at a state: H, rows of C and then the gradient, the shared part, and G."""
 
     own: Num[np.ndarray, "F 75 75"]
     rows: Num[np.ndarray, "F S+1 75"]
@@ -75,7 +73,7 @@ class Normal:
 
 
 class Problem:
-    """Nothing here changes after construction."""
+    """The cost and its derivatives; immutable after construction."""
 
     def __init__(self, body: BodyModel, evidence: PointEvidence, pulls: Pulls) -> None:
         self.evidence, self.pulls, self.basis = evidence, pulls, evidence.basis
@@ -83,10 +81,9 @@ class Problem:
         self.limit_precision = pulls.limit_weight / prior.LIMIT_SIGMA_RAD**2
         share, anchors = body.keypoint_basis([f"{n}_joint" for n in body.names])
         self.skeleton = Basis(body, share, anchors, self.basis.ancestors, 0)
-        # What is wrong with a detector's points is wrong in every frame, so the frames count as one for what they
-        # share.
+        # A detector's bias is the same in every frame, so the frames count as one for the shared corrections.
         corrections = np.full(3 * self.basis.corrected, pulls.correction_sigma_m**-2.0)
-        # A fixed scale is a scale with an enormous prior: one code path, and it costs one column.
+        # A fixed scale is a scale with an enormous prior: one code path at the price of one column.
         alone = np.concatenate(
             [np.full(body.shapes, pulls.beta_weight), [1.0 if pulls.free_scale else 1e12], corrections]
         )
@@ -109,21 +106,21 @@ class Problem:
         return data.sum(1) + 0.5 * pull.sum((1, 2))
 
     def shared_cost(self, state: State) -> float:
-        """What the shared unknowns cost by themselves; the whole cost is this and all ``costs``."""
+        """Cost of the shared unknowns' priors; the whole cost is this and all ``costs``."""
         return float(0.5 * (self.shared_precision * state.shared**2).sum())
 
     def own(self, state: State) -> Normal:
-        """Normal equations of what every frame has for itself, at a fraction of the cost; H, the gradient (F, 1, 75)
-        and G."""
+        """Normal equations of each frame's own unknowns, at a fraction of the time: H, the gradient (F, 1, 75) and
+        G."""
         return self.normal(state, np.zeros((0, 0)), np.zeros(0))
 
     def normal(self, state: State, shared: Num[np.ndarray, "S S"], shared_side: Num[np.ndarray, " S"]) -> Normal:
-        """Gauss-Newton's normal equations of the points and of every frame's own prior; ``shared`` and ``shared_side``
-        are added to in place.
+        """Gauss-Newton's normal equations of the points and of every frame's own prior; adds to ``shared`` and
+        ``shared_side`` in place.
 
         A point's Huber weight follows from its distance, not per coordinate (T11).
         """
-        # Loaded here: most that reads about bodies fits none.
+        # Loaded here: most modules that import bodies do not fit any.
         from studiorecon.body.fitting.normal_equations import add_points
 
         points, world, joints, offsets = self.basis.placed(state)
@@ -156,7 +153,7 @@ class Problem:
                 own[:, 24 * a + joints, 24 * b + joints] += block[:, :, a, b]
 
     def own_step(self, state: State, normal: Normal, damping: Num[np.ndarray, " F"]) -> State:
-        """The same with all that frames share held fixed."""
+        """The state after a step with the shared unknowns fixed."""
         blocks = normal.own.copy()
         diagonal = np.einsum("fii->fi", blocks)
         diagonal += damping[:, None] * (diagonal + 1.0)

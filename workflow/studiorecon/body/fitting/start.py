@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a fit starts: the pelvis in closed form from the torso's points, then each limb swung towards its next point.
+"""Initial pose of a fit: the pelvis in closed form from the torso's points, then each limb swung towards its next
+point.
 
-A gradient alone does not turn a body that faces the wrong way (M05), so nothing here is iterative.
+A gradient does not turn a body that faces the wrong way (M05), so nothing here is iterative.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from studiorecon.geometry import rotations
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
-# Points that move with the trunk, detector's and SMPL's names; then joint, its point, the next point down the limb.
+# Points that move with the trunk, by the detector's and SMPL's names; then joint, its point, the next point down the
+# limb.
 _TORSO = ("shoulder", "hip", "shoulder_joint", "hip_joint")
 _TORSO_MIDDLE = ("neck", "mid_hip", "upper_neck", "neck_joint", "pelvis_joint", "spine3_joint")
 _SWINGS = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
-# Fewer points than this leave more unknown than known even with the prior.
+# With fewer points than this, more stays unknown than known even with the prior.
 _MIN_POINTS = 6
 _FAR_M = 0.3
 
@@ -40,7 +42,7 @@ class Start:
 def start(
     body: BodyModel, names: list[str], points_m: Num[np.ndarray, "T K 3"], seen: Bool[np.ndarray, "T K"]
 ) -> Start:
-    """A first guess of the mean shape from the keypoints that were ``seen``; undetermined frames keep the relaxed
+    """An initial pose of the mean shape from the keypoints that were ``seen``; undetermined frames keep the relaxed
     pose."""
     frames = len(points_m)
     at = {n: k for k, n in enumerate(names)}
@@ -52,14 +54,14 @@ def start(
     in_torso = np.zeros(len(names), dtype=bool)
     in_torso[torso] = True
     roots = [rotations.kabsch(relaxed, points_m, chosen) for chosen in (seen & in_torso, seen)]
-    # Limbs bias the second root; the first is wild where only shoulders and neck are seen. The nearer body wins in each
-    # frame.
+    # Limbs bias the second root; the first is unreliable where only shoulders and neck are seen. The nearer body wins
+    # per frame.
     best, misfit = Start(local, np.zeros((frames, 3)), np.zeros(frames, dtype=bool)), np.full(frames, np.inf)
     for turn, shift, determined in roots:
         swung = local.copy()
         swung[:, 0] = turn
         _swing_limbs(body, at, points_m, seen, swung)
-        # Wild points decide nothing.
+        # Bounded, so that outliers do not decide.
         apart = np.minimum(np.linalg.norm(_posed(body, on_body, swung) + shift[:, None] - points_m, axis=-1), _FAR_M)
         apart = np.where(seen, apart, 0.0).sum(1) / np.maximum(seen.sum(1), 1)
         better = determined & (apart < misfit)
