@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``objects.find``: loose and held things as rigid sets of Gaussians, followed through what differs from the plates
-beside all bodies.
+"""``objects.find``: finds loose and carried objects as rigid sets of Gaussians, tracked by their difference from the
+plates.
 
-Writes ``objects/objects.npz`` (``splatting/rigid_object.py``), maybe without any object: what fewer than two cameras
-show has no place in space.
+Writes ``objects/objects.npz`` (``splatting/rigid_object.py``), possibly without any object: with fewer than two cameras
+an object has no position in space.
 """
 
 from __future__ import annotations
@@ -42,21 +42,21 @@ from studiorecon.splatting.rigid_object import MEASURED_TURNS, RigidObject, writ
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# Pictures from which is learnt what usually differs.
+# Number of pictures that measure the usual difference from the plate.
 _REST_FRAMES = 16
-# A body that was only filled in may stand this many times as far off.
+# A body that was filled in may be this many times as far off.
 _FILLED_MARGIN = 3.0
 Moments = Iterator[tuple[Sequence[np.ndarray], Sequence[np.ndarray]]]
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How things are found, followed and made.
+    """Settings of detection, tracking and modelling.
 
     Attributes:
-        pixels: longer side of the pictures that are looked at; larger ones are shrunk.
-        gate_m: rays of one thing pass within this.
-        radius_m: least and most radius of a thing.
+        pixels: longer side of the pictures to search; larger ones are shrunk.
+        gate_m: rays of one object pass within this distance.
+        radius_m: least and most radius of an object.
         seed: of the training.
     """
 
@@ -72,8 +72,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class ObjectView:
-    """One training camera at the size that is looked at: its film, its clean plate (H, W, 3) in [0, 1], ``measured``
-    (H, W).
+    """One training camera at the searched size: its film, its clean plate (H, W, 3) in [0, 1], and ``measured`` (H, W).
 
     ``usual`` (H, W) is how much its pictures differ from the plate when nothing is there.
     """
@@ -93,9 +92,9 @@ def objects_in(
     settings: Settings,
     threads: int,
 ) -> list[RigidObject]:
-    """The things that move through a clip.
+    """The objects that move through a clip.
 
-    ``moments`` are, frame by frame, every view's picture (H, W, 3) uint8 and where people are in it (H, W) bool.
+    ``moments`` are, frame by frame, every view's picture (H, W, 3) uint8 and the region of people (H, W) bool.
     """
     cameras = [view.camera for view in views]
     found: list[tuple[int, list[Sighting]]] = []
@@ -182,8 +181,8 @@ def _turning(
     settings: Settings,
     threads: int,
 ) -> tuple[RigidObject, str] | None:
-    """A thing as one that turns, and a sentence; None where ``still`` explains the looks kept ``apart`` as well, or no
-    gain is enough."""
+    """A turning object and a message; None where ``still`` fits the validation crops ``apart`` as well, or the gain is
+    too small."""
     if settings.turn.gain_db >= NEVER_DB:
         return None
     rng = np.random.default_rng([settings.seed, int(still.person[1:]), 1])
@@ -219,7 +218,7 @@ def _turning(
 
 
 def rested(views: Sequence[ObjectView], moments: Moments, settings: LooseSettings) -> list[ObjectView]:
-    """The views with what their pictures usually differ by, from some moments spread over the clip."""
+    """The views with their usual difference from the plate, measured at moments spread over the clip."""
     seen = list(moments)
     found = []
     for v, view in enumerate(views):
@@ -237,8 +236,8 @@ def moments_of(
     step: int = 1,
     factors: Factors = NONE,
 ) -> Moments:
-    """Every ``step``-th frame: every view's picture at its size, without its exposure's ``factors``, and where people
-    are in it."""
+    """Every ``step``-th frame: every view's picture at the searched size, divided by its exposure's ``factors``, and
+    the region of people."""
     films = zip(*(read_frames(view.video, 0, frames) for view in views), strict=True)
     for frame, filmed in enumerate(progress(films, "loose things", frames)):
         if frame % step:
@@ -254,7 +253,7 @@ def moments_of(
 
 
 def open_view(camera: Camera, video: Path, plate: Path, pixels: int, factors: Factors = NONE) -> ObjectView:
-    """A camera with its plate at the size that is looked at, without its exposure's ``factors``."""
+    """A camera with its plate at the searched size, divided by its exposure's ``factors``."""
     share = min(1.0, pixels / max(camera.wh))
     small = camera.resized((round(camera.wh[0] * share), round(camera.wh[1] * share)))
     rgb, measured = read_plate(plate, camera.wh)
@@ -276,10 +275,11 @@ def run(
     gains: list[Path] | None = None,
     brightness: list[Path] | None = None,
 ) -> None:
-    """Find, follow and make the things of a scene; ``fits`` are the fitted bodies, which explain what differs from
-    the plates.
+    """Find, track and model the objects of a scene; ``fits`` are the fitted bodies, which explain differences from the
+    plates.
 
-    The cameras' ``gains`` and the frames' ``brightness`` are divided out of the pictures, the gains of the plates too.
+    The cameras' ``gains`` and the frames' ``brightness`` are divided out of the pictures, the gains out of the plates
+    too.
     """
     cameras = read_model(model.parent)
     footage = read_manifest(manifest)

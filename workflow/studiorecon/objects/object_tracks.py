@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Things followed over time: sightings of successive moments become tracks, tracks become positions with one radius."""
+"""Tracks objects over time: links sightings of successive moments, then estimates positions with one radius per
+track."""
 
 from __future__ import annotations
 
@@ -17,22 +18,22 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# Radii of one thing from one moment to another, a factor.
+# Largest ratio between radii of one object at two moments.
 _ONE_SIZE = 2.0
-# A sphere whose outlines are off by more than this is not where they are, pixels.
+# A sphere whose outlines are off by more pixels than this is rejected.
 _WORST_PX = 3.0
-# What is round has outlines that are a sphere's but for this, pixels or a share of its radius, whichever is more.
+# A round object's outlines are a sphere's within this many pixels or this share of its radius, whichever is more.
 _ROUND_PX, _ROUND = 1.2, 0.12
 
 
 @dataclass(frozen=True)
 class FollowSettings:
-    """What counts as one thing over time.
+    """Limits of tracking.
 
     Attributes:
-        speed_m_s: nothing moves faster beside what it is expected to do.
-        gap_s: so long it may go unseen; shorter gaps are filled by a straight line.
-        min_s: time in which two cameras must see it, half of it without anybody before it.
+        speed_m_s: largest deviation from the predicted velocity.
+        gap_s: longest time without a sighting; shorter gaps are filled by a straight line.
+        min_s: time in which two cameras must see it, half of it without occlusion by people.
     """
 
     speed_m_s: float = 8.0
@@ -42,10 +43,11 @@ class FollowSettings:
 
 @dataclass(frozen=True)
 class ObjectTrack:
-    """A thing over time: ``centres_m`` (T, 3), ``valid`` and ``present`` (T,) as in ``RigidObject``; ``seen``: its
+    """An object over time: ``centres_m`` (T, 3), ``valid`` and ``present`` (T,) as in ``RigidObject``; ``seen``:
     sightings by frame.
 
-    ``round`` is whether its outlines are those of a sphere; other things are where the middles of their regions meet.
+    ``round`` is whether its outlines are those of a sphere; other objects are at the intersection of the rays through
+    their regions' middles.
     """
 
     centres_m: Float[np.ndarray, "T 3"]
@@ -59,7 +61,7 @@ class ObjectTrack:
 def linked(
     found: Sequence[tuple[int, list[Sighting]]], fps: float, settings: FollowSettings
 ) -> list[list[tuple[int, Sighting]]]:
-    """Sightings of successive frames strung together, each to the track whose expected place it is nearest to."""
+    """Sightings of successive frames linked into tracks, each to the track with the nearest predicted position."""
     tracks: list[list[tuple[int, Sighting]]] = []
     for frame, things in found:
         pairs = []
@@ -69,7 +71,7 @@ def linked(
                 continue
             expected = _expected(track, frame)
             for i, thing in enumerate(things):
-                # What bounces does not go on as it did.
+                # An object that bounces leaves its predicted path.
                 off_m = float(
                     min(np.linalg.norm(thing.centre_m - place) for place in (expected, track[-1][1].centre_m))
                 )
@@ -90,10 +92,11 @@ def linked(
 def followed(
     track: Sequence[tuple[int, Sighting]], cameras: Sequence[Camera], frames: int, fps: float, settings: FollowSettings
 ) -> ObjectTrack | str:
-    """The track of a thing over all ``frames``, or a sentence why it is none.
+    """The track of an object over all ``frames``, or a sentence why it is rejected.
 
-    The radius is the median of those moments in which nobody is before it; with it held, every moment's outlines give
-    the middle. Nothing is smoothed over time: outlines fix the middle within millimetres, and a bounce is not smooth.
+    The radius is the median of the moments in which no person occludes it. With this radius fixed, every moment's
+    outlines give the middle. Nothing is smoothed over time: outlines fix the middle within millimetres, and a bounce is
+    not smooth.
     """
     free = [sighting for _, sighting in track if sighting.free >= 2]
     least = max(2.0, settings.min_s * fps)
@@ -125,8 +128,8 @@ def followed(
 def _spheres(
     track: Sequence[tuple[int, Sighting]], free: Sequence[Sighting], cameras: Sequence[Camera], frames: int
 ) -> tuple[float, np.ndarray, bool]:
-    """Radius that free sightings agree on, (T, 3) middles of the spheres of that radius, NaN where there is none, and
-    whether it is one."""
+    """The radius of most unoccluded sightings, (T, 3) centres of spheres of that radius (NaN for none), and whether it
+    is a sphere."""
     centres = np.full((frames, 3), np.nan)
     fits = np.array([sphere(cameras, sighting)[1:] for sighting in free])
     fits = fits[np.isfinite(fits).all(axis=1)]
@@ -148,7 +151,7 @@ def _middles(
 ) -> tuple[float, np.ndarray]:
     """Radius of the disc with the regions' usual area, and (T, 3) points nearest to the rays through their middles.
 
-    Uncovered regions alone say where the middle is where two cameras show such; a part of a thing has another.
+    Where two cameras show unoccluded regions, only these are used: the middle of a visible part is not the object's.
     """
     radius_m = float(np.median([sighting.radius_m for sighting in free]))
     centres = np.full((frames, 3), np.nan)
@@ -160,7 +163,7 @@ def _middles(
             ray /= np.linalg.norm(ray)
             across += np.eye(3) - np.outer(ray, ray)
             at += (np.eye(3) - np.outer(ray, ray)) @ cameras[view].centre_m
-        # Rays of a sighting meet at an angle, or it were none.
+        # Rays of a sighting meet at an angle; a sighting with parallel rays was rejected before.
         centre = np.linalg.solve(across, at)
         off_px = [np.linalg.norm(cameras[view].project(centre)[0] - region.centre_px) for view, region in used]
         if np.sqrt(np.mean(np.square(off_px))) <= _WORST_PX:
@@ -169,7 +172,7 @@ def _middles(
 
 
 def _expected(track: Sequence[tuple[int, Sighting]], frame: int) -> np.ndarray:
-    """(3,) where a thing is if it goes on as in its last two sightings."""
+    """(3,) position predicted from the last two sightings at constant velocity."""
     last_frame, last = track[-1]
     if len(track) < 2:
         return last.centre_m
@@ -178,7 +181,7 @@ def _expected(track: Sequence[tuple[int, Sighting]], frame: int) -> np.ndarray:
 
 
 def held(valid: Bool[np.ndarray, " T"], fps: float, settings: FollowSettings) -> Bool[np.ndarray, " T"]:
-    """(T,) bool: measured frames, and gaps between them that are short enough to be filled."""
+    """(T,) bool: measured frames, and the gaps between them that are short enough to be filled."""
     present, at = valid.copy(), np.flatnonzero(valid)
     for a, b in pairwise(at):
         if b - a - 1 <= round(settings.gap_s * fps):

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a thing of known shape is and how it is turned at one moment: its Gaussians drawn over what all cameras saw of
-it.
+"""The pose of an object of known shape at one moment: its Gaussians are fitted to all cameras' crops.
 
-Compared are colours and outlines at once: the picture before black and what covers it. Each camera's crop is drawn
-seven times a step, as the thing is and with its six freedoms varied, and the steps are Levenberg and Marquardt's; first
-on blurred pictures, which reach further.
+Colours and outlines are compared at once: the picture on black, and its coverage. Each camera's crop is drawn seven
+times a step, at the pose and with its six degrees of freedom varied. The steps are Levenberg-Marquardt's, first on
+blurred pictures, which converge from further away.
 """
 
 from __future__ import annotations
@@ -26,9 +25,10 @@ from studiorecon.splatting.cpu.rasterise import Rasteriser
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
-# Differences that count in full; what one pixel's difference weighs: shapes are not exact, and neighbours err alike.
+# Difference beyond which the cost is linear; sigma of one pixel's difference, large because shapes are not exact and
+# neighbours err together.
 _HUBER, _NOISE = 0.25, 0.4
-# Step of the derivatives, radians, and metres per metre of reach; stops at this.
+# Step of the derivatives, radians, and metres per metre of reach; convergence threshold, radians.
 _STEP_RAD, _STEP_SHARE, _ENOUGH_RAD = 0.02, 0.03, 2e-3
 _DAMPING = (1e-2, 1e3)
 NEAR_M = 0.05
@@ -36,8 +36,8 @@ NEAR_M = 0.05
 
 @dataclass(frozen=True)
 class ObjectObservation:
-    """What one camera saw of a thing: a crop's ``camera`` in the world, ``rgb`` (h, w, 3) before black, ``mask`` and
-    ``weight`` (h, w)."""
+    """One camera's observation of an object: the crop's ``camera`` in the world, ``rgb`` (h, w, 3) on black, ``mask``
+    and ``weight`` (h, w)."""
 
     camera: Camera
     rgb: Float[np.ndarray, "h w 3"]
@@ -46,22 +46,22 @@ class ObjectObservation:
 
 
 def glimpse(camera: Camera, rgb: Integer[np.ndarray, "h w 3"], state: Integer[np.ndarray, "h w"]) -> ObjectObservation:
-    """From a crop's camera, ``rgb`` (h, w, 3) uint8 and ``state`` (h, w) as in ``Region``; where somebody hides it
-    nothing counts."""
+    """The observation of a crop's camera, from ``rgb`` (h, w, 3) uint8 and ``state`` (h, w) as in ``ResidualRegion``;
+    occluded pixels have weight 0."""
     mask = (state == LOOSE).astype(np.float32)
     return ObjectObservation(camera, to_float(rgb) * mask[..., None], mask, (state != UNKNOWN).astype(np.float32))
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is expected of a pose: near ``world_from_thing`` (4, 4) within deviations in radians and metres."""
+    """Prior of a pose: near ``world_from_thing`` (4, 4) within deviations in radians and metres."""
 
     world_from_thing: Float[np.ndarray, "4 4"]
     turn_rad: float
     place_m: float
 
     def residuals(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
-        """(6,) departures of a pose (4, 4) in deviations."""
+        """(6,) differences of a pose (4, 4) from the prior, in deviations."""
         turn = rotations.log(self.world_from_thing[:3, :3].T @ pose[:3, :3])
         return np.concatenate([turn / self.turn_rad, (pose[:3, 3] - self.world_from_thing[:3, 3]) / self.place_m])
 
@@ -76,14 +76,14 @@ def moved(pose: Float[np.ndarray, "4 4"], step: Float[np.ndarray, " 6"]) -> Floa
 
 
 class Fitter:
-    """One thing's Gaussians, ready to be drawn over glimpses. ``reach_m`` is how far they reach from its middle."""
+    """One object's Gaussians, rendered over observations; ``reach_m`` is their extent from the middle."""
 
     def __init__(self, gaussians: Gaussians, reach_m: float, threads: int) -> None:
         self._gaussians, self.reach_m = gaussians, reach_m
         self._rasteriser = Rasteriser(near_m=NEAR_M, threads=threads)
 
     def misfit(self, pose: Float[np.ndarray, "4 4"], glimpses: Sequence[ObjectObservation]) -> tuple[float, float]:
-        """Sum of the squared differences in the crops at a pose, and how many pixels of the thing there are."""
+        """Sum of the squared differences in the crops at a pose, and the number of the object's pixels."""
         squares = sum(float(np.square(self._difference(pose, g, 0.0)).sum()) for g in glimpses)
         return squares, float(sum((g.mask * g.weight).sum() for g in glimpses))
 
@@ -95,7 +95,7 @@ class Fitter:
         blurs_px: Sequence[float],
         steps: int,
     ) -> Float[np.ndarray, "4 4"]:
-        """The pose (4, 4) near ``pose`` that draws what was seen, within its prior."""
+        """The pose (4, 4) near ``pose`` that best explains the observations and the prior."""
         for blur_px in blurs_px:
             pose = self._descended(pose, glimpses, prior, blur_px, steps)
         return pose
@@ -103,7 +103,7 @@ class Fitter:
     def cost(
         self, pose: Float[np.ndarray, "4 4"], glimpses: Sequence[ObjectObservation], prior: Prior, blur_px: float
     ) -> float:
-        """What ``fit`` lessens."""
+        """The cost that ``fit`` minimises."""
         return _cost(self._residuals(pose, glimpses, blur_px)) + float(np.square(prior.residuals(pose)).sum())
 
     def _descended(
@@ -146,7 +146,7 @@ class Fitter:
         )
 
     def _difference(self, pose: np.ndarray, seen: ObjectObservation, blur_px: float) -> np.ndarray:
-        """(h, w, 4) of colours before black and cover, weighted."""
+        """(h, w, 4) weighted differences of colours on black and of coverage."""
         camera = Camera(seen.camera.name, seen.camera.wh, seen.camera.intrinsics, seen.camera.camera_from_world @ pose)
         drawn = self._rasteriser.forward(self._gaussians, camera)
         off = (
@@ -157,6 +157,6 @@ class Fitter:
 
 
 def _cost(residual: np.ndarray) -> float:
-    """Huber's, in the residuals' own unit."""
+    """Huber's cost, in the residuals' own unit."""
     size, edge = np.abs(residual), _HUBER / _NOISE
     return float(np.where(size <= edge, size**2, edge * (2 * size - edge)).sum())

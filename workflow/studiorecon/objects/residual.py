@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of a picture that differ from the clean plate and that no body explains: what may be a thing that somebody
-threw or holds."""
+"""Regions of a picture that differ from the clean plate and that no body explains: candidates for objects."""
 
 from __future__ import annotations
 
@@ -17,22 +16,22 @@ from studiorecon.images.difference import plate_difference
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# What a pixel shows: the room as on the plate, something loose, or no telling (a person, or an unknown plate).
+# States of a pixel: the room as on the plate, loose (an object), or unknown (a person, or no plate).
 ROOM, LOOSE, UNKNOWN = 0, 1, 2
-# Width of the neighbourhood that knows how much a thing differs just inside its outline: two pixels each way.
+# Width of the neighbourhood that measures the difference just inside an outline: two pixels each way.
 _EDGE_PX = 5
 _EDGE_SHARE = 0.3
 
 
 @dataclass(frozen=True)
 class LooseSettings:
-    """When a pixel shows a thing. Differences are in CIELAB units (1 = just visible).
+    """Thresholds for a pixel to show an object. Differences are in CIELAB units (1 = just visible).
 
     Attributes:
         difference: a pixel that differs more from the plate is foreground.
         chroma_weight: colour differences count this much more than lightness.
-        shadow: darkest shadow, as a share of the unshadowed light; a darkening down to it is none.
-        margin_m: people are this much thicker than their bodies: clothes, hair and what the fit is off.
+        shadow: darkest shadow, as a share of the unshadowed light; a darkening down to it is no object.
+        margin_m: people are this much thicker than their bodies: clothes, hair and the fit's error.
         min_share: regions below this share of the picture are noise.
     """
 
@@ -45,13 +44,13 @@ class LooseSettings:
 
 @dataclass(frozen=True)
 class ResidualRegion:
-    """One connected part of one picture that is loose.
+    """One connected loose region of one picture.
 
     Attributes:
         view: index of the camera; ``centre_px`` (2,) its middle; ``area_px`` its pixels.
-        outline_px: (K, 2) points between its pixels and those of the room beside them: its true outline, where nobody
-            covers it.
-        free: whether room surrounds it: no person beside it, the whole of it in the picture.
+        outline_px: (K, 2) points between its pixels and neighbouring room pixels: its true outline, where no person
+            occludes it.
+        free: whether room surrounds it: no person next to it, and all of it in the picture.
         corner: (2,) column and row of the crop's first pixel; ``rgb`` (h, w, 3) uint8 and ``state`` (h, w) uint8 the
             crop around it, with other regions as UNKNOWN.
     """
@@ -71,7 +70,7 @@ def difference(
 ) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 difference of a picture (H, W, 3) uint8 from the plate (H, W, 3) in [0, 1], CIELAB units.
 
-    A shadow, one factor of all channels, is taken out first.
+    A shadow, one factor of all channels, is removed first.
     """
     picture, empty = cv2.GaussianBlur(to_float(rgb), (3, 3), 0), cv2.GaussianBlur(plate, (3, 3), 0)
     return np.sqrt(plate_difference(picture, empty, chroma_weight=settings.chroma_weight, shadow=settings.shadow)[0])
@@ -80,10 +79,9 @@ def difference(
 def unrest(
     differences: Sequence[Float[np.ndarray, "H W"]], explained: Sequence[Bool[np.ndarray, "H W"]]
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 difference that a pixel shows in most of the pictures in which nobody is there; 0 where somebody
-    always is.
+    """(H, W) float32 difference that a pixel has in most pictures without people; 0 where people always cover it.
 
-    That is what compression does to fine patterns, and what the plate got wrong.
+    Compression of fine patterns and errors of the plate cause it.
     """
     found = np.sort(np.where(np.stack(explained), np.inf, np.stack(differences)), axis=0)
     middle = np.maximum(np.isfinite(found).sum(axis=0) - 1, 0) // 2
@@ -98,15 +96,15 @@ def states(
     explained: Bool[np.ndarray, "H W"],
     settings: LooseSettings,
 ) -> Integer[np.ndarray, "H W"]:
-    """(H, W) uint8 what every pixel of a picture shows.
+    """(H, W) uint8 state of every pixel of a picture.
 
-    ``differing`` (H, W) is its ``difference``, ``usual`` its ``unrest``, up to twice the threshold: what differs more
-    is a thing that stood there. The plate is ``measured`` (H, W); ``explained`` (H, W) bool is where people are.
+    ``differing`` (H, W) is its ``difference``. ``usual`` is its ``unrest``, used up to twice the threshold: more is an
+    object that never moved. The plate is ``measured`` (H, W); ``explained`` (H, W) bool is where people are.
     """
     quiet = differing - np.minimum(usual, 2 * settings.difference)
     plain = cv2.medianBlur((quiet > settings.difference).astype(np.uint8), 3)
-    # Blur carries a thing's colour a pixel beyond it: its outline runs where the difference has fallen to half of what
-    # it is just inside.
+    # Blur spreads an object's colour a pixel beyond it: its outline is where the difference is half of that just
+    # inside.
     square = np.ones((_EDGE_PX, _EDGE_PX), np.uint8)
     loose = (plain & (quiet > _EDGE_SHARE * cv2.dilate(quiet, square))) | cv2.erode(plain, square)
     return np.where(explained | ~measured, np.uint8(UNKNOWN), loose)
@@ -131,11 +129,11 @@ def regions(
         )
         own = labels[box] == k
         around = np.where(own, np.uint8(LOOSE), np.where(state[box] == LOOSE, np.uint8(UNKNOWN), state[box]))
-        # What the opening took off this region is its own, not another's.
+        # Pixels next to this region that the opening removed are its own, not another's.
         beside = cv2.dilate(own.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         around[beside & (state[box] == LOOSE) & (labels[box] == 0)] = LOOSE
         near = cv2.dilate(own.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-        # Specks that the opening took away hide nothing; people and other regions may.
+        # Specks that the opening removed hide nothing; people and other regions may.
         hidden = (state[box] == UNKNOWN) | ((labels[box] > 0) & ~own)
         inside = left > 1 and top > 1 and left + wide < width - 1 and top + high < height - 1
         corner = (int(box[1].start), int(box[0].start))

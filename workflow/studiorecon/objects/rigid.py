@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shape and colours of a thing that was followed: discs on the hull of its outlines over all frames, trained on
-crops around it.
+"""The shape and colours of a tracked object: discs on the hull of its outlines, trained on crops from all frames.
 
-All pictures are taken as seen from the thing: its motion is taken out of the cameras, so that one still set of
-Gaussians is trained on all frames. Whose turning is unknown (``turning`` seeks it) is taken not to turn: its colours
-and its hull are then the mean of what was seen.
+All pictures are transformed to the object's frame: its motion is applied to the cameras, so that one still set of
+Gaussians is trained on all frames. Without a known rotation (``rotation`` estimates it) the object is assumed not to
+rotate; its colours and its hull are then a mean.
 """
 
 from __future__ import annotations
@@ -34,27 +33,27 @@ from studiorecon.splatting.train.targets import Target
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Looks that are trained on, spread over the track; every so-many-th is kept apart to judge.
+# Number of crops for training, spread over the track; every so-many-th is for validation.
 _LOOKS, _JUDGED = 160, 8
-# A place lies outside when more than this share of the looks shows the room there: outlines are a pixel off, and a
+# A position is outside when more than this share of the crops shows the room there: outlines are a pixel off, and the
 # middle a little.
 _OUTSIDE = 0.25
-# Shares of the outlines' points between whose distances from the middle the surface lies: the rest are errors.
+# Quantiles of the outlines' distances from the middle between which the surface is: the rest are errors.
 _BETWEEN = (0.1, 0.9)
-# How far from the middle the surface may lie, in radii, and in how many steps it is looked for.
+# Range of the surface's distance from the middle, in radii, and number of steps of its search.
 _REACH, _STEPS = (0.3, 2.2), 64
-# A disc's deviation over the spacing, its thickness over its width, its opacity at the start.
+# A disc's sigma over the spacing, its thickness over its width, its opacity at the start.
 _WIDTH, _FLATNESS, _OPACITY = 0.6, 0.3, 0.9
-# Cosine between the surface's normal and the way to the camera from which colours are taken.
+# Least cosine between the surface's normal and the direction of a camera that gives it colour.
 _FACING = 0.35
-# Areas of a thing's regions differ from its sphere's by at most this factor.
+# Largest factor between the areas of an object's regions and its sphere's.
 _ONE_AREA, _ONE_AREA_OBLONG = 1.6, 6.0
 _NEAR_M = 0.05
 
 
 @dataclass(frozen=True)
 class ShapeSettings:
-    """How a thing is made: ``gaussians`` on its surface, ``iterations`` of training of one crop each."""
+    """Settings of an object's model: ``gaussians`` on its surface, ``iterations`` of training of one crop each."""
 
     gaussians: int = 800
     iterations: int = 600
@@ -62,12 +61,12 @@ class ShapeSettings:
 
 @dataclass(frozen=True)
 class ObjectCrop:
-    """A crop in which nobody covers the thing, and whose it is.
+    """A crop in which no person occludes the object, and its source.
 
     Attributes:
         frame, view: moment and index of the camera.
         corner: (2,) column and row of the crop's first pixel.
-        camera: the crop's camera as seen from the thing.
+        camera: the crop's camera in the object's frame.
         rgb: (h, w, 3) uint8; ``state`` (h, w) uint8 as in ``ResidualRegion``.
     """
 
@@ -80,7 +79,7 @@ class ObjectCrop:
 
 
 def looks_at(track: ObjectTrack, cameras: Sequence[Camera]) -> list[ObjectCrop]:
-    """The uncovered looks at a thing that moves without turning, at most 160 of them spread over its frames."""
+    """The unoccluded crops of an object that moves without turning, at most 160 of them spread over its frames."""
     found = []
     for frame, sighting in track.seen:
         if not track.valid[frame]:
@@ -95,7 +94,7 @@ def looks_at(track: ObjectTrack, cameras: Sequence[Camera]) -> list[ObjectCrop]:
 
 
 def at_pose(look: ObjectCrop, cameras: Sequence[Camera], world_from_thing: Float[np.ndarray, "4 4"]) -> ObjectCrop:
-    """A look with its camera as seen from the thing at a pose (4, 4)."""
+    """A crop with its camera in the object's frame, for the object at pose ``world_from_thing`` (4, 4)."""
     camera = cameras[look.view]
     intrinsics = camera.intrinsics.copy()
     intrinsics[:2, 2] -= look.corner
@@ -104,18 +103,18 @@ def at_pose(look: ObjectCrop, cameras: Sequence[Camera], world_from_thing: Float
 
 
 def kept_apart(looks: Sequence[ObjectCrop]) -> list[ObjectCrop]:
-    """Every eighth look: what a thing is judged by is not what it is made from."""
+    """Every eighth crop: the validation split, which no model is trained on."""
     return list(looks[_JUDGED - 1 :: _JUDGED])
 
 
 def hull(
     looks: Sequence[ObjectCrop], radius_m: float, count: int
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
-    """(N, 3) points of a star-shaped hull around the middle, metres, and (N, 3) the unit directions they lie in.
+    """(N, 3) points of a star-shaped hull around the middle, metres, and (N, 3) their unit directions.
 
-    In each direction the surface is where the share of looks that show the room there passes a quarter, but as far away
-    as outlines are: what few cameras cannot carve away, the corners of the cones that they leave, is no part of the
-    thing; what looks like a shadow is.
+    In each direction the surface is where a quarter of the crops show the room, but no further away than the outlines
+    are. This removes the corners of the cones that few cameras cannot carve away, and keeps parts that look like a
+    shadow.
     """
     turn = np.arange(count) * np.pi * (3 - np.sqrt(5))
     height = 1 - (2 * np.arange(count) + 1) / count
@@ -135,7 +134,7 @@ def hull(
 
 
 def reached_m(look: ObjectCrop) -> Float[np.ndarray, " K"]:
-    """(K,) how far from the middle the rays through a look's outline pass."""
+    """(K,) distances from the middle at which the rays through a crop's outline pass."""
     points = outline_of(look.state)
     rays = look.camera.unproject(points, np.ones(len(points))) - look.camera.centre_m
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -145,8 +144,8 @@ def reached_m(look: ObjectCrop) -> Float[np.ndarray, " K"]:
 def coloured(
     points_m: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], looks: Sequence[ObjectCrop]
 ) -> tuple[Float[np.ndarray, "N 3"], Bool[np.ndarray, " N"]]:
-    """(N, 3) mean colours of points from the looks that face them, and (N,) bool which any look does; the others get
-    the mean colour."""
+    """(N, 3) mean colours of points from the crops that face them, and (N,) bool whether one does; the others get the
+    mean colour."""
     sums, weights = np.zeros((len(points_m), 3)), np.zeros(len(points_m))
     for look in looks:
         away = look.camera.centre_m - points_m
@@ -171,7 +170,7 @@ def made(
     threads: int,
     label: str,
 ) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
-    """Gaussians of a thing in its own frame, trained on looks from a ``start`` (``skin``), and their provenance
+    """Gaussians of an object in its own frame, trained on crops from a ``start`` (``skin``), and their provenance
     (N,)."""
     discs_there, seen = start
     targets = [_target(look, i) for i, look in enumerate(looks)]
@@ -186,13 +185,13 @@ def made(
         label=label,
     )
     provenance = np.where(seen, MEASURED, INFERRED).astype(np.uint8)[trained.source]
-    # What no look shows was trained on outlines alone.
+    # Without a crop that shows it, a disc was trained on outlines only.
     sh = np.where((provenance == MEASURED)[:, None, None], trained.gaussians.sh, discs_there.sh[trained.source])
     return replace(trained.gaussians, sh=sh), provenance
 
 
 def skin(looks: Sequence[ObjectCrop], radius_m: float, count: int) -> tuple[Gaussians, Bool[np.ndarray, " N"]]:
-    """Discs on the hull of a round thing in the colours of the looks, and (N,) bool which of them any look shows."""
+    """Discs on the hull of a round object in the crops' colours, and (N,) bool whether a crop shows them."""
     points, normals = hull(looks, radius_m, count)
     rgb, seen = coloured(points, normals, looks)
     width_m = _WIDTH * np.sqrt(4 * np.pi / len(points)) * np.linalg.norm(points, axis=1)
@@ -200,7 +199,7 @@ def skin(looks: Sequence[ObjectCrop], radius_m: float, count: int) -> tuple[Gaus
 
 
 def misfit(gaussians: Gaussians, looks: Sequence[ObjectCrop], threads: int) -> tuple[float, float]:
-    """Mean squared error of looks: inside the thing, and of the whole crop, outlines and what lies beside included; NaN
+    """Mean squared errors of crops: inside the object, and of the whole crop, with outlines and surroundings; NaN
     without any."""
     rasteriser, squares, counts = Rasteriser(near_m=_NEAR_M, threads=threads), np.zeros(2), np.zeros(2)
     for look in looks:
@@ -215,10 +214,9 @@ def misfit(gaussians: Gaussians, looks: Sequence[ObjectCrop], threads: int) -> t
 
 
 def _whole(region: ResidualRegion, track: ObjectTrack, frame: int, camera: Camera) -> bool:
-    """Whether a region has about the area of the thing: another thing may be before it, or beside it and of one region
-    with it.
+    """Whether a region has about the object's area: another object may occlude it or be merged with it.
 
-    What is not round shows areas of all sizes.
+    Objects that are not round have areas of all sizes.
     """
     most = _ONE_AREA if track.round else _ONE_AREA_OBLONG
     radius_px = track.radius_m * camera.focal_px[0] / float(camera.project(track.centres_m[frame])[1])
@@ -226,14 +224,13 @@ def _whole(region: ResidualRegion, track: ObjectTrack, frame: int, camera: Camer
 
 
 def _sampled(picture: np.ndarray, pixels: np.ndarray, beyond: int) -> np.ndarray:
-    """Values of a picture (H, W) at pixels (N, K, 2), ``beyond`` outside of it and behind the camera."""
+    """Values of a picture (H, W) at pixels (N, K, 2); ``beyond`` outside of it and behind the camera."""
     values, inside = sample(picture, pixels, "nearest")
     return np.where(inside, values, beyond)
 
 
 def _target(look: ObjectCrop, index: int) -> Target:
-    """What training compares with: the thing before black and white by turns, the seam of its outline and what hides it
-    left out."""
+    """The training target: the object on black and white in turn, without its outline's seam and occluded pixels."""
     behind = np.float32(index % 2)
     loose, square = (look.state == LOOSE).astype(np.uint8), np.ones((3, 3), np.uint8)
     seam = (cv2.dilate(loose, square) > 0) & (cv2.erode(loose, square, borderType=cv2.BORDER_REPLICATE) == 0)
@@ -243,8 +240,7 @@ def _target(look: ObjectCrop, index: int) -> Target:
 
 
 def _schedule(iterations: int, largest_m: float) -> TrainingSettings:
-    """Training of a small set that starts on its surface: it needs no density control, one degree of harmonics and no
-    warm-up."""
+    """Training of a small set that starts on its surface: no density control, one degree of harmonics, no warm-up."""
     return TrainingSettings(
         iterations=iterations,
         l1=1.0,

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a thing turns: its shape from the moment that shows it best, that shape followed both ways, and both once more
-from all moments.
+"""An object's rotation over time: a shape from the moment that shows it best, tracked both ways, then refined from all
+moments.
 
-Each moment's pose is found from colours and outlines in all views at once (``posing``), and held near what the moments
-beside it lead to expect: what a view does not tell, as the turn of a stick about its own length, does not wander.
+Each moment's pose is fitted to colours and outlines in all views at once (``pose_fit``), with a prior from neighbouring
+moments. So a rotation that a view does not determine, such as a stick's about its own length, does not drift.
 """
 
 from __future__ import annotations
@@ -27,28 +27,28 @@ from studiorecon.scene.gaussians import Gaussians
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# What a thing looks like while poses are sought: untrained, a board's turns about its length were 9° off instead of 1.
+# The object's shape while poses are estimated: untrained, a board's turns about its length were 9° off instead of 1.
 _SHAPE = ShapeSettings(gaussians=400, iterations=800)
-# Blurs of the pictures while a thing is followed, pixels, and steps at each; steps of later rounds.
+# Blurs of the pictures while tracking, pixels, and steps at each; steps of later rounds.
 _BLURS_PX, _STEPS, _LATER_STEPS = (2.0, 0.0), 6, 4
-# Turns from which the first neighbour is sought, radians: nobody knows yet which way it turns.
+# Turns from which the first neighbour's fit starts, radians: the direction of rotation is not known yet.
 _FIRST_RAD = 0.4
-# A moment drawn this many times as badly as the middle one is lost.
+# A moment with this many times the median error is lost.
 _LOST = 3.0
-# Deviation of a middle from where outlines alone put it, as a share of the reach.
+# Sigma of a middle around the position from outlines only, as a share of the reach.
 _PLACE = 0.15
-# A thing whose turn never differs by more than this from its middle one does not turn.
+# An object whose rotation never differs by more than this from its mean is still.
 _MIN_RAD = np.radians(6.0)
-# Nothing gains as much as this.
+# No gain reaches this.
 NEVER_DB = 100.0
 
 
 @dataclass(frozen=True)
 class TurnSettings:
-    """How a thing's turning is sought.
+    """Settings of the estimate of rotations.
 
     Attributes:
-        rad_s2: nothing changes the speed of its turning faster than about this.
+        rad_s2: typical largest angular acceleration.
     """
 
     rad_s2: float = 60.0
@@ -64,8 +64,8 @@ class TurnSettings:
 
 @dataclass(frozen=True)
 class RigidMotion:
-    """``world_from_thing`` (T, 4, 4), and in which frames it was ``measured`` (T,); the other present ones lie between
-    these."""
+    """``world_from_thing`` (T, 4, 4), and the frames (T,) in which it was ``measured``; other present frames are
+    interpolated."""
 
     world_from_thing: Float[np.ndarray, "T 4 4"]
     measured: Bool[np.ndarray, " T"]
@@ -80,8 +80,8 @@ def turned(
     rng: np.random.Generator,
     threads: int,
 ) -> RigidMotion | None:
-    """How the thing of a track turns, without looks (frame, view) that are kept ``apart``; None when it does not or
-    nothing tells.
+    """A track's rotation over time, without the validation crops (frame, view) of ``apart``; None if it is still or
+    undetermined.
 
     Some 0.1 s per frame and view; ``rng`` is for the training of its shape.
     """
@@ -99,7 +99,7 @@ def turned(
     poses = _followed(Fitter(*shape, threads), still, glimpses, best[0].frame, fps, settings)
     if _largest_rad(np.stack([poses[frame][:3, :3] for frame in frames])) < _MIN_RAD:
         return None
-    # Once more with the shape that all moments give; a third time changes nothing.
+    # Once more with the shape from all moments; a third time changes nothing.
     shape = _shape([at_pose(look, cameras, poses[look.frame]) for look in looks], rng, threads)
     if shape is None:
         return None
@@ -120,14 +120,14 @@ def turned(
 
 
 def _largest_rad(turns: np.ndarray) -> float:
-    """How far turns (N, 3, 3) go from their middle one."""
+    """Largest angle between turns (N, 3, 3) and their mean."""
     return float(rotations.angle(rotations.mean(turns)[0], turns).max())
 
 
 def _glimpses(
     track: ObjectTrack, cameras: Sequence[Camera], apart: Collection[tuple[int, int]]
 ) -> dict[int, list[ObjectObservation]]:
-    """By frame what every camera saw, also beside whoever hides a part."""
+    """All cameras' observations by frame, including those where a person occludes a part."""
     found: dict[int, list[ObjectObservation]] = {}
     for frame, sighting in track.seen:
         for view, region in sorted(sighting.regions.items()):
@@ -139,7 +139,7 @@ def _glimpses(
 
 
 def _best_shown(looks: Sequence[ObjectCrop], cameras: Sequence[Camera], still: np.ndarray) -> list[ObjectCrop]:
-    """The looks of the moment whose outlines leave the least: no hull is smaller than the thing. Of moments that most
+    """The crops of the moment with the smallest hull: no hull is smaller than the object. Of the moments that most
     cameras show."""
     by_frame: dict[int, list[ObjectCrop]] = {}
     for look in looks:
@@ -150,7 +150,7 @@ def _best_shown(looks: Sequence[ObjectCrop], cameras: Sequence[Camera], still: n
 
 
 def _shape(looks: Sequence[ObjectCrop], rng: np.random.Generator, threads: int) -> tuple[Gaussians, float] | None:
-    """Gaussians from looks in the thing's own frame, and their reach in metres; None where nothing is left."""
+    """Gaussians from crops in the object's own frame, and their reach in metres; None where nothing is left."""
     found, reach = skin(looks, _SHAPE.gaussians), reach_m(looks)
     return None if found is None else (made(looks, found, reach, _SHAPE, rng, threads, "pose")[0], reach)
 
@@ -163,7 +163,7 @@ def _followed(
     fps: float,
     settings: TurnSettings,
 ) -> dict[int, np.ndarray]:
-    """Poses (4, 4) by frame, from the moment ``start`` on, both ways."""
+    """Poses (4, 4) by frame, tracked from the moment ``start`` both ways."""
     frames = sorted(glimpses)
     poses = {start: still[start]}
     at = frames.index(start)
@@ -199,14 +199,14 @@ def _refined(
     fps: float,
     settings: TurnSettings,
 ) -> dict[int, np.ndarray]:
-    """Poses found again with another shape, each near what its neighbours on both sides lead to expect."""
+    """Poses by frame, fitted again with another shape, each with a prior from its neighbours on both sides."""
     frames, new = sorted(glimpses), dict(poses)
     for i, frame in enumerate(frames):
         low, high = frames[max(i - 1, 0)], frames[min(i + 1, len(frames) - 1)]
         share = (frame - low) / (high - low)
         expected = still[frame].copy()
         expected[:3, :3] = rotations.slerp(new[low][:3, :3], new[high][:3, :3], share)
-        # At an end there is one neighbour, and any turn from it is as good.
+        # At an end there is one neighbour, which does not limit the rotation.
         slack_rad = settings.rad_s2 * ((high - low) / fps) ** 2 / 2
         prior = Prior(expected, max(slack_rad, 0.05), fitter.reach_m * _PLACE)
         new[frame] = fitter.fit(new[frame], glimpses[frame], prior, (0.0,), _LATER_STEPS)

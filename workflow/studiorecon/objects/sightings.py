@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One moment's loose regions of all cameras → things at places: regions whose rays meet at one distance and with one
-size.
+"""Positions of objects at one moment: regions of all cameras whose rays meet at one distance and with one size.
 
-A thing's outline is taken for that of a sphere of its size: the rays through the outline pass its middle at the radius.
-That holds for what part of the outline is seen, so a hand or a person before it takes away precision but does not pull
-the middle aside.
+An object's outline is modelled as that of a sphere of its size: rays through the outline pass its middle at the radius.
+That holds for the visible part of an outline, so a hand or a person in front lowers the precision but does not bias the
+middle.
 """
 
 from __future__ import annotations
@@ -22,20 +21,19 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# Radii of one thing in two cameras differ by at most this factor; of a region beside a person, which hides a part, by
-# more.
+# Largest ratio of one object's radii in two cameras; larger for a region next to a person, who hides a part.
 _ONE_SIZE, _ONE_SIZE_HIDDEN = 1.7, 3.5
-# Pixels that an outline is off, and how many of these count in full; steps of the fit of middle and radius.
+# Sigma of an outline in pixels, and how many of these count in full; steps of the fit of middle and radius.
 _OUTLINE_PX, _HUBER, _STEPS = 0.7, 2.0, 12
-# Points that a camera's outline must have to say where a thing is.
+# Least number of outline points of a camera that determine a position.
 _MIN_POINTS = 6
 _NEAR_M = 0.1
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """A thing at one moment: its middle (3,), radius, and its region by view. ``free`` counts views in which nobody
-    covers it."""
+    """An object at one moment: its middle (3,), radius, and its region by view. ``free`` counts views without
+    occlusion."""
 
     centre_m: Float[np.ndarray, " 3"]
     radius_m: float
@@ -53,10 +51,10 @@ def sightings(
     gate_m: float,
     radius_m: tuple[float, float],
 ) -> list[Sighting]:
-    """Things of one moment that at least two cameras show and that no more cameras deny than one of three or more, best
-    first.
+    """Objects of one moment that at least two cameras show, best first; at most one of three or more cameras may see
+    room there.
 
-    ``states`` are every camera's ``loose.states``; rays of one thing pass within ``gate_m``.
+    ``states`` are every camera's ``residual.states``; rays of one object pass within ``gate_m``.
     """
     candidates = []
     for first, second in combinations(range(len(cameras)), 2):
@@ -87,10 +85,10 @@ def sightings(
 def sphere(
     cameras: Sequence[Camera], sighting: Sighting, radius_m: float | None = None
 ) -> tuple[Float[np.ndarray, " 3"], float, float]:
-    """Middle (3,) and radius of the sphere that the outlines of a sighting call for, and their root mean square error
-    in pixels.
+    """Middle (3,) and radius of the sphere that best fits a sighting's outlines, and their root mean square error in
+    pixels.
 
-    With ``radius_m`` the radius is held. NaN where no two cameras show enough of an outline or the fit runs away.
+    ``radius_m`` fixes the radius. NaN where no two cameras show enough of an outline, or the fit diverges.
     """
     origins, rays, spread_m, weights = [], [], [], []
     for view, region in sorted(sighting.regions.items()):
@@ -164,7 +162,7 @@ def _support(
     size_m: float,
     gate_m: float,
 ) -> dict[int, ResidualRegion]:
-    """The region of each view that shows a thing at a place, if one does."""
+    """The region by view that shows an object at a position; views without one are missing."""
     support = {}
     for view, (camera, own) in enumerate(zip(cameras, regions)):
         pixel, depth_m = camera.project(centre_m)
@@ -182,7 +180,7 @@ def _support(
 
 
 def _denies(camera: Camera, state: np.ndarray, centre_m: np.ndarray, size_m: float) -> bool:
-    """Whether a camera sees the room where a thing should be: in most of the square inside its disc."""
+    """Whether a camera sees the room at an object's position: in most of the square inside its disc."""
     pixel, depth_m = camera.project(centre_m)
     if depth_m <= _NEAR_M:
         return False

@@ -97,7 +97,7 @@ class Fit:
         corrections_m: (K, 3) detector's point minus the body's, in the axes of the joint that carries it most.
         valid: (T,) bool.
         joints_m: (T, 24, 3); ``joint_sigma_m``: (T, 24) posterior deviation, root of the covariance's mean eigenvalue;
-            deviations include other bodies that explain a frame with few points (``rivals``).
+            deviations include other bodies that explain a frame with few points (``multi_start``).
         turn_sigma_rad: (T, 24, 3) posterior deviation of each joint's turn about its own axes; ``part_sigma_rad`` (T,
             24) of each part's orientation in the world; ``beta_sigma`` (B,) of the betas.
         residual_m: (T, K) distance between body and keypoint, NaN where there was none.
