@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files that rules take from the user or from the workflow's own folder, or that a network makes in their place."""
+"""The files that rules take from the user, from the workflow's own folder, or from a network that replaces them."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from studiorecon.scene.stand_ins import is_photo, strangers
 
 
 class Brought:
-    """Input functions: each takes a rule's wildcards, as Snakemake calls it, and names files; none where nothing is to
-    be taken.
+    """Input functions of rules: each maps a rule's wildcards, as Snakemake passes them, to files; none where there is
+    no input.
 
     Args:
-        plan, config, home: what was decided, the whole configuration, the workflow's folder.
-        local: marks a path that lies on this machine, whatever storage results go to: Snakemake's ``local``.
+        plan, config, home: the plan, the whole configuration, the workflow's folder.
+        local: marks a path as local, whatever storage results go to: Snakemake's ``local``.
     """
 
     def __init__(self, plan: Plan, config: Mapping[str, Any], home: Path, local: Callable[[str], str]) -> None:
@@ -35,11 +35,13 @@ class Brought:
         return self.local(str(self.home / name))
 
     def in_dataset(self, path: Path | str) -> str:
-        """A file of the dataset: a synthetic studio's is a result like others, a user's own lies where it lies."""
+        """A file of the dataset: a result in a synthetic studio, a local file in a user's own dataset."""
         return str(path) if self.plan.studio else self.local(str(path))
 
     def brought(self, setting: str, stem: str, suffixes: Sequence[str]) -> str:
-        """What the user made elsewhere: a file of the folder that ``setting`` names, by its conventional name."""
+        """A file that the user made outside this workflow: in the folder that ``setting`` names, under its conventional
+        name.
+        """
         section, _, key = setting.partition(".")
         folder = self.config[section][key]
         found = [path for suffix in suffixes if (path := Path(folder) / f"{stem}{suffix}").exists()]
@@ -62,8 +64,9 @@ class Brought:
         return [self.bundled(f"resources/detector/{name}") for name in self.plan.sight.detector]
 
     def second_network(self, _: Any) -> list[str]:
-        """The network that says where a person's points are, if there is one: the user's own file, or one that was
-        fetched, which is held to its checksum."""
+        """The landmark network, if there is one: the user's own file, or the fetched one, whose checksum is
+        verified.
+        """
         named = self.config["detect"]["network"]
         if named not in MODELS:
             return [self.local(named)] if named else []
@@ -93,7 +96,7 @@ class Brought:
 
     @cached_property
     def corrected(self) -> list[str]:
-        """The user's own say on who is who."""
+        """The user's table of identities, if there is one."""
         named = self.config["people"]["identities"]
         return [(self.local if named else self.in_dataset)(self.plan.identities)] if self.plan.identities else []
 
@@ -107,11 +110,11 @@ class Brought:
         return self.in_dataset(self.plan.dataset.footage[camera])
 
     def chapters(self, wildcards: Any) -> list[str]:
-        """The films of one camera whose recording is in several, in order."""
+        """The chapters of one camera's recording, in order; none when the recording is one film."""
         return [self.in_dataset(film) for film in self.plan.dataset.chapters[wildcards.camera]]
 
     def keypoints(self, wildcards: Any) -> list[str]:
-        """Keypoints of one camera: recorded ones, of every chapter where it has some, or what the detector found."""
+        """Keypoints of one camera: recorded ones, of every chapter where they exist per chapter, or the detector's."""
         camera = wildcards.camera
         if camera in (*self.plan.sight.detected, *self.plan.sight.measured):
             return [f"results/{wildcards.scene}/detect/found/{camera}.npz"]
@@ -119,24 +122,26 @@ class Brought:
         return [self.in_dataset(path) for path in recorded]
 
     def read_keypoints(self, wildcards: Any) -> list[str]:
-        """The same once recorded ones have been read and compared with their film."""
+        """Keypoints of one camera after recorded ones have been read and compared with their film."""
         if wildcards.camera in (*self.plan.sight.detected, *self.plan.sight.measured):
             return self.keypoints(wildcards)
         return [f"results/{wildcards.scene}/detect/recorded/{wildcards.camera}.npz"]
 
     def others_recorded(self, camera: str) -> list[str]:
-        """The other cameras with recorded keypoints, if this one's are used: whose they are may have been mixed up."""
+        """The other cameras with recorded keypoints, if this camera's are used: files of two cameras may have been
+        swapped.
+        """
         looked_for = (*self.plan.sight.detected, *self.plan.sight.measured)
         if camera in looked_for:
             return []
         return [c for c in self.plan.dataset.keypoints if c != camera and c not in looked_for]
 
     def other_keypoints(self, wildcards: Any) -> list[str]:
-        """Their files and folders."""
+        """Files and folders of the other cameras' recorded keypoints."""
         return [self.in_dataset(self.plan.dataset.keypoints[c]) for c in self.others_recorded(wildcards.camera)]
 
     def given_bodies(self, wildcards: Any) -> list[str]:
-        """The user's file of a network's bodies of one camera, if that is where they come from."""
+        """The user's file of a network's bodies of one camera, if bodies are precomputed."""
         if self.plan.sight.bodies != "precomputed":
             return []
         return [self.brought("detect.precomputed", wildcards.camera, (".npz", ".pt"))]
@@ -162,42 +167,41 @@ class Brought:
         """The folder of exact truth of a synthetic studio."""
         return [self.in_dataset(self.plan.dataset.truth)] if self.plan.dataset.truth else []
 
-    # ---- what a network makes, or was made elsewhere ----
+    # ---- made by a network or outside this workflow ----
 
     def estimated_depth(self, wildcards: Any) -> str:
-        """Depth of one camera in any unit."""
+        """Estimated depth of one camera, in an arbitrary unit."""
         if self.plan.networks.depth != "precomputed":
             return f"results/{wildcards.scene}/depth/{wildcards.camera}.estimate.exr"
         return self.brought("depth.precomputed", wildcards.camera, (".exr", ".npy", ".npz", ".png"))
 
     def generated_film(self, wildcards: Any) -> str:
-        """Film of one segment's views."""
+        """Film of one gap's synthesised views."""
         if self.plan.networks.views != "precomputed":
             return f"results/{wildcards.scene}/views/{wildcards.segment}.film.mkv"
         return self.brought("views.precomputed", wildcards.segment, (".mkv", ".mp4"))
 
     def tracked_masks(self, wildcards: Any) -> list[str]:
-        """A network's film of numbers for one camera, where one is asked and the user brought no masks."""
+        """A network's film of person ids for one camera, where a network is selected and the user gave no masks."""
         wanted = self.plan.networks.masks and wildcards.camera not in self.plan.dataset.masks
         return [f"results/{wildcards.scene}/masks/{wildcards.camera}.tracks.mkv"] if wanted else []
 
     def film_of_elsewhere(self, wildcards: Any) -> list[str]:
-        """The film of a shot that was enhanced elsewhere, if that is where films come from."""
+        """The film of a shot that the user enhanced with another tool, if films are precomputed."""
         if self.config["enhance"]["enhancer"] != "precomputed" or self.plan.forced.get("enhancement") == "off":
             return []
         return [self.brought("enhance.precomputed", wildcards.shot, (".mkv", ".mp4"))]
 
-    # ---- what a shot asks for ----
+    # ---- inputs of a shot ----
 
     def shot_path(self, wildcards: Any) -> list[str]:
-        """The camera path that a shot follows, if it is of that kind, and what belongs to it: a COLMAP model is several
-        files."""
+        """The files of the camera path that a shot follows, if it follows one: a COLMAP model is several files."""
         file = self.shots.get(wildcards.shot, {}).get("file")
         parts = colmap_files(Path(file)) if file and Path(file).stem == "images" else [file] if file else []
         return [self.local(str(part)) for part in parts]
 
     def stand_ins(self, wildcards: Any) -> list[str]:
-        """Files of the people who stand in for others in a shot; people of this scene are inputs anyway."""
+        """Files of the people who replace others in a shot; people of this scene are inputs in any case."""
         wanted = self.shots.get(wildcards.shot, {}).get("replace", {}).values()
         made = [f"results/{wildcards.scene}/humans/{name}.canonical.ply" for name in strangers(wanted)]
         files = [Path(s) for s in wanted if not (re.fullmatch(r"p\d+|nobody", s) or is_photo(s))]
@@ -205,7 +209,7 @@ class Brought:
         return [*made, *map(str, files), *beside]
 
     def photo_of_stranger(self, wildcards: Any) -> str:
-        """The photo that a film's ``replace`` names a stranger by."""
+        """The photo of a person outside the scene that a shot's ``replace`` names."""
         named = strangers(s for shot in self.shots.values() for s in shot.get("replace", {}).values())
         if wildcards.stranger not in named:
             raise UserError(
@@ -215,8 +219,7 @@ class Brought:
         return self.local(named[wildcards.stranger])
 
     def truth_of_replaced(self, wildcards: Any) -> list[str]:
-        """The truth film of a shot in which somebody stands in for a person: photos of that person correct nothing
-        there."""
+        """The truth film of a shot in which a person is replaced: photos of the original person cannot correct it."""
         replaced = self.shots.get(wildcards.shot, {}).get("replace")
         return [f"results/{wildcards.scene}/render/{wildcards.shot}.truth.mkv"] if replaced else []
 

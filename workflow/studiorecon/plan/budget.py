@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A budget of minutes chooses the preset: of those that are predicted to end in time, the one that scored best.
+"""A budget of minutes chooses the preset: the best-scoring one of those predicted to end in time.
 
-What the user says still counts: settings on the command line and in configuration files of the user's own stay, also
-where they repeat a default, and so does what somebody has edited in ``config/config.yaml``.
+The user's own settings take precedence: those on the command line and in configuration files, even where they repeat a
+default, and edits of ``config/config.yaml``.
 """
 
 from __future__ import annotations
@@ -28,14 +28,15 @@ _PACE = Path("timings") / "pace.json"
 
 @dataclass(frozen=True)
 class Stated:
-    """What a user has said: ``said`` on the command line and in configuration files, and what differs in the
-    configuration from the default that its ``schema`` names."""
+    """The user's own settings: ``said`` on the command line and in configuration files, and values of the configuration
+    that differ from the defaults of ``schema``.
+    """
 
     said: Mapping[str, Any] = field(default_factory=dict)
     schema: Mapping[str, Any] = field(default_factory=dict)
 
     def keeps(self, name: str, value: Any) -> bool:
-        """Whether the setting of that dotted name, which has ``value`` now, is the user's own; None is no value."""
+        """Whether the setting of that dotted name, now at ``value``, is the user's own; None means no value."""
         inner: Any = self.said
         for step in name.split("."):
             if not isinstance(inner, Mapping) or step not in inner:
@@ -46,7 +47,7 @@ class Stated:
 
 @dataclass(frozen=True)
 class Offer:
-    """A point, how long it will take, the processor seconds in that, and the configuration that it makes."""
+    """A preset with its predicted time, the processor seconds of that, and the configuration that it makes."""
 
     point: Point
     predicted: Predicted
@@ -60,7 +61,7 @@ class Offer:
 
 @dataclass(frozen=True)
 class Choice:
-    """What a budget buys: the chosen offer, all of them, cheapest first, and the footage they are for."""
+    """The chosen offer, all offers from the cheapest up, and the footage that they are for."""
 
     minutes: float
     footage: Footage
@@ -69,11 +70,11 @@ class Choice:
 
     @property
     def fits(self) -> bool:
-        """Whether the chosen one is predicted to end in time."""
+        """Whether the chosen offer is predicted to end in time."""
         return self.chosen.predicted.seconds <= 60 * self.minutes
 
     def sentence(self) -> str:
-        """What was chosen and why, with its interval and what the next one would take."""
+        """The choice and its reason, with the predicted interval and the time of the next better offer."""
         p = self.chosen.predicted
         return (
             f"budget of {self.minutes:g} min: {self.chosen.name}, about {_minutes(p.seconds)} "
@@ -81,7 +82,7 @@ class Choice:
         )
 
     def more(self) -> str:
-        """What more time would buy, or what takes less where nothing fits."""
+        """The gain that more time would buy; where nothing fits, the settings that take less."""
         if not self.fits:
             return "that is more, but the quickest there is; fewer frames or fewer films take less"
         better = [offer for offer in self.offers if gain_db(offer.point, self.chosen.point) > 0]
@@ -95,7 +96,7 @@ class Choice:
         return f"nothing that was measured scores higher{tried}"
 
     def as_json(self) -> dict[str, Any]:
-        """For the page."""
+        """The choice as JSON for the page."""
         p = self.chosen.predicted
         return {
             "minutes": self.minutes,
@@ -111,10 +112,10 @@ class Choice:
 def bought(
     config: Mapping[str, Any], said: Mapping[str, Any], schema: Mapping[str, Any], plan: Plan, cores: int
 ) -> Choice:
-    """What ``budget_min`` buys on this machine, whose pace is probed once and kept in ``timings/pace.json``; raises
-    UserError where footage cannot be read.
+    """The preset for ``budget_min`` on this machine, whose pace is probed once and kept in ``timings/pace.json``.
 
-    ``said`` is what command line and configuration files hold, ``schema`` the configuration's.
+    ``said`` holds the settings of command line and configuration files, ``schema`` is the configuration's. Raises
+    UserError where footage cannot be read.
     """
     if plan.networks.selected:
         raise UserError(
@@ -137,7 +138,7 @@ def choose(
     cores: int,
     pace: float,
 ) -> Choice:
-    """The best that fits into ``minutes``; where nothing does, the quickest, and ``fits`` says so."""
+    """The best offer that fits into ``minutes``; where none does, the quickest, with ``fits`` false."""
     offers = []
     for point in prices.points:
         made = laid_over(config, stated, preset(point.preset))
@@ -147,13 +148,13 @@ def choose(
     offers.sort(key=lambda offer: offer.predicted.seconds)
     fitting = [offer for offer in offers if offer.predicted.seconds <= 60 * minutes]
     defaults = next(offer.point for offer in offers if not offer.point.preset)
-    # Of equal scores the quicker.
+    # Of equal scores the quicker one wins.
     ranked = [(gain_db(offer.point, defaults), -offer.predicted.seconds, k) for k, offer in enumerate(fitting)]
     return Choice(minutes, footage, fitting[max(ranked)[2]] if ranked else offers[0], tuple(offers))
 
 
 def gain_db(point: Point, over: Point) -> float:
-    """What a point scores more than another in the mean over the scenes where both were measured; -inf for none."""
+    """Mean gain in dB of one point over another on the scenes where both were measured; -inf when there are none."""
     gains = point.gains_db(over)
     return mean(gains) if gains else float("-inf")
 
@@ -164,7 +165,7 @@ def preset(name: str) -> dict[str, Any]:
 
 
 def laid_over(config: Mapping[str, Any], stated: Stated, over: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """A copy of ``config`` with the values of ``over`` wherever the user has not ``stated`` one."""
+    """A copy of ``config`` with the values of ``over`` except where the user has ``stated`` one."""
     made = copy.deepcopy(dict(config))
     for name, value in over.items():
         own, full = made.get(name), f"{above}{name}"

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line of a rule, from the signature of its step's ``run``: what it takes is said once.
+"""The command line of a rule, derived from the signature of its step's ``run``, so that inputs are declared once.
 
 ``run(settings, person: str, model: Path, detections: list[Path], body: Path, fit: Written)`` of ``people.fit`` becomes
 
     python -m studiorecon people.fit --settings {params.settings:q} --log {log:q} --person {wildcards.person:q}
     --model {input.model[0]:q} --detections {input.detections:q} --body {input.body:q} --fit {output.fit:q}
 
-so the rule names its inputs, outputs and params as the step does. What takes a dataclass of paths takes each of its
-fields. Signatures are read, not imported: numbers and pictures have no place in a plan.
+so the rule names its inputs, outputs and params as the step does. An argument that is a dataclass of paths becomes one
+option per field. Signatures are parsed and not imported: importing a step would load numerical libraries.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from studiorecon.code import module_path
 
 _WILDCARDS = {"scene", "camera", "person", "segment", "shot", "picture", "stranger", "row"}
 _THREADS = {"threads", "processes", "cores"}
-# A COLMAP model is several files: the step is told the first, and reads the others beside it.
+# A COLMAP model is several files: the step gets the first and finds the others in the same folder.
 _FIRST_OF_SEVERAL = {"model", "heldout_model", "given_model"}
 
 
 @cache
 def command(step: str) -> str:
-    """The shell line of the rule that runs ``"stage.step"``; FileNotFoundError when there is no such step."""
+    """The shell line of the rule that runs ``"stage.step"``; raises FileNotFoundError when there is no such step."""
     options = [f"--{name.replace('_', '-')} {_value(name, kind)}" for name, kind in signature(step)]
     return " ".join([f"python -m studiorecon {step}", *options])
 
 
 def signature(step: str) -> list[tuple[str, str]]:
-    """Names and annotations of what ``run`` takes, in order, with the log, which every step has."""
+    """Names and annotations of the arguments of ``run``, in order, plus the log, which every step has."""
     path = module_path(step)
     if path is None:
         raise FileNotFoundError(f"no module studiorecon.{step}")
@@ -46,7 +46,9 @@ def signature(step: str) -> list[tuple[str, str]]:
 
 
 def _fields(kind: str, tree: ast.Module) -> list[tuple[str, str]] | None:
-    """Names and annotations of the fields of a dataclass of ours that a module defines or imports; None for others."""
+    """Names and annotations of the fields of one of our dataclasses that a module defines or imports; None for other
+    classes.
+    """
     for node in tree.body:
         if isinstance(node, ast.ClassDef) and node.name == kind:
             fields = [field for field in node.body if isinstance(field, ast.AnnAssign)]

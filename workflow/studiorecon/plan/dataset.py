@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which dataset a run is about: a user's own, or a synthetic studio that is filmed first."""
+"""The dataset of a run: the user's own, or a synthetic studio that is filmed first."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class ChosenDataset:
     """The dataset of a run.
 
     Attributes:
-        dataset: where everything of it lies.
+        dataset: paths of all its files.
         studio: the synthetic studio's name; "" for a user's own dataset.
         description: the file that describes that studio; "" for a user's own dataset.
     """
@@ -29,12 +29,14 @@ class ChosenDataset:
 
 
 def beside(path: str | Path, home: Path) -> str:
-    """A path of the configuration: as given when it is a file from here, else in the workflow's folder ``home``."""
+    """A path of the configuration: as given when it exists relative to the working folder, else below ``home``."""
     return str(path) if Path(path).is_file() else str(home / path)
 
 
 def chosen_dataset(config: Mapping[str, Any], home: Path) -> ChosenDataset:
-    """What ``dataset`` names, with people or without where ``survey.force`` says so; UserError when there is none."""
+    """The dataset that ``dataset`` names, with or without people where ``survey.force`` decides it; raises UserError
+    when it does not exist.
+    """
     given = Path(config["dataset"])
     if given.suffix in (".yaml", ".yml"):
         description = Path(beside(given, home))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files from the future: a recorder's clock that was wrong, or this machine's that has stepped back.
+"""Refuses files dated in the future, from a recorder with a wrong clock or after this machine's clock was set back.
 
-Snakemake goes by dates. A file made now is older than such an input, so that every job that reads it would fail at its
-end, or run again at every start; it is better said before the first one.
+Snakemake compares dates. An output made now would be older than such an input, so its job would fail at the end or run
+again at every start. An error before the first job costs nothing.
 """
 
 from __future__ import annotations
@@ -13,13 +13,16 @@ from pathlib import Path
 
 from studiorecon.errors import UserError
 
-# Clocks of file servers are off by less.
+# Clocks of file servers differ by less.
 _TOLERATED_S = 5.0
 
 
 def refuse_future(dataset: Path, results: Path, now_s: float) -> None:
-    """Raises UserError when a file of ``dataset`` (its folder, and the folders in there), or of a scene's ``results``,
-    is dated later than ``now_s``, in seconds since 1970: with the latest one, and the command that mends it."""
+    """Raises UserError when a file is dated later than ``now_s``, seconds since 1970, and names the latest one and the
+    command that corrects it.
+
+    Checks ``dataset`` (its folder and subfolders) and a scene's ``results``.
+    """
     today = time.strftime("%Y%m%d%H%M", time.localtime(now_s))
     for folder, paths in ((dataset, _near(dataset, 2)), (results, _near(results, 8))):
         dated = [(seconds, path) for path in paths if (seconds := path.lstat().st_mtime) > now_s + _TOLERATED_S]
@@ -34,7 +37,7 @@ def refuse_future(dataset: Path, results: Path, now_s: float) -> None:
 
 
 def _near(folder: Path, levels: int) -> Iterator[Path]:
-    """What lies in a folder, so many levels deep; links are not followed."""
+    """Files and folders up to ``levels`` deep in a folder, without following links."""
     if levels == 0 or not folder.is_dir():
         return
     for path in folder.iterdir():

@@ -14,21 +14,21 @@ from studiorecon.scene.dataset import Dataset
 
 @dataclass(frozen=True)
 class Plan:
-    """What is decided before anything runs.
+    """Everything that is decided before the first job.
 
     Attributes:
-        dataset: where the dataset's files lie, or will lie.
+        dataset: paths of the dataset's files, whether they exist or will be made.
         studio, description: name and file of the synthetic studio that is filmed first; "" for a user's own dataset.
         scene: the scene's folder below ``results``.
         given_body: the body model that the configuration names; body: the same as plain arrays, which steps read.
-        identities: file of the user's own say on who is who; "" when there is none.
-        sight: in which cameras people are looked for; networks: which upstream networks are asked for.
-        lifted: people are told apart by pelvises at the scene's depth.
-        from_people: the cameras are found from the people in the pictures.
+        identities: file of the user's own table of identities; "" when there is none.
+        sight: the cameras in which people are detected; networks: the selected upstream networks.
+        lifted: people are separated by the 3D positions of their pelvises at the scene's depth.
+        from_people: cameras are calibrated from the people in the pictures.
         calibration: files of the calibration: the user's, or those that a network writes.
-        segments: the gaps between neighbouring training cameras that new views may fill, once around.
+        segments: the gaps between neighbouring training cameras, once around, that synthesised views may fill.
         films: names of the films.
-        forced: effect → on or off, where ``survey.force`` has decided beforehand.
+        forced: effect → on or off, where ``survey.force`` decides it.
     """
 
     dataset: Dataset
@@ -49,12 +49,12 @@ class Plan:
 
     @property
     def people(self) -> bool:
-        """Whether anybody can be there at all."""
+        """Whether people can be in the scene at all."""
         return self.dataset.people
 
     @property
     def calibrated(self) -> bool:
-        """Whether calibration files of the user's own say where the cameras are, before anything is looked at."""
+        """Whether the user gave a calibration, so that poses are known before any picture is read."""
         return bool(self.dataset.calibration) and not self.from_people and not self.networks.cameras
 
     @property
@@ -64,26 +64,27 @@ class Plan:
 
     @property
     def training(self) -> list[str]:
-        """The cameras that the scene is made from."""
+        """The training cameras."""
         return list(self.dataset.training)
 
     @property
     def held_out(self) -> list[str]:
-        """The cameras that only the report looks at."""
+        """The held-out cameras."""
         return list(self.dataset.held_out)
 
     @property
     def first_film(self) -> list[str]:
-        """The film of a first look: the first that is not only there to be measured."""
+        """The film for a first preview: the first one that is not only there for measurement."""
         return [film for film in self.films if film != "heldout"][:1] or self.films[:1]
 
     @property
     def shots(self) -> list[str]:
-        """Every film, and "train": the training cameras themselves, which enhancement and report compare with the
-        photos."""
+        """Every film, and "train": the training cameras' own views, which enhancement and report compare with the
+        photos.
+        """
         return ["train", *self.films]
 
 
 def one_of(names: Iterable[str]) -> str:
-    """A wildcard constraint: exactly these names; none matches anything where there are none."""
+    """A wildcard constraint that matches exactly these names; nothing when ``names`` is empty."""
     return "|".join(map(re.escape, names)) or "(?!)"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finds what a user has on disk: by its conventional names, or named in ``capture.yaml``."""
+"""Finds a user's files on disk, by their conventional names or as ``capture.yaml`` names them."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ from studiorecon.scene.names import checked_name, checked_place
 from studiorecon.scene.outside import file_size
 
 _BYTES = 1 << 20
-# What may hold something of one camera: its own folder ("") or a file with such a suffix, likelier ones first.
+# Where one camera's data can be: its own folder ("") or a file with such a suffix, likelier ones first.
 _PLATES = PICTURE_SUFFIXES
 _MASKS = ("", *sorted(film_suffixes()))
 _DEPTH = (".exr",)
 
 
 def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
-    """The dataset in ``folder``, described by ``capture_yaml`` (default: ``folder/capture.yaml`` if it is there).
+    """The dataset in ``folder``, described by ``capture_yaml`` (default: ``folder/capture.yaml`` if it exists).
 
-    Paths inside ``capture.yaml`` are relative to ``folder``. Raises UserError, naming the folder or key and the remedy.
+    Paths inside ``capture.yaml`` are relative to ``folder``. Raises UserError with the folder or key and the remedy.
     """
     if not folder.is_dir():
         raise UserError(f"dataset folder {folder} does not exist; pass an existing one with --config dataset=DIR")
@@ -91,7 +91,7 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
         )
 
     def place(noun: str) -> tuple[str, bool]:
-        """The folder, and whether it must be there."""
+        """The folder, and whether it must exist."""
         named = path_under(description, noun)
         return named or noun, named is not None
 
@@ -136,12 +136,12 @@ def _layout(name: str) -> str:
 
 
 def _check_there(dataset: Dataset) -> None:
-    """Raises UserError for the first file that is a dangling link, no regular file or not to be read."""
+    """Raises UserError for the first file that is a dangling link, not a regular file, or not readable."""
     films = [film for camera, first in dataset.footage.items() for film in dataset.chapters.get(camera, (first,))]
     nouns = (dataset.keypoints, dataset.plates, dataset.masks, dataset.depth)
     for path in (*films, *dataset.calibration, *(entry for noun in nouns for entry in noun.values())):
         if path.is_dir() and path not in dataset.calibration:
-            next(iter(path.iterdir()), None)  # raises where it may not be listed
+            next(iter(path.iterdir()), None)  # raises when listing it is not permitted
             continue
         file_size(path)
         if not os.access(path, os.R_OK):
@@ -149,7 +149,7 @@ def _check_there(dataset: Dataset) -> None:
 
 
 def _idle_keys(description: dict[str, Any], dataset: Dataset) -> list[str]:
-    """A sentence for every key of capture.yaml that says something about what is not there."""
+    """A sentence for every key of capture.yaml that describes something missing."""
     calibration = ", ".join(file.name for file in dataset.calibration)
     idle = [
         f"capture.yaml: {key} counts only where cameras are found from people, and {calibration} says where they are "
@@ -169,8 +169,9 @@ def _idle_keys(description: dict[str, Any], dataset: Dataset) -> list[str]:
 
 
 def _same_bytes(one: Path, two: Path) -> bool:
-    """Whether two videos are copies of, or links to, one file: of equal length, and equal at beginning, middle and
-    end."""
+    """Whether two videos are copies of, or links to, one file: equal length, and equal bytes at start, middle
+    and end.
+    """
     if one.is_dir() or two.is_dir():
         return one.resolve() == two.resolve()
     size = one.stat().st_size
@@ -199,7 +200,7 @@ def _find_calibration(folder: Path, description: dict[str, Any]) -> tuple[Path, 
 def find_calibration(folder: Path) -> tuple[Path, ...]:
     """The calibration's files in ``folder``, by the names that the formats declare; empty when there is none.
 
-    Whole names count before patterns. Raises UserError when a pattern finds more than one calibration.
+    Exact names take precedence over patterns. Raises UserError when a pattern matches more than one calibration.
     """
     for form in FORMATS.values():
         for names in form.files:
@@ -225,7 +226,7 @@ def find_calibration(folder: Path) -> tuple[Path, ...]:
 
 
 def _with_rigs(paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    """The calibration's files, with rigs and frames of a COLMAP model that stand beside those named."""
+    """The calibration's files, plus the rigs and frames files of a COLMAP model in the same folder."""
     images = [path for path in paths if path.name in ("images.txt", "images.bin")]
     return tuple(dict.fromkeys([*paths, *(path for file in images for path in colmap_files(file) if path.is_file())]))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The films in a capture's folder, and which of them are chapters of one recording."""
+"""The films in a capture's folder, grouped into the chapters of one recording."""
 
 from __future__ import annotations
 
@@ -15,23 +15,24 @@ from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.names import folded, of_the_system
 from studiorecon.scene.numbered import natural
 
-# Where the footage lies in the captures that people have; the first that holds any counts.
+# Folders that hold the footage in common captures; the first with films counts.
 VIDEO_FOLDERS = ("videos", "video", "frame_aligned_videos")
 _PICTURE_FOLDERS = (("images", ""), ("ims", ""), ("exo", "images"))
-# Chapters that carry their number: GoPro since HERO6 (GX010123, GX020123), GoPro before (GOPR0123, GP010123), Insta360.
+# Chapters with a number in the name: GoPro since HERO6 (GX010123, GX020123), GoPro before (GOPR0123, GP010123),
+# Insta360.
 _GOPRO = re.compile(r"(?P<before>(?:.*[^A-Za-z0-9])?)G(?P<kind>[HXL])(?P<chapter>\d\d)(?P<number>\d{4})", re.IGNORECASE)
 _OLD_GOPRO = re.compile(r"(?P<before>(?:.*[^A-Za-z0-9])?)G(?:OPR|P(?P<chapter>\d\d))(?P<number>\d{4})", re.IGNORECASE)
 _INSTA360 = re.compile(r"(?P<before>VID_\d{8}_\d{6}_\d\d)_(?P<chapter>\d{3})", re.IGNORECASE)
-# Names that cameras count on by themselves: Sony's C0001, DJI_0001, AVCHD's 00001, Canon's MVI_0001, Panasonic's.
+# Names with a running number: Sony's C0001, DJI_0001, AVCHD's 00001, Canon's MVI_0001, Panasonic's.
 _COUNTED = re.compile(r"(?P<before>C|DJI_(?:\d+_)?|MVI_|DSC_?|MOV|CLIP|P|)(?P<chapter>\d{4,7})(?:_D)?", re.IGNORECASE)
 _PART = re.compile(r"(?P<before>.*?)[-_ .]?(?:part|teil)?[-_ .]?(?P<chapter>\d{1,3})", re.IGNORECASE)
 _PREVIEWS = {".lrv", ".lrf", ".thm", ".insv", ".360"}
-# Bytes at which recorders begin the next file: 2 and 4 GB, in all readings of GB.
+# Bytes at which recorders begin the next file: 2 and 4 GB, by every definition of GB.
 _FULL_BYTES = ((1_930_000_000, 2_200_000_000), (3_400_000_000, 4_400_000_000))
 
 
 def is_preview(path: Path) -> bool:
-    """Whether a file is one of those that GoPro, DJI and Insta360 write beside a film to look at, or its raw data."""
+    """Whether a file is a preview or raw data that GoPro, DJI and Insta360 write next to a film."""
     return path.suffix.lower() in _PREVIEWS or path.name.startswith("LRV_")
 
 
@@ -41,8 +42,8 @@ class Recordings:
 
     Attributes:
         films: camera → its film, its chapters in order, or its one folder of pictures.
-        place: the folder that they were taken from.
-        notes: sentences: what was joined, and what may have to be.
+        place: the folder that holds them.
+        notes: sentences about films that were joined, and films that may have to be.
     """
 
     films: Mapping[str, tuple[Path, ...]]
@@ -51,9 +52,10 @@ class Recordings:
 
 
 def find_recordings(folder: Path, chapters: Mapping[str, Sequence[str]]) -> Recordings:
-    """The footage in ``folder``; ``chapters`` of capture.yaml: camera → films of it, relative to the folder.
+    """The footage in ``folder``.
 
-    Raises UserError where there is none, where two films have one name, and where a chapter is missing.
+    ``chapters`` of capture.yaml maps a camera to its films, relative to the folder. Raises UserError when there is no
+    footage, when two films share a name, or when a chapter is missing.
     """
     folders = {folded(p.name): p for p in sorted(folder.iterdir()) if p.is_dir()}
     places = [folders[name] for name in VIDEO_FOLDERS if name in folders]
@@ -85,7 +87,7 @@ def _films(folder: Path) -> list[Path]:
 
 
 def _film_per_folder(place: Path, folder: Path, chapters: Mapping[str, Sequence[str]]) -> Recordings | None:
-    """``<camera>/*.mp4``: one recording in each folder, if there are two or more folders with films."""
+    """Recordings of ``<camera>/*.mp4``, one per folder; None unless two or more folders hold films."""
     inside = {p.name: films for p in sorted(place.iterdir()) if p.is_dir() and (films := _films(p))}
     if len(inside) < 2:
         return None
@@ -138,7 +140,7 @@ def _recordings(films: Sequence[Path], place: Path, folder: Path, chapters: Mapp
 
 
 def _joined(films: Sequence[Path]) -> list[tuple[Path, ...]]:
-    """The films, those together and in order that are surely chapters of one recording."""
+    """The films, with those that are surely chapters of one recording grouped, in order."""
     found: list[tuple[Path, ...]] = []
     for _, numbered in groupby(sorted(films, key=_place_in_recording), lambda film: _place_in_recording(film)[0]):
         parts = list(numbered)
@@ -164,7 +166,7 @@ def _joined(films: Sequence[Path]) -> list[tuple[Path, ...]]:
 
 
 def _place_in_recording(film: Path) -> tuple[str, int]:
-    """What chapters of one recording have in common, and the chapter's number, where the name tells both."""
+    """The part of the name that chapters of one recording share, and the chapter's number, where the name has both."""
     for pattern in (_GOPRO, _OLD_GOPRO, _INSTA360):
         if found := pattern.fullmatch(film.stem):
             parts = found.groupdict()
@@ -189,7 +191,7 @@ def _full(film: Path) -> bool:
 
 
 def _perhaps(found: Mapping[str, tuple[Path, ...]], folder: Path) -> list[str]:
-    """A sentence where two or more sets of films are numbered alike: cam1-1, cam1-2, cam2-1, cam2-2."""
+    """A sentence when two or more sets of films share a numbering: cam1-1, cam1-2, cam2-1, cam2-2."""
     runs: dict[str, list[Path]] = {}
     for parts in found.values():
         if len(parts) == 1 and (match := _PART.fullmatch(parts[0].stem)) and match["before"]:
@@ -205,8 +207,8 @@ def _perhaps(found: Mapping[str, tuple[Path, ...]], folder: Path) -> list[str]:
 
 
 def unreadable(films: Mapping[str, Sequence[Path]]) -> list[str]:
-    """A sentence for every camera whose footage (camera → films) holds no picture that can be decoded."""
-    from studiorecon.footage.source import check_readable  # with OpenCV, which plans do without
+    """A sentence for every camera (camera → films) whose footage holds no picture that can be decoded."""
+    from studiorecon.footage.source import check_readable  # loads OpenCV, which other plans do not need
 
     found = []
     for camera, parts in films.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What lies in a capture's folder and is not used: one sentence for each file or folder, with the reason."""
+"""The files of a capture's folder that are not used: one sentence with the reason for each file or folder."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ _CALIBRATION_SUFFIXES = {
     *(".sfm", ".bin"),
 }
 _NO_NAME = "no camera's name fits it"
-# How folders of 2D keypoints are called.
+# Usual names of folders of 2D keypoints.
 LIKE_KEYPOINTS = re.compile(r"pose|keypoint|kpts?|json|annot|skeleton|joints|landmark|detection")
-# Of a COLMAP model, and of what makes one: cameras are read without them.
+# Other files of COLMAP models and of tools that make them; cameras are read without them.
 _BESIDE_MODELS = {"points3d.txt", "points3d.bin", "points3d.ply", "project.ini", "database.db"}
 _WORKFLOW_FOLDERS = {"results", "logs", "timings"}
 
 
 def unused(dataset: Dataset, place: Path, left_out: Iterable[str]) -> tuple[str, ...]:
-    """A sentence for every file or folder in ``dataset.folder`` that nothing of ``dataset`` names.
+    """A sentence for every file or folder in ``dataset.folder`` that the dataset does not use.
 
     ``place`` is the folder of the films; ``left_out`` are cameras that ``train`` in capture.yaml does not list. Files
-    of the operating system are passed over. A folder of which nothing is used is one sentence.
+    of the operating system are skipped. A folder of which nothing is used gets one sentence.
     """
     folder, left_out = dataset.folder, set(left_out)
     used = {folder / "capture.yaml", folder / "identities.tsv", *dataset.footage.values(), *dataset.calibration}
@@ -114,7 +114,7 @@ def _reason(path: Path, dataset: Dataset, place: Path, left_out: set[str]) -> st
 
 
 def _reason_of_name(path: Path, dataset: Dataset) -> str:
-    """Why it is no camera's keypoints, plate, mask or depth, beside some that are."""
+    """The reason why an entry is no camera's keypoints, plate, mask or depth, when other entries of its folder are."""
     nouns = {"keypoints": dataset.keypoints, "plate": dataset.plates, "masks": dataset.masks, "depth": dataset.depth}
     for noun, entries in nouns.items():
         for camera, entry in entries.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which folder of a capture holds recorded 2D keypoints, and which entries of it are whose."""
+"""The folder of a capture that holds recorded 2D keypoints, and the camera of each entry."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from studiorecon.scene.names import folded
 
 # A folder ("") or a file with such a suffix, likelier ones first.
 _KEYPOINTS = ("", ".json", ".csv", ".npz", ".h5")
-# Folders of 2D keypoints in the order in which they count; other names of such folders count if there is only one.
+# Folders of 2D keypoints, in order of precedence; a folder of another name counts if it is the only one.
 _KEYPOINT_FOLDERS = ("keypoints", "pose", "openpose", "annots")
 _NOT_LIKE_KEYPOINTS = re.compile(r"3d|calib")
 
@@ -23,8 +23,8 @@ _NOT_LIKE_KEYPOINTS = re.compile(r"3d|calib")
 def keypoint_files(folder: Path, named: str | None, cameras: Sequence[str]) -> tuple[dict[str, Path], list[str]]:
     """camera → its recorded keypoints, and sentences about the choice among folders that may hold them.
 
-    The folder ``named`` in capture.yaml counts; else the first of the usual ones; else the only one whose name speaks
-    of poses or keypoints and whose entries bear the cameras' names.
+    The folder ``named`` in capture.yaml takes precedence, then the first of the usual ones. Otherwise it is the only
+    folder whose name mentions poses or keypoints and whose entries carry the cameras' names.
     """
     if named is not None:
         return per_camera(folder, named, True, cameras, _KEYPOINTS), []
@@ -52,7 +52,8 @@ def keypoint_files(folder: Path, named: str | None, cameras: Sequence[str]) -> t
 
 def keypoints_of_chapters(dataset: Dataset) -> dict[str, tuple[Path, ...]]:
     """camera → its keypoints chapter by chapter, where every chapter has its own; raises UserError where only some
-    have."""
+    have.
+    """
     found = {}
     for camera, parts in dataset.chapters.items():
         if camera not in dataset.keypoints:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lock of a run that was killed, told from that of one that goes on."""
+"""Detects and removes the lock of a run that was killed, but not that of a live run."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _RUNS = ("snakemake", "studiorecon")
 
 
 def clear_left_lock(folder: Path) -> str:
-    """Takes away the lock that a killed run left in a working ``folder``; says so in a sentence, "" where there is
-    none, or whose it is cannot be told from here.
+    """Removes the lock that a killed run left in a working ``folder``, and returns a sentence about it.
 
-    A run lives when a process of this machine works in that folder, be it only a step whose driver was killed. On
-    another machine's runs nothing here can look, so their locks stay (Snakemake's own message says what to do).
+    Returns "" when there is no lock or its owner cannot be determined. A run is live when a process of this machine
+    works in that folder, even if it is only a step whose driver was killed. Runs on another machine cannot be seen from
+    here, so their locks stay; Snakemake's own message gives the remedy.
     """
     locks = folder / ".snakemake" / "locks"
     since_s = [path.stat().st_mtime for path in locks.iterdir()] if locks.is_dir() else []
@@ -34,8 +34,9 @@ def clear_left_lock(folder: Path) -> str:
 
 
 def _living(folder: Path) -> Iterator[int]:
-    """Processes that may be runs or steps in ``folder``: those that can be looked at and work there, and those that
-    cannot."""
+    """Processes that may be runs or steps in ``folder``: those seen to work there, and those that cannot be
+    inspected.
+    """
     own = {os.getpid(), *(parent.pid for parent in psutil.Process().parents())}
     for process in psutil.process_iter():
         try:
@@ -50,8 +51,10 @@ def _living(folder: Path) -> Iterator[int]:
 
 
 def _host_of_the_run(folder: Path, since_s: float) -> str | None:
-    """The machine that the engine's log of the run names that took the lock: the last that began before it did. Dry
-    runs, here or elsewhere, write logs as well and take none."""
+    """The machine named in the log of the run that took the lock: the last log begun before the lock.
+
+    Dry runs, on any machine, write logs as well but take no lock.
+    """
     logs = [(_begun_s(path), path) for path in (folder / ".snakemake" / "log").glob("*.log")]
     for _, path in sorted((pair for pair in logs if pair[0] <= since_s + 1), reverse=True):
         with open(path, encoding="utf-8", errors="replace") as file:
@@ -61,7 +64,7 @@ def _host_of_the_run(folder: Path, since_s: float) -> str | None:
 
 
 def _begun_s(log: Path) -> float:
-    """When a log was begun, which is its name; else when it was last written."""
+    """The time when a log was begun, from its name; otherwise the time of its last change."""
     try:
         return datetime.strptime(log.name.partition(".snakemake")[0], "%Y-%m-%dT%H%M%S.%f").timestamp()
     except ValueError:

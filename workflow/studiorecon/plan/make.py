@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plan of a configuration: each part decided by itself, put together, and refused where it cannot be run."""
+"""Makes the plan of a configuration: decides each part, combines them, and refuses what cannot be run."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _TAKEN = ("studio", "body")
 
 
 def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
-    """The plan of a whole, valid configuration; ``home`` is the workflow's folder.
+    """The plan of a complete, valid configuration; ``home`` is the workflow's folder.
 
-    Raises UserError, in a sentence, when the dataset is not there or cannot be run so.
+    Raises UserError when the dataset does not exist or cannot be run so.
     """
     chosen = chosen_dataset(config, home)
     dataset, sight, networks = chosen.dataset, sight_of(chosen.dataset, config), networks_of(config, home)
@@ -43,9 +43,9 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
         description=chosen.description,
         scene=scene,
         given_body=given_body,
-        # SMPL's own pickle becomes plain arrays first.
+        # SMPL's own pickle is first converted to plain arrays.
         body=f"results/body/{Path(given_body).stem}.npz" if given_body.endswith(".pkl") else given_body,
-        # A file named in the configuration counts before the dataset's.
+        # A file named in the configuration takes precedence over the dataset's.
         identities=str(config["people"]["identities"] or dataset.identities or ""),
         sight=sight,
         networks=networks,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The upstream networks that a configuration asks for, and the container images and GPUs of rules."""
+"""The upstream networks that a configuration selects, and the container images and GPUs of rules."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ _LPIPS = ("lpips", "lpips_alex")
 
 @dataclass(frozen=True)
 class Networks:
-    """What each stage calls for; "" where its own method is used.
+    """The network that each stage uses; "" where the stage uses its own method.
 
     Attributes:
-        selected: every network that is called for, sorted.
+        selected: every selected network, sorted.
         weights: the folder of their weights.
-        cameras: finds the cameras; masks: tracks people in pictures.
-        depth: a network, or "precomputed"; first_depth: the room's is what ``cameras`` says of the first moment.
-        views: a network, "warp" or "precomputed"; people_in_views: finds whom those show; "" where bodies say so.
+        cameras: calibrates the cameras; masks: tracks people in pictures.
+        depth: a network, or "precomputed"; first_depth: depth of the room comes from ``cameras``, at the first moment.
+        views: a network, "warp" or "precomputed"; people_in_views: detects people in those; "" where bodies do it.
         compared: the stages that compare pictures by LPIPS.
-        enhance: the one whose image the enhancer runs in: enhancer and flow share a process.
-        refiner: the enhancer that repairs views of the half-trained room; "" where none are asked for.
-        drawn_by: image of what draws Gaussians: on a GPU, and for LPIPS, it is one of its own, because torch is large.
-        drawing_gpus: GPUs that drawing holds.
+        enhance: the network in whose image the enhancer runs: enhancer and flow share a process.
+        refiner: the enhancer that repairs views of the half-trained room; "" without one.
+        drawn_by: image of the Gaussian rasteriser: for a GPU, and for LPIPS, it has its own, because torch is large.
+        drawing_gpus: GPUs that a drawing job holds.
     """
 
     selected: list[str]
@@ -48,18 +48,18 @@ class Networks:
     drawing_gpus: int
 
     def lpips(self, stage: str) -> str:
-        """The folder of LPIPS' files for a stage; "none" where it compares nothing by it."""
+        """The folder of LPIPS' files for a stage; "none" where the stage does not use LPIPS."""
         return f"{self.weights}/lpips" if stage in self.compared else "none"
 
     @property
     def images(self) -> list[str]:
-        """Names of all container images that a run uses, and the fetching of its weights."""
+        """Names of all container images that a run uses, including the one that fetches its weights."""
         fetched_in = {"vision"} if self.selected else set()
         return sorted({"core", self.drawn_by} | fetched_in | {MODELS[name].runtime.image for name in self.selected})
 
 
 def networks_of(config: Mapping[str, Any], home: Path) -> Networks:
-    """What the configuration calls for; UserError when a licence is not allowed by it."""
+    """The networks that the configuration selects; raises UserError for a network whose licence it does not allow."""
     check_licences(config)
     wanted = sorted({model for _, model in selected(config)})
     weights = config["weights"] if Path(config["weights"]).is_dir() else str(home / config["weights"])
@@ -76,7 +76,7 @@ def networks_of(config: Mapping[str, Any], home: Path) -> Networks:
         views=config["views"]["synthesizer"],
         people_in_views=_network(config["masks"]["source"]) if config["views"]["people"] == "network" else "",
         compared=compared,
-        # In the enhancer's image, whose torchvision has RAFT.
+        # The flow network runs in the enhancer's image, whose torchvision has RAFT.
         enhance=next((name for name in enhancers if name in MODELS), ""),
         refiner=_network(enhancers[0]) if config["background"]["refinement"]["views"] else "",
         drawn_by="vision" if on_gpu or compared else "core",
@@ -93,9 +93,9 @@ class Images:
     """Container images by name.
 
     Attributes:
-        entries: name → image, version and digest, as ``envs/images.yaml`` has them.
+        entries: name → image, version and digest, as in ``envs/images.yaml``.
         built: the folder of those that ``snakemake images`` made with apptainer.
-        on_cpu: everything is to run on the CPU.
+        on_cpu: everything runs on the CPU.
     """
 
     entries: Mapping[str, Mapping[str, str]]
@@ -103,7 +103,7 @@ class Images:
     on_cpu: bool
 
     def named(self, name: str) -> str:
-        """The file that was built, else the image's address."""
+        """The locally built image file if it exists, else the image's address."""
         entry = self.entries[name]
         built = self.built / f"{name}-{entry['version']}.sif"
         if built.is_file():
@@ -112,15 +112,17 @@ class Images:
         return f"docker://{entry['image']}{exactly}"
 
     def of_network(self, name: str) -> str:
-        """The image that a network runs in; the workflow's own for what is no network ("", "precomputed")."""
+        """The image that a network runs in; the workflow's own for a name that is no network ("", "precomputed")."""
         return self.named(MODELS[name].runtime.image if name in MODELS else "core")
 
     def gpus(self, name: str) -> int:
-        """GPUs that a job of a network holds: one, unless everything runs on the CPU or it needs none."""
+        """GPUs that a job of a network holds: one, or none if everything runs on the CPU or the network needs
+        no GPU.
+        """
         return int(name in MODELS and not self.on_cpu and MODELS[name].memory.gpu_gb is not None)
 
     def to_build(self, names: list[str]) -> list[str]:
-        """``name=image:version`` of those."""
+        """``name=image:version`` of the named images."""
         return [f"{name}={self.entries[name]['image']}:{self.entries[name]['version']}" for name in names]
 
 

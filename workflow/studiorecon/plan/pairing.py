@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which file or folder belongs to which camera, by their names."""
+"""Assigns files and folders to cameras by their names."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from studiorecon.errors import UserError
 from studiorecon.footage.kinds import film_suffixes
 from studiorecon.scene.names import folded, of_the_system
 
-# What writers of keypoints and masks append to the name of a film.
+# Suffixes that programs for keypoints and masks append to the name of a film.
 _TAIL = "(?:_json|_ext|_keypoints|_pose|dlc_.*)"
 
 
 def stem_of(path: Path) -> str:
-    """The name without its suffix, and without that of a film before it (``cam1.mp4.json``); dots inside stay."""
+    """The name without its suffix and without the suffix of a film before it (``cam1.mp4.json``); other dots stay."""
     stem = path.name if path.is_dir() else path.stem
     return Path(stem).stem if Path(stem).suffix.lower() in film_suffixes() else stem
 
@@ -26,7 +26,7 @@ def _holds(name: str, word: str) -> bool:
 
 
 def _longer(pair: tuple[str, str], other: tuple[str, str]) -> bool:
-    """Whether both pairs have one name in common, which holds the other name of each, that of ``other`` the longer."""
+    """Whether both pairs share a name, and in ``other`` the second name is longer and contains the one of ``pair``."""
     return any(
         pair[k] == other[k] and _holds(pair[k], other[1 - k]) and _holds(other[1 - k], pair[1 - k])
         for k in (0, 1)
@@ -34,7 +34,7 @@ def _longer(pair: tuple[str, str], other: tuple[str, str]) -> bool:
     )
 
 
-# Strongest first: a weaker one is only tried on what the stronger ones leave.
+# Strongest first: a weaker rule applies only to entries that stronger ones leave.
 _RULES: tuple[Callable[[str, str], bool], ...] = (
     lambda camera, entry: camera == entry,
     lambda camera, entry: folded(camera) == folded(entry),
@@ -44,16 +44,16 @@ _RULES: tuple[Callable[[str, str], bool], ...] = (
 
 
 def paired(cameras: Sequence[str], entries: Iterable[Path]) -> dict[str, Path]:
-    """camera → the entry that its name chooses; of several of one name the first.
+    """camera → the entry that its name selects; of several entries of one name the first.
 
-    A name that only holds the other one as a whole word, or differs in case or in the form of its letters, counts where
-    exactly one camera and one entry fit.
+    A weaker match (one name contains the other as a whole word, or they differ in case or Unicode form) counts only
+    where exactly one camera and one entry fit.
     """
     left = {entry: stem_of(entry) for entry in entries}
     found: dict[str, Path] = {}
     for rule in _RULES:
         pairs = [(c, e) for c in cameras if c not in found for e, stem in left.items() if rule(c, stem)]
-        # Of names that hold one another (cam1, cam1_b) the longest that fits counts.
+        # Of names that contain each other (cam1, cam1_b) the longest that fits counts.
         sure = [(c, e) for c, e in pairs if not any(_longer((c, left[e]), (o, left[f])) for o, f in pairs)]
         for camera, entry in sure:
             stems = {folded(left[e]) for c, e in sure if c == camera}
@@ -67,7 +67,9 @@ def paired(cameras: Sequence[str], entries: Iterable[Path]) -> dict[str, Path]:
 def per_camera(
     folder: Path, name: str, required: bool, cameras: Iterable[str], suffixes: Sequence[str]
 ) -> dict[str, Path]:
-    """camera → its entry in the folder ``name``, of a kind in ``suffixes``; empty where there is no such folder."""
+    """camera → its entry in the folder ``name``, with a suffix in ``suffixes``; empty when the folder does
+    not exist.
+    """
     base = folder / name
     if not base.is_dir():
         if required:

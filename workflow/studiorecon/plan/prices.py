@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What work costs: the price list that was measured (``resources/prices.json``), and the time it predicts here."""
+"""The price list of rules (``resources/prices.json``, measured), and the run time that it predicts on this machine."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PRICES = RESOURCES / "prices.json"
 
 @dataclass(frozen=True)
 class Price:
-    """Processor seconds of a rule on the machine of the list: ``job_s`` for every job, ``unit_s`` for every unit."""
+    """Processor seconds of a rule on the machine of the list: ``job_s`` per job, ``unit_s`` per unit."""
 
     job_s: float
     unit_s: float
@@ -28,26 +28,26 @@ class Price:
 
 @dataclass(frozen=True)
 class Point:
-    """A preset ("" = the defaults) and what it reached on every scene where it was measured."""
+    """A preset ("" = the defaults) and its scores on every scene where it was measured."""
 
     preset: str
     psnr_db: Mapping[str, float]
 
     def gains_db(self, over: Point) -> list[float]:
-        """What it scores more than another point, on every scene where both were measured."""
+        """Differences in dB between this point and another, one per scene where both were measured."""
         return [self.psnr_db[scene] - over.psnr_db[scene] for scene in self.psnr_db if scene in over.psnr_db]
 
 
 @dataclass(frozen=True)
 class PriceList:
-    """Prices of all rules and what is known of them.
+    """Prices of all rules, and the constants of the prediction.
 
     Attributes:
-        probe_s: what ``probe_s()`` said on that machine.
-        start_s: seconds that the workflow takes by itself, before, between and after jobs.
-        stretch: seconds of a run for each second that its rules take one after the other (below 1 where rules overlap,
-            above where jobs slow each other down).
-        spread: (low, high) measured over predicted time, at the ends; it includes what is unknown before a run.
+        probe_s: result of ``probe_s()`` on the machine of the list.
+        start_s: seconds that the workflow itself takes before, between and after jobs.
+        stretch: seconds of a run per second of its rules in sequence (below 1 where rules overlap, above where jobs
+            slow each other down).
+        spread: (low, high) measured over predicted time, at the extremes; includes all that is unknown before a run.
         rules: rule → price. points: the presets, cheapest first.
     """
 
@@ -61,7 +61,7 @@ class PriceList:
 
 @dataclass(frozen=True)
 class Predicted:
-    """Seconds from start to page: the likeliest, and the ends between which such runs lay."""
+    """Seconds from start to page: the likeliest, and the ends of the interval of measured runs."""
 
     seconds: float
     low_s: float
@@ -69,7 +69,7 @@ class Predicted:
 
 
 def read_prices(path: Path = PRICES) -> PriceList:
-    """The price list as it is bundled."""
+    """The price list in the file ``path``."""
     held = json.loads(path.read_text(encoding="utf-8"))
     rules = {rule: Price(**price) for rule, price in held.pop("rules").items()}
     points = tuple(Point(**point) for point in held.pop("points"))
@@ -77,7 +77,7 @@ def read_prices(path: Path = PRICES) -> PriceList:
 
 
 def spent(work: Mapping[str, Work], prices: PriceList) -> dict[str, float]:
-    """Rule → processor seconds of all its jobs, on the machine of the list; rules without a price are left out."""
+    """Rule → processor seconds of all its jobs on the machine of the list; rules without a price are omitted."""
     return {
         rule: asked.jobs * (price.job_s + price.unit_s * asked.units)
         for rule, asked in work.items()
@@ -86,15 +86,19 @@ def spent(work: Mapping[str, Work], prices: PriceList) -> dict[str, float]:
 
 
 def predict(work: Mapping[str, Work], prices: PriceList, cores: int, pace: float) -> Predicted:
-    """How long it takes on ``cores``, each ``pace`` times as fast as those of the list: rule after rule, the jobs of
-    each side by side."""
+    """The predicted time of a run on ``cores``, each ``pace`` times as fast as those of the list.
+
+    The model: rules run in sequence, the jobs of each rule in parallel.
+    """
     one_by_one_s = sum(taken_s / min(cores, work[rule].jobs) for rule, taken_s in spent(work, prices).items())
     seconds = prices.start_s + prices.stretch * one_by_one_s / pace
     return Predicted(seconds, seconds * prices.spread[0], seconds * prices.spread[1])
 
 
 def probe_s(rounds: int = 5, size: int = 400_000) -> float:
-    """Seconds of one fixed piece of work like the workflow's own, the best of a few: sorting, looking up, adding up."""
+    """Seconds of one fixed piece of work like the workflow's own (sorting, indexing, adding): the best of a
+    few runs.
+    """
     rng = np.random.default_rng(0)
     values, places = rng.random(size), rng.integers(0, size, size)
     took = []
@@ -109,8 +113,10 @@ def probe_s(rounds: int = 5, size: int = 400_000) -> float:
 
 
 def pace_here(prices: PriceList, remembered: Path) -> float:
-    """How much faster this machine is than the list's, probed once and kept in the file ``remembered``, so that a run
-    planned again is planned alike."""
+    """The speed of this machine relative to the list's.
+
+    It is probed once and kept in the file ``remembered``, so that repeated runs get the same plan.
+    """
     if not remembered.is_file():
         write_json(remembered, {"probe_s": probe_s()})
     return prices.probe_s / read_json(remembered)["probe_s"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What cannot be run as it stands, in a sentence that says where, and what would help."""
+"""Refuses inputs that cannot be run, in a sentence with the place and a remedy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from studiorecon.scene.outside import file_size
 
 
 def refuse(plan: Plan, config: Mapping[str, Any]) -> None:
-    """Raises UserError for the first thing that is missing or contradicts another."""
+    """Raises UserError for the first missing or contradictory input."""
     _calibration(plan)
     _enhancement(plan, config)
     _named_files(plan, config)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files that rules take, where these hang on the plan, on who was found, or on what the survey decided."""
+"""The files that rules take where these depend on the plan, on the people, or on the survey's decisions."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from studiorecon.scene.schema import Anything, Named
 
 
 class Files(Brought):
-    """Input functions of all rules: what was brought, and what other rules make.
+    """Input functions of all rules: the user's files, and outputs of other rules.
 
-    What asks one of Snakemake's ``checkpoints`` raises Snakemake's own exception until that has run.
+    A function that reads one of Snakemake's ``checkpoints`` raises Snakemake's own exception until that has run.
     """
 
     def __init__(
@@ -27,10 +27,10 @@ class Files(Brought):
         super().__init__(plan, config, home, local)
         self.checkpoints = checkpoints
 
-    # ---- which cameras take part ----
+    # ---- cameras ----
 
     def cameras(self, wildcards: Any) -> list[str]:
-        """Every camera of the plan; where the cameras are found from people, those that people place."""
+        """Every camera of the plan; where people calibrate the cameras, those that were calibrated so."""
         if not self.plan.from_people:
             return self.plan.cameras
         found = self.checkpoints.calibration_from_people.get(scene=self._scene(wildcards)).output.calibration
@@ -38,69 +38,73 @@ class Files(Brought):
         return [camera for camera in self.plan.cameras if camera in placed]
 
     def training(self, wildcards: Any) -> list[str]:
-        """Those of them that the scene is made from."""
+        """The training cameras among them."""
         return [camera for camera in self.cameras(wildcards) if camera in self.plan.training]
 
     def held_out(self, wildcards: Any) -> list[str]:
-        """Those of them that only the report looks at."""
+        """The held-out cameras among them."""
         return [camera for camera in self.cameras(wildcards) if camera in self.plan.held_out]
 
     def judged_cameras(self, wildcards: Any) -> list[str]:
-        """Those whose photos are compared with pictures: the held-out ones, or for want of them those of training."""
+        """The cameras whose photos are compared with renders: the held-out ones, or without any the training
+        cameras.
+        """
         return self.held_out(wildcards) or self.training(wildcards)
 
     def films(self, wildcards: Any) -> list[str]:
-        """Every film; none of held-out cameras where none of them is left."""
+        """Every film, without films of held-out cameras when no held-out camera remains."""
         return [film for film in self.plan.films if film != "heldout" or self.held_out(wildcards)]
 
     def drawn(self, wildcards: Any) -> list[str]:
-        """Every film, and "train": the training cameras themselves."""
+        """Every film, and "train": the training cameras' own views."""
         return ["train", *self.films(wildcards)]
 
     def heldout_film(self, wildcards: Any) -> list[str]:
-        """The film of the held-out cameras, where there is one."""
+        """The film of the held-out cameras, if there is one."""
         return [film for film in self.films(wildcards) if film == "heldout"]
 
     def judged(self, wildcards: Any) -> list[str]:
-        """What is compared with photos: that film, or for want of it the training cameras."""
+        """The film that is compared with photos: that of the held-out cameras, or else "train"."""
         return self.heldout_film(wildcards) or ["train"]
 
-    # ---- what cameras saw of people ----
+    # ---- detections ----
 
     def first_detection(self, wildcards: Any) -> list[str]:
-        """What one camera alone says of people; none when nobody can be there."""
+        """First detections of one camera, without knowledge of other cameras; none when nobody can be in the scene."""
         return [f"results/{wildcards.scene}/tracks/{wildcards.camera}.npz"] if self.plan.people else []
 
     def first_detections(self, wildcards: Any) -> list[str]:
-        """The same of every training camera."""
+        """First detections of every training camera."""
         cameras = self.training(wildcards) if self.plan.people else []
         return [f"results/{wildcards.scene}/tracks/{camera}.npz" for camera in cameras]
 
     def detection(self, wildcards: Any) -> list[str]:
-        """The same of one camera after the second look, which recorded keypoints do not have."""
+        """Detections of one camera after the second pass; recorded keypoints have no second pass."""
         return [self._looked_at(wildcards.scene, wildcards.camera)] if self.plan.people else []
 
     def detections(self, wildcards: Any) -> list[str]:
-        """The same of every training camera after the second look."""
+        """Detections of every training camera after the second pass."""
         cameras = self.training(wildcards) if self.plan.people else []
         return [self._looked_at(self._scene(wildcards), camera) for camera in cameras]
 
     def compared(self, wildcards: Any) -> list[str]:
-        """The same as association compares it: with pelvises at the scene's depth where that is asked for."""
+        """Detections as association compares them: with pelvises at the scene's depth where the configuration
+        says so.
+        """
         if not (self.plan.people and self.plan.lifted):
             return self.detections(wildcards)
         return [f"results/{self._scene(wildcards)}/people/lifted/{camera}.npz" for camera in self.training(wildcards)]
 
     def first_found(self, wildcards: Any) -> list[str]:
-        """The detector's files, with masks, of the training cameras in which it looked."""
+        """The detector's first files, with masks, of the training cameras in which it ran."""
         return [f"results/{self._scene(wildcards)}/detect/found/{camera}.npz" for camera in self._detected(wildcards)]
 
     def found(self, wildcards: Any) -> list[str]:
-        """The same after the second look."""
+        """The detector's files after the second pass."""
         return [f"results/{self._scene(wildcards)}/people/seen/{camera}.npz" for camera in self._detected(wildcards)]
 
     def own_plates(self, wildcards: Any) -> list[str]:
-        """Plates of the training cameras of whose empty room the user has brought a picture."""
+        """Plates of the training cameras for which the user gave a picture of the empty room."""
         brought = [camera for camera in self.training(wildcards) if camera in self.plan.dataset.plates]
         return [f"results/{self._scene(wildcards)}/plates/{camera}.png" for camera in brought if self.plan.people]
 
@@ -114,39 +118,43 @@ class Files(Brought):
         return f"results/{scene}/tracks/{camera}.npz"
 
     def seen_people(self, wildcards: Any) -> list[str]:
-        """The detector's masks of one camera, its detections, and who is who; nothing where it did not look."""
+        """The detector's masks of one camera, its detections, and the identities; none where it did not run."""
         if wildcards.camera not in self.plan.sight.detected:
             return []
         folder = f"results/{wildcards.scene}/people"
         masks = f"{folder}/seen/{wildcards.camera}.npz"
         return [masks, *self.detection(wildcards), f"{folder}/identities.tsv"]
 
-    # ---- who was found ----
+    # ---- people ----
 
     def people_table(self, wildcards: Any) -> list[str]:
         """The table of people; none when the room is known to be empty."""
         return [f"results/{wildcards.scene}/people/people.tsv"] if self.plan.people else []
 
     def identities(self, wildcards: Any) -> list[str]:
-        """Whose every track is; none when the room is known to be empty."""
+        """The identity of every track; none when the room is known to be empty."""
         return [f"results/{wildcards.scene}/people/identities.tsv"] if self.plan.people else []
 
     def association(self, wildcards: Any) -> list[str]:
-        """Why every track is whose it is, and who was left out; none when the room is known to be empty."""
+        """The reason for every track's identity, and the people left out; none when the room is known to be empty."""
         return [f"results/{wildcards.scene}/people/association.json"] if self.plan.people else []
 
     def people(self, wildcards: Any) -> list[str]:
-        """Ids of the people that association found; none, without asking, when the room is known to be empty."""
+        """Ids of the people that association found; when the room is known to be empty, none, without waiting for
+        association.
+        """
         if not self.plan.people:
             return []
         return read_people(Path(self._associated(wildcards).people))
 
     def tracks_of(self, wildcards: Any) -> list[str]:
-        """Which tracks are this person's, in a file of their own: a change of somebody else's is none of theirs."""
+        """The file of one person's tracks; it is separate so that changes of other people do not rerun this person's
+        jobs.
+        """
         return [f"{self._associated(wildcards).who}/{wildcards.person}.tsv"]
 
     def readouts_for(self, wildcards: Any) -> list[str]:
-        """By how much rows look one after the other; nothing without ``people.fit.rolling_shutter``."""
+        """The readout times of the cameras; none without ``people.fit.rolling_shutter``."""
         if not self.config["people"]["fit"]["rolling_shutter"]:
             return []
         return [f"{self._associated(wildcards).who}/readouts.json"]
@@ -156,19 +164,19 @@ class Files(Brought):
         return [f"results/{wildcards.scene}/people/{person}.npz" for person in self.people(wildcards)]
 
     def walkers(self, wildcards: Any) -> list[str]:
-        """Bodies of the people whose ways are kept free of furniture; none where ``depth.primitives`` wants none."""
+        """Bodies of the people whose paths furniture may not block; none where ``depth.primitives`` is off."""
         return self.fits(wildcards) if self.config["depth"]["primitives"] else []
 
     def sightings(self, wildcards: Any) -> list[str]:
-        """What cameras saw of those people, which nothing can stand in front of."""
+        """Detections of those people, which no furniture can occlude."""
         return self.detections(wildcards) if self.walkers(wildcards) else []
 
     def sighted(self, wildcards: Any) -> list[str]:
-        """Whose those sightings are."""
+        """The identities of those detections."""
         return self.identities(wildcards) if self.sightings(wildcards) else []
 
     def filmed_people(self, wildcards: Any) -> list[str]:
-        """Training cameras, if anybody was found whom they can show."""
+        """The training cameras, if association found anybody."""
         return self.training(wildcards) if self.people(wildcards) else []
 
     def masks(self, wildcards: Any) -> list[str]:
@@ -176,48 +184,49 @@ class Files(Brought):
         return [f"results/{wildcards.scene}/masks/{camera}.mkv" for camera in self.filmed_people(wildcards)]
 
     def half_trained(self, wildcards: Any) -> list[str]:
-        """The room half-way and views of it that a network repaired, where one is asked: Gaussians, provenance, path,
-        film."""
+        """The half-trained room and views of it that a network repaired, if one is selected: Gaussians, provenance,
+        path, film.
+        """
         parts = ("half.ply", "half.npz", "half.json", "refined.mkv") if self.plan.networks.refiner else ()
         return [f"results/{wildcards.scene}/background/{name}" for name in parts]
 
     def first_pictures(self, wildcards: Any) -> list[str]:
-        """Footage of the training cameras, where their first pictures are trained on in the plates' place."""
+        """Footage of the training cameras, where training uses their first pictures instead of the plates."""
         if self.config["background"]["photos"] == "plates":
             return []
         return [f"results/{wildcards.scene}/capture/{camera}.mkv" for camera in self.training(wildcards)]
 
     def first_masks(self, wildcards: Any) -> list[str]:
-        """Who is in those pictures; none when there are no people."""
+        """Masks of people in those pictures; none when there are no people."""
         return self.masks(wildcards) if self.first_pictures(wildcards) else []
 
     def key_frames(self, wildcards: Any) -> list[str]:
-        """Footage of the training cameras, where a network is shown their first pictures with the people in them."""
+        """Footage of the training cameras, where a network gets their first pictures with the people in them."""
         shown = self.config["views"]["key_frames"] == "first_frames" and self.plan.networks.views != "warp"
         return (
             [f"results/{wildcards.scene}/capture/{camera}.mkv" for camera in self.training(wildcards)] if shown else []
         )
 
     def key_masks(self, wildcards: Any) -> list[str]:
-        """Who is in those pictures; none when there are no people."""
+        """Masks of people in those pictures; none when there are no people."""
         return self.masks(wildcards) if self.key_frames(wildcards) else []
 
     def key_people(self, wildcards: Any) -> list[str]:
-        """Their bodies."""
+        """Bodies of the people in those pictures."""
         return self.fits(wildcards) if self.key_frames(wildcards) else []
 
     def people_in_views(self, wildcards: Any) -> list[str]:
-        """Who is in one segment's film by the network that looks for people; none where bodies say so."""
+        """Masks of people in one gap's film by the detecting network; none where bodies give the masks."""
         looked = self.plan.networks.people_in_views and self.key_frames(wildcards)
         return [f"results/{wildcards.scene}/views/{wildcards.segment}.people.mkv"] if looked else []
 
     def by_itself(self, wildcards: Any) -> list[str]:
-        """Who association says is who where the user's own table says otherwise; none without one."""
+        """Association's own identities, where the user's table replaces them; none without such a table."""
         asked = self.corrected and self.plan.people
         return [f"results/{self._scene(wildcards)}/people/by_itself/identities.tsv"] if asked else []
 
     def recognition(self, wildcards: Any) -> list[str]:
-        """Whom the detector finds in the films; nothing where nobody is there to be found."""
+        """The detector's scores of people in the films; none when there are no people."""
         return [f"results/{wildcards.scene}/report/recognition.json"] if self.people(wildcards) else []
 
     def human_gaussians(self, wildcards: Any) -> list[str]:
@@ -225,21 +234,24 @@ class Files(Brought):
         return [f"results/{wildcards.scene}/humans/{person}.ply" for person in self.people(wildcards)]
 
     def human_avatars(self, wildcards: Any) -> list[str]:
-        """Skinning and motion of every person."""
+        """Skinning weights and motion of every person."""
         return [f"results/{wildcards.scene}/humans/{person}.npz" for person in self.people(wildcards)]
 
     def drawn_beside_photos(self, wildcards: Any) -> list[str]:
-        """Film, path and depth of the training cameras, which an enhancer compares with their photos; none where films
-        stay as they are drawn."""
+        """Film, path and depth of the training cameras, which an enhancer compares with their photos; none without an
+        enhancer.
+        """
         told = section("enhance.shot", self.config)
         if told["enhancer"] == "none" and not told["injection"]["history"]:
             return []
         return [f"results/{wildcards.scene}/render/train.{kind}" for kind in ("mkv", "json", "depth.mkv")]
 
-    # ---- what the survey decided ----
+    # ---- decisions of the survey ----
 
     def verdict(self, effect: str, wildcards: Any) -> str:
-        """What the survey says of one effect: on, off or undetermined; without asking it where ``survey.force`` has."""
+        """The survey's verdict on one effect: on, off or undetermined; without waiting for it where ``survey.force``
+        decides.
+        """
         return self.plan.forced.get(effect) or self._decided(effect, wildcards)["verdict"]
 
     def _decided(self, effect: str, wildcards: Any) -> Mapping[str, Any]:
@@ -247,27 +259,29 @@ class Files(Brought):
         return read(Path(decided), Named(Anything()), lambda held: {d["effect"]: d for d in held["decisions"]}[effect])
 
     def gains(self, wildcards: Any) -> list[str]:
-        """What the cameras' exposures are divided by: a file, where the survey calls for it."""
+        """The gains of the cameras: a file, where the survey turned exposure correction on."""
         wanted = self.verdict("exposure", wildcards) == "on"
         return [f"results/{wildcards.scene}/survey/gains.json"] if wanted else []
 
     def specularity(self, wildcards: Any) -> list[str]:
-        """A file where the survey calls for colours that change with the direction of view."""
+        """The file of view-dependent colours, where the survey turned them on."""
         wanted = self.verdict("view_dependent_colour", wildcards) == "on"
         return [f"results/{wildcards.scene}/survey/specularity.json"] if wanted else []
 
     def brightness(self, wildcards: Any) -> list[str]:
-        """What every frame's brightness is divided by: a file, where the survey says that the light changes."""
+        """The brightness of every frame: a file, where the survey measured that the light changes."""
         wanted = self.verdict("changing_light", wildcards) == "on"
         return [f"results/{wildcards.scene}/survey/brightness.json"] if wanted else []
 
     def exposure(self, wildcards: Any) -> list[str]:
-        """All that pictures are divided by before they are compared: gains of cameras, brightness of frames."""
+        """All factors that divide pictures before they are compared: gains of cameras, brightness of frames."""
         return [*self.gains(wildcards), *self.brightness(wildcards)]
 
     def segments(self, wildcards: Any) -> list[str]:
-        """Gaps between cameras that get new views: those for which the survey calls for them, without the widest where
-        it leaves the stage open."""
+        """Gaps between cameras that get synthesised views: those that the survey selects.
+
+        The widest gap is left out where the survey says that the cameras' path is open.
+        """
         forced = self.plan.forced.get("view_synthesis")
         if forced == "off" or self.config["background"]["views_share"] == 0:
             return []
@@ -283,21 +297,22 @@ class Files(Brought):
         return chosen
 
     def views(self, wildcards: Any) -> list[str]:
-        """The new views of every segment."""
+        """The synthesised views of every gap."""
         return [f"results/{wildcards.scene}/views/{segment}.mkv" for segment in self.segments(wildcards)]
 
     def view_masks(self, wildcards: Any) -> list[str]:
-        """Where those views show what cameras saw."""
+        """Masks of the pixels of those views that cameras saw."""
         return [f"results/{wildcards.scene}/views/{segment}.mask.mkv" for segment in self.segments(wildcards)]
 
     def loose_objects(self, wildcards: Any) -> list[str]:
-        """Loose and held things; none unless the survey finds some."""
+        """Loose and carried objects; none unless the survey detects some."""
         wanted = self.verdict("dynamic_objects", wildcards) == "on"
         return [f"results/{self._scene(wildcards)}/objects/objects.npz"] if wanted else []
 
     def room_light(self, wildcards: Any) -> list[str]:
-        """The light by which people shade the room; none unless the survey calls for moving shadows and somebody is
-        there to throw them."""
+        """The light in which people cast shadows on the room; none unless the survey turns moving shadows on and there
+        are people.
+        """
         wanted = self.people(wildcards) and self.verdict("moving_shadows", wildcards) == "on"
         return [f"results/{wildcards.scene}/render/room.light.json"] if wanted else []
 
@@ -305,10 +320,10 @@ class Files(Brought):
         """The shadows in that light, for the player."""
         return [f"results/{wildcards.scene}/render/room.shade.npz"] if self.room_light(wildcards) else []
 
-    # ---- asked of Snakemake ----
+    # ---- Snakemake's checkpoints ----
 
     def _scene(self, wildcards: Any) -> str:
-        """The rule's scene; the run's own for a rule without one."""
+        """The scene in the rule's wildcards; the run's own for a rule without one."""
         return getattr(wildcards, "scene", self.plan.scene)
 
     def _associated(self, wildcards: Any) -> Any:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""In which cameras people are looked for, and by what: recorded keypoints, the detector, or a network."""
+"""The cameras in which people are detected, and the method: recorded keypoints, the detector, or a network."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ _LANDMARKS = {"blazepose": "pose_landmark_full.onnx", "blazepose_heavy": "pose_l
 
 @dataclass(frozen=True)
 class Sight:
-    """How people are seen. Every list holds camera names, in the dataset's order.
+    """How people are detected. Every list holds camera names in the dataset's order.
 
     Attributes:
-        bodies: the network that estimates bodies in every camera, or "precomputed"; "" = keypoints say who is where.
-        detected: in whose pictures the detector looks for people: those without keypoint files, or all.
-        measured: in whose pictures it looks only for what a network's cameras are put to metres by: bodies come from
-            another network, which needs the calibration first.
-        watched: in which people can be told before there is a calibration.
-        checked: those of them that the doctor looks at: nobody is looked for in held-out pictures for its sake.
-        timed: those whose people tell, before there is a calibration, when each was started.
-        part_used: only a part of the footage is used, and the detector looks at that alone.
-        somebody: there is anything that can show people.
+        bodies: the network that estimates bodies in every camera, or "precomputed"; "" = keypoints locate people.
+        detected: cameras in which the detector runs: those without keypoint files, or all.
+        measured: cameras in which it runs only to scale a network's calibration to metres: bodies come from another
+            network, which needs the calibration first.
+        watched: cameras with detections of people before there is a calibration.
+        checked: those of them that the doctor checks: the detector never runs in held-out cameras only for a check.
+        timed: those whose people determine the time offsets before there is a calibration.
+        part_used: only a part of the footage is used, and the detector reads only that part.
+        somebody: at least one source can show people.
         detector: names of the detector's files.
     """
 
@@ -42,7 +42,7 @@ class Sight:
 
 
 def sight_of(dataset: Dataset, config: Mapping[str, Any]) -> Sight:
-    """How ``detect.source`` and ``clocks.sync`` have people looked for in this dataset."""
+    """The cameras and method of detection for this dataset, by ``detect.source`` and ``clocks.sync``."""
     source = config["detect"]["source"]
     looked_at = {"auto": [c for c in dataset.cameras if c not in dataset.keypoints], "detector": list(dataset.cameras)}
     bodies = "" if source in ("auto", "keypoints", "detector") else source
@@ -62,7 +62,7 @@ def sight_of(dataset: Dataset, config: Mapping[str, Any]) -> Sight:
         measured=measured,
         watched=watched,
         checked=checked,
-        # Where only a part is used, the clocks must say first which part the detector is to look at.
+        # Where only a part is used, the clocks must first determine which part the detector reads.
         timed=[c for c in checked if c not in looked_for or not part_used] if asked else [],
         part_used=part_used,
         somebody=bool(watched) or bool(bodies),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which settings a step is told: those that it reads, so that a change of another one does not run it again."""
+"""The settings of each step: only those that it reads, so that changes of other settings do not rerun it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from studiorecon.configuration.step_settings import section_of, told
 
 
 def section(step: str, config: Mapping[str, Any]) -> dict[str, Any]:
-    """What a step may be told. Where ``survey.force`` decides on what it has a setting for, the setting follows."""
+    """The settings of a step's section, with the decisions of ``survey.force`` in place of the settings that they
+    overrule.
+    """
     stage, values, forced = step.partition(".")[0], section_of(step, config), config["survey"]["force"]
     if stage == "humans" and "temporal_appearance" in forced:
         use = "always" if forced["temporal_appearance"] == "on" else "never"
@@ -29,13 +31,15 @@ def settings(step: str, config: Mapping[str, Any]) -> str:
 
 
 def recursion(config: Mapping[str, Any]) -> str:
-    """How the recursive module works where the training of the room uses it, as JSON."""
+    """The settings of the recursive module for the training of the room, as JSON."""
     return json.dumps(section("enhance", config)["injection"], sort_keys=True)
 
 
 def shot_settings(step: str, config: Mapping[str, Any], keys: tuple[str, ...] = ()) -> Callable[[Any], str]:
-    """Function that tells a step of one shot the same, with of ``render.shots`` this shot alone; of that, ``keys``, or
-    all that makes the film."""
+    """Function from wildcards to the settings of a step for one shot, as JSON.
+
+    Of ``render.shots`` they hold this shot only, and of it ``keys``, or all that affects the film.
+    """
 
     def of_shot(wildcards: Any) -> str:
         given = config["render"]["shots"].get(wildcards.shot, {})
@@ -47,6 +51,6 @@ def shot_settings(step: str, config: Mapping[str, Any], keys: tuple[str, ...] = 
 
 
 def shown_settings(config: Mapping[str, Any]) -> str:
-    """What the page shows, as JSON: all settings but those that say how to run, not what comes out."""
+    """The settings that the page shows, as JSON: all except those that do not affect the result."""
     shown = {key: value for key, value in config.items() if key not in ("strict", "sweep", "sweep_minutes", "images")}
     return json.dumps(shown, sort_keys=True)

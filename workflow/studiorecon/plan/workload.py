@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much work a run is, from its footage and settings, before anything runs.
+"""The amount of work of a run, from its footage and settings, before the first job.
 
-Every rule has one unit of work, in which its time is nearly a straight line: frames, pixels, steps. ``prices`` says
-what a unit costs.
+Every rule has one unit of work in which its time is nearly linear: frames, pixels, steps. ``prices`` has the cost of a
+unit.
 """
 
 from __future__ import annotations
@@ -23,22 +23,24 @@ from studiorecon.studio.description import read_description
 
 _MEGA = 1e6
 ASSUMED_PEOPLE = 2
-"""People where no keypoints say how many: most captures have one to three."""
-# Share of the photos' pixels that no other photo shows finer, in the demo.
+"""Number of people where no keypoints give it: most captures have one to three."""
+# Share of the photos' pixels that no other photo shows in finer detail, in the demo.
 _OWN = 0.65
-# Gaussians where nobody sees, per square of ``fill_step_m``'s side in m², in the demo's room of 60 m².
+# Gaussians in unseen parts, per square of ``fill_step_m``'s side in m², in the demo's room of 60 m².
 _UNSEEN_M2 = 58.0
-# What the defaults of depth's catalogue of planes stand for.
+# The default steps of depth's catalogue of planes.
 _PLANE_STEPS_M = (0.04, 0.06)
 ON_DEMAND = {"objects_find": "dynamic_objects", "render_light": "moving_shadows", "render_shade": "moving_shadows"}
-"""Rule → the effect that calls for it; counted only where ``survey.force`` says so."""
+"""Rule → the effect that turns it on; counted only where ``survey.force`` turns the effect on."""
 
 
 @dataclass(frozen=True)
 class Footage:
-    """What was filmed: cameras that train, cameras held out, those in which the detector looks for people, frames that
-    are used, picture size in pixels, people, whether their number is known, and whether it is a made studio, which a
-    run films first."""
+    """The size of a capture.
+
+    Number of training cameras, held-out cameras, cameras in which the detector runs, frames used, picture size in
+    pixels, people, whether their number is known, and whether it is a synthetic studio, which a run films first.
+    """
 
     training: int
     held_out: int
@@ -52,16 +54,16 @@ class Footage:
 
 @dataclass(frozen=True)
 class Work:
-    """What one rule has to do: ``jobs`` of it, each with so many ``units``."""
+    """The work of one rule: ``jobs``, each with ``units``."""
 
     jobs: int
     units: float
 
 
 def footage_of(plan: Plan, picture_fps: float) -> Footage:
-    """The footage of a plan, from its files; raises UserError where one cannot be read.
+    """The size of a plan's capture, from its files; raises UserError where one cannot be read.
 
-    Recorded keypoints say how many people there are: as many as two cameras see in the median frame.
+    Recorded keypoints give the number of people: as many as two cameras see in the median frame.
     """
     count = plan.dataset.frame_count
     cameras = (len(plan.training), len(plan.held_out), len(set(plan.sight.detected) & set(plan.training)))
@@ -86,16 +88,16 @@ def footage_of(plan: Plan, picture_fps: float) -> Footage:
 
 
 def _people_in(keypoints: Path, source: FootageSource) -> int:
-    """How many people the keypoint files of one camera show in the median frame with any."""
+    """Number of people in one camera's keypoint files, in the median frame with any."""
     _, per_frame = np.unique(read_keypoints(keypoints, source.wh).frame, return_counts=True)
     return int(np.median(per_frame)) if len(per_frame) else 0
 
 
 def segments_with_views(plan: Plan, config: Mapping[str, Any]) -> int:
-    """How many gaps between cameras probably get new views: what ``survey.force`` says, else all of them where cameras
-    stand further apart than the survey accepts.
+    """Number of gaps between cameras that probably get synthesised views.
 
-    What the scene's own run decides meanwhile does not count: a run planned again is planned alike.
+    ``survey.force`` decides it; else all gaps count where cameras are further apart than the survey accepts. Decisions
+    of an earlier run of the scene do not count, so that repeated runs get the same plan.
     """
     if not config["background"]["views_share"]:
         return 0
@@ -107,8 +109,11 @@ def segments_with_views(plan: Plan, config: Mapping[str, Any]) -> int:
 def workload(
     footage: Footage, config: Mapping[str, Any], segments: int, forced: Mapping[str, str] | None = None
 ) -> dict[str, Work]:
-    """Rule → its jobs and the units of each, where ``segments`` between cameras get new views and the effects
-    ``forced`` "on" call for their rules; megapixels are of all pictures that a job goes through."""
+    """Rule → its jobs and the units of each.
+
+    ``segments`` gaps between cameras get synthesised views, and effects that are ``forced`` "on" add their rules.
+    Megapixels count all pictures that a job reads.
+    """
     width, height = _working(footage.wh, config["capture"]["width"])
     training, frames, people = footage.training, footage.frames, footage.people
     everyone = training + footage.held_out
@@ -177,7 +182,7 @@ def _mpx(width: int, height: int, at_most: int) -> float:
 
 
 def _gaussians(room: Mapping[str, Any], seeds: float) -> float:
-    """Millions of Gaussians that the room is trained with: those of the photos, those where nobody sees, or the cap."""
+    """Millions of Gaussians that the room is trained with: from the photos and in unseen parts, at most the cap."""
     cap = room["training"]["cap"] / _MEGA or float("inf")
     if room["training"]["densify"] != "none" and cap < float("inf"):
         return cap
