@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""2D keypoints: what detectors call them, how their files are read, who is followed, and whose rays meet.
+"""2D keypoints: names of their points, readers of their files, tracks in one camera, and which tracks are one person.
 
-In come files or a detector's answers; out come ``scene.people.Detections`` in undistorted pixels. In reading order:
+Inputs are files or a detector's output; outputs are ``scene.people.Detections`` in undistorted pixels. In reading
+order:
 
-* ``layouts``: names and orders, SMPL's joints among them; ``layout_choice``: which one, when nobody says;
+* ``layouts``: names and orders, SMPL's joints among them; ``layout_choice``: the layout of keypoints without a name;
 * ``readers`` opens a user's files (``file_numbers``, ``picture_content``, ``result_files``, ``deeplabcut``,
   ``mediapipe``);
 * ``film_check`` compares them with the film (``numbering``, ``possible_readings``, ``motion``, ``on_film``);
-* ``reading`` (undistorted, followed), ``tracking`` (one camera),
-  ``steadying`` (a network's tremble), ``retiming`` (the common clock);
+* ``reading`` (undistorted, tracked), ``tracking`` (one camera), ``steadying`` (smooths a network's jitter),
+  ``retiming`` (the common clock);
 * ``correspondence``: which tracks of different cameras show the same person.
 """

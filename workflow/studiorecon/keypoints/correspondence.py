@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which tracks of different cameras show the same person, from how close their rays pass: no identity, no picture
-needed.
+"""Groups tracks of different cameras that show the same person, by the distance of their rays; needs no appearance.
 
-A node is one track of one camera. Two tracks of different cameras are as far apart as the median, over frames and
-shared keypoints, of the closest distance between their rays. A single pair proves little (two people of the same height
-may fit by chance, and one keypoint may lie anywhere along an epipolar line), so groups are chosen whole, by the sum of
-their affinities over all views: four agreeing views count six pairs, a chance pair one (A10, A15).
+A node is one track of one camera. The distance of two tracks of different cameras is the median, over frames and shared
+keypoints, of the closest distance between their rays. A single pair proves little: two people of the same height may
+fit by chance, and one keypoint may be anywhere along an epipolar line. So groups are chosen whole, by the sum of their
+affinities over all views: four agreeing views count six pairs, a chance pair one (A10, A15).
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Num
 
-# Joints that a detector places within centimetres from every side; faces are seen from the front only.
+# Joints that a detector localises within centimetres from every side; faces are seen from the front only.
 STABLE_KEYPOINTS = tuple(
     f"{s}_{j}" for j in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for s in ("left", "right")
 )
@@ -35,13 +34,13 @@ _MIN_SHARED = 4
 
 @dataclass(frozen=True)
 class TrackGraph:
-    """M tracks and what is known about every two of them.
+    """M tracks and their pairwise distances.
 
     Attributes:
         view: (M,) index of the camera.
         track: (M,) track id in that camera.
         distance_m: (M, M) symmetric, NaN where the two share too little (also within one camera).
-        moments: (M, M) in how many frames both are seen; of one, in how many it is.
+        moments: (M, M) number of frames in which both are seen; on the diagonal, in which the track is.
     """
 
     view: Num[np.ndarray, " M"]
@@ -51,11 +50,10 @@ class TrackGraph:
 
 
 def stable_indices(layout: str) -> list[int]:
-    """Where the stable keypoints stand in a layout; -1 for missing ones. Raises KeyError for a layout that nobody wrote
-    down.
+    """Indices of the stable keypoints in a layout; -1 for missing ones. Raises KeyError for an unknown layout.
 
-    A body's joints do where a network brings nothing else. No detector's hip is SMPL's (M07), but all cameras of a
-    capture have the one or the other, and who is who does not turn on centimetres.
+    A body's joints replace missing detector points. No detector's hip is SMPL's (M07), but all cameras of a capture
+    have the same one, and identities do not depend on centimetres.
     """
     names = LAYOUTS[layout].keypoints
     at = {name: index for index, name in enumerate(names)}
@@ -65,8 +63,7 @@ def stable_indices(layout: str) -> list[int]:
 def stable_detections(
     detections: Sequence[Detections], frames: Integer[np.ndarray, " F"] | None = None
 ) -> list[Detections]:
-    """The detections (of ``frames``, if given) with the stable keypoints only, in their order, whatever the layout of
-    each camera was."""
+    """The detections (of ``frames``, if given) with the stable keypoints only, in the same order for every layout."""
     chosen = []
     for d in detections:
         which = np.ones(len(d.frame), dtype=bool) if frames is None else np.isin(d.frame, frames)
@@ -84,7 +81,7 @@ def ray_distances(
     second: Num[np.ndarray, "... 3"],
     near_m: float = _NEAR_M,
 ) -> Num[np.ndarray, " ..."]:
-    """(...,) closest distance in metres between rays with unit directions (..., 3); inf where they pass behind an
+    """(...,) closest distance in metres between rays with unit directions (..., 3); inf where they meet behind an
     origin (T06).
 
     Raises ValueError for other shapes. A direction that is not finite gives inf.
@@ -137,13 +134,13 @@ def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera]) -> 
 def groups_of(
     distance_m: Num[np.ndarray, "M M"], view: Num[np.ndarray, " M"], moments: Num[np.ndarray, "M M"], gate_m: float
 ) -> list[list[int]]:
-    """Groups of nodes, best first, by greedy choice of the group with the largest summed affinity 1 - d / gate, which
-    counts as often as both are seen (``moments``): who is there all the time is not outvoted by what a detector took
-    for somebody in single frames.
+    """Groups of nodes, best first, chosen greedily by the largest summed affinity 1 - d / gate.
 
-    The gate comes before the choice (A03): a group holds no two nodes further apart than it, no two of one camera that
-    are seen together, and every member has a measured neighbour. Nodes without one are left out. Permuting the nodes
-    permutes the answer up to ties, which go to the lower node. Raises ValueError for other shapes.
+    An affinity counts in proportion to the frames in which both are seen (``moments``), so that false detections in
+    single frames do not outvote a person who is always present. The gate comes before the choice (A03): a group holds
+    no two nodes further apart than it and no two of one camera that are seen together, and every member has a measured
+    neighbour. Nodes without one are left out. A permutation of the nodes permutes the groups up to ties, which go to
+    the lower node. Raises ValueError for other shapes.
     """
     sizes = require("distance_m", distance_m, ("M", "M"))
     require("view", view, ("M",), sizes)
@@ -186,9 +183,9 @@ def _same_frame(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.n
 def median_over_shared(
     values: Num[np.ndarray, "P K"], present: Bool[np.ndarray, "P K"], least: int
 ) -> Num[np.ndarray, " P"]:
-    """(P,) median over the present of (P, K), NaN with fewer than ``least``; inf counts as large.
+    """(P,) median over the present values of (P, K), NaN with fewer than ``least``; inf counts as large.
 
-    Raises ValueError for two shapes.
+    Raises ValueError if the shapes differ.
     """
     require("present", present, ("P", "K"), require("values", values, ("P", "K")))
     count = present.sum(-1)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""DeepLabCut's CSV, with one animal or several: body parts by name, in whichever order → one of our layouts.
+"""Reads DeepLabCut's CSV, with one animal or several: maps body parts by name to one of our layouts.
 
 Its first rows name every column: ``scorer``, ``individuals`` (with several), ``bodyparts`` and ``coords`` (x, y,
-likelihood); then one row per frame, numbered from 0. MediaPipe's landmarks come this way too (Pose2Sim's
-``Blazepose_runsave``). What is no part of a layout is told and left out; what a layout has besides stays unseen.
+likelihood); then one row per frame, numbered from 0. MediaPipe's landmarks may come in this format too (Pose2Sim's
+``Blazepose_runsave``). Parts outside the layout are left out with a message; points of the layout without a part stay
+unseen.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 _COORDS = ("x", "y", "likelihood")
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
-# Words of other programs for the same part: MediaPipe, OpenPose (RBigToe), AlphaPose.
+# Other programs' words for the same part: MediaPipe, OpenPose (RBigToe), AlphaPose.
 _WORDS = {
     "l": "left", "r": "right", "ankel": "ankle", "pinky": "little_finger", "index": "index_finger",
     "foot_index": "big_toe", "bigtoe": "big_toe", "smalltoe": "small_toe", "midhip": "mid_hip", "head": "head_top",
@@ -38,9 +39,10 @@ _MIN = 6
 
 
 def read_deeplabcut(path: Path) -> dict[int, list[Float[np.ndarray, "K 3"]]]:
-    """Frame → keypoints of everybody seen in it, in the order of the smallest layout that has all parts that any has.
+    """Frame → keypoints of all people in it, in the order of the smallest layout that has the most parts.
 
-    Raises UserError with the line for a table of another kind, a cell that is no number, and names of no person.
+    Raises UserError with the line for a table of another kind, a cell that is no number, and names that are not a
+    person's.
     """
     names, columns, rows = _table(path)
     people = list(dict.fromkeys(individual for individual, _, _ in columns))
@@ -104,7 +106,7 @@ def _table(path: Path) -> tuple[list[str], list[tuple[str, str, int]], list[tupl
 
 
 def _layout(names: Sequence[str], path: Path) -> tuple[str, dict[str, int]]:
-    """The layout, and the place in it of every part that it has."""
+    """The layout, and the index in it of every part that it has."""
     ours = {name: canonical(name) for name in names}
     known = {part for layout in LAYOUTS.values() for part in layout.keypoints}
     if len({part for part in ours.values() if part in known}) < _MIN:

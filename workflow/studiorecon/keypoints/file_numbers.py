@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of keypoint files, or of the pictures that they tell of → numbers: which digits of a name count."""
+"""Numbers in the names of keypoint files or of pictures: decides which group of digits counts."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ MAX_NUMBER = 2**63 - 1
 
 
 def numbers_of(names: Sequence[str], where: str) -> list[int]:
-    """The number of each of ``names`` (different ones, without endings), whichever group of digits counts pictures.
+    """The number of each of ``names`` (different ones, without suffixes), from the group of digits that counts
+    pictures.
 
-    That group differs in every name; of several the one that grows most evenly counts, of these the last. A single name
+    That group differs in every name; of several, the one that grows most evenly, and of these the last. A single name
     has the digits before ``_keypoints``, or its last ones. Raises UserError naming ``where`` and the names: without
     digits, with other groups of digits, and where two names have one number.
     """

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which reading of recorded keypoints their film bears out: the one that is used, what is said about it, or why none
-is."""
+"""Checks recorded keypoints against their film: the reading that fits best, messages about it, or why none is
+usable."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from studiorecon.scene.recorded import Recorded
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
 
-# Another reading is right when keypoints lie this much nearer to what moves, as a lift and a share of its own, and so
+# Another reading is right when keypoints are this much nearer to motion, as a lift and as a share of its own, and so
 # many standard deviations more surely. Set by judgement, checked by `python -m benchmarks.keypoints --takes 8`.
 _LIFT, _GAIN, _SHARE_LEFT, _SIGMAS = 0.4, 0.2, 0.65, 4.0
 # Of two likely numberings one is right when it is so many deviations better.
 _NUMBER_SIGMAS = 3.0
 BORNE_OUT = 0.3
 """Lift from which a film bears keypoints out; below it, other cameras' keypoints are compared with it too."""
-# No reading fits: nothing above chance, though somebody moves in keypoints and film alike.
+# No reading fits: lift is no better than chance although people move in keypoints and film.
 _CHANCE, _CHANCE_SIGMAS, _CHANCE_POINTS = 0.1, 2.0, 200
 _SHIFTS = 60
-# Less than this is a detector's smoothing.
+# A smaller shift is a detector's smoothing.
 _MIN_SHIFT = 2
-# Detectors guess somewhat beyond the border; so many keypoints beyond it are of another picture.
+# Detectors guess somewhat beyond the border; more keypoints than this share beyond it are from another picture.
 _OUTSIDE = 0.5
-# Shares may lie somewhat beyond the border too, those from 0 a little below it; pixels of a film are far larger.
+# Shares may be somewhat beyond the border too, and slightly below 0; pixels of a film are far larger.
 _SHARES_WITHIN, _BELOW_0, _SMALLEST_PX = 3.0, -0.1, 32
 _UPSIDE_DOWN = 0.9
 
@@ -44,10 +44,10 @@ class Verdict:
     """How keypoints are read.
 
     Attributes:
-        recorded: them, in the film's frames and in the pixels that they should have been in.
-        told: sentences about what was decided, or could not be.
+        recorded: the keypoints in the film's frames, in the pixels in which they should have been written.
+        told: sentences about the decisions, or about what could not be decided.
         refusal: why they cannot be used; "" where they can.
-        lift: of the reading that is used; None where nobody moves enough to tell.
+        lift: of the chosen reading; None where too little moves to decide.
     """
 
     recorded: Recorded
@@ -58,11 +58,11 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Film:
-    """What keypoints are compared with.
+    """The film that keypoints are compared with.
 
     Attributes:
-        camera: name; wh, frames: of its film; motion: in it, None where it cannot be looked at.
-        map: (2, 3) from recorded pixels, centres at +0.5, to the film's; centre: what is added to reach +0.5.
+        camera: name; wh, frames: of its film; motion: in it, None where it cannot be measured.
+        map: (2, 3) from recorded pixels, centres at +0.5, to the film's; centre: offset to add to reach +0.5.
         stored_wh: size with pixels as stored, None where they are square.
     """
 
@@ -75,7 +75,7 @@ class Film:
     stored_wh: tuple[int, int] | None = None
 
     def sizes(self) -> list[Reading]:
-        """Its picture in other sizes."""
+        """Readings in pixels of the film's picture at other sizes."""
         return sizes(self.wh, self.centre, self.stored_wh)
 
 
@@ -88,7 +88,7 @@ class _Hypothesis:
 
 
 def _clearly_better(one: Score, other: Score) -> bool:
-    """Whether keypoints lie on what moves under one reading, and under the other do not."""
+    """Whether keypoints are on motion under one reading, and not under the other."""
     return (
         one.enough
         and one.lift > _LIFT
@@ -102,8 +102,11 @@ Others = Callable[[], Mapping[str, Recorded]]
 
 
 def checked(recorded: Recorded, numbers: Numberings, film: Film, others: Others) -> Verdict:
-    """``recorded`` as its film bears it out. ``others``: keypoints of the other cameras by name, in frames of their own
-    films, asked for only where nothing else explains this one."""
+    """The verdict on ``recorded`` from its film.
+
+    ``others`` returns the other cameras' keypoints by name, in frames of their own films; it is called only where
+    nothing else explains this one.
+    """
     usual = numbers.possible[0]
     if not len(recorded.frame):
         return Verdict(recorded.renumbered(usual.frame_of, film.frames), (), "", None)
@@ -166,13 +169,13 @@ class _Judge:
         return _Hypothesis(reading, numbering, shift, score(self.moving, frame, reading.film_from_recorded, motion))
 
     def best(self, readings: Sequence[Reading], numbering: Numbering) -> _Hypothesis:
-        """The best of ``readings``; the first where the film does not tell."""
+        """The best of ``readings``; the first where the film does not decide."""
         tried = [self.under(reading, numbering) for reading in readings]
         index, top = best(enumerate(h.score for h in tried))
         return tried[index] if top.enough and top.over(tried[0].score) > _NUMBER_SIGMAS else tried[0]
 
     def numbering(self, numbers: Numberings, plain: Sequence[Reading]) -> tuple[Numbering | None, str]:
-        """The numbering that the film bears out, and a sentence where there was a choice; None and why where there is
+        """The numbering that fits the film, and a sentence where there was a choice; None and the reason where there is
         none."""
         camera, first = self.film.camera, numbers.possible[0]
         tried = [self.best(plain, one) for one in numbers.possible]
@@ -198,7 +201,7 @@ class _Judge:
         return first, f"{span}: {how}, and its pictures do not tell; where that is wrong, {remedy}"
 
     def alternative(self, now: _Hypothesis, as_read: Reading) -> _Hypothesis | None:
-        """Another reading that is clearly right where ``now`` is clearly not."""
+        """Another reading that clearly fits while ``now`` clearly does not; None without one."""
         wh, unit = self.film.wh, now.reading.film_from_recorded
         on_its_side = affine(wh[1], wh[0]) if self.in_shares else unit
         readings = turned(wh, unit, on_its_side)
@@ -212,8 +215,7 @@ class _Judge:
         return found if right and (not found.shift or abs(found.shift) >= _MIN_SHIFT) else None
 
     def taken(self, right: _Hypothesis, now: _Hypothesis) -> tuple[_Hypothesis, str]:
-        """The hypothesis that is used, and why none is: what may lose left and right, or is not told exactly, stops the
-        run."""
+        """The hypothesis to use, and a refusal where it may swap left and right or is not exact; "" otherwise."""
         camera = self.film.camera
         if right.shift:
             near = [self.under(right.reading, right.numbering, right.shift + s) for s in (-1, 1)]
@@ -243,7 +245,7 @@ class _Judge:
         )
 
     def by_chance(self, found: Score) -> bool:
-        """Whether keypoints of people who move lie on what moves in the film no more than by chance."""
+        """Whether keypoints of moving people fit the film's motion no better than chance."""
         motion = self.film.motion
         return (
             motion is not None
@@ -254,7 +256,7 @@ class _Judge:
         )
 
     def of_another(self, now: _Hypothesis, others: Others) -> str:
-        """Whose keypoints these pictures fit clearly better; "" where nobody's do."""
+        """The camera whose film these keypoints fit clearly better, as a refusal; "" where there is none."""
         camera, motion = self.film.camera, self.film.motion
         assert motion is not None
         for other, seen in others().items():
@@ -268,7 +270,7 @@ class _Judge:
         return ""
 
     def unexplained(self, now: _Hypothesis) -> str:
-        """That keypoints lie on what moves no more than by chance; "" where they do, if poorly."""
+        """A refusal where the keypoints fit the motion no better than chance; "" where they fit, if poorly."""
         if not self.by_chance(now.score):
             return ""
         camera = self.film.camera
@@ -279,14 +281,14 @@ class _Judge:
         )
 
     def evidence(self, right: _Hypothesis, now: _Hypothesis | None = None) -> str:
-        """What the film says, in brackets."""
+        """The film's evidence, in brackets."""
         if not right.score.enough:
             return ""
         before = f", {now.score.hit:.0%} as they are" if now else ""
         return f" ({right.score.hit:.0%} of those who move lie on what moves in its pictures{before})"
 
     def shifted(self, right: _Hypothesis) -> str:
-        """That frames were counted otherwise."""
+        """A sentence that frames were counted otherwise."""
         first = right.numbering.first + right.shift
         return (
             f"the keypoints of camera {self.film.camera} are read so that number {first} is its film's first "
@@ -295,7 +297,7 @@ class _Judge:
 
 
 def _plain(keypoints: Num[np.ndarray, "D K 3"], as_read: Reading, film: Film) -> list[Reading]:
-    """What the unit of keypoints may be by their extent alone, the likeliest first."""
+    """Possible units of keypoints by their extent, the likeliest first."""
     points = np.abs(_points(keypoints))
     if not len(points) or np.quantile(points, 0.99) > _SHARES_WITHIN or min(film.wh) < _SMALLEST_PX:
         return [as_read]
@@ -304,7 +306,7 @@ def _plain(keypoints: Num[np.ndarray, "D K 3"], as_read: Reading, film: Film) ->
 
 
 def _outside(keypoints: Num[np.ndarray, "D K 3"], reading: Reading, film: Film) -> str:
-    """That most keypoints lie beyond the film's border under ``reading``; "" where they do not."""
+    """A refusal where most keypoints are beyond the film's border under ``reading``; "" otherwise."""
     points = _points(keypoints)
     shown = applied(reading.film_from_recorded, points)
     outside = float(((shown < 0) | (shown > film.wh)).any(-1).mean()) if len(points) else 0.0
@@ -318,13 +320,13 @@ def _outside(keypoints: Num[np.ndarray, "D K 3"], reading: Reading, film: Film) 
 
 
 def _points(keypoints: Num[np.ndarray, "D K 3"]) -> Float[np.ndarray, "N 2"]:
-    """(N, 2) those that are there."""
+    """(N, 2) the keypoints that are present."""
     there = np.isfinite(keypoints).all(-1) & (keypoints[..., 2] > 0) & (keypoints[..., :2] != 0).any(-1)
     return keypoints[there][:, :2]
 
 
 def _in_film_pixels(recorded: Recorded, reading: Reading, as_read: Reading) -> Recorded:
-    """``recorded`` with coordinates that, read as they should have been written, lie where ``reading`` puts them."""
+    """``recorded`` with its coordinates converted so that ``as_read`` gives what ``reading`` gives now."""
     if reading is as_read:
         return recorded
     inverse = np.linalg.inv(np.vstack([as_read.film_from_recorded, [0, 0, 1.0]]))[:2]
@@ -336,7 +338,7 @@ def _in_film_pixels(recorded: Recorded, reading: Reading, as_read: Reading) -> R
 
 
 def _of_heads(recorded: Recorded, camera: str) -> list[str]:
-    """That everybody stands on their head, where the film does not say whether they do."""
+    """A warning that everybody is upside down, where the film does not show whether they are."""
     lower = upside_down(recorded.keypoints, LAYOUTS[recorded.layout].keypoints if recorded.layout else ())
     if len(lower) < 10 or lower.mean() < _UPSIDE_DOWN:
         return []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which keypoint layout a detector used, when nobody says."""
+"""Chooses the keypoint layout of a detector's output that does not name it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _CLEAR = 1.25
 
 
 def choose_layout(keypoints: Num[np.ndarray, "D K 3"], given: str, where: str) -> tuple[str, str | None]:
-    """Name of the layout of detections, and a sentence when it was decided by the limbs.
+    """Name of the layout of detections, and a sentence when the limbs decided it.
 
     Under the wrong order limbs run across the whole body, so the layout with the shorter limbs is right; the ratio of
     the two must be clear. Raises UserError for an unknown name, a count that does not fit, and an unclear choice.

@@ -17,7 +17,7 @@ JOINT_NAMES = (
     "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
     "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
 )  # fmt: skip
-# For every joint its partner of the other side, itself in the middle.
+# Every joint's partner on the other side; a joint on the middle line is its own.
 OTHER_SIDE = tuple(
     JOINT_NAMES.index({"left": f"right_{part}", "right": f"left_{part}"}.get(side, name))
     for name in JOINT_NAMES
@@ -121,9 +121,9 @@ _ACROSS = (
     ("nose", "right_eye"),
     ("nose", "neck"),
 )
-# How far a detector's points lie from the body's of the same name, in every direction and in all frames, metres (one
-# deviation; "" = all others), where that is not next to nothing. BlazePose on a real man and on the made studio
-# (``python -m benchmarks.detector --parts landmarks``): its ear is in front of the ear, its toe the tip of the shoe.
+# How far a detector's points are from the body's of the same name, in every direction and in all frames, metres (sigma;
+# "" = all others), where that matters. Measured with BlazePose on a real man and on the synthetic studio (``python -m
+# benchmarks.detector --parts landmarks``): its ear is in front of the ear, its toe the tip of the shoe.
 _OFF_M = {"blazepose33": {"": 0.02, "ear": 0.05, "toe": 0.05}}
 _SMPL_PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
 
@@ -149,7 +149,7 @@ class Layout:
         return self.keypoints.index(name)
 
     def off_m(self, name: str) -> float:
-        """How far this detector's keypoint lies from the body's of that name, metres, one deviation."""
+        """Distance between this detector's keypoint and the body's of the same name, metres, one sigma."""
         known = _OFF_M.get(self.name, {})
         return max((known[part] for part in known if part and part in name), default=known.get("", 0.0))
 
@@ -175,7 +175,7 @@ BY_COUNT = {
     for count in sorted({len(names) for names in _NAMES.values()})
 }
 
-# What programs call them.
+# Names that programs use for them.
 _WRITTEN_BY = {
     "blazepose33": "MediaPipe Pose, BlazePose",
     "coco17": "COCO, RTMPose, ViTPose, AlphaPose",

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MediaPipe's own results, written as JSON: one entry per picture, landmarks in shares of the picture's sides.
+"""Reads MediaPipe's results, written as JSON: one entry per picture, landmarks as shares of the picture's sides.
 
-MediaPipe writes no files; programs that keep what it returns write its names. Read are those of all its interfaces:
+MediaPipe writes no files; programs that save its results use its names. The names of all its interfaces are read:
 ``landmarks`` (JavaScript), ``pose_landmarks`` (Python's tasks: people of landmarks; its older solutions: one person's
-``{"landmark": [...]}``), ``poseLandmarks`` (protocol buffers as JSON). A picture without anybody is an empty list, or
+``{"landmark": [...]}``), ``poseLandmarks`` (protocol buffers as JSON). A picture without people is an empty list, or
 null.
 """
 
@@ -33,9 +33,9 @@ def is_mediapipe(content: Any) -> bool:
 
 
 def read_mediapipe(content: Any, picture_wh: tuple[int, int], path: Path) -> dict[int, list[Float[np.ndarray, "33 3"]]]:
-    """Frame → (33, 3) x, y in pixels of a picture of ``picture_wh`` and visibility, of everybody in it.
+    """Frame → (33, 3) x, y in pixels of a picture of ``picture_wh``, and visibility, of all people in it.
 
-    An entry's ``frame`` counts where it has one, else its place. Raises UserError naming file and frame.
+    An entry's ``frame`` counts where it has one, else its index. Raises UserError naming file and frame.
     """
     found: dict[int, list[np.ndarray]] = {}
     for place, one in enumerate(_frames(content)):
@@ -49,7 +49,7 @@ def read_mediapipe(content: Any, picture_wh: tuple[int, int], path: Path) -> dic
 
 
 def counts_frames(content: Any) -> bool:
-    """Whether the entries have no numbers of their own, so that their places count."""
+    """Whether the entries have no numbers of their own, so that their indices count."""
     return not any("frame" in one for one in _frames(content))
 
 

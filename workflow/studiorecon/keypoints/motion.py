@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a film's pictures differ from how it usually looks: cheap, small, and blind for people who stand still."""
+"""Motion in a film: where its pictures differ from their usual state; small and fast, blind to people who do not
+move."""
 
 from __future__ import annotations
 
@@ -15,16 +16,17 @@ if TYPE_CHECKING:
 
 SMALL_PX = 320
 """Longer side of the pictures that are compared: a wrist of somebody who fills half the picture has 4 pixels."""
-# A pixel differs when it does by so many noise deviations, and so many of 255 levels, which compression costs.
+# A pixel differs by at least so many noise deviations, and so many of 255 levels (compression noise).
 _SIGMAS, _MIN_LEVELS = 6.0, 12.0
-# Keypoints this far from what differs lie beside it; in between they count in part. Detectors err by a percent.
+# Distance in pixels at which a keypoint no longer counts as on motion; nearer ones count in part. Detectors err by a
+# percent.
 _REACH_PX = 4.0
 _SIGMA_OF_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What differs from usual in some frames of a film.
+    """Pixels that differ from usual in some frames of a film.
 
     Attributes:
         frame: (S,) int, ascending, the frames.
@@ -37,8 +39,11 @@ class Motion:
     wh: tuple[int, int]
 
     def at(self, sample: Integer[np.ndarray, " N"], pixels: Num[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-        """How near to what differs ``pixels`` of the film (centres at +0.5) lie in frame ``frame[sample]``, and on
-        average over all frames; 0 outside of the picture."""
+        """(N, 2) motion at ``pixels`` of the film (centres at +0.5) in frame ``frame[sample]``, and its mean over all
+        frames.
+
+        Outside of the picture it is 0.
+        """
         rows, columns = self.near.shape[1:]
         place = np.floor(pixels * [columns / self.wh[0], rows / self.wh[1]])
         inside = ((place >= 0) & (place < [columns, rows])).all(-1)
@@ -52,7 +57,7 @@ class Motion:
         return bool(np.median((self.near == 1).mean(axis=(1, 2))) > _MIN_BUSY)
 
 
-# Share of a picture that a person has who is a tenth of it high.
+# Share of a picture that a person covers whose height is a tenth of the picture's.
 _MIN_BUSY = 0.001
 
 
@@ -68,7 +73,7 @@ def motion_of(frame: Sequence[int], pictures: Sequence[Integer[np.ndarray, "h w 
     stack = np.stack(pictures)
     levels = np.stack([cv2.GaussianBlur(p, (3, 3), 0) for p in stack]).astype(np.float32)
     apart = levels - np.median(levels, axis=0)
-    apart -= np.median(apart, axis=(1, 2), keepdims=True)  # exposure that follows the scene
+    apart -= np.median(apart, axis=(1, 2), keepdims=True)  # removes exposure that follows the scene
     apart = np.abs(apart).max(-1)
     noise = _SIGMA_OF_MEDIAN * float(np.median(apart))
     differs = (apart > max(_SIGMAS * noise, _MIN_LEVELS)).astype(np.uint8)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers in keypoint files → frames of the film: from which number, and in which step, they count.
+"""Maps numbers in keypoint files to frames of the film: the first number and the step.
 
-Numbers count frames, from 0, 1 or elsewhere, or they are times in thousandths, millionths or billionths of a second.
-What the film's length leaves open is decided by its pictures (``keypoints.on_film``).
+Numbers count frames from 0, 1 or another number, or they are times in thousandths, millionths or billionths of a
+second. Where the film's length does not decide, its pictures do (``keypoints.on_film``).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _LOOSE_FRAMES = 2
 # A step between times may differ from a whole number of frames by this share of a frame: milliseconds are rounded.
 _STEP_OFF = 0.15
 _MAX_STRIDE = 10
-# Of many possible first numbers so many are compared with the pictures, those about the likeliest.
+# At most so many first numbers are compared with the pictures: those around the likeliest.
 _MAX_FIRSTS = 60
 
 
@@ -31,9 +31,9 @@ class Numbering:
     """One way in which numbers count a film's frames.
 
     Attributes:
-        frame_of: (P,) frame of every picture; below 0 or beyond the film where it shows none of its frames.
+        frame_of: (P,) frame of every picture; below 0 or beyond the film where it has no such frame.
         first: the number of the film's first frame.
-        words: how the numbers are read, for people; "" where they count from 0, or as the user says.
+        words: how the numbers are read, for messages; "" where they count from 0, or as the user configured.
     """
 
     frame_of: Integer[np.ndarray, " P"]
@@ -46,7 +46,7 @@ class Numberings:
     """The possible numberings of a film's keypoints, the likeliest first.
 
     ``certain``: whether the film's length leaves only that one; ``believed``: whether it may be used, with a sentence,
-    where its pictures do not tell.
+    where the pictures do not decide.
     """
 
     possible: tuple[Numbering, ...]
@@ -57,9 +57,10 @@ class Numberings:
 def numberings(
     pictures: Integer[np.ndarray, " P"], frames: int, fps: float, given: int | None, counted: bool
 ) -> Numberings:
-    """How ``pictures`` (numbers, ascending) may count the ``frames`` of a film of ``fps`` frames per second.
+    """The ways in which ``pictures`` (numbers, ascending) may count the ``frames`` of a film of ``fps`` frames per
+    second.
 
-    ``given``: the number of the film's first frame as the user says it; ``counted``: whether the format counts frames
+    ``given``: the number of the film's first frame by the configuration; ``counted``: whether the format counts frames
     from 0.
     """
     if not len(pictures):
@@ -94,7 +95,7 @@ def _counted(pictures: np.ndarray, first: int) -> Numbering:
 
 
 def _as_times(pictures: np.ndarray, frames: int, fps: float, given: int | None) -> Iterator[Numbering]:
-    """As times since the film's beginning, and since another moment."""
+    """Numberings as times since the film's start, and since another time."""
     low, high = int(pictures[0]), int(pictures[-1])
     if high - low < frames or len(pictures) < 2:
         return
@@ -122,7 +123,7 @@ def _as_times(pictures: np.ndarray, frames: int, fps: float, given: int | None) 
 
 
 def _strided(pictures: np.ndarray, frames: int) -> Iterator[Numbering]:
-    """Pictures of every n-th frame, or of a film of n times as many frames."""
+    """Numberings of every n-th frame, or of a film of n times as many frames."""
     count = int(pictures[-1]) + 1
     for stride in range(2, _MAX_STRIDE + 1):
         if abs(count * stride - frames) <= stride and count > 1:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do recorded keypoints lie on what moves in the film, and under which reading of their numbers?
+"""Scores recorded keypoints against the film's motion under possible readings of their numbers.
 
-One measurement for everything that may be mixed up: the numbering, the unit and size of the picture, mirrored and
-turned pictures, exchanged coordinates, another camera's film. A person who moves changes the picture where they
-are, and only there: the *lift* of a reading is how much nearer to such places its keypoints lie in their own
-frames than in others, 0 for chance and 1 at best. A person who stands still gives no evidence and no verdict.
+One measurement covers every mix-up: the numbering, the unit and size of the picture, mirrored and turned pictures,
+exchanged coordinates, another camera's film. A moving person changes the picture only where they are. The *lift* of a
+reading is how much nearer to motion its keypoints are in their own frames than in others: 0 for chance, 1 at best. A
+person who does not move gives no evidence and no verdict.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from studiorecon.keypoints.possible_readings import applied
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
 
-# Keypoints surer than this count, of the body alone: layouts list hands and faces last.
+# Keypoints with a higher confidence count, of the body only: layouts list hands and faces last.
 _SURE, _BODY_POINTS = 0.3, 26
-# Places that a body covers in more of the looked-at frames than this are no evidence: who stands there is usual.
+# A position that a body covers in more than this share of the frames is no evidence: a person there is the usual state.
 _USUAL_SHARE = 0.4
-# Less evidence than so many keypoints, in so many frames, says nothing.
+# With fewer keypoints or frames than this a score decides nothing.
 MIN_POINTS, MIN_FRAMES = 60, 8
-# Side of the grid on which bodies are drawn to see who moves.
+# Side of the grid on which bodies are drawn to detect who moves.
 _GRID = 64
 
 
@@ -38,8 +38,8 @@ class Score:
 
     Attributes:
         lift: mean over frames; 0 where there are none.
-        hit: share of them that lie on what moves.
-        per_frame: (S,) lift in every looked-at frame of the film; NaN where no keypoint counts.
+        hit: share of the keypoints that are on motion.
+        per_frame: (S,) lift in every examined frame of the film; NaN where no keypoint counts.
         points: how many keypoints count.
     """
 
@@ -59,12 +59,12 @@ class Score:
         return _sigmas(self.per_frame)
 
     def over(self, other: Score) -> float:
-        """By how many standard deviations this one is better than another, in frames that both speak of."""
+        """By how many standard deviations this one is better than another, in frames that both have."""
         return _sigmas(self.per_frame - other.per_frame)
 
 
 def _sigmas(values: np.ndarray) -> float:
-    """Mean over standard deviation of the mean; neighbours in time are no two witnesses, so frames count in pairs."""
+    """Mean over standard deviation of the mean; neighbouring frames are correlated, so frames count in pairs."""
     known = values[np.isfinite(values)]
     if len(known) < MIN_FRAMES:
         return 0.0
@@ -75,10 +75,10 @@ def _sigmas(values: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Movers:
-    """Keypoints of people who move, one per row: N of them.
+    """N keypoints of people who move, one per row.
 
     Attributes:
-        person: (N,) which detection each belongs to; points: (N, 2) as recorded.
+        person: (N,) index of each one's detection; points: (N, 2) as recorded.
     """
 
     person: Integer[np.ndarray, " N"]
@@ -86,7 +86,7 @@ class Movers:
 
 
 def movers(keypoints: Num[np.ndarray, "D K 3"], frame: Integer[np.ndarray, " D"]) -> Movers:
-    """The sure keypoints that lie where bodies are seldom, in whichever unit they are."""
+    """The confident keypoints at positions that bodies seldom cover, in any unit."""
     body = keypoints[:, :_BODY_POINTS]
     sure = np.isfinite(body).all(-1) & (body[..., 2] > _SURE) & (body[..., :2] != 0).any(-1)
     person, which = np.nonzero(sure)
@@ -100,7 +100,7 @@ def movers(keypoints: Num[np.ndarray, "D K 3"], frame: Integer[np.ndarray, " D"]
 
 
 def _covered(grid: np.ndarray, person: np.ndarray, frame: np.ndarray) -> Float[np.ndarray, "G G"]:
-    """(G, G) in which share of up to 64 frames somebody's outline covers a cell."""
+    """(G, G) share of up to 64 frames in which a person's outline covers a cell."""
     frames = np.unique(frame)
     chosen = frames[np.unique(np.linspace(0, len(frames) - 1, 64).round().astype(int))]
     total = np.zeros((_GRID, _GRID))
@@ -140,7 +140,7 @@ def best(scores: Iterable[tuple[int, Score]]) -> tuple[int, Score]:
 
 
 def upside_down(keypoints: Num[np.ndarray, "D K 3"], names: Sequence[str]) -> Bool[np.ndarray, " D"]:
-    """(D,) of whom head and both ankles are seen: whether the head is lower."""
+    """(D,) bool: detections with head and both ankles seen whose head is lower."""
     at = {name: k for k, name in enumerate(names)}
     if not {"nose", "left_ankle", "right_ankle"} <= at.keys():
         return np.zeros(0, bool)
@@ -150,7 +150,7 @@ def upside_down(keypoints: Num[np.ndarray, "D K 3"], names: Sequence[str]) -> Bo
 
 
 def frozen(keypoints: Num[np.ndarray, "D K 3"], frame: Integer[np.ndarray, " D"]) -> bool:
-    """Whether every picture has the very same numbers, which no detector gives of a film."""
+    """Whether every picture has exactly the same numbers, which no detector's output on a film has."""
     frames, count = np.unique(frame, return_counts=True)
     if len(frames) < MIN_FRAMES or len(set(count.tolist())) > 1:
         return False

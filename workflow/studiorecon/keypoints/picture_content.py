@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What programs write about one picture → keypoints of everybody in it."""
+"""Reads the keypoints of all people from a detector's output on one picture."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from studiorecon.scene.values import listed, numbers, shown
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Key of the list of people → (program, keys of somebody's keypoints). OpenPose's names changed with its versions.
+# Key of the list of people → (program, keys of a person's keypoints). OpenPose's names changed with its versions.
 _LISTS = {
     "people": ("OpenPose", ("pose_keypoints_2d", "pose_keypoints", "body_parts")),
     "bodies": ("AlphaPose", ("joints",)),
@@ -22,7 +22,7 @@ _LISTS = {
     "instances": ("MMPose", ("keypoints",)),
     "predictions": ("MMPose", ("keypoints",)),
 }
-# Beginnings of keys that hold faces and hands.
+# Beginnings of the keys for faces and hands.
 _PARTS = ("face", "hand", "left", "righ")
 
 
@@ -32,7 +32,7 @@ def is_picture(content: Any) -> bool:
 
 
 def people_in(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]], str]:
-    """Keypoints (x, y, score) of everybody in one picture, and the program that writes so.
+    """Keypoints (x, y, score) of all people in one picture, and the program that writes this format.
 
     ``content`` is a mapping with a list of people, or MMPose's bare list, nested or not. Entries that are null or
     empty, or have null keypoints, are left out. Raises UserError that begins with ``where``.
@@ -62,7 +62,7 @@ def people_in(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]],
 
 
 def _points(given: Any, person: Mapping[Any, Any], where: str) -> np.ndarray:
-    """(K, 3) of one person: triples in one row or in rows of three, or pairs beside ``keypoint_scores``."""
+    """(K, 3) of one person: triples in one row or in rows of three, or pairs with separate ``keypoint_scores``."""
     points = numbers(given, f"{where}: keypoints", finite=False)
     points = points[0] if points.ndim == 3 and len(points) == 1 else points
     if points.ndim == 2 and points.shape[1] == 2:

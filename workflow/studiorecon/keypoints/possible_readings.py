@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the two numbers of a recorded keypoint may mean: pixels of the film, shares of it, pixels of another picture,
-mirrored, turned, exchanged."""
+"""Possible meanings of a recorded keypoint's two numbers: pixels or shares of the film, or of another, mirrored or
+turned picture."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy as np
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
 
-# Heights of pictures that cameras and programs make, and sides of the squares that networks look at.
+# Usual heights of pictures from cameras and programs, and sides of networks' square inputs.
 _HEIGHTS = (90, 120, 144, 180, 216, 240, 270, 288, 320, 360, 432, 480, 540, 576, 640, 720, 768, 800, 900, 960, 1024,
             1080, 1200, 1440, 1536, 1600, 1920, 2160, 2880, 4320)  # fmt: skip
 _SQUARES = (192, 224, 256, 288, 320, 368, 384, 416, 480, 512, 608, 640, 736, 768, 960, 1024, 1280)
-# Sizes nearer to the film's than this are a detector's rounding to whole blocks, or letterboxes of a few rows.
+# Sizes within this factor of the film's are a detector's rounding to whole blocks, or letterboxes of a few rows.
 _SAME_SIZE = 1.1
 
 
@@ -27,7 +27,7 @@ class Reading:
     Attributes:
         words: what the keypoints are, after "the keypoints of camera X are …".
         film_from_recorded: (2, 3) affine map to pixels of the film, centres at +0.5.
-        lossless: whether keypoints can be read so without a doubt about left and right.
+        lossless: whether this reading leaves no doubt about left and right.
         unit: whether it is about the unit or size of the picture.
     """
 
@@ -43,7 +43,7 @@ def affine(scale_x: float, scale_y: float, x: float = 0.0, y: float = 0.0) -> Fl
 
 
 def shares(wh: tuple[int, int]) -> list[Reading]:
-    """Coordinates as shares of the picture's sides, from its border."""
+    """Readings as shares of the picture's sides, from its border."""
     w, h = wh
     longer = max(wh)
     return [
@@ -54,8 +54,10 @@ def shares(wh: tuple[int, int]) -> list[Reading]:
 
 
 def sizes(wh: tuple[int, int], centre: float, stored_wh: tuple[int, int] | None = None) -> list[Reading]:
-    """Coordinates in pixels of the same picture in another size, stretched or letterboxed ones among them, and in those
-    of ``stored_wh`` that are not square; ``centre`` is added to reach pixel centres at +0.5."""
+    """Readings in pixels of the same picture at other sizes, stretched or letterboxed ones included.
+
+    Pixels of ``stored_wh``, which are not square, are one of them. ``centre`` is added to reach pixel centres at +0.5.
+    """
     w, h = wh
     found = []
     if stored_wh not in (None, wh):
@@ -81,8 +83,10 @@ def sizes(wh: tuple[int, int], centre: float, stored_wh: tuple[int, int] | None 
 
 
 def turned(wh: tuple[int, int], unit: Float[np.ndarray, "2 3"], exchanged: Float[np.ndarray, "2 3"]) -> list[Reading]:
-    """The picture mirrored, turned or exchanged: ``unit`` maps recorded numbers to pixels of the film, ``exchanged`` to
-    those of the film lying on its side."""
+    """Readings of the picture mirrored, turned or with exchanged coordinates.
+
+    ``unit`` maps recorded numbers to pixels of the film, ``exchanged`` to those of the film turned by 90°.
+    """
     w, h = wh
     after = {
         "mirrored, left for right": [[-1, 0, w], [0, 1, 0]],
@@ -101,7 +105,7 @@ def turned(wh: tuple[int, int], unit: Float[np.ndarray, "2 3"], exchanged: Float
 
 
 def applied(reading: Num[np.ndarray, "2 3"], points: Num[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 2"]:
-    """``points`` mapped."""
+    """``points`` mapped to pixels of the film."""
     return points @ reading[:, :2].T + reading[:, 2]
 
 

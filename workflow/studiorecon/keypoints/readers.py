@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded 2D keypoints in the formats that detectors write: the one place where a user's keypoints are read."""
+"""Reads recorded 2D keypoints in the formats of detectors: the only place where a user's keypoints are read."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from jaxtyping import Num
 
 
-# What lies under keypoints/ for a camera → who writes it.
+# Files under keypoints/ for a camera → the program that writes them.
 FORMATS = {
     "`<camera>/*.json` or `<camera>_json/*.json`, one a picture": "OpenPose, EasyMocap, AlphaPose, MMPose, "
     "MediaPipe by Pose2Sim",
@@ -35,7 +35,7 @@ FORMATS = {
 MAX_PEOPLE_PER_PICTURE = 500
 """Association compares everybody in a picture with everybody."""
 MAX_KEYPOINTS = 1000
-# Files of other programs that are not read → what would help.
+# Files of other programs that are not read → a remedy.
 _REFUSED = {
     ".h5": "is DeepLabCut's or SLEAP's HDF5, which is not read: write DeepLabCut's table as CSV (save_as_csv=True, or "
     "deeplabcut.analyze_videos_converth5_to_csv), SLEAP's tracks as an .npz",
@@ -45,17 +45,16 @@ _REFUSED = {
     ".pkl": "is a pickle, which can run programs and is not read: write an array keypoints into an .npz",
     ".npy": "holds one array without a name: write it as keypoints (frames, people, points, 3) of an .npz",
 }
-# No detector's score means so much; per cent do.
+# No detector's score is larger, but per cent are.
 _MAX_SCORE = 10.0
 
 
 def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> Recorded:
-    """All people of one camera; ``path`` is one of ``FORMATS``, ``picture_wh`` the size of the pictures, of which
-    MediaPipe tells shares.
+    """All people of one camera; ``path`` is one of ``FORMATS``, ``picture_wh`` the size to which MediaPipe's shares
+    refer.
 
-    Raises UserError naming the file, and the frame where there is one, when it is of no known format or holds anything
-    but it, when people do not all have the same number of keypoints, and for more than ``MAX_PEOPLE_PER_PICTURE`` in
-    one picture.
+    Raises UserError naming the file, and the frame where there is one: for an unknown format or broken content, when
+    people do not all have the same number of keypoints, and for more than ``MAX_PEOPLE_PER_PICTURE`` in one picture.
     """
     if path.is_dir():
         found = _folder(path)
@@ -76,7 +75,7 @@ def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> Recorded
 
 
 def _checked(found: Pictures, path: Path) -> Recorded:
-    """``found`` as arrays, where people, keypoints and scores are what they must be."""
+    """``found`` as arrays, once numbers of people, keypoints and scores are checked."""
     pictures = sorted(found.people)
     everybody = [(number, points) for number in pictures for points in found.people[number]]
     counts = sorted({len(points) for _, points in everybody})
@@ -121,7 +120,8 @@ def _folder(path: Path) -> Pictures:
 
 
 def _neutral(path: Path) -> Pictures:
-    """``keypoints (T, P, K, 2|3)``, or of one person (T, K, 2|3), and ``scores`` when there are two columns."""
+    """The arrays ``keypoints (T, P, K, 2|3)``, or of one person (T, K, 2|3), and ``scores`` when there are two
+    columns."""
     data = read_npz(path)
     if "keypoints" not in data:
         raise UserError(f"{path} has no array named keypoints (frames, people, keypoints, 2 or 3)")

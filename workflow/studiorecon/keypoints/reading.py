@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keypoints, from files or the detector → detections in undistorted pixels of a camera, followed through time."""
+"""Converts keypoints, from files or the detector, to tracked detections in undistorted pixels of a camera."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Detected:
-    """What counts as a detection; with fewer than ``min_keypoints`` keypoints left it is none."""
+    """Thresholds of a detection; with fewer than ``min_keypoints`` keypoints left it is dropped."""
 
     min_confidence: float = setting(0.1, "Keypoints below this confidence are dropped.", minimum=0, maximum=1)
     min_keypoints: int = 6
@@ -78,7 +78,7 @@ def to_working_pixels(
 
 
 def unusable(keypoints: Num[np.ndarray, "D K 3"]) -> int:
-    """How many of the recorded keypoints claim to be there and are no numbers."""
+    """How many of the recorded keypoints are marked as present but are not finite."""
     broken = ~np.isfinite(keypoints[..., :2]).all(-1) & ~(keypoints[..., 2] <= 0)
     return int((broken | ~np.isfinite(keypoints[..., 2])).sum())
 
@@ -96,7 +96,8 @@ def detections_of(recorded: Recorded, lens: Lens, footage: Footage, settings: Se
 
 
 def detections_of_found(found: RawDetections, lens: Lens, footage: Footage, settings: Settings) -> Detections:
-    """The same of what the detector found, whose pixels and frames are always those of the footage; steadied."""
+    """Detections of the detector's output ``found``, whose pixels and frames are always those of the footage; smoothed
+    over time."""
     rows = np.flatnonzero(
         (found.frame >= footage.first_source_frame) & (found.frame < footage.first_source_frame + footage.frames)
     )
@@ -110,15 +111,15 @@ def detections_of_found(found: RawDetections, lens: Lens, footage: Footage, sett
 
 
 def followed(given: Detections, settings: Settings, fps: float) -> Detections:
-    """``given`` without what is too little or found twice, and with track ids."""
+    """``given`` with track ids, without detections that are too small or duplicates."""
     kept = given.only((given.keypoints[..., 2] > 0).sum(-1) >= settings.min_keypoints)
     kept = kept.only(without_duplicates(kept.frame, kept.keypoints, settings.tracking))
     return replace(kept, track=tracks(kept.frame, kept.keypoints, settings.tracking, fps))
 
 
 def undistorted(seen: Detections, lens: Lens, wh: tuple[int, int]) -> tuple[Camera, Detections]:
-    """The pinhole camera of the video's size, and the sightings in its pixels; points that the lens cannot have seen
-    are dropped."""
+    """The pinhole camera of the video's size, and the detections in its pixels; points outside of the lens's field are
+    dropped."""
     affine = calibration_from_video_pixels(lens, wh)
     intrinsics = np.diag([lens.intrinsics[0, 0] / affine[0, 0], lens.intrinsics[1, 1] / affine[1, 1], 1.0])
     intrinsics[:2, 2] = (lens.intrinsics[:2, 2] - affine[:, 2]) / np.diag(affine)

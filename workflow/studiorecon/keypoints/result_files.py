@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One JSON file for a whole film → its pictures and the keypoints of everybody in them."""
+"""Reads one JSON file of a whole film: its pictures and the keypoints of all people in them."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Pictures:
-    """What one file, or folder, tells of a film's pictures.
+    """The content of one file, or folder, about a film's pictures.
 
     Attributes:
-        program: whose format it is.
-        people: number of a picture → (K, 3) keypoints of everybody in it, maybe nobody.
-        counted: whether numbers count frames from 0 by the format.
+        program: the program whose format it is.
+        people: number of a picture → (K, 3) keypoints of all people in it; may be empty.
+        counted: whether the format counts frames from 0.
     """
 
     program: str
@@ -38,9 +38,9 @@ class Pictures:
 
 
 def read_results(path: Path, picture_wh: tuple[int, int]) -> Pictures:
-    """A detector's results on a film. MediaPipe's shares become pixels of a picture of ``picture_wh``.
+    """A detector's results on a film; MediaPipe's shares become pixels of a picture of ``picture_wh``.
 
-    Raises UserError naming the file, and the place in it, for content that is none of these.
+    Raises UserError naming the file, and the position in it, for content in none of the formats.
     """
     content = read_json(path)
     if is_mediapipe(content):
@@ -70,13 +70,13 @@ def read_results(path: Path, picture_wh: tuple[int, int]) -> Pictures:
 
 def _mmpose_demo(entries: list[Any], path: Path) -> Pictures:
     found = dict(_numbered(entries, path))
-    # MMPose's demo counts frames from 1; a frame 0 says that somebody else's numbering is meant.
+    # MMPose's demo counts frames from 1; a frame 0 shows another program's numbering.
     first = 0 if 0 in found else 1
     return Pictures("MMPose", {number - first: people for number, people in found.items()}, counted=True)
 
 
 def _numbered(entries: list[Any], path: Path) -> Iterator[tuple[int, list[np.ndarray]]]:
-    """MMPose's {frame_id, instances}."""
+    """Yields pictures of MMPose's {frame_id, instances}."""
     known = set()
     for place, entry in enumerate(entries):
         if not isinstance(entry, Mapping):
@@ -91,7 +91,7 @@ def _numbered(entries: list[Any], path: Path) -> Iterator[tuple[int, list[np.nda
 
 
 def _coco_results(entries: list[Mapping[str, Any]], path: Path) -> Pictures:
-    """One entry a person; pictures are numbered, or named."""
+    """Results with one entry per person; pictures are numbered, or named."""
     number_of = _image_numbers([entry["image_id"] for entry in entries], path)
     found = defaultdict[int, list[Any]](list)
     for place, entry in enumerate(entries):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keypoints of a camera's own frames → keypoints at the scene's moments, between its frames where its clock says so."""
+"""Resamples keypoints of a camera's own frames to the scene's times, between its frames where its clock requires it."""
 
 from __future__ import annotations
 
@@ -12,19 +12,18 @@ from studiorecon.scene.capture import Footage
 from studiorecon.scene.clocks import Clocks
 from studiorecon.scene.people import Detections
 
-# Neighbours further apart than this, seconds, are not joined, unless they are next to each other: nobody knows what
-# happened between them. A hand that swings leaves the straight line by a centimetre in that time.
+# Neighbours further apart than this, seconds, are not interpolated unless they are adjacent frames, because the motion
+# between them is unknown. A swinging hand leaves the straight line by a centimetre in that time.
 _FARTHEST_S, _NEXT_FRAMES = 0.1, 1.25
 _SAME = 1e-9
-# A cubic reaches two frames to either side.
+# A cubic needs two frames on either side.
 _MARGIN = 2
 
 
 def part_used(footage: Footage, clocks: Clocks | None) -> Footage:
-    """The stretch of a camera's footage that keypoints are needed of: what is used, and what lies beside it if it must
-    be resampled.
+    """The part of a camera's footage that needs keypoints: the used frames, and a margin if they must be resampled.
 
-    Its frames are those of the footage from ``first_source_frame`` on, one after the other.
+    Its frames are consecutive ones of the footage, from ``first_source_frame`` on.
     """
     if clocks is None:
         return footage
@@ -33,7 +32,7 @@ def part_used(footage: Footage, clocks: Clocks | None) -> Footage:
 
 
 def part_of(clocks: Clocks, camera: str) -> tuple[int, int]:
-    """First frame and number of frames of that stretch; UserError where the footage cannot be used as it stands."""
+    """First frame and number of frames of that part; UserError where the footage cannot be used."""
     if clocks.refusal:
         raise UserError(clocks.refusal)
     used, late = clocks.source_frames(camera), clocks.late_frames(camera)
@@ -51,8 +50,10 @@ def at_the_scene_s_moments(seen: Detections, footage: Footage, clocks: Clocks | 
 
 
 def at_working_moments(seen: Detections, clocks: Clocks, height_px: float) -> Detections:
-    """``seen`` in the pictures of the working frames, which are taken up to half a frame beside their moments, at those
-    moments: each keypoint moved along its track, as in ``on_common_clock``."""
+    """``seen`` at the times of the working frames; its pictures are up to half a frame off.
+
+    Each keypoint is moved along its track, as in ``on_common_clock``.
+    """
     late, readout = clocks.late_frames(seen.camera), clocks.of(seen.camera).readout_s * clocks.fps
     if not late.any() and not readout:
         return seen
@@ -60,7 +61,7 @@ def at_working_moments(seen: Detections, clocks: Clocks, height_px: float) -> De
 
 
 def _along_tracks(seen: Detections, late: np.ndarray, readout: float, height_px: float, fps: float) -> np.ndarray:
-    """(D, K, 3) the keypoints of ``seen`` at its frames, of pictures that come ``late`` (D,) frames after them."""
+    """(D, K, 3) the keypoints of ``seen`` at its frames, for pictures taken ``late`` (D,) frames after them."""
     keypoints = seen.keypoints.copy()
     for track in np.unique(seen.track):
         mine = np.flatnonzero(seen.track == track)
@@ -71,8 +72,10 @@ def _along_tracks(seen: Detections, late: np.ndarray, readout: float, height_px:
 
 
 def with_all_rows_at_once(seen: Detections, readout_s: float, height_px: float, fps: float) -> Detections:
-    """``seen`` at its own frames, as a camera would have it that takes no ``readout_s`` from its first row to the last
-    of ``height_px``: each keypoint moved along its track, as in ``on_common_clock``."""
+    """``seen`` at its own frames, corrected for a rolling shutter that reads ``height_px`` rows in ``readout_s``.
+
+    Each keypoint is moved along its track to the frame's time, as in ``on_common_clock``.
+    """
     if not readout_s:
         return seen
     return replace(seen, keypoints=_along_tracks(seen, np.zeros(len(seen.frame)), readout_s * fps, height_px, fps))
@@ -81,10 +84,10 @@ def with_all_rows_at_once(seen: Detections, readout_s: float, height_px: float, 
 def on_common_clock(seen: Detections, clocks: Clocks, height_px: float) -> Detections:
     """``seen`` (numbered by the frames of the footage) at the working frames, in the order of time.
 
-    A working frame has the detections of the picture that is nearest to it, each keypoint moved along its track to the
-    frame's own moment: by a cubic through two samples on either side, a line where one of the outer two is missing, and
-    not at all beside a gap. Rows look one after the other where the clock has a readout: every keypoint's time is that
-    of its row of ``height_px``. Monocular bodies are those of the nearest picture.
+    A working frame has the detections of the picture that is nearest to it. Each keypoint is moved along its track to
+    the frame's time: by a cubic through two samples on either side, by a line where one of the outer two is missing,
+    and not at all next to a gap. With a readout, every keypoint's time is that of its row of ``height_px``. Monocular
+    bodies are those of the nearest picture.
     """
     clock, position = clocks.of(seen.camera), clocks.positions(seen.camera)
     used = clocks.source_frames(seen.camera)
@@ -141,8 +144,10 @@ def _resampled(
 def _interpolated(
     points: np.ndarray, when: np.ndarray, nearest: np.ndarray, wanted: np.ndarray, farthest: float
 ) -> np.ndarray:
-    """(W, 2) points at times ``wanted``; ``nearest`` where no two of ``points`` (D, 2) at ``when`` (D,), at most
-    ``farthest`` from each other, lie about it."""
+    """(W, 2) points at times ``wanted``, from ``points`` (D, 2) at times ``when`` (D,).
+
+    They are ``nearest`` where no two points at most ``farthest`` apart enclose the time.
+    """
     last = len(when) - 1
     after = np.searchsorted(when, wanted)
     exact = np.isclose(when[np.minimum(after, last)], wanted, rtol=0, atol=1e-6)

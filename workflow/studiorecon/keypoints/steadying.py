@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A network looks at every picture anew, so its landmarks tremble; bodies do not, within a sixtieth of a second."""
+"""Smooths keypoints over time: a network sees every picture separately, so its landmarks jitter more than bodies move
+in 1/60 s."""
 
 from __future__ import annotations
 
@@ -9,17 +10,17 @@ import numpy as np
 
 from studiorecon.scene.people import Detections
 
-# Standard deviation of the moments that count together. A hand that swings six times a second loses a fifth of its
-# swing, one that swings three times a twentieth; at 60 pictures a second half the tremble goes, at 10 nothing changes.
+# Sigma of the weights over time. A hand that swings six times a second loses a fifth of its swing, one that swings
+# three times a twentieth; at 60 pictures a second half the jitter is removed, at 10 nothing changes.
 _SIGMA_S = 1 / 60
 _REACH = 3.0
 
 
 def steadied(seen: Detections, fps: float) -> Detections:
-    """``seen`` with every keypoint where a straight line through its track's neighbouring moments has it now.
+    """``seen`` with every keypoint on a straight line through its track's neighbouring times.
 
-    The line is fitted with weights that fall with time and rise with confidence, so who walks on stays where they are,
-    at the ends of a track too. Confidences stay as they are.
+    The line is fitted with weights that fall with time and rise with confidence, so people who walk are not delayed,
+    also at the ends of a track. Confidences are unchanged.
     """
     reach = int(_REACH * _SIGMA_S * fps + 1e-9)
     if not reach:
@@ -40,7 +41,7 @@ def steadied(seen: Detections, fps: float) -> Detections:
 
 
 def _on_lines(dense: np.ndarray, here: np.ndarray, reach: int, fps: float) -> np.ndarray:
-    """(N, K, 2) places at the rows ``here`` of ``dense`` (T, K, 3), confidence 0 where there is none."""
+    """(N, K, 2) positions at the rows ``here`` of ``dense`` (T, K, 3), confidence 0 where there is none."""
     own = dense[here, :, :2]
     weights, times, offs = [], [], []
     for step in range(-reach, reach + 1):
@@ -56,5 +57,5 @@ def _on_lines(dense: np.ndarray, here: np.ndarray, reach: int, fps: float) -> np
     slope = (weight[..., None] * (time_s - middle_s)[..., None] * (off - middle)).sum(0) / np.maximum(spread, 1e-12)[
         ..., None
     ]
-    # Through one neighbour and itself a line goes where the landmark is.
+    # A line through one neighbour and the point itself leaves the point where it is.
     return own + middle - slope * middle_s[..., None]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Following people in one camera, from frame to frame, by their keypoints."""
+"""Tracks people in one camera, from frame to frame, by their keypoints."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Num
 
 _REFUSED = 1e6
-# How long a track's speed is told from, and carried on: an arm swings back after a quarter of a stride.
+# Time over which a track's speed is measured and extrapolated: an arm swings back after a quarter of a stride.
 _REMEMBERED_S = 0.2
-# How fast an outline may change beyond ``shape_share``, shares of the box diagonal per second: somebody turns, bends,
+# How fast an outline may change beyond ``shape_share``, shares of the box diagonal per second: a person turns, bends,
 # sits down.
 _RESHAPED_S = 0.8
-# A rival this near to where a track goes on, as a share of the gate, makes it doubtful however well the other one fits:
-# people who meet may pass or turn back.
+# A second candidate this near to a track's prediction, as a share of the gate, makes the match doubtful however well
+# the first fits: people who meet may pass or turn back.
 _TOO_NEAR = 0.2
 
 
@@ -30,15 +30,14 @@ class TrackingLimits:
     seconds.
 
     Attributes:
-        place_share, speed_share_s: largest median keypoint distance of a detection from where its track was, or goes on
-            to: so much at once, and so much more per second since the track was last seen.
-        shape_share: the same at once when the two are laid on each other: a person's outline changes little in a
-            moment, a false detection's is another one.
+        place_share, speed_share_s: largest median keypoint distance of a detection from its track's last or predicted
+            position: so much at once, and so much more per second since the track was last seen.
+        shape_share: the same at once when the two are aligned: a person's outline changes little in a moment, a false
+            detection has another outline.
         gap_s: time without a detection after which a track ends.
-        duplicate_share: two detections of one frame closer than this are one person found twice.
-        clear_ratio: the second best continuation of a track must be this many times further away, else it ends: two
-            short tracks are joined again by the other cameras, one that jumped to another person is not taken apart any
-            more.
+        duplicate_share: two detections of one frame closer than this are one person detected twice.
+        clear_ratio: the second best continuation of a track must be this many times further away, else it ends. Two
+            short tracks are joined again by the other cameras; one that jumped to another person is never split.
     """
 
     place_share: float = 0.12
@@ -58,8 +57,7 @@ def distance_shares(first: Num[np.ndarray, "A K 3"], second: Num[np.ndarray, "B 
 
 
 def shape_shares(first: Num[np.ndarray, "A K 3"], second: Num[np.ndarray, "B K 3"]) -> Num[np.ndarray, "A B"]:
-    """The same after the median offset between the two is taken out: how differently they are shaped, wherever they
-    are."""
+    """The same after the median offset between the two is removed: the difference in shape, at any position."""
     return _median_shares(first, second, aligned=True)
 
 
@@ -94,7 +92,7 @@ def box_diagonals(keypoints: Num[np.ndarray, "D K 3"]) -> Num[np.ndarray, " D"]:
 def without_duplicates(
     frame: Integer[np.ndarray, " D"], keypoints: Num[np.ndarray, "D K 3"], limits: TrackingLimits
 ) -> Bool[np.ndarray, " D"]:
-    """Which detections to keep when the less confident of two that lie on each other in one frame is dropped."""
+    """Which detections to keep when the less confident of two overlapping ones in a frame is dropped."""
     keep = np.ones(len(frame), dtype=bool)
     strength = keypoints[..., 2].sum(-1)
     for t in np.unique(frame):
@@ -110,7 +108,8 @@ def without_duplicates(
 def match(cost: Num[np.ndarray, "A B"], limit: float) -> list[tuple[int, int]]:
     """Pairs of the cheapest assignment whose cost is below ``limit``.
 
-    Inadmissible and non-finite pairs are priced out before the assignment and dropped after it (A01, A02, A03, A13).
+    Inadmissible and non-finite pairs get a high cost before the assignment and are dropped after it (A01, A02, A03,
+    A13).
     """
     if 0 in cost.shape:
         return []
@@ -124,8 +123,8 @@ def tracks(
 ) -> Num[np.ndarray, " D"]:
     """Track id of every detection, numbered by first appearance; ``keypoints``: NaN where confidence is 0.
 
-    A track goes on where its keypoints were, or where they are by now at the speed they had, whichever is nearer:
-    people walk on, and people stop. Ten pictures a second and a hundred and twenty so meet the same gates.
+    A track continues at its last position or at the one predicted from its speed, whichever is nearer: people walk on,
+    and people stop. So the same gates fit ten pictures a second and a hundred and twenty.
     """
     ids = np.full(len(frame), -1)
     open_tracks: dict[int, list[int]] = {}
@@ -146,7 +145,7 @@ def tracks(
         for row, column in match(cost, 1.0):
             rivals = np.concatenate([np.delete(cost[row], column), np.delete(cost[:, column], row)])
             if (rivals < np.clip(limits.clear_ratio * cost[row, column], _TOO_NEAR, 1.0)).any():
-                # Ended for good: as an open track it would be a rival of its own continuation in every later frame.
+                # Removed for good: as an open track it would compete with its own continuation in every later frame.
                 del open_tracks[names[row]]
             else:
                 ids[now[column]] = names[row]
@@ -163,8 +162,10 @@ def tracks(
 def _strangeness(
     before: np.ndarray, ahead: np.ndarray, now: np.ndarray, elapsed_s: np.ndarray, limits: TrackingLimits
 ) -> np.ndarray:
-    """(A, B) how far detections ``now`` (B, K, 3) are from tracks, by where they were and where they would be, as a
-    share of the gate."""
+    """(A, B) distance of detections ``now`` (B, K, 3) from tracks, as a share of the gate.
+
+    Tracks are at their last positions ``before`` or the predicted ones ``ahead``, whichever is nearer.
+    """
     strayed = np.minimum(distance_shares(before, now), distance_shares(ahead, now))
     changed = np.minimum(shape_shares(before, now), shape_shares(ahead, now))
     alike = changed < limits.shape_share + _RESHAPED_S * elapsed_s
@@ -172,10 +173,9 @@ def _strangeness(
 
 
 def _gone_on(frame: np.ndarray, keypoints: np.ndarray, seen: Sequence[int], t: int, fps: float) -> np.ndarray:
-    """(K, 3) keypoints of a track at frame ``t`` if each goes on at the speed that a straight line through its last
-    moments has.
+    """(K, 3) keypoints of a track at frame ``t``, extrapolated at the speed of a line through its last moments.
 
-    A keypoint swings back after a while: none is carried further than ``_REMEMBERED_S``.
+    None is extrapolated further than ``_REMEMBERED_S``, because a keypoint swings back after a while.
     """
     last, recent = keypoints[seen[-1]], list(seen)
     if len(recent) < 2:
