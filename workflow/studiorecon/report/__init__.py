@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How good it is, and everything worth seeing on one page. In come all results; out come ``metrics.json`` and
+"""Measures the quality of a run and puts its results on one page. In: all results; out: ``metrics.json`` and
 ``index.html``.
 
-Steps: ``recognition`` (whom a detector finds in the films), ``evaluate`` (measures), ``audit`` (effects that only a
-trained scene shows), ``picture`` (one overview), ``page``, ``strict`` (warnings stop the run, where asked); by hand:
-``score`` (any method's pictures), ``compare`` (two results). Below them: ``metrics`` and ``sections``.
+Steps: ``recognition`` (detector scores of people in the films), ``evaluate`` (measures), ``audit`` (effects that only a
+trained scene shows), ``picture`` (an overview), ``page``, ``strict`` (turns warnings into an error). Run by hand:
+``score`` (pictures of any method), ``compare`` (two results). Below them: ``metrics`` and ``sections``.
 """

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What only a trained scene shows: is the temporal network, enhancement or injection called for?
+"""Decides the effects that only a trained scene shows: temporal network, enhancement, injection.
 
-Writes ``report/audit.json`` beside ``decisions.json``. Human training and the films decided before the work that they
-are about.
+Writes ``report/audit.json`` next to ``decisions.json``. Human training and the films have already made their decisions;
+this step collects them.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ else:
 
 @dataclass(frozen=True)
 class Settings:
-    """Of the effects that only a trained scene shows; ``survey.effects.Decided`` declares them for all."""
+    """Settings of the effects that only a trained scene shows; ``survey.effects.Decided`` declares them for all."""
 
     thresholds: Mapping[Named, float] = thresholds(TRAINED)
     force: Mapping[Acting, str] = force(TRAINED)
 
 
 def decisions_of(avatars: Sequence[Path]) -> dict[str, Decision | None]:
-    """What human training measured of every person."""
+    """The decision that human training made for every person."""
     return {path.stem: read_decision(path) for path in avatars}
 
 
 def of_films(files: Sequence[Path]) -> list[Decision]:
-    """What the films measured, one decision per effect of ``FILMED``: of the film that calls for it most."""
+    """The films' decisions, one per effect of ``FILMED``: from the film with the strongest case for it."""
     found = [read_decisions(path) for path in files]
     made = []
     for effect in FILMED:
@@ -61,7 +61,7 @@ def run(
     films: list[Path],
     decisions: Written,
 ) -> None:
-    """Decide from what was trained; ``films`` are the decisions of every film."""
+    """Write the decisions of human training and of all ``films``."""
     limit = {e.name: e.threshold for e in TRAINED} | dict(settings.thresholds)
     measured = appearance(decisions_of(avatars), limit["temporal_appearance"])
     made = [*forced([measured], settings.force), *of_films(films)]

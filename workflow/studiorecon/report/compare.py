@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``report.compare``: is one result better than another? ``python -m studiorecon report.compare --first A.json --second
-B.json``.
+"""``report.compare``: compares two results: ``python -m studiorecon report.compare --first A.json --second B.json``.
 
 Each side is one or several files that ``report.score`` or a run wrote: several seeds of a scene, several scenes, or
 both. Prints the difference of every measure, second minus first, with its 95 % interval, paired per scene, camera and
-frame; a difference whose interval holds 0 is no claim. Results of different photos, masks, libraries, code or settings
-are refused.
+frame. A difference whose interval contains 0 is not significant. Results of different photos, masks, libraries, code or
+settings are refused.
 """
 
 from __future__ import annotations
@@ -27,8 +26,11 @@ _SAMPLES, _SEED = 2000, 0
 
 
 def read_result(path: Path) -> dict[str, Any]:
-    """A result file; UserError naming it when it is cut off, of another kind, or holds cameras with different numbers
-    of frames."""
+    """The contents of a result file.
+
+    Raises UserError with the file's name when it is cut off, of another kind, or has cameras with different numbers of
+    frames.
+    """
     result = read_json(path)
     if not isinstance(result, Mapping) or not {"pictures", "provenance", "definitions"} <= set(result):
         raise UserError(
@@ -49,7 +51,7 @@ def read_result(path: Path) -> dict[str, Any]:
 
 
 def check_comparable(results: Mapping[Path, Mapping[str, Any]]) -> None:
-    """UserError, naming two files and what differs, unless all were measured alike."""
+    """Raises UserError with two files and their difference unless all results were measured in the same way."""
     (first, reference), *others = results.items()
     for path, result in others:
         for name in _MUST_AGREE:
@@ -70,8 +72,9 @@ def check_comparable(results: Mapping[Path, Mapping[str, Any]]) -> None:
 
 
 def version_of(result: Mapping[str, Any], wanted: str | None, path: Path) -> str:
-    """The version of the pictures to compare: the wanted one, else enhanced, raw or renders, whichever is there
-    first."""
+    """The version of the pictures to compare: the ``wanted`` one, else the first available of enhanced, raw,
+    renders.
+    """
     measured = [
         name for name in _PREFERRED if result["pictures"].get(name, {}).get("psnr", {}).get("value") is not None
     ]
@@ -85,8 +88,10 @@ def version_of(result: Mapping[str, Any], wanted: str | None, path: Path) -> str
 def compare(
     first: Mapping[Path, Mapping[str, Any]], second: Mapping[Path, Mapping[str, Any]], version: str | None
 ) -> dict[str, Any]:
-    """measure → both sides over seeds, and the paired difference; only scenes, cameras and frames that both sides
-    measured count."""
+    """measure → both sides over seeds, and the paired difference.
+
+    Only scenes, cameras and frames that both sides measured count.
+    """
     sides = []
     for results in (first, second):
         scenes: dict[str, list[Mapping[str, Any]]] = {}
@@ -96,7 +101,7 @@ def compare(
     common = [scene for scene in sides[0] if scene in sides[1]]
     if not common:
         raise UserError(f"{next(iter(first))} and {next(iter(second))} have no scene in common: their photos differ")
-    # A measure that was not taken on both sides is no difference; it stays listed with what is there.
+    # A measure without values on both sides has no difference; it is listed with the values that exist.
     names = sorted(set.intersection(*(set(run) for scenes in sides for runs in scenes.values() for run in runs)))
     bootstrap, result = Bootstrap(_SAMPLES, _SEED), {}
     for name in names:
@@ -111,7 +116,7 @@ def compare(
 
 
 def scene_of(result: Mapping[str, Any]) -> str:
-    """What makes two results of one scene: the digests of the true pictures (or, for a run, of its footage)."""
+    """The digests that two results of one scene share: of the true pictures or, for a run, of its footage."""
     inputs = result.get("inputs", {})
     truth = inputs.get("truth") or {
         name: value for name, value in inputs.items() if "/" not in name and name.endswith(".mkv")
@@ -120,7 +125,7 @@ def scene_of(result: Mapping[str, Any]) -> str:
 
 
 def run(first: list[Path], second: list[Path], version: str | None = None, output: Path | None = None) -> None:
-    """Compare two sides; ``version`` (raw, enhanced, renders) names the pictures when a run has several."""
+    """Compare two sides; ``version`` (raw, enhanced, renders) selects the pictures when a run has several."""
     if not first or not second:
         raise UserError("name the results to compare: --first A.json --second B.json")
     results = {path: read_result(path) for path in (*first, *second)}

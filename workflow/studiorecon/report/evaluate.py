@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``report.evaluate``: how good a run's result is, where that can be measured: ``metrics.json``.
+"""``report.evaluate``: measures how good a run's result is, where it can be measured: ``metrics.json``.
 
-Pictures are compared with the held-out cameras' photos, bodies and identities with exact truth where there is any.
-Every number comes with its definition, its raw values per frame and what they were computed with; what could not be
-measured is null with the reason. Without a held-out camera the training cameras are compared instead, under
-``training``: what was fitted says little about other views.
+Pictures are compared with the held-out cameras' photos, bodies and identities with exact truth if there is any. Every
+number comes with its definition, its raw values per frame, and the libraries and settings behind it. A value that could
+not be measured is null with the reason. Without a held-out camera the training cameras are compared, under
+``training``; their scores say little about other views, because the scene was fitted to them.
 """
 
 from __future__ import annotations
@@ -69,13 +69,13 @@ RegionsOf = Callable[[Camera], Iterator[Mapping[str, np.ndarray]]]
 
 @dataclass(frozen=True)
 class Settings:
-    """What is measured, and how.
+    """The measures and their settings.
 
     Attributes:
         seen_tolerance: a surface is seen when its depth agrees with a training camera's to this share (paper: 0.05,
-            Seen/Unseen Fidelity; U57). ``seen_sensitivity``: shares at which the same is told besides.
-        flow_preset: effort of the optical flow of the photos that temporal measures follow.
-        bootstrap_samples: times that frames are drawn anew for the 95 % intervals, by a generator of this ``seed``.
+            Seen/Unseen Fidelity; U57). ``seen_sensitivity``: other shares at which the same is reported.
+        flow_preset: effort of the optical flow of the photos that temporal measures use.
+        bootstrap_samples: number of resamplings of frames for the 95 % intervals, by a generator of this ``seed``.
     """
 
     seen_tolerance: float = 0.05
@@ -89,7 +89,7 @@ class Settings:
 
 
 def missing_reasons(have_truth: bool, net: str) -> dict[str, str]:
-    """Why a measure of a region or of time may be null, or LPIPS, for which ``net`` was asked."""
+    """The reasons why a measure of a region, of time, or LPIPS with ``net``, may be null."""
     region = "no frame shows at least 256 pixels of it" if have_truth else _NO_TRUTH
     reasons = {f"{measure}_{name}": region for name in (*REGIONS, *SENSITIVITY) for measure in ("psnr", "ssim")}
     reasons |= dict.fromkeys(SHARES, region)
@@ -122,7 +122,7 @@ def measure_camera(
 
     def together() -> Iterator[tuple[np.ndarray, dict[str, np.ndarray], Mapping[str, np.ndarray]]]:
         for photo, masks in zip(read_frames(photos, 0, frames), regions_of_frames):
-            # Films of cameras of different sizes share one size; a camera's own picture is the top left part.
+            # A film of cameras of different sizes has one size; a camera's own picture is its top left part.
             yield (
                 photo,
                 {name: next(stream)[: photo.shape[0], : photo.shape[1]] for name, stream in streams.items()},
@@ -174,8 +174,10 @@ def score_bodies(people: Sequence[Person], truth: Path | None, first_frame: int)
 
 
 def coverage(truth_maps: Sequence[Path]) -> dict[str, Any]:
-    """Share of each shot's pixels that is measured, inferred, invented: mean over pictures. Needs neither truth nor
-    photos."""
+    """Shares of each shot's pixels that are measured, inferred and invented, averaged over pictures.
+
+    Needs neither truth nor photos.
+    """
     result = {}
     for path in truth_maps:
         shares = [truth_shares(frame) for frame in read_frames(path)]
@@ -208,11 +210,13 @@ def run(
     device: str = "cpu",
     threads: int = 1,
 ) -> None:
-    """Measure. ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the
-    training cameras; ``poses`` says whether the held-out ones stand where they were calibrated, ``by_itself`` is the
-    table that association makes where ``identities`` is the user's, ``lpips`` is the folder of the weights of LPIPS,
-    which runs on ``device``, ``calibrator`` the network that found the cameras, held-out ones too, from a picture of
-    each."""
+    """Measure the result and write ``metrics``.
+
+    ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the training cameras.
+    ``poses`` says whether the held-out cameras are still where they were calibrated. ``by_itself`` is association's own
+    table where ``identities`` is the user's. ``lpips`` is the folder of LPIPS' weights; LPIPS runs on ``device``.
+    ``calibrator`` is the network that calibrated the cameras, including held-out ones, from a picture of each.
+    """
     where = "cpu" if settings.lpips == "none" else resolve(device, "Pictures are compared by LPIPS")
     capture = read_manifest(manifest)
     training, held_out = read_model(model.parent), read_model(heldout_model.parent)
@@ -290,7 +294,7 @@ def _identities(
     training: Sequence[Camera],
     joints: Mapping[str, np.ndarray],
 ) -> dict[str, Any]:
-    """Against the studio's truth, else what association finds by itself against the user's own table."""
+    """Scores of the identities against the studio's truth, else of association's own table against the user's."""
     if not joints and detections and identities and by_itself:
         seen = [read_detections(path) for path in detections]
         return score_against(seen, read_identities(identities[0]), read_identities(by_itself[0]))

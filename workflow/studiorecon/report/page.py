@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``report.page``: everything worth seeing on one page that needs no network, and what the run cost: ``index.html``,
-``cost.json``."""
+"""``report.page``: writes the report on one page that needs no network, and the run's cost: ``index.html``,
+``cost.json``.
+"""
 
 from __future__ import annotations
 
@@ -39,20 +40,20 @@ from studiorecon.signature import Place, Written
 class Settings:
     strip_frames: int = 2
     picture_width: int = 480
-    # Films are warned about where less than this share of a picture is measured, and where the camera stands further
-    # than this from every training camera.
+    # The report warns about a film where less than this share of a picture is measured, and where its camera is further
+    # than this angle from every training camera.
     min_measured: float = 0.5
     max_angle_deg: float = 60.0
 
 
 @dataclass(frozen=True)
 class Made:
-    """What a run made in ``results/<scene>``, by the names that its rules give every camera's and film's files.
+    """Files of ``results/<scene>``, by the names that its rules give every camera's and film's files.
 
     Attributes:
         folder: ``results/<scene>``.
         cameras: training cameras.
-        held_out: cameras that only the report looks at.
+        held_out: held-out cameras.
         shots: films.
     """
 
@@ -67,8 +68,10 @@ class Made:
 
 
 def strips(made: Made, frames: int, enhanced: bool, settings: Settings) -> tuple[str, list[str]]:
-    """A slider, and rows of photo, render, enhanced picture where it differs, and difference, of a few frames of every
-    held-out camera."""
+    """A slider, and one row per frame of a few frames of every held-out camera.
+
+    A row has photo, render, enhanced picture where it differs, and difference.
+    """
     render, final_film = made.folder / "render/heldout.mkv", made.folder / "enhance/heldout.mkv"
     steps, _ = read_path(made.folder / "render/heldout.json")
     rows, moments = [], []
@@ -91,7 +94,7 @@ def strips(made: Made, frames: int, enhanced: bool, settings: Settings) -> tuple
 
 
 def player(poster: Path, page: Path) -> str:
-    """The player's picture, which opens the player: ``player.html`` beside it, by an address relative to the page."""
+    """A link with the player's picture; it opens ``player.html`` in the page's folder by a relative address."""
     address = html.text(Path(os.path.relpath(poster.with_suffix(".html"), page.parent)).as_posix())
     picture_bgr = cv2.imread(str(poster))
     assert picture_bgr is not None
@@ -101,7 +104,7 @@ def player(poster: Path, page: Path) -> str:
 
 
 def spread(frames: int, wanted: int) -> list[int]:
-    """``wanted`` frames spread over a clip, its ends left out; fewer when the clip is shorter."""
+    """``wanted`` frames spread over a clip without its ends; fewer when the clip is shorter."""
     return [int(frame) for frame in evenly_spread(frames, wanted + 2)[1:-1]] if wanted else []
 
 
@@ -136,7 +139,7 @@ def mask_pictures(videos: Sequence[Path], masks: Sequence[Path], frame: int, wid
 def truth_pictures(
     renders: Sequence[Path], paths: Sequence[Path], maps: Sequence[Path], metrics: dict, width: int
 ) -> list[str]:
-    """Three pictures of every film, tinted by what they are based on."""
+    """Three pictures of every film, tinted by provenance."""
     rows = []
     for render, path, truth in zip(renders, paths, maps, strict=True):
         shares = metrics["coverage"].get(render.stem, {})
@@ -153,7 +156,7 @@ def truth_pictures(
 
 
 def spent_on(benchmarks: Path) -> dict[str, Any]:
-    """What the run cost, and on which machine."""
+    """The cost of the run, and its machine."""
     spent = cost(benchmarks)
     spent["machine"] = {
         "system": platform.system(),
@@ -187,7 +190,7 @@ def people_section(
     masks: Sequence[Path],
     width: int,
 ) -> list[str]:
-    """Everybody: joint errors, who is seen when, whom association left out, and masks."""
+    """The section on people: joint errors, presence over time, people left out by association, and masks."""
     bodies = [read_person(path) for path in fits]
     parts = [sections.people(measured), timeline.surety(bodies, measured["jitter"])]
     if identities:
@@ -202,14 +205,14 @@ def people_section(
 
 
 def room_section(made: Made, width: int) -> list[str]:
-    """What the cameras see without people, and how far away it is."""
+    """The section on the room: plate and depth of each camera."""
     plates, depths = made.each("plates/{}.png", made.cameras), made.each("depth/{}.exr", made.cameras)
     lead = "What the cameras see without people, and how far away it is."
     return [html.heading("The room", lead), html.row(room_pictures(plates, depths, width), min(len(plates), 4))]
 
 
 def cameras_section(made: Made, measured: Mapping[str, Any], decided: Sequence[Mapping[str, Decision]]) -> list[str]:
-    """How well the cameras explain what they saw, and how much of the stage they see."""
+    """The section on cameras: how well they explain the keypoints, and how much of the stage they see."""
     sheet_bgr = cv2.imread(str(made.folder / "cameras/refinement.png"))
     assert sheet_bgr is not None
     sheet = html.jpeg(sheet_bgr[..., ::-1], 1600)
@@ -246,8 +249,10 @@ def run(
     costs: Written,
     page: Written,
 ) -> None:
-    """Write the page; lists of optional files may be empty, and the page then says what is missing. The other files
-    that it shows bear the names of ``results/<scene>``."""
+    """Write the page; lists of optional files may be empty, and the page then says what is missing.
+
+    Files that are not arguments have the names that the rules give them in ``results/<scene>``.
+    """
     capture, measured, chosen = read_manifest(manifest), read_json(metrics), json.loads(budget)
     spent = spent_on(benchmarks)
     write_json(costs, spent)

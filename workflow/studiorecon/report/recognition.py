@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``report.recognition``: do people in the films look like people to a detector? PCK and detection rate of what it
-finds in the films against what it finds in the photos of the same cameras and moments.
+"""``report.recognition``: scores how well a detector recognises people in the films: PCK and detection rate.
 
-The paper does so with DWPose; here it is the embedded detector, on a few moments of every camera. It needs no truth:
-who is not found in the photo does not count.
+The reference is the same detector's keypoints in the photos of the same cameras and moments. The paper uses DWPose;
+here it is the embedded detector, on a few moments of every camera. It needs no truth: people that it misses in the
+photo do not count.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# Moments of every camera, spread evenly: people move little from one picture to the next.
+# Moments of every camera, spread evenly: few suffice, because people move little between neighbouring frames.
 _MOMENTS = 4
-# Points of the photo that the detector says it saw; of fewer a person's size cannot be told.
+# Confidence from which a point of the photo counts as seen, and how many are needed to estimate a person's size.
 _SEEN, _MIN = 0.5, 6
 
 
@@ -48,7 +48,7 @@ def run(
     networks: list[Path],
     recognition: Written,
 ) -> None:
-    """Write the scores of the film as rendered (``raw``) and as ``enhanced``; None for a version that is not there.
+    """Write the scores of the film as rendered (``raw``) and as ``enhanced``; None for a version that does not exist.
 
     ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the training cameras;
     ``networks``: the detector's file, the landmarks', and the table of the confidence by their visibility.
@@ -67,7 +67,7 @@ def run(
             told: list[tuple[np.ndarray, list[np.ndarray]]] = []
             for name, film in films.items():
                 drawn = _picture(film, starts[camera.name] + int(frame))[: photo.shape[0], : photo.shape[1]]
-                # Where nothing was enhanced, the two films are one.
+                # Without enhancement the two films are identical, so one search is enough.
                 points = next((points for other, points in told if np.array_equal(other, drawn)), None)
                 if points is None:
                     points = [one[:, :2] for one in found_in(network, drawn, worth)]
@@ -87,21 +87,24 @@ def run(
 
 
 def with_reason(scored: dict[str, Any]) -> dict[str, Any]:
-    """The scores, with the reason where nobody counted."""
+    """The scores, with the reason when nobody counted."""
     return scored | {"reason": None if scored["people"] else "the detector finds nobody in the photos"}
 
 
 def found_in(
     network: BlazePose, picture: Integer[np.ndarray, "H W 3"], worth: dict[str, list[float]]
 ) -> list[Float[np.ndarray, "33 3"]]:
-    """Keypoints (33, 3) of everybody in a picture: x, y in pixels and confidence. Photos and films are searched alike,
-    and all over: who is found only where one knows to look is not found."""
+    """Keypoints (33, 3) of all people in a picture: x, y in pixels and confidence.
+
+    Photos and films are searched in the same way, over the whole picture: a person detected only with a hint of the
+    place does not count.
+    """
     wh = picture.shape[1], picture.shape[0]
     return [believed(one, wh, worth) for one in newcomers(network, picture, grid(wh), [])]
 
 
 def as_truth(keypoints: Float[np.ndarray, "33 3"]) -> TruePerson | None:
-    """Somebody of a photo as whom to look for in the film; None for somebody of whom too little is seen."""
+    """A person of a photo as reference for the film; None when too little of the person is seen."""
     visible = keypoints[:, 2] >= _SEEN
     if visible.sum() < _MIN:
         return None

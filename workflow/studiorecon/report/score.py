@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``report.score``: any method's pictures against the photos: ``python -m studiorecon report.score --renders DIR
+"""``report.score``: scores any method's pictures against photos: ``python -m studiorecon report.score --renders DIR
 --truth DIR``.
 
 Each folder holds one video (``<camera>.mkv``, ``.mp4``, …) or one folder of pictures (``<camera>/*.png``) per camera,
-or just one sequence; frames are compared in order. ``--masks DIR`` brings masks of people for the true pictures (not
+or just one sequence; frames are compared in order. ``--masks DIR`` gives masks of people for the true pictures (not
 black = person), ``--lpips DIR`` the weights of LPIPS (``alexnet.pth`` of torchvision, ``lpips_alex.pth`` of the package
-lpips). Prints the measures; ``--output FILE`` keeps them as JSON with every raw value. What these inputs cannot tell is
-null with the reason.
+lpips). Prints the measures; ``--output FILE`` writes them as JSON with every raw value. A measure that these inputs do
+not allow is null with the reason.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ _NO_MASKS = "no masks of people were given: add --masks DIR"
 _NO_WEIGHTS = "no weights of its network were given: add --lpips DIR"
 _NO_DEPTH = "needs the depth of the true pictures and of the training cameras, which folders of pictures do not have"
 _NO_BODIES = "needs fitted and true bodies, which folders of pictures do not have"
-# As config/config.yaml has them for a whole run, so that both print the same numbers.
+# The defaults of config/config.yaml, so that this command and a run print the same numbers.
 _FLOW_PRESET = "fast"
 _BOOTSTRAP = Bootstrap(samples=1000, seed=0)
 _WIDE_PX = 21
 
 
 def people_regions(mask: Bool[np.ndarray, "H W"]) -> dict[str, Bool[np.ndarray, "H W"]]:
-    """The regions that a mask (H, W) bool of people gives."""
+    """The regions of measurement from a mask (H, W) bool of people."""
     return {"people": mask, "people_wide": dilated(mask, _WIDE_PX), "background": ~mask}
 
 
@@ -95,7 +95,7 @@ def score_camera(
 
 
 def reasons(have_masks: bool, have_lpips: bool) -> dict[str, str]:
-    """Why each measure may be null."""
+    """The reason why each measure may be null."""
     person = "no frame shows at least 256 pixels of it" if have_masks else _NO_MASKS
     found = {
         f"{m}_{r}": person if "seen" not in r else _NO_DEPTH for r in (*REGIONS, *SENSITIVITY) for m in ("psnr", "ssim")
@@ -111,7 +111,7 @@ def reasons(have_masks: bool, have_lpips: bool) -> dict[str, str]:
 
 
 def score(renders: Path, truth: Path, masks: Path | None, lpips: Path | None = None) -> dict[str, Any]:
-    """Everything that can be measured from the folders, as it is written to the JSON."""
+    """All measures that the folders allow, as written to the JSON."""
     left, right = cameras_in(renders), cameras_in(truth)
     covers = cameras_in(masks) if masks is not None else {}
     common = [camera for camera in left if camera in right]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``report.strict``: with ``strict``, whatever a run warned of ends it with an error, after everything is made.
+"""``report.strict``: ends a run with an error if it warned of anything, after all results are made.
 
-A pipeline that nobody watches can so tell a scene that lost a camera or a person from one that is whole.
+Unattended pipelines with ``strict`` thereby distinguish a scene that lost a camera or a person from a complete one.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from studiorecon.signature import Place, Written
 
 
 def run(page: Path, logs: Place, passed: Written) -> None:
-    """Write ``passed`` where no log of the scene holds a warning; else raise UserError with all of them.
+    """Write ``passed`` if no log of the scene holds a warning; else raise UserError with all of them.
 
-    ``page`` is what everything else was made for; it holds the same warnings.
+    ``page`` is the last file that everything else was made for; it shows the same warnings.
     """
     found = [f"{step}: {sentence}" for step, sentence in read_warnings(logs)]
     if found:

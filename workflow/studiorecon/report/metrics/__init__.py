@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures. In come results, photos and truth; out come numbers with intervals.
+"""Measures. In: results, photos and truth; out: numbers with intervals.
 
-* pictures: ``measures``, ``distance`` (LPIPS), ``folders`` (any method's), ``films`` (where a camera's
-  view begins), ``truth`` (a synthetic studio's);
-* cameras: ``overlap``, of those that are trained on;
+* pictures: ``measures``, ``distance`` (LPIPS), ``folders`` (of any method), ``films`` (first frame of each camera),
+  ``truth`` (of a synthetic studio);
+* cameras: ``overlap`` of the training cameras;
 * people: ``bodies``, ``identities`` and ``identity_scores``, ``pck``, ``jitter``;
-* ``rendered_effects``: what the audit decides; ``bootstrap``: intervals; ``definitions``: what every number means.
+* ``rendered_effects``: decisions for the audit; ``bootstrap``: intervals; ``definitions``: the meaning of every number.
 """

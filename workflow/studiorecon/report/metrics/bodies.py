@@ -12,12 +12,12 @@ import scipy
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# A fitted person further than this from every true one is nobody: a ghost, not a bad fit.
+# A fitted person further than this from every true one is a false positive and not a bad fit.
 _SAME_PERSON_M = 0.5
 
 
 def similarity_aligned(points: Float[np.ndarray, "J 3"], onto: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
-    """``points`` (J, 3) under the similarity that brings them closest to ``onto``, never mirrored (R19)."""
+    """``points`` (J, 3) after the similarity that brings them closest to ``onto``, without mirroring (R19)."""
     mean, target = points.mean(axis=0), onto.mean(axis=0)
     centred, wanted = points - mean, onto - target
     left, singular, right = np.linalg.svd(wanted.T @ centred)
@@ -28,10 +28,9 @@ def similarity_aligned(points: Float[np.ndarray, "J 3"], onto: Float[np.ndarray,
 
 
 def joint_errors_mm(fitted: Float[np.ndarray, "T 24 3"], true: Float[np.ndarray, "T 24 3"]) -> dict[str, float]:
-    """Mean joint errors in millimetres of (T, 24, 3) against (T, 24, 3): in the world, pelvis on pelvis, and after a
-    similarity.
+    """Mean joint errors in millimetres of (T, 24, 3) against (T, 24, 3): W-MPJPE, MPJPE and PA-MPJPE.
 
-    W-MPJPE, MPJPE and PA-MPJPE; the similarity is fitted to each frame.
+    They are taken in world coordinates, relative to the pelvis, and after a similarity fitted to each frame.
     """
     at_pelvis = (fitted - fitted[:, :1]) - (true - true[:, :1])
     aligned = np.stack([similarity_aligned(f, t) for f, t in zip(fitted, true)])
@@ -40,8 +39,10 @@ def joint_errors_mm(fitted: Float[np.ndarray, "T 24 3"], true: Float[np.ndarray,
 
 
 def size_error_percent(fitted: Float[np.ndarray, "T 24 3"], true: Float[np.ndarray, "T 24 3"]) -> float | None:
-    """How much too large the fit is, in percent, by the median ratio of the joints' spread about their mean; None
-    without frames."""
+    """Size error of the fit in percent, positive when too large; None without frames.
+
+    It is the median ratio of the joints' spread about their mean.
+    """
     spread = [np.linalg.norm(joints - joints.mean(axis=1, keepdims=True), axis=(1, 2)) for joints in (fitted, true)]
     usable = spread[1] > 0
     return 100 * float(np.median(spread[0][usable] / spread[1][usable]) - 1) if usable.any() else None
@@ -50,8 +51,7 @@ def size_error_percent(fitted: Float[np.ndarray, "T 24 3"], true: Float[np.ndarr
 def inside_sigma_share(
     fitted: Float[np.ndarray, "T 24 3"], true: Float[np.ndarray, "T 24 3"], sigma_m: Float[np.ndarray, "T 24"]
 ) -> float | None:
-    """Share of joints (T, 24) whose error lies inside the 95 % ball of its predicted standard deviation; 0.95 is
-    honest.
+    """Share of joints (T, 24) whose error is inside the 95 % ball of its predicted standard deviation; 0.95 is ideal.
 
     ``sigma_m`` is per axis, so the ball's radius is √χ²₃(0.95) σ = 2.795 σ. Joints of unknown deviation (inf) are left
     out.
@@ -82,8 +82,8 @@ def match(
             use = _comparable(joints, valid, true[other])
             if len(use):
                 distance[row, column] = np.linalg.norm(joints[use] - true[other][use], axis=-1).mean()
-    # Gate before the assignment: a pair that is nobody must not take a true person away from its own fit (
-    # A03).
+    # Pairs are gated before the assignment, so that a false positive cannot take a true person from the right fit
+    # (A03).
     admissible = distance <= _SAME_PERSON_M
     rows, columns = scipy.optimize.linear_sum_assignment(np.where(admissible, distance, 1e6))
     return {fitted_names[r]: true_names[c] for r, c in zip(rows, columns) if admissible[r, c]}
@@ -94,10 +94,10 @@ def compare_bodies(
     true: Mapping[str, Float[np.ndarray, "T 24 3"]],
     sigma_m: Mapping[str, Float[np.ndarray, "T 24"]] | None = None,
 ) -> dict[str, Any]:
-    """Joint errors per matched person and their mean, size error, honesty of sigma (T, 24), and who was missed or
-    invented.
+    """Joint errors per matched person and their mean, size error, calibration of sigma (T, 24), missed and false
+    people.
 
-    Frames in which a joint is not finite count as not measured; ``not_finite`` says how many there were.
+    Frames with a non-finite joint count as not measured; ``not_finite`` is their number.
     """
     pairs = match(fitted, true)
     people = {}

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far a number can be trusted: bootstrap intervals over frames and scenes, paired differences of runs, spread over
-seeds.
+"""Uncertainty of a number: bootstrap intervals over frames and scenes, paired differences of runs, spread over seeds.
 
-Neighbouring frames look alike, so frames are drawn in blocks (circular moving blocks of √T frames, the same blocks for
-every camera): drawing them one by one would promise intervals several times too narrow.
+Neighbouring frames are similar, so frames are drawn in blocks (circular moving blocks of √T frames, the same blocks for
+every camera). Drawing single frames would give intervals several times too narrow.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-# Fewer blocks than this say nothing about how blocks differ.
+# Fewer blocks than this do not show how much blocks differ.
 _FEWEST_BLOCKS = 4
 _SHARE = 0.95
 
@@ -23,14 +22,14 @@ Frames = Mapping[str, Sequence[float | None]]
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """How many times frames are drawn anew, and the seed of the draws."""
+    """Number of resamplings of the frames, and the seed of the draws."""
 
     samples: int
     seed: int
 
 
 def mean_interval(frames: Frames, bootstrap: Bootstrap) -> list[float] | None:
-    """[low, high]: 95 % interval of the mean over frames, then cameras; None when there are too few frames to say.
+    """[low, high]: 95 % interval of the mean over frames, then cameras; None when there are too few frames.
 
     ``frames`` maps camera → value per frame, None where it was not measured.
     """
@@ -39,12 +38,12 @@ def mean_interval(frames: Frames, bootstrap: Bootstrap) -> list[float] | None:
 
 
 def paired_difference(scenes: Mapping[str, tuple[Frames, Frames]], bootstrap: Bootstrap) -> dict[str, Any]:
-    """Second minus first run, paired per scene, camera and frame: difference, 95 % interval, what was drawn, number of
+    """Second minus first run, paired per scene, camera and frame: difference, 95 % interval, unit drawn, number of
     pairs.
 
-    Several scenes are drawn as wholes (the claim is then about scenes); one scene's frames are drawn in blocks (about
-    that scene only). ``interval`` is None when there is too little to draw from; ``significant`` is then None as well,
-    and a difference whose interval holds 0 is not a claim.
+    Several scenes are drawn as wholes, for a statement about scenes; one scene's frames are drawn in blocks, for a
+    statement about that scene. ``interval`` and ``significant`` are None when there is too little to draw from. A
+    difference whose interval contains 0 is not significant.
     """
     tables = {scene: _difference(*pair) for scene, pair in scenes.items()}
     tables = {scene: table for scene, table in tables.items() if np.isfinite(table).any()}
@@ -69,8 +68,9 @@ def paired_difference(scenes: Mapping[str, tuple[Frames, Frames]], bootstrap: Bo
 
 
 def over_seeds(values: Sequence[float | None]) -> dict[str, Any]:
-    """Mean and half range of one number over runs that differ in their seed; the half range is None below three
-    runs."""
+    """Mean and half range of one number over runs that differ in their seed; the half range is None below
+    three runs.
+    """
     used = [value for value in values if value is not None and np.isfinite(value)]
     if not used:
         return {"mean": None, "half_range": None, "seeds": 0}
@@ -79,7 +79,7 @@ def over_seeds(values: Sequence[float | None]) -> dict[str, Any]:
 
 
 def _table(frames: Frames) -> np.ndarray:
-    """(cameras, frames) float64, NaN where nothing was measured or a camera has fewer frames."""
+    """(cameras, frames) float64, NaN where there is no measurement or a camera has fewer frames."""
     longest = max((len(values) for values in frames.values()), default=0)
     table = np.full((len(frames), longest), np.nan)
     for row, values in zip(table, frames.values()):
@@ -97,7 +97,7 @@ def _difference(first: Frames, second: Frames) -> np.ndarray:
 
 def _drawn_means(table: np.ndarray, bootstrap: Bootstrap) -> np.ndarray | None:
     """(samples,) mean over cameras of the mean over redrawn frames."""
-    # Frames that no camera measured (the first, for temporal measures) are no frames of this measure.
+    # Frames without a measurement in any camera (the first, for temporal measures) do not count for this measure.
     table = table[:, np.isfinite(table).any(axis=0)]
     length = table.shape[1]
     block = max(1, round(np.sqrt(length)))
@@ -108,7 +108,7 @@ def _drawn_means(table: np.ndarray, bootstrap: Bootstrap) -> np.ndarray | None:
     starts = rng.integers(0, length, (bootstrap.samples, blocks, 1))
     index = ((starts + np.arange(block)) % length).reshape(bootstrap.samples, -1)[:, :length]
     known = np.isfinite(table)
-    # How often each frame was drawn: means over draws are then two matrix products.
+    # Number of times each frame was drawn: means over draws are then two matrix products.
     weight = np.zeros((bootstrap.samples, length))
     np.add.at(weight, (np.arange(bootstrap.samples)[:, None], index), 1.0)
     count = weight @ known.T.astype(np.float64)
@@ -120,7 +120,7 @@ def _drawn_means(table: np.ndarray, bootstrap: Bootstrap) -> np.ndarray | None:
 
 
 def _mean(table: np.ndarray) -> float:
-    """Mean over the cameras that measured anything of their mean over frames."""
+    """Mean over the measured cameras of their mean over frames."""
     rows = [row[np.isfinite(row)] for row in table]
     return float(np.mean([row.mean() for row in rows if len(row)]))
 

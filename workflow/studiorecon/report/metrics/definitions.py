@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every printed number means: unit, better direction, variant, mask, library; and what else makes two numbers
-comparable."""
+"""The meaning of every printed number: unit, better direction, variant, mask, library; and conditions for comparing two
+numbers.
+"""
 
 from __future__ import annotations
 
@@ -103,7 +104,7 @@ def _library(net: str) -> str:
 
 
 def provenance(settings: Mapping[str, Any], masks: str) -> dict[str, Any]:
-    """What must agree before two results may be compared: libraries, code, settings, where masks came from."""
+    """The conditions that must agree before two results may be compared: libraries, code, settings, source of masks."""
     return {
         "code": code.digest("report.metrics.measures"),
         "revision": _revision(),
@@ -124,7 +125,7 @@ def _entry(definition: str, unit: str, better: str, mask: str, library: str) -> 
 
 
 def _revision() -> str | None:
-    """The commit of the code; None where it does not come from a repository, as inside an image."""
+    """The commit of the code; None where it is not in a repository, as inside an image."""
     try:
         told = subprocess.run(
             ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False

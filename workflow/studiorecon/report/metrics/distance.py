@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""LPIPS of pictures where the user has brought its weights; and why it, or ꟻLIP, is missing where it is."""
+"""LPIPS of pictures if the user gave its weights, and the reason why it, or ꟻLIP, is missing otherwise."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ Net = Literal["none", "alex", "vgg"]
 
 
 def no_flip() -> str:
-    """Why ꟻLIP is null."""
+    """The reason why ꟻLIP is null."""
     return f"pictures are under {SMALLEST_PX} pixels a side" if available() else NO_PACKAGE
 
 
 def opened(net: Net, weights: Path, threads: int, without: str, device: str = "cpu") -> PerceptualDistance | None:
-    """LPIPS on ``net`` and a torch ``device``, or None when none is wanted; UserError when its files are not in the
-    folder ``weights``, with how to go on ``without``."""
+    """LPIPS on ``net`` and a torch ``device``, or None when none is selected.
+
+    Raises UserError when its files are not in the folder ``weights``, and says how to continue ``without``.
+    """
     if net == "none":
         return None
     from studiorecon.models.adapters.lpips import read_lpips

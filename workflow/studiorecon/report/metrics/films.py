@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where in a film each camera's own view begins."""
+"""The index in a film at which each camera's own view begins."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from studiorecon.scene.path import read_path
 
 
 def first_frames(path: Path, cameras: Sequence[Camera], capture: Manifest) -> dict[str, int]:
-    """camera → index of its first picture in a film; UserError, naming the path's file, when the film is not of this
-    capture's every frame.
+    """camera → index of its first picture in a film.
 
-    A film of other cameras, another length or every second frame would pair pictures with the wrong photos without an
-    error.
+    Raises UserError, naming the file of ``path``, unless the film shows every frame of this capture. A film of other
+    cameras, another length or every second frame would silently pair pictures with the wrong photos.
     """
     steps, _ = read_path(path)
     starts: dict[str, int] = {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Folders of pictures or videos that any method may have written, one video or one folder of pictures per camera."""
+"""Reads folders of pictures or videos of any method, one video or one folder of pictures per camera."""
 
 from __future__ import annotations
 
@@ -22,13 +22,15 @@ from studiorecon.scene.numbered import pictures_in
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer
 
-# The camera's name when a single film or a bare folder of pictures is given.
+# The camera's name for a single film or a folder that holds pictures directly.
 ONLY = "camera"
 
 
 def cameras_in(place: Path) -> dict[str, Path]:
-    """camera → its video or folder of pictures; a single video, or pictures without folders, is one camera. UserError
-    when there is none."""
+    """camera → its video or folder of pictures; a single video, or pictures without folders, is one camera.
+
+    Raises UserError when there is none.
+    """
     if place.is_file() and place.suffix.lower() in film_suffixes():
         return {ONLY: place}
     if not place.is_dir():
@@ -56,13 +58,13 @@ def frames_of(source: Path) -> Iterator[Integer[np.ndarray, "H W 3"]]:
 
 
 def masks_of(source: Path) -> Iterator[Bool[np.ndarray, "H W"]]:
-    """(H, W) bool: where a mask video or picture is not black."""
+    """(H, W) bool masks: True where a mask video or picture is not black."""
     for frame in _stored(source):
         yield frame > 0 if frame.ndim == 2 else (frame[..., 0] | frame[..., 1] | frame[..., 2]) > 0
 
 
 def _lossless(name: str, versions: Sequence[Path]) -> Path:
-    """The only lossless one of several versions of one film; UserError where there are none or several."""
+    """The only lossless one of several versions of one film; raises UserError when there are none or several."""
     chosen = [path for path in versions if path.is_dir() or keeps_every_pixel(path)]
     if len(chosen) == 1:
         say(

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is who, against a synthetic studio's truth or the user's own word: association of the detections in the training
-cameras, and bodies seen from held-out ones."""
+"""Scores identities against a synthetic studio's truth or the user's table, in training and held-out cameras.
+
+In the training cameras it scores the association of detections, in held-out ones the bodies.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# A detection whose limbs are off from a true person's by more than this share of the person's height is nobody's.
+# A detection further than this share of a person's height from every true person's limbs is a false one.
 _SAME = 0.25
 _LIMBS = [
     f"{side}_{limb}" for side in ("left", "right") for limb in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -32,10 +34,10 @@ NOBODY = -1
 
 
 def true_person_of(points: Float[np.ndarray, "K 2"], people: Float[np.ndarray, "P K 2"]) -> int:
-    """Index of the true person (P, K, 2) whose points lie closest to ``points`` (K, 2) in the median; -1 when all are
+    """Index of the true person (P, K, 2) whose points are closest to ``points`` (K, 2) in the median; -1 when all are
     far or unknown.
 
-    Far: beyond a quarter of the person's height in the picture. Points that are NaN on either side are left out.
+    Far means beyond a quarter of the person's height in the picture. Points that are NaN on either side are left out.
     """
     best, nearest = NOBODY, math.inf
     for index, person in enumerate(people):
@@ -55,12 +57,11 @@ def score_identities(
     cameras: Mapping[str, Camera],
     joints_m: Mapping[str, Float[np.ndarray, "T 24 3"]],
 ) -> dict[str, Any]:
-    """Accuracy, precision, IDF1 and switches of the identities that the detections were given; ``joints_m`` are true
-    (T, 24, 3).
+    """Accuracy, precision, IDF1 and switches of the detections' identities; ``joints_m`` are true (T, 24, 3).
 
-    A detection's true person is whose projected limbs it lies on. Numbers that cannot be taken are None.
+    A detection belongs to the true person whose projected limbs it overlaps. Numbers that cannot be computed are None.
     """
-    # Rejected tracks have no name, and nothing in common.
+    # Rejected tracks have no name, and do not form an identity together.
     names = sorted(set(identities.values()) - {""})
     people = [joints_m[name] for name in sorted(joints_m)]
     rows: list[tuple[int, int, int, int]] = []
@@ -89,8 +90,11 @@ def score_against(
     annotated: Mapping[tuple[str, int], str],
     identities: Mapping[tuple[str, int], str],
 ) -> dict[str, Any]:
-    """The same of identities that were found by themselves against the user's own word, ``annotated``: whoever is
-    nobody there is a false detection, and tracks that it does not name are left out (paper, Table of association)."""
+    """The same scores of association's own ``identities`` against the user's table, ``annotated``.
+
+    Tracks that the table marks as no person count as false detections; tracks that it does not list are left out
+    (paper, Table of association).
+    """
     names, found = sorted({*annotated.values()} - {""}), sorted({*identities.values()} - {""})
     rows: list[tuple[int, int, int, int]] = []
     for view, seen in enumerate(detections):
@@ -103,7 +107,7 @@ def score_against(
 
 
 def _told(rows: Sequence[tuple[int, int, int, int]], detections: Sequence[Detections]) -> dict[str, Any]:
-    """All scores of rows of frame, view, true and given person, as JSON has them."""
+    """All scores of rows of frame, view, true and given person, in the form of the JSON."""
     if not rows:
         return {"accuracy": None, "precision": None, "idf1": None, "reason": "there are no detections"}
     values = asdict(identity_scores(*np.array(rows).T))
@@ -115,10 +119,10 @@ def _told(rows: Sequence[tuple[int, int, int, int]], detections: Sequence[Detect
 def true_people(
     view: TrueView, camera: Camera, joints_m: Mapping[str, Float[np.ndarray, "T 24 3"]], first_frame: int, frames: int
 ) -> list[list[TruePerson]]:
-    """Per working frame the true people in one picture, with joints where they can be seen and the box of their mask.
+    """The true people in one picture per working frame, with visible joints and the box of their mask.
 
-    A joint counts when the pixel it projects to shows that person: what others, props and the picture's edge hide does
-    not. Person k of the truth (in order of name) has mask value k + 1.
+    A joint counts when the pixel it projects to shows that person, and not when others, props or the picture's edge
+    hide it. Person k of the truth (in order of name) has mask value k + 1.
     """
     pixels = true_pixels(camera, view.camera)
     projected = [camera.project(joints_m[name])[0] for name in sorted(joints_m)]
@@ -146,11 +150,11 @@ def score_bodies_in_pictures(
     first_frame: int,
     frames: int,
 ) -> dict[str, Any]:
-    """PCK and detection rate of the fitted joints (T, 24, 3), valid (T,), projected into the held-out cameras, against
-    the true ones.
+    """PCK and detection rate of the fitted joints (T, 24, 3), projected into the held-out cameras, against the true
+    ones.
 
-    Not the paper's PCK, which runs a detector on the rendered pictures: this says where the bodies are, not how they
-    look.
+    ``fitted`` also holds valid (T,). This is not the paper's PCK, which runs a detector on the rendered pictures: it
+    scores the bodies' positions and not their appearance.
     """
     pictures = []
     for camera in cameras:

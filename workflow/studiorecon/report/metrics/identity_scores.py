@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well given identities match true ones: association accuracy and precision, IDF1, switches, wrong-identity frames.
+"""Scores of given identities against true ones: association accuracy and precision, IDF1, switches, wrong-identity
+frames.
 
-One detection is one row of four equally long integer arrays: ``frame``, ``view``, ``truth`` (true person, negative:
-nobody, a false detection) and ``given`` (the identity it was given, negative: rejected). Names need not agree: only who
-is together with whom counts.
+One detection is one row of four equally long integer arrays: ``frame``, ``view``, ``truth`` (true person, negative: a
+false detection) and ``given`` (the assigned identity, negative: rejected). Names need not agree: only the grouping
+counts.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class IdentityScores:
-    """Scores of one scene; NaN where nothing could be scored (no pair, no detection).
+    """Scores of one scene; NaN without a pair or a detection to score.
 
     Attributes:
         accuracy: share of the pairs of one true person in different views of a frame that share a given identity (pair
@@ -30,9 +31,9 @@ class IdentityScores:
         idf1: 2 IDTP / (2 IDTP + IDFP + IDFN) under the best one-to-one naming over all views and frames.
         idf1_per_view: {view: the same for that view alone}.
         switches: changes of identity of a true person within a view, from one identified detection to the next.
-        wrong_frames: frames with a detection whose identity is, under that naming, somebody else's, or anybody's for a
-            false detection.
-        pairs, detections: how many true pairs and detections of true people there were.
+        wrong_frames: frames with a detection whose identity is, under that naming, that of another person, or any
+            identity for a false detection.
+        pairs, detections: numbers of true pairs and of detections of true people.
     """
 
     accuracy: float
@@ -51,8 +52,7 @@ def identity_scores(
     truth: Integer[np.ndarray, " D"],
     given: Integer[np.ndarray, " D"],
 ) -> IdentityScores:
-    """All scores of detections (D,) each; raises ValueError, naming the shapes, when the four arrays differ in
-    shape."""
+    """All scores of detections (D,); raises ValueError, naming the shapes, when the four arrays differ in shape."""
     frame, view, truth, given = _checked(frame, view, truth, given)
     views = {int(v): idf1(truth[view == v], given[view == v]) for v in np.unique(view)}
     return IdentityScores(
@@ -73,7 +73,7 @@ def association_accuracy(
     truth: Integer[np.ndarray, " D"],
     given: Integer[np.ndarray, " D"],
 ) -> float:
-    """Pair recall (evaluation.md §1.2): people seen once in a frame are not counted; NaN without a pair."""
+    """Pair recall (evaluation.md §1.2): people seen once in a frame do not count; NaN without a pair."""
     frame, view, truth, given = _checked(frame, view, truth, given)
     hits = [_same(given, i, j)[_same(truth, i, j)] for i, j in _pairs(frame, view)]
     return _mean(hits)
@@ -85,16 +85,17 @@ def association_precision(
     truth: Integer[np.ndarray, " D"],
     given: Integer[np.ndarray, " D"],
 ) -> float:
-    """Of the pairs given the same identity, the share truly the same person (§1.2); two false detections are not. NaN
-    without a pair."""
+    """Share of the pairs with the same given identity that are truly one person (§1.2); NaN without a pair.
+
+    Two false detections are not one person.
+    """
     frame, view, truth, given = _checked(frame, view, truth, given)
     hits = [_same(truth, i, j)[_same(given, i, j)] for i, j in _pairs(frame, view)]
     return _mean(hits)
 
 
 def best_naming(truth: Integer[np.ndarray, " D"], given: Integer[np.ndarray, " D"]) -> dict[int, int]:
-    """{given identity: true person}, one to one, with the most detections in common; pairs that share none are left
-    out."""
+    """{given identity: true person}, one to one, with the most detections in common; pairs without any are left out."""
     people, names = np.unique(truth[truth >= 0]), np.unique(given[given >= 0])
     if not len(people) or not len(names):
         return {}
@@ -106,8 +107,10 @@ def best_naming(truth: Integer[np.ndarray, " D"], given: Integer[np.ndarray, " D
 
 
 def idf1(truth: Integer[np.ndarray, " D"], given: Integer[np.ndarray, " D"]) -> float:
-    """IDF1 of detections (D,) that are already matched to their truth: a rejected true one is a miss, a named false one
-    an excess."""
+    """IDF1 of detections (D,) that are already matched to their truth.
+
+    A rejected true detection counts as missing, an identified false one as excess.
+    """
     truth, given = np.asarray(truth), np.asarray(given)
     naming = best_naming(truth, given)
     right = sum(int(((given == name) & (truth == person)).sum()) for name, person in naming.items())
@@ -121,7 +124,7 @@ def identity_switches(
     truth: Integer[np.ndarray, " D"],
     given: Integer[np.ndarray, " D"],
 ) -> int:
-    """Over views and true people: how often the identity differs from the one at the last identified detection."""
+    """Number of changes of identity over views and true people, each from one identified detection to the next."""
     frame, view, truth, given = _checked(frame, view, truth, given)
     count = 0
     for v in np.unique(view):
@@ -135,7 +138,9 @@ def identity_switches(
 def wrong_identity_frames(
     frame: Integer[np.ndarray, " D"], truth: Integer[np.ndarray, " D"], given: Integer[np.ndarray, " D"]
 ) -> int:
-    """Frames in which at least one detection carries somebody else's identity (rejected detections carry none)."""
+    """Number of frames with at least one detection that has another person's identity; rejected detections
+    have none.
+    """
     naming = best_naming(truth, given)
     person = np.array([naming.get(int(g), -2) for g in given], dtype=int)
     return len(np.unique(frame[(given >= 0) & (person != truth)]))

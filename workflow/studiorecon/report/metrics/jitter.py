@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Jitter of moving bodies: second differences of positions, and of rotations on SO(3), over runs of measured frames
-only."""
+"""Jitter of moving bodies: second differences of positions, and of rotations on SO(3), within runs of
+measured frames.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +38,8 @@ def rotation_jitter(
     """(n, ...) °/frame²: ‖log(R(t)ᵀ R(t+1)) − log(R(t−1)ᵀ R(t))‖ of rotations (T, ..., 3, 3) at the n frames inside
     measured runs.
 
-    Successive turns are differenced, not axis-angles: those jump by a full turn when a joint passes 180° (V05,
-    U43).
+    It takes differences of successive rotations and not of axis-angles, which jump by a full turn when a joint passes
+    180° (V05, U43).
     """
     inside = runs_of_three(valid)
     before, now, after = world_or_local[:-2][inside], world_or_local[1:-1][inside], world_or_local[2:][inside]
@@ -53,8 +54,8 @@ def jitter(
     """Mean jitter of one person: root and joints in mm/f² and m/s², pose in °/f² and °/s² (mean over 24 joints), frames
     used.
 
-    ``joints_m`` (T, 24, 3), ``poses`` (T, 72) axis-angle, ``valid`` (T,). Frames that hold a value that is not finite
-    count as not measured, and ``not_finite`` says how many. All None when no three measured frames follow one another.
+    ``joints_m`` (T, 24, 3), ``poses`` (T, 72) axis-angle, ``valid`` (T,). Frames with a non-finite value count as not
+    measured, and ``not_finite`` is their number. All values are None unless three consecutive frames were measured.
     """
     finite = np.isfinite(joints_m).all(axis=(1, 2)) & np.isfinite(poses).all(axis=1)
     use = valid & finite
@@ -66,7 +67,7 @@ def jitter(
         "root_mm_f2": root,
         "joints_mm_f2": joints,
         "pose_deg_f2": pose,
-        # Rate-free, so that captures of different rates can be compared.
+        # Per second, so that captures of different rates can be compared.
         "root_m_s2": None if root is None else root / 1000 * fps**2,
         "joints_m_s2": None if joints is None else joints / 1000 * fps**2,
         "pose_deg_s2": None if pose is None else pose * fps**2,

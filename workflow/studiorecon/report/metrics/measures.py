@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Picture measures of one view against its photo, frame by frame, and how they are averaged.
+"""Picture measures of one view against its photo, frame by frame, and their averages.
 
 Per frame → mean over frames → mean over cameras, unweighted, each level stored; squared errors are never pooled over
-frames. What was not measured is None with a reason, never 0.
+frames. A value that was not measured is None with a reason, never 0.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 FULL = ("psnr", "ssim", "ssim_3dgs", "psnr_colour_corrected")
 TEMPORAL = ("temporal_l1", "warp_rms", "warp_square", "flicker_excess", "temporal_l1_seen", "temporal_l1_unseen")
 REGIONS = ("people", "people_wide", "background", "seen", "unseen", "people_seen", "people_unseen")
-# Only for the sensitivity of the seen test to its tolerance: their PSNR and share.
+# Only PSNR and share, to show how sensitive the seen test is to its tolerance.
 SENSITIVITY = ("seen_strict", "unseen_strict", "seen_loose", "unseen_loose")
 SHARES = ("share_seen", "share_seen_strict", "share_seen_loose", "share_people_seen")
 NOT_FINITE = "not_finite"
@@ -50,9 +50,9 @@ NAMES = (
     *SHARES,
     *TEMPORAL,
 )
-# Below this a flow has no pyramid to search; the temporal measures are then not taken.
+# Smaller pictures have no pyramid for the flow search; they get no temporal measures.
 _SMALLEST_FLOW_PX = 24
-# ꟻLIP takes ten times the others' time: it is measured in the first of so many frames, and in every one after as many.
+# ꟻLIP takes ten times as long as the others, so only the first of every so many frames is measured.
 FLIP_EVERY = 12
 
 
@@ -63,11 +63,11 @@ def measure_picture(
     distance: PerceptualDistance | None = None,
     flipped: bool = False,
 ) -> dict[str, float | None]:
-    """Every picture measure of one frame; ``regions`` are masks (H, W) bool of the photo by name. Without a
-    ``distance`` there is no LPIPS, and ꟻLIP, which takes ten times the others' time, only of a ``flipped`` picture.
+    """Every picture measure of one frame; ``regions`` are masks (H, W) bool of the photo by name.
 
-    A float prediction's values that are not finite count as black (white for +inf), as a stored video would have them,
-    and ``not_finite`` says how many there were.
+    LPIPS needs ``distance``. ꟻLIP, which takes ten times as long as the others, is measured only if ``flipped``.
+    Non-finite values of a float prediction count as black (white for +inf), as a stored video would have them, and
+    ``not_finite`` is their number.
     """
     similarity, errors = ssim_map(prediction, photo), error_map(prediction, photo)
     values = {
@@ -93,7 +93,7 @@ def measure_picture(
 
 
 class Flicker:
-    """Temporal measures of a sequence: each picture against the previous one, moved by the flow of the *photos*."""
+    """Temporal measures of a sequence: each picture against the previous one, warped by the flow of the *photos*."""
 
     def __init__(self, flow_preset: str) -> None:
         self._preset = flow_preset
@@ -111,7 +111,7 @@ class Flicker:
         """The ``TEMPORAL`` measures of every named picture and, as ``"photo"``, of the photos; None for the first
         frame.
 
-        Pixels count where the flow leads back; ``regions`` belong to the current photo.
+        Pixels count where forward and backward flow agree; ``regions`` belong to the current photo.
         """
         grey = grey_levels(photo)
         values: dict[str, dict[str, float | None]] = {name: dict.fromkeys(TEMPORAL) for name in (*pictures, "photo")}
@@ -157,7 +157,7 @@ class Flicker:
 
 
 def first_alike(pictures: Mapping[str, Num[np.ndarray, "H W 3"]]) -> dict[str, str]:
-    """The first name whose picture is the same, for every name: what was not enhanced is not measured twice."""
+    """name → the first name with an identical picture, so that pictures without enhancement are measured once."""
     alike: dict[str, str] = {}
     for name, picture in pictures.items():
         same = (first for first in set(alike.values()) if _same(pictures[first], picture))
@@ -181,8 +181,8 @@ def measure_sequence(
     """version → measures per frame of one camera; ``frames`` are (photo, pictures of every version, regions of the
     photo).
 
-    ``"photo"`` is the photos' own flicker. ꟻLIP is measured in one frame of ``FLIP_EVERY``.
-    Call inside ``one_thread``: the flow's result depends on OpenCV's number of threads.
+    ``"photo"`` is the photos' own flicker. ꟻLIP is measured in one frame of ``FLIP_EVERY``. Call inside ``one_thread``:
+    the flow's result depends on OpenCV's number of threads.
     """
     flicker = Flicker(flow_preset)
     found: dict[str, list[dict[str, float | None]]] = {}
@@ -204,8 +204,8 @@ def summary(
     """One measure over cameras: value, 95 % interval, per-camera means, raw values per frame, counts of used, skipped,
     capped frames.
 
-    ``frames`` maps camera → values; ``reason`` is given when nothing at all was measured. Values that are not finite
-    are skipped.
+    ``frames`` maps camera → values; ``reason`` applies when there is no measurement at all. Non-finite values are
+    skipped.
     """
     cameras: dict[str, dict[str, Any]] = {}
     for camera, values in frames.items():
@@ -228,8 +228,10 @@ def summaries(
     reasons: Mapping[str, str],
     bootstrap: Bootstrap | None = None,
 ) -> dict[str, Any]:
-    """The summary of each named measure; ``per_camera`` maps camera → values per frame, ``reasons`` says why one may be
-    missing."""
+    """The summary of each named measure.
+
+    ``per_camera`` maps camera → values per frame, ``reasons`` says why a measure may be missing.
+    """
     result = {}
     for name in names:
         found = summary(

@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 ALPHAS = (0.05, 0.1)
-# The paper leaves the scale open; the same 8 px of noise score 100, 96, 69 or 28 % by its choice (evaluation 1.2,
+# The paper does not define the scale; the same 8 px of noise score 100, 96, 69 or 28 % by its choice (evaluation 1.2,
 # U58).
 SIDE = "longer side of the true person's box"
 SMALLEST_SIDE_PX = 16.0
 DETECTED_OKS = 0.3
-# Object keypoint similarity with one constant for all points, as the joints scored need not be COCO's: k = 2 σ with σ
+# Object keypoint similarity with one constant for all points, as the scored joints need not be COCO's: k = 2 σ with σ
 # 0.08, the mean of COCO's σ over its body points.
 _OKS_K = 0.16
 
@@ -43,7 +43,7 @@ def similarity(found: Float[np.ndarray, "K 2"], person: TruePerson) -> float:
     """Object keypoint similarity in [0, 1] of points (K, 2): mean over visible points of exp(−d² / (2 s² k²)), s² the
     box's area.
 
-    A missing point (NaN) has similarity 0; 0 as well when the person shows nothing or has an empty box.
+    A missing point (NaN) has similarity 0. It is also 0 when no point of the person is visible or the box is empty.
     """
     area = person.box_wh[0] * person.box_wh[1]
     if not person.visible.any() or not area > 0:
@@ -57,8 +57,7 @@ def similarity(found: Float[np.ndarray, "K 2"], person: TruePerson) -> float:
 
 
 def match(found: Sequence[Float[np.ndarray, "K 2"]], people: Sequence[TruePerson]) -> dict[int, int]:
-    """{index of a true person: index of the prediction it is}, one to one, similarity at least 0.3, with the largest
-    sum."""
+    """{index of a true person: index of its prediction}, one to one, similarity at least 0.3, with the largest sum."""
     if not len(found) or not len(people):
         return {}
     table = np.array([[similarity(points, person) for points in found] for person in people])
@@ -71,7 +70,7 @@ def correct(found: Float[np.ndarray, "K 2"] | None, person: TruePerson, alpha: f
     """(right, counted) visible keypoints within ``alpha`` × the box's longer side; None when that side is under 16
     pixels (V03).
 
-    A missing or NaN prediction is wrong; an undetected person (``found`` None) is all wrong.
+    A missing or NaN prediction is wrong; for an undetected person (``found`` None) all are wrong.
     """
     side = max(person.box_wh)
     if not side >= SMALLEST_SIDE_PX:
@@ -80,12 +79,12 @@ def correct(found: Float[np.ndarray, "K 2"] | None, person: TruePerson, alpha: f
     if found is None:
         return 0, counted
     distance = np.linalg.norm(found[person.visible] - person.points[person.visible], axis=-1)
-    # Comparisons with NaN are false, which is what a missing point should be.
+    # Comparisons with NaN are false, so a missing point counts as wrong.
     return int((distance <= alpha * side).sum()), counted
 
 
 def score(pictures: Sequence[tuple[Sequence[Float[np.ndarray, "K 2"]], Sequence[TruePerson]]]) -> dict[str, Any]:
-    """PCK@0.05, PCK@0.1 and detection rate over pictures of (predictions (K, 2) each, true people); None where nothing
+    """PCK@0.05, PCK@0.1 and detection rate over pictures of (predictions (K, 2) each, true people); None when nothing
     counted.
 
     PCK pools keypoints; people whose box is under 16 pixels or who show no keypoint are skipped and counted.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What human training decided of every person, as one decision."""
+"""The decisions of human training for all persons, combined into one."""
 
 from __future__ import annotations
 
@@ -15,8 +15,11 @@ if TYPE_CHECKING:
 
 
 def appearance(found: Mapping[str, Decision | None], threshold: float) -> Decision:
-    """The people's own decisions (name → what human training decided and did, None when it was not asked) as one: of
-    whom it calls for most. ``threshold`` is said where nobody was asked."""
+    """One decision from the people's own (name → decision of human training, None without one): that of the strongest
+    case.
+
+    ``threshold`` is reported when no person has a decision.
+    """
     asked = {name: (d.value, d) for name, d in found.items() if d is not None and d.value is not None}
     if not asked:
         why = (

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exact truth of a synthetic studio, which no other stage may read: who is where in a held-out picture, and what was
-seen of the room.
+"""Exact truth of a synthetic studio, which no other stage may read: people in a held-out picture, and seen parts of the
+room.
 
 The folder holds ``cameras.json`` (ideal pinholes), ``depth/<camera>.exr`` (the empty room), ``masks/<camera>.mkv`` (0
-room, k + 1 person k, 255 props), ``bodies/<person>.npz`` and, when the studio was told to keep it,
+room, k + 1 person k, 255 props), ``bodies/<person>.npz`` and, if the studio's settings keep it,
 ``depth_frames/<camera>.mkv``.
 """
 
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 _PROPS = 255
-# The people mask's second variant, 10 px wider all around, takes the silhouettes in (evaluation 1.2).
+# The second variant of the people mask, 10 px wider all around, includes the silhouettes (evaluation 1.2).
 _WIDE_PX = 21
-# The studio keeps depth with people as whole millimetres.
+# The studio stores depth with people in whole millimetres.
 _DEPTH_UNITS_PER_M = 1000
 
 
@@ -60,8 +60,10 @@ def true_joints(folder: Path) -> dict[str, Float[np.ndarray, "T 24 3"]]:
 
 
 def true_pixels(working: Camera, true: Camera) -> Float[np.ndarray, "H W 2"]:
-    """(H, W, 2) pixels of the true pinhole that show what the working pixels show: both look the same way, only sizes
-    differ."""
+    """(H, W, 2) pixels of the true pinhole that correspond to the working pixels.
+
+    Both cameras have the same pose and differ only in size.
+    """
     rays = (working.pixel_centres() - np.array(working.principal_px)) / np.array(working.focal_px)
     return rays * np.array(true.focal_px) + np.array(true.principal_px)
 
@@ -73,12 +75,12 @@ def seen_by(
     depth_m: Float[np.ndarray, "H W"],
     tolerances: Sequence[float],
 ) -> tuple[list[Bool[np.ndarray, " ..."]], Float[np.ndarray, "... 2"]]:
-    """Per tolerance (...,) bool: points (..., 3) that a camera with z-depth ``depth_m`` (H, W) sees, and its pixels
+    """Per tolerance (...,) bool: points (..., 3) that a camera with z-depth ``depth_m`` (H, W) sees; and its pixels
     (..., 2) of them.
 
     Seen: in front, inside the picture, and |z − z_n| ≤ tolerance · z_n with the camera's own depth z_n (relative to
-    that one: 5 m read as 4.75 m is 5.3 % or 5.0 % by the choice, V02), which must be a finite positive number
-    (V01: inf passes ``<=``) and away from depth edges, judged by the first tolerance.
+    that one: 5 m read as 4.75 m is 5.3 % or 5.0 % by the choice, V02). z_n must be finite and positive (V01: inf passes
+    ``<=``) and away from depth edges, by the first tolerance.
     """
     usable = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, 0).astype(np.float32)
     window = np.ones((3, 3), np.uint8)
@@ -102,10 +104,9 @@ def regions(
     """Masks (H, W) bool of one held-out camera's working frames, one dictionary per frame: people, background, seen,
     unseen, ….
 
-    A background pixel is seen when at that time some training camera sees the same surface with nobody in front of it;
-    ``_strict`` and ``_loose`` are the same at the two tolerances of ``sensitivity``. A person's pixel needs that
-    frame's depth, which the studio keeps when told to (``truth: depth_frames``); without it ``people_seen`` and
-    ``people_unseen`` are absent.
+    A background pixel is seen when at that time some training camera sees the same surface without a person in front;
+    ``_strict`` and ``_loose`` use the two tolerances of ``sensitivity``. A person's pixel needs that frame's depth,
+    which the studio stores with ``truth: depth_frames``; without it ``people_seen`` and ``people_unseen`` are absent.
     """
     own = views[camera.name]
     pixels = true_pixels(camera, own.camera)
@@ -146,7 +147,7 @@ def _people_seen(
     depths_m: Sequence[np.ndarray],
     tolerance: float,
 ) -> dict[str, np.ndarray]:
-    """People's pixels (H, W) that some training camera sees in the same frame, and those that none does."""
+    """People's pixels (H, W) that some training camera sees in the same frame, and those that none sees."""
     where = pixels[people][None]
     depth_m = sample(depths_m[0], where, "nearest")[0].astype(np.float64)
     known = np.isfinite(depth_m) & (depth_m > 0)
@@ -162,7 +163,7 @@ def _people_seen(
 def _depth_frames(
     views: dict[str, TrueView], names: Sequence[str], start: int, stop: int
 ) -> Iterator[list[np.ndarray]] | None:
-    """Depth in metres of the named cameras, frame by frame; None when the studio did not keep it."""
+    """Depth in metres of the named cameras, frame by frame; None when the studio did not store it."""
     paths = [views[name].masks.parent.parent / "depth_frames" / f"{name}.mkv" for name in names]
     if not all(path.is_file() for path in paths):
         return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The end of the page: every warning of the run, what it ran with, and where the numbers lie as files."""
+"""The end of the page: every warning of the run, its libraries, and links to the data files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from studiorecon.pages import html
 from studiorecon.scene.files import read_json, read_table
 
-# What a reader may want to open, below results/<scene>/, and what it holds.
+# Files for readers, relative to results/<scene>/, and their contents.
 _FILES = {
     "report/metrics.json": "every measure, per camera and frame, with its definition",
     "report/cost.json": "seconds and memory of every rule",
@@ -28,8 +28,9 @@ _FILES = {
 
 
 def film_warnings(ledgers: Sequence[Path], min_measured: float, max_angle_deg: float) -> list[tuple[str, str]]:
-    """(step, sentence) about where films show what nobody filmed, or go through something; ``ledgers`` are
-    ``render/<shot>.tsv``."""
+    """(step, sentence) for films that show unfilmed parts or pass through something; ``ledgers`` are
+    ``render/<shot>.tsv``.
+    """
     found = []
     for path in ledgers:
         rows = read_table(path, ("picture", "measured", "angle_deg", "near"))
@@ -61,7 +62,7 @@ def _ranges(pictures: Sequence[int]) -> str:
 
 
 def warnings(found: Sequence[tuple[str, str]]) -> str:
-    """The section on what a reader should know before trusting the result."""
+    """The section of warnings that a reader needs before trusting the result."""
     title = "Warnings"
     if not found:
         return html.heading(title, "No step warned of anything.")
@@ -71,7 +72,7 @@ def warnings(found: Sequence[tuple[str, str]]) -> str:
 
 
 def versions(provenance: Mapping[str, Any], machine: Mapping[str, str]) -> str:
-    """What the numbers were computed with."""
+    """The libraries and machine behind the numbers."""
     told = machine | provenance["libraries"]
     told |= {
         "commit of the code": provenance["revision"] or "not from a repository",
@@ -81,8 +82,7 @@ def versions(provenance: Mapping[str, Any], machine: Mapping[str, str]) -> str:
 
 
 def delivered(folder: Path, page: Path) -> str:
-    """Links to everything in ``deliver/`` that is there to be opened, a line per folder; keypoints and pictures, which
-    are many, by their number."""
+    """Links to the files in ``deliver/``, one line per folder; keypoints and pictures, which are many, as a count."""
     manifest = folder / "manifest.json"
     if not manifest.is_file():
         return ""
@@ -105,7 +105,7 @@ def delivered(folder: Path, page: Path) -> str:
 
 
 def links(results: Path, page: Path, files: Sequence[Path], ledgers: Sequence[Path]) -> str:
-    """Relative links to data of the scene in ``results``; they work where the page lies in its folder."""
+    """Relative links to data of the scene in ``results``; they work while the page stays in its folder."""
     told = [(path, _FILES[path.relative_to(results).as_posix()]) for path in files]
     told += [(path, f"what every picture of shot {path.stem} is made of") for path in ledgers]
     items = []

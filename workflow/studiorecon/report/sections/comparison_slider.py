@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two pictures of one moment on top of each other, with a slider that moves the line between them, by mouse, touch or
-keys."""
+"""A figure of two pictures of one moment with a slider that moves the line between them, by mouse, touch or keys."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ border-radius: 6px; }
 @media print { .controls { display: none; } }
 """
 
-# One function for all sliders of the page: it looks for the parts of the figure that a control stands in.
+# One function serves all sliders of the page: it searches the figure of the control that fired.
 _SCRIPT = """
 function wipe(control) {
   const figure = control.closest('figure'), shown = figure.querySelectorAll('.wipe img');
@@ -37,17 +36,18 @@ function wipe(control) {
 
 
 def slider(moments: Sequence[tuple[str, Mapping[str, str]]], left: str, right: str) -> str:
-    """A figure that compares two versions of one moment: ``moments`` are (caption, version → picture's data address).
+    """A figure that compares two versions of one moment; empty without moments.
 
-    All moments have the same versions; ``left`` and ``right`` name those that are shown first. Empty without moments.
-    The pictures are kept once, as JSON, and the two that are shown are there without a script as well.
+    ``moments`` are (caption, version → picture's data address). All moments have the same versions; ``left`` and
+    ``right`` name those that are shown first. Every picture is stored once, as JSON, and the two that are shown also
+    work without a script.
     """
     if not moments:
         return ""
     caption, first = moments[0]
     if any(set(versions) != set(first) for _, versions in moments) or left not in first or right not in first:
         raise ValueError(f"every moment needs the same versions, {left} and {right} among them")
-    # "</" would end the script element that holds the JSON; data addresses and captions need no other care.
+    # "</" would end the script element that holds the JSON; data addresses and captions need no other escaping.
     held = json.dumps([{"caption": c, "pictures": dict(v)} for c, v in moments], separators=(",", ":")).replace(
         "</", "<\\/"
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run cost, from Snakemake's benchmark files: seconds and memory per stage and rule."""
+"""The cost of a run from Snakemake's benchmark files: seconds and memory per stage and rule."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from studiorecon.stages import STAGES
 
-# As a reader looks for them; anything else comes after them.
+# The order that readers expect; all other stages follow.
 _ORDER = ("studio", *STAGES)
 _COLUMNS = {"seconds": "s", "cpu_seconds": "cpu_time", "peak_memory_mb": "max_rss"}
 
@@ -18,7 +18,7 @@ _COLUMNS = {"seconds": "s", "cpu_seconds": "cpu_time", "peak_memory_mb": "max_rs
 def read_benchmark(path: Path) -> dict[str, float | None]:
     """Seconds, CPU seconds and peak memory (MB) of one job; None where Snakemake could not measure (very short jobs).
 
-    A repeated benchmark has several rows; the median time and the largest memory are taken.
+    Of a repeated benchmark with several rows it takes the median time and the largest memory.
     """
     with open(path, newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file, delimiter="\t"))
@@ -32,10 +32,9 @@ def read_benchmark(path: Path) -> dict[str, float | None]:
 
 
 def cost(folder: Path) -> dict[str, Any]:
-    """Cost of a scene from ``timings/<scene>``: per stage, per rule, per job; files are
-    ``<stage>/<step>[/<job>].tsv``.
+    """Cost of a scene from ``timings/<scene>``: per stage, per rule, per job; files are ``<stage>/<step>[/<job>].tsv``.
 
-    Seconds are sums over jobs (jobs may have run side by side), peak memory is the largest single job's.
+    Seconds are sums over jobs, which may have run in parallel; peak memory is the largest single job's.
     """
     jobs: dict[str, dict[str, dict[str, dict[str, float | None]]]] = {}
     for path in sorted(folder.rglob("*.tsv")):

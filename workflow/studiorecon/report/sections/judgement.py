@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page's first sentence: what is good, what limits it, and what would help most, from what was measured."""
+"""The page's first sentence: the quality of the result, its limiting factor, and the most useful improvement."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _PRESET = "a longer training (preset standard) helps most"
 
 
 def judgement(metrics: Mapping[str, Any]) -> str:
-    """One or two sentences on a scene from its metrics.json; what was not measured is not judged."""
+    """One or two sentences on a scene from its metrics.json, about measured values only."""
     pictures = metrics["pictures"].get("enhanced") or metrics["pictures"].get("raw") or {}
     psnr, ssim = _value(pictures, "psnr"), _value(pictures, "ssim")
     joints_mm = metrics["bodies"]["mpjpe_world_mm"]
@@ -28,7 +28,7 @@ def judgement(metrics: Mapping[str, Any]) -> str:
 
 
 def _limit(pictures: Mapping[str, Any]) -> tuple[str, str]:
-    """What the largest error is made of, and what would lower it."""
+    """The main cause of the largest error, and a remedy."""
     seen, unseen, share = (_value(pictures, name) for name in ("psnr_seen", "psnr_unseen", "share_seen"))
     if seen is not None and unseen is not None and share is not None:
         missed, known = (1 - share) * _error(unseen), share * _error(seen)

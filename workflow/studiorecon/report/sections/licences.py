@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page's section on licences: what was used, under which terms, and whether the result may be used commercially."""
+"""The page's section on licences: the networks in use, their terms, and whether the result may be used commercially."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def verdict(configuration: Mapping[str, Any]) -> str:
 
 
 def checksums(name: str, weights: Path) -> str:
-    """First digits of the SHA-256 of the model's files that were verified here; a word when none was."""
+    """First digits of the SHA-256 of the model's verified files; a word when none was verified."""
     pins = read_pins(weights) if weights.is_dir() else {}
     found = [
         f"{Path(file.path).name} {pins[file.path]['sha256'][:12]}" for file in MODELS[name].weights if file.path in pins
@@ -39,7 +39,7 @@ def checksums(name: str, weights: Path) -> str:
 
 
 def licences(configuration: Mapping[str, Any], folder: Path) -> str:
-    """Table of the networks in use, the verdict, and the texts of the licences of what is inside the results."""
+    """Table of the networks in use, the verdict, and the texts of the licences of the results' contents."""
     parts = [html.heading("Licences", "This project's code is under Apache-2.0. " + _VERDICTS[verdict(configuration)])]
     rows = [
         (

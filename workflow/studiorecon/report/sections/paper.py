@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run's numbers as one row of the paper's tables, beside the paper's own rows, which were measured on other data."""
+"""A run's numbers as one row of the paper's tables, next to the paper's own rows, which come from other data."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from studiorecon.scene.files import read_table
 
 COLUMNS = ("table", "data", "method", "measure", "value")
 METHODS = ("StudioRecon", "MonoFusion", "Dyn-3DGS", "STG")
-# measure, heading, digits. The paper does not name its SSIM: the zero-padded one is what its lineage prints.
+# measure, heading, digits. The paper does not name its SSIM; methods before it print the zero-padded one.
 MEASURES = (
     ("psnr", "PSNR ↑", 2),
     ("ssim", "SSIM ↑", 3),
@@ -36,10 +36,10 @@ MEASURES = (
 
 
 def own_row(metrics: Mapping[str, Any], recognised: Mapping[str, Any], version: str) -> dict[str, float | None]:
-    """This run's values by the names above; None where a value was not measured, such as whom a detector
-    ``recognised`` where nobody is to be found.
+    """This run's values by the names above; None where a value was not measured, such as ``recognised`` in an empty
+    room.
 
-    Per-scene jitter is the mean over people, all joints.
+    Jitter of the scene is the mean over people, all joints.
     """
     pictures, people = metrics["pictures"].get(version, {}), metrics.get("jitter", {}).values()
     row = {name: pictures.get(name, {}).get("value") for name, _, _ in MEASURES}
@@ -51,8 +51,9 @@ def own_row(metrics: Mapping[str, Any], recognised: Mapping[str, Any], version: 
 
 
 def paper_rows(path: Path) -> dict[str, dict[str, tuple[float, str]]]:
-    """method → measure → (value, the data it is the mean of), from the paper's tables of means; scenes one by one stay
-    in the file."""
+    """method → measure → (value, the data it is the mean of), from the paper's tables of means; the file also has
+    single scenes.
+    """
     rows: dict[str, dict[str, tuple[float, str]]] = {method: {} for method in METHODS}
     for line in read_table(path, COLUMNS):
         if line["data"].startswith("mean of"):

@@ -44,8 +44,10 @@ def depth_picture(
 
 
 def mask_picture(photo: Integer[np.ndarray, "H W 3"], mask: Integer[np.ndarray, "H W"]) -> Integer[np.ndarray, "H W 3"]:
-    """The photo with each person tinted in a colour of their own; ``mask`` is 0 background, k+1 person k, 255
-    unassigned."""
+    """The photo with each person tinted in a colour of their own.
+
+    ``mask`` is 0 background, k+1 person k, 255 unassigned.
+    """
     tinted = photo.astype(np.float32)
     for label in np.unique(mask[mask > 0]):
         colour = NOBODY if label == _UNASSIGNED else person_colour(int(label) - 1)

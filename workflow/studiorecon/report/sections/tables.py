@@ -15,7 +15,7 @@ from studiorecon.scene.capture import Manifest
 from studiorecon.scene.decisions import Decision
 
 MISSING = "not measured"
-# name in metrics.json, name for readers, unit, digits, what it means. Arrows say which way is better.
+# name in metrics.json, name for readers, unit, digits, meaning. Arrows show which direction is better.
 _MEASURES = (
     ("psnr", "PSNR ↑", "dB", 2, "whole picture"),
     ("ssim", "SSIM ↑", "", 4, "whole picture, windows inside it"),
@@ -59,7 +59,7 @@ _MEASURES = (
 
 
 def shown(value: float | None, digits: int, unit: str = "") -> str:
-    """A number for readers; what was not measured is never a zero."""
+    """A number for readers; a value that was not measured is never shown as zero."""
     return MISSING if value is None else f"{value:.{digits}f} {unit}".strip()
 
 
@@ -71,7 +71,7 @@ def duration(seconds: float | None) -> str:
 
 
 def versions_of(metrics: Mapping[str, Any]) -> tuple[str, ...]:
-    """The versions of films that differ: ``raw`` and ``enhanced``, or ``enhanced`` alone, which then is the render."""
+    """The versions of films that differ: ``raw`` and ``enhanced``, or only ``enhanced`` when they are identical."""
     raw, final = (
         {name: found["value"] for name, found in metrics["pictures"].get(version, {}).items()}
         for version in ("raw", "enhanced")
@@ -84,7 +84,7 @@ def _title(version: str, versions: Sequence[str]) -> str:
 
 
 def head(scene: str, capture: Manifest, cameras: int, metrics: Mapping[str, Any]) -> str:
-    """Title, the sentence that judges, and one on the capture."""
+    """Title, the sentence of judgement, and one on the capture."""
     held_out = len(capture.held_out)
     about = f"{cameras} training cameras, {held_out} held out, {capture.frames} frames at {capture.fps:g} per second."
     return (
@@ -94,7 +94,7 @@ def head(scene: str, capture: Manifest, cameras: int, metrics: Mapping[str, Any]
 
 
 def numbers(metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
-    """The numbers that a reader asks for first."""
+    """The main numbers for a reader."""
     people, versions = metrics["bodies"].get("people") or {}, versions_of(metrics)
     entries = []
     for version in reversed(versions):
@@ -108,7 +108,7 @@ def numbers(metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
 
 
 def measures(metrics: Mapping[str, Any]) -> str:
-    """The table of picture measures, raw beside enhanced where they differ, and the values per camera on demand."""
+    """The table of picture measures, raw next to enhanced where they differ, with expandable values per camera."""
     rows = []
     reasons: dict[str, list[str]] = {}
     pictures, versions = metrics["pictures"], versions_of(metrics)
@@ -134,7 +134,7 @@ def measures(metrics: Mapping[str, Any]) -> str:
     ]
     header = [f"{version if len(versions) > 1 else ''} {measure.upper()}".strip() for version, measure, _ in of_each]
     per_camera = html.table(["camera", *header], each, numeric=range(1, 1 + len(header))) if each else ""
-    # A camera that was moved, or that nobody could check: what its scores are worth.
+    # A note on scores of cameras that were moved or whose pose could not be checked.
     notes += "".join(
         f"<p class=soft>{html.text(c['sentence'][:1].upper() + c['sentence'][1:])}.</p>"
         for c in metrics.get("held_out_cameras", ())
@@ -146,8 +146,7 @@ def measures(metrics: Mapping[str, Any]) -> str:
 
 
 def paper(metrics: Mapping[str, Any], recognised: Mapping[str, Any], rows: Path) -> str:
-    """This run as a row of the paper's tables. The paper's methods ran on other captures, which no reader may
-    overlook."""
+    """This run as a row of the paper's tables, with a plain note that the paper's methods ran on other captures."""
     lead = (
         "The paper's methods were measured on other data, so that no column says which "
         "is better here; it shows what is usual."
@@ -184,8 +183,10 @@ def people(metrics: Mapping[str, Any]) -> str:
 
 
 def left_out(those: Sequence[Mapping[str, Any]]) -> str:
-    """The short list of whom association left out, why, and what takes each of them in: ``left_out`` of
-    people/association.json. Nothing where there are none."""
+    """The short list of people that association left out, with the reason and a remedy for each; empty without any.
+
+    ``those`` is ``left_out`` of people/association.json.
+    """
     if not those:
         return ""
     lead = (
@@ -225,7 +226,7 @@ def cameras(doctor: Any, sheet: str) -> str:
 
 
 def _edges(told: Any) -> str:
-    """What the room's straight edges said of how the cameras are turned, before refinement and after."""
+    """How the room's straight edges constrained the cameras' rotation, before refinement and after."""
     if told is None:
         return ""
     off = f"{' and '.join(told['cameras'])} are turned to one another by {told['off_deg']:.1f}°"
@@ -239,7 +240,7 @@ def _edges(told: Any) -> str:
 
 
 def coverage(decided: Sequence[Mapping[str, Decision]]) -> str:
-    """How much of the stage one, two, … training cameras see, by the survey's measurement; empty where it has none."""
+    """Shares of the stage that one, two, … training cameras see, by the survey; empty without its measurement."""
     shares = next((d["view_synthesis"].detail.get("seen_by") for d in decided if "view_synthesis" in d), None)
     if not shares:
         return ""
@@ -249,7 +250,7 @@ def coverage(decided: Sequence[Mapping[str, Decision]]) -> str:
 
 
 def overlap(rig: Mapping[str, Any]) -> str:
-    """How little the training cameras overlap, beside the paper's table; empty for a single camera."""
+    """The overlap of the training cameras, next to the paper's table; empty for a single camera."""
     if rig["position_deg"] is None:
         return ""
     rows = [
@@ -261,8 +262,10 @@ def overlap(rig: Mapping[str, Any]) -> str:
 
 
 def reached(metrics: Mapping[str, Any], spent: Mapping[str, Any], budget: Mapping[str, Any]) -> str:
-    """What this run cost and reached, in one sentence and three numbers; the prediction where a ``budget`` chose
-    its preset (``plan.budget.Choice.as_json``)."""
+    """The cost and scores of this run in one sentence and three numbers.
+
+    A prediction is included where a ``budget`` chose the preset (``plan.budget.Choice.as_json``).
+    """
     if spent["reason"]:
         return html.heading("What accuracy costs") + f"<p>{MISSING}: {html.text(spent['reason'])}.</p>"
     seconds = {stage: entry["seconds"] or 0.0 for stage, entry in spent["stages"].items()}
