@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which back end draws: the CPU's kernels, or gsplat on a CUDA device."""
+"""Chooses the back end: the CPU's kernels, or gsplat on a CUDA device."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Device = Literal["cpu", "cuda"]
 
 
 def resolve(setting: str, what: str = "Gaussians are drawn") -> Device:
-    """``setting`` (auto, cpu or cuda) as the device that will be used; says which, and for what, once per call.
+    """The device for ``setting`` (auto, cpu or cuda); logs it with ``what`` it is for, once per call.
 
-    auto takes CUDA where gsplat is installed and torch finds a device; without gsplat torch is not even imported.
-    Raises UserError when cuda is asked for and cannot be had.
+    auto uses CUDA where gsplat is installed and torch detects a device; without gsplat torch is not even imported.
+    Raises UserError when cuda is set and not available.
     """
     if setting not in ("auto", "cpu", "cuda"):
         raise UserError(f"setting device is {setting!r}; it must be auto, cpu or cuda")
@@ -38,7 +38,7 @@ def rasteriser(
 ) -> Rasteriser | GsplatRasteriser:
     """The rasteriser of a resolved ``device``: both have the same ``forward`` and ``backward``.
 
-    ``draw`` and ``gather``, which training on the CPU calls, are the CPU's alone.
+    ``draw`` and ``gather``, which training on the CPU calls, exist on the CPU only.
     """
     if (resolve(device) if device == "auto" else device) == "cuda":
         from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
@@ -50,7 +50,7 @@ def rasteriser(
 
 
 def _missing_for_cuda() -> str:
-    """What CUDA would need and does not find, with how to get it; empty when nothing is missing."""
+    """The missing requirements of CUDA and how to install them; empty when nothing is missing."""
     for name in ("gsplat", "torch"):
         if importlib.util.find_spec(name) is None:
             return (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flat Gaussians: discs that lie on a surface."""
+"""Flat Gaussians: discs on a surface."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The slow truth: a dense float64 rasteriser in torch whose gradients are autograd's. Only tests import it.
+"""Reference rasteriser: slow, dense, float64 in torch with autograd's gradients. Only tests import it.
 
 Every Gaussian is evaluated at every pixel, so cost is Gaussians × pixels. Conventions as in ``rasterise``.
 """
@@ -16,7 +16,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.conventions import ALPHA_MAX, DILATION_PX2, FRAME_MARGIN, TRANSMITTANCE_MIN
 
-# Pixels that are blended at once.
+# Number of pixels that are blended at once.
 _PIXELS = 512
 
 FIELDS = ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")
@@ -61,14 +61,14 @@ def blend(
     """Colours (N, C) blended over nothing (H, W, C), alpha (H, W) and depth sum (H, W)."""
     depth, covariances, centres = splats.depth, splats.covariances, splats.centres
     drawn = torch.nonzero((depth > near_m) & (opacity >= 1 / 255)).flatten()
-    # The order is float32's, as in the kernels, so that near ties resolve alike.
+    # The order is float32's, as in the kernels, so that near ties resolve the same way.
     drawn = drawn[torch.sort(depth.detach()[drawn].float(), stable=True).indices]
     determinant = covariances[drawn, 0, 0] * covariances[drawn, 1, 1] - covariances[drawn, 0, 1] ** 2
     a, b, c = (covariances[drawn, i, j] / determinant for i, j in ((1, 1), (0, 1), (0, 0)))
     pixels = torch.as_tensor(camera.pixel_centres()).reshape(-1, 2)
     drawn_splats = (centres[drawn], a, b, c, opacity[drawn], depth[drawn], colours[drawn])
-    # Some pixels after others, each computed again for its gradients: what is held stays small, and memory that the
-    # system gives and takes anew for every picture costs more time than the second pass.
+    # In chunks of pixels, computed again for the gradients: this saves memory, and allocating for every picture costs
+    # more time than the second pass.
     parts = [checkpoint(_blend_pixels, some, *drawn_splats, use_reentrant=False) for some in pixels.split(_PIXELS)]
     colour, alpha, depth_sum = (torch.cat(part) for part in zip(*parts))
     return colour.reshape(*camera.hw, -1), alpha.reshape(camera.hw), depth_sum.reshape(camera.hw)
@@ -84,8 +84,10 @@ def _blend_pixels(
     depth: torch.Tensor,
     colours: torch.Tensor,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Colours (P, C), alpha (P,) and depth sum (P,) at pixels (P, 2) of Gaussians in the order in which they are drawn;
-    ``a``, ``b`` and ``c`` are the numbers of their inverse covariances."""
+    """Colours (P, C), alpha (P,) and depth sum (P,) at pixels (P, 2) of Gaussians in drawing order.
+
+    ``a``, ``b`` and ``c`` are the entries of their inverse covariances.
+    """
     dx = pixels[None, :, 0] - centres[:, 0, None]  # (drawn, pixels)
     dy = pixels[None, :, 1] - centres[:, 1, None]
     exponent = 0.5 * (a[:, None] * dx * dx + c[:, None] * dy * dy) - b[:, None] * dx * dy
@@ -103,7 +105,7 @@ def _blend_pixels(
 def project(
     means_m: torch.Tensor, quaternions: torch.Tensor, scales: torch.Tensor, camera: Camera, near_m: float
 ) -> Splats:
-    """EWA projection as in 3DGS, linearised at most at the limits of ``conventions.FRAME_MARGIN``."""
+    """EWA projection as in 3DGS, linearised no further out than the limits of ``conventions.FRAME_MARGIN``."""
     camera_from_world = torch.as_tensor(camera.camera_from_world)
     rotation, translation = camera_from_world[:3, :3], camera_from_world[:3, 3]
     in_camera = means_m @ rotation.T + translation

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a rasteriser takes and gives, whichever back end draws: sets of Gaussians, rendered views, gradients."""
+"""Inputs and outputs of both rasterisers: sets of Gaussians, rendered views, gradients."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Rendering:
         alpha: (H, W) float32, 1 − transmittance.
         depth_m: (H, W) float32 expected z-depth (the blended depth over alpha), 0 where alpha is below 1e-4.
         normals: (H, W, 3) float32 unit normals in the world, 0 where nothing is drawn: the Gaussians' shortest axes,
-            turned towards the camera and blended like colours. None unless asked.
+            turned towards the camera and blended like colours. None unless requested.
         values: (H, W, C) float32, the caller's values of the Gaussians blended like colours. None unless given.
     """
 
@@ -89,7 +89,7 @@ def checked_values(values: Num[np.ndarray, "N C"], count: int) -> Num[np.ndarray
 def taken_apart(
     blended: Float[np.ndarray, "H W C"], channels: int, normals: bool
 ) -> tuple[Float[np.ndarray, "H W 3"] | None, Float[np.ndarray, "H W c"] | None]:
-    """(H, W, C) of the caller's ``channels``, then normals if any → normals, values of a ``Rendering``."""
+    """Normals and values of a ``Rendering``, split from (H, W, C): the caller's ``channels`` come first."""
     return (
         unit_or_zero(blended[..., channels:]) if normals else None,
         blended[..., :channels] if channels else None,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Loose things as rigid sets of Gaussians that move: ``objects/objects.npz``."""
+"""Moving rigid objects as sets of Gaussians, and their file ``objects/objects.npz``."""
 
 from __future__ import annotations
 
@@ -26,31 +26,29 @@ if TYPE_CHECKING:
 _GAUSSIANS = ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")
 _MOTION = ("provenance", "centres_m", "world_from_object", "valid", "present")
 MEASURED_TURNS, NO_TURNS = "measured", "undetermined"
-# A turned thing's outline is drawn with this many deviations around every Gaussian that covers more than this.
+# A rotating object's outline is drawn with this many sigmas around every Gaussian with a larger coverage.
 _DEVIATIONS, _COVERS = 1.0, 0.3
-# Its capsule needs so many such Gaussians, and reaches from one to the other of these quantiles of them: strays throw
-# no shadow.
+# Its capsule needs so many such Gaussians, and spans these quantiles of them, so that outliers throw no shadow.
 _MIN_COVERING, _ENDS = 8, (0.01, 0.99)
-# OpenCV draws circles to this part of a pixel.
+# OpenCV draws circles to this fraction of a pixel.
 _FINE_BITS, _FINE = 4, 16
 
 
 @dataclass(frozen=True)
 class RigidObject:
-    """One thing that keeps its shape, moves, and turns where that could be told.
+    """One object of constant shape that moves, and rotates where the rotation was measured.
 
     Attributes:
-        person: its name, ``o0``, ``o1``, …; what composites and mattes call it.
-        gaussians: N Gaussians around the thing's own middle, metres; axes as in the world where nobody knows how it
-            turns.
+        person: its name, ``o0``, ``o1``, …, as in composites and mattes.
+        gaussians: N Gaussians around the object's own middle, metres; axes as in the world where its rotation is
+            undetermined.
         provenance: (N,) uint8, see ``scene/provenance.py``.
         centres_m: (T, 3) world position of the middle; NaN where it is unknown.
-        valid: (T,) bool: frames in which cameras measured the place, and the turn; in others both lie between measured
-            ones.
-        present: (T,) bool: frames in which the position is known; in others the thing is left out.
+        valid: (T,) bool: frames in which cameras measured position and rotation; in others both are interpolated.
+        present: (T,) bool: frames in which the position is known; in others the object is not drawn.
         radius_m: radius of the sphere with the outlines' size.
-        world_from_object: (T, 3, 3) rotations; all the identity where how it turns is undetermined.
-        turns: "measured", or "undetermined": a thing that does not turn explains what was seen as well.
+        world_from_object: (T, 3, 3) rotations; all the identity where undetermined.
+        turns: "measured", or "undetermined": an object that does not rotate explains the pictures as well.
     """
 
     person: str
@@ -72,7 +70,7 @@ class RigidObject:
     def centre_at(self, frame: float) -> Float[np.ndarray, " 3"] | None:
         """(3,) position at a 0-based, possibly fractional frame, metres; None where it is unknown.
 
-        Beside a frame in which it is unknown, it stays where it was at the nearer of the two, if that one is known.
+        Next to an unknown frame it is the position in the nearer frame, if that one is known.
         """
         low, high, share = self._between(frame)
         if self.present[low] and self.present[high]:
@@ -81,29 +79,29 @@ class RigidObject:
         return self.centres_m[near] if self.present[near] else None
 
     def turn_at(self, frame: float) -> Float[np.ndarray, "3 3"]:
-        """(3, 3) rotation world_from_object at a 0-based, possibly fractional frame; beside an unknown frame, that of
-        the known one."""
+        """(3, 3) rotation world_from_object at a 0-based, possibly fractional frame; next to an unknown frame, the
+        known one's."""
         low, high, share = self._between(frame)
         if not (self.present[low] and self.present[high]):
             return self.world_from_object[low if self.present[low] else high]
         return rotations.slerp(self.world_from_object[low], self.world_from_object[high], share)
 
     def pose_at(self, frame: float) -> Float[np.ndarray, "4 4"]:
-        """(4, 4) world_from_object at a frame; its place is NaN where that is unknown."""
+        """(4, 4) world_from_object at a frame; the translation is NaN where unknown."""
         pose, centre = np.eye(4), self.centre_at(frame)
         pose[:3, :3] = self.turn_at(frame)
         pose[:3, 3] = np.nan if centre is None else centre
         return pose
 
     def posed(self, frame: float) -> Gaussians:
-        """The Gaussians in the world at a 0-based, possibly fractional frame; as many, but not drawn, where the
-        position is unknown."""
+        """The Gaussians in the world at a 0-based, possibly fractional frame; the same number, but invisible, where
+        unknown."""
         centre, own = self.centre_at(frame), self.gaussians
         if centre is None:
             return own.undrawn()
         if self.turns == NO_TURNS:
             return replace(own, means_m=(own.means_m + centre).astype(np.float32))
-        # One bone carries them all.
+        # One bone carries all Gaussians.
         bones = np.tile(np.eye(4), (24, 1, 1))
         bones[0, :3, :3], bones[0, :3, 3] = self.turn_at(frame), centre
         posing = Posing(np.zeros((own.count, 1), np.uint8), np.ones((own.count, 1), np.float32))
@@ -116,11 +114,11 @@ class RigidObject:
         return np.full((1, 3), np.inf) if centre is None else centre[None]
 
     def capsule(self, frame: float) -> Float[np.ndarray, "C 7"]:
-        """(1, 7) a capsule for the thing, two ends and a radius, metres, as light meets it; (0, 7) where the position
+        """(1, 7) a capsule that blocks light like the object, two ends and a radius, metres; (0, 7) where the position
         is unknown.
 
-        As long as the thing, and as thick as the disc with the area of its box across: a ball's own sphere, a board's
-        mean thickness.
+        It is as long as the object, and as thick as the disc with the area of its cross-section: a ball's own sphere, a
+        board's mean thickness.
         """
         centre, own = self.centre_at(frame), self.gaussians
         covers = own.logit_opacities > np.log(_COVERS / (1 - _COVERS))
@@ -137,10 +135,10 @@ class RigidObject:
         return np.concatenate([ends.ravel(), [radius]])[None]
 
     def outline(self, camera: Camera, frame: int, grown: float = 1.0) -> Float[np.ndarray, "H W"]:
-        """(H, W) float32 z-depth of the middle where the thing is seen, 0 elsewhere and when absent.
+        """(H, W) float32 z-depth of the middle inside the object's outline, 0 outside and when absent.
 
-        Seen is the sphere of ``grown`` times the radius; of a thing whose turns were measured, its own outline,
-        ``grown`` about its middle.
+        The outline is the sphere of ``grown`` times the radius, or, with measured rotations, the object's own outline,
+        scaled by ``grown`` about its middle.
         """
         drawn = np.zeros(camera.hw, np.float32)
         centre = self.centre_at(frame)
@@ -160,13 +158,13 @@ class RigidObject:
         return drawn
 
     def _drawn(self, camera: Camera, frame: int, grown: float, depth_m: float, drawn: np.ndarray) -> np.ndarray:
-        """The outline of a thing whose turns are known: a disc at every Gaussian that covers something."""
+        """The outline of an object with known rotations: a disc at every Gaussian with enough coverage."""
         own, centre = self.gaussians, self.centre_at(frame)
         covers = own.logit_opacities > np.log(_COVERS / (1 - _COVERS))
         means = centre + grown * own.means_m[covers] @ self.turn_at(frame).T
         reach_m = grown * _DEVIATIONS * np.exp(own.log_scales[covers]).max(axis=1)
         pixels, depths_m = camera.project(means)
-        # Nothing of it lies behind the camera, or its middle would be nearer than its radius.
+        # No part of it is behind the camera, or its middle would be nearer than its radius.
         ahead = depths_m > self.radius_m / 4
         for (x, y), radius_px in zip(pixels[ahead], (reach_m * camera.focal_px[0] / depths_m)[ahead]):
             at = round(float(x - 0.5) * _FINE), round(float(y - 0.5) * _FINE)
@@ -174,14 +172,14 @@ class RigidObject:
         return drawn
 
     def _between(self, frame: float) -> tuple[int, int, float]:
-        """The frames around a fractional one, and how far it lies between them."""
+        """The frames around a fractional one, and the fraction between them."""
         at = float(np.clip(frame, 0, len(self.centres_m) - 1))
         low = min(int(at), max(len(self.centres_m) - 2, 0))
         return low, min(low + 1, len(self.centres_m) - 1), at - low
 
 
 def write_objects(path: Path, objects: Sequence[RigidObject], frames: int) -> None:
-    """Write all objects of a scene of so many frames, maybe none."""
+    """Write all objects of a scene of ``frames`` frames; there may be none."""
     arrays: dict[str, np.ndarray | int | float | str] = {
         "names": np.array([o.person for o in objects], dtype=np.str_),
         "frames": frames,
@@ -209,7 +207,7 @@ def read_objects(path: Path) -> list[RigidObject]:
 
 
 def _schema_of(name: str) -> dict[str, Schema]:
-    """What is held of one object, whose number of Gaussians is its own."""
+    """The schema of one object, whose number of Gaussians is its own."""
     n = f"N_{name}"
     return {
         "means_m": metres(f"{n} 3"),

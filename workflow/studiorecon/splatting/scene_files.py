@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a trained scene: its room, everybody and loose things as Gaussians."""
+"""Reads the files of a trained scene: its room, people and objects as Gaussians."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SceneFiles:
-    """A step that draws a scene takes these.
+    """The files of a step that draws a scene.
 
     Attributes:
-        background, provenance: the room, and how each of its Gaussians is known.
+        background, provenance: the room, and the provenance of its Gaussians.
         gaussians, avatars: of every person; their motion is of the body model ``body``.
-        objects: loose things, if any.
+        objects: rigid objects, if any.
     """
 
     background: Path
@@ -44,7 +44,7 @@ class SceneFiles:
         return gaussians, read_provenance(self.provenance, gaussians.count)
 
     def people(self) -> list[Avatar]:
-        """Everybody; raises UserError where there is no body model for them."""
+        """All people; raises UserError where there is no body model for them."""
         if not self.avatars:
             return []
         if self.body is None:
@@ -53,5 +53,5 @@ class SceneFiles:
         return [read_avatar(ply, npz, model) for ply, npz in zip(self.gaussians, self.avatars, strict=True)]
 
     def things(self) -> list[RigidObject]:
-        """All loose things."""
+        """All rigid objects."""
         return [thing for path in self.objects for thing in read_objects(path)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""First Gaussians of a room: flat ones on measured depth, or, without depth, a floor and a random volume."""
+"""First Gaussians of a room: flat ones on measured depth; without depth, a floor and a random volume."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 # Thickness of a flat Gaussian as a share of its width: thin enough for grazing views, thick enough to keep a gradient.
 _FLATNESS = 0.15
-# A jump in depth by more than this share: no Gaussian there, its normal would lean between two surfaces.
+# At a larger jump in depth than this share there is no Gaussian: its normal would tilt between two surfaces.
 _EDGE_SHARE = 0.24
-# Between photos, surfaces nearer to each other than this share of their depth are one.
+# Surfaces of two photos that are nearer to each other than this share of their depth are one.
 _SAME_SURFACE = 0.03
-# Opacity of Gaussians that were put anywhere: faint enough for gradients to reach those behind them.
+# Opacity of Gaussians at random positions: low enough for gradients to reach those behind them.
 _FAINT = 0.1
 
 
@@ -37,10 +37,9 @@ def seeds_from_depth(
     opacity: float,
     sh_degree: int,
 ) -> tuple[Gaussians, Integer[np.ndarray, "N 2"]]:
-    """One flat Gaussian per ``stride`` × ``stride`` pixels where ``wanted`` (H, W), and the (row, column) it came from
-    (N, 2).
+    """One flat Gaussian per ``stride`` × ``stride`` pixels where ``wanted`` (H, W), and its (row, column) (N, 2).
 
-    ``size`` is its standard deviation as a share of the distance to its neighbour, stretched on slanted surfaces.
+    ``size`` is its sigma as a share of the distance to its neighbour, stretched on slanted surfaces.
     """
     points, normals, usable = points_and_normals(depth_m, camera, _EDGE_SHARE)
     grid = np.zeros(depth_m.shape, bool)
@@ -58,11 +57,10 @@ def seeds_from_depth(
 def finest(
     cameras: Sequence[Camera], depths_m: Sequence[Num[np.ndarray, "H W"]], known: Sequence[Bool[np.ndarray, "H W"]]
 ) -> list[Bool[np.ndarray, "H W"]]:
-    """(H, W) bool of every camera: pixels ``known`` there whose surface no other camera shows finer.
+    """(H, W) bool of every camera: ``known`` pixels whose surface no other camera shows at a higher resolution.
 
-    What several photos show is started once, from the photo that has most pixels on a square metre of it: another set
-    of discs a little before or behind it costs as much and shows next to nothing more. ``depths_m`` and ``known``
-    (H, W).
+    A surface in several photos is started once, from the photo with most pixels per square metre of it: a second set of
+    discs slightly in front or behind costs as much and shows almost nothing more. ``depths_m`` and ``known`` (H, W).
     """
     views = [points_and_normals(depth_m, camera, _EDGE_SHARE) for camera, depth_m in zip(cameras, depths_m)]
     fine = [
@@ -87,7 +85,7 @@ def finest(
 def _pixels_per_m2(
     camera: Camera, points: Num[np.ndarray, "H W 3"], normals: Num[np.ndarray, "H W 3"]
 ) -> Num[np.ndarray, "H W"]:
-    """How many pixels a camera has on a square metre of surface at ``points`` (H, W, 3)."""
+    """(H, W) number of a camera's pixels per square metre of surface at ``points`` (H, W, 3)."""
     rays = points - camera.centre_m
     distance_m = np.maximum(np.linalg.norm(rays, axis=-1), 1e-9)
     facing = np.abs(np.sum(rays * normals, axis=-1)) / distance_m
@@ -97,7 +95,7 @@ def _pixels_per_m2(
 def random_volume(
     cameras: list[Camera], count: int, size_m: float, sh_degree: int, rng: np.random.Generator
 ) -> Gaussians:
-    """What four photos alone allow: a quarter of ``count`` grey Gaussians on the floor, the rest anywhere in a box.
+    """Grey Gaussians for photos without depth: a quarter of ``count`` on the floor, the rest at random in a box.
 
     The box is 1.25 times the ring of cameras wide and as high as 1.5 times their mean height (at least 2.5 m). This is
     the paper's 4-view baseline, which has no points to start from (see config/presets/fourview.yaml).

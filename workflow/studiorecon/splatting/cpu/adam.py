@@ -33,8 +33,7 @@ _ROWS_AT_ONCE = 256
 
 @njit(**KERNEL)
 def _step_some(parameter, gradient, first, second, moves, rate, beta1, beta2, epsilon, correction1, correction2):
-    """``step_arrays`` of entries whose ``moves`` are not 0; choices instead of branches, for the vector
-    instructions."""
+    """``step_arrays`` for entries whose ``moves`` are not 0; selects instead of branches, so that it vectorises."""
     refused, zero = 0, gradient.dtype.type(0)
     for i in range(len(parameter)):
         finite, move = abs(gradient[i]) < np.inf, moves[i] != 0
@@ -49,7 +48,8 @@ def _step_some(parameter, gradient, first, second, moves, rate, beta1, beta2, ep
 
 @njit(**KERNEL)
 def step_arrays(parameter, gradient, first, second, rows, width, rate, beta1, beta2, epsilon, correction1, correction2):
-    """One Adam step of a flat array whose rows are ``width`` long; returns how many gradients were not finite."""
+    """One Adam step of a flat array whose rows are ``width`` long; returns the number of gradients that were not
+    finite."""
     refused, count = 0, len(parameter) // width
     moves = np.ones(_ROWS_AT_ONCE * width, np.uint8)
     for begin in range(0, count, _ROWS_AT_ONCE):
@@ -162,9 +162,8 @@ def step_blocks(
     """One Adam step of all visible Gaussians, with the activations: ``raw`` holds log scales and logits, ``parameters``
     their values.
 
-    ``rates`` and ``epsilons`` are per row (59), ``rows`` is how many rows move, log scales stay at
-    or below ``log_scale_max``. ``refused`` (blocks) counts gradients that were
-    not finite. corrections: 1 − β^t.
+    ``rates`` and ``epsilons`` are per row (59). ``rows`` is the number of rows that move; log scales stay at or below
+    ``log_scale_max``. ``refused`` (blocks) counts gradients that were not finite. corrections: 1 − β^t.
     """
     blocks = len(visible) // LANES
     for piece in prange(-(-blocks // PIECE)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of what is said of the alpha plane: the density prior, and the silhouette."""
+"""Kernels of the losses on the alpha plane: the density prior and the silhouette."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _sixteen(flat, start, count, missing, scratch):
 
 @njit(parallel=True, **KERNEL)
 def density_terms(planes, weight, density, gradient, sums):
-    """Adds to gradient[4] that by alpha of density·w·D(α); sums (H,) = Σ w·D(α) per row.
+    """Add the gradient of density·w·D(α) by alpha to gradient[4]; sums (H,) = Σ w·D(α) per row.
 
     With u = e^{2α−1}: D = log(1 + 1/e) + α − log(1 + u) and D' = (1 − u)/(1 + u) = tanh(½ − α).
     """
@@ -60,8 +60,10 @@ def density_terms(planes, weight, density, gradient, sums):
 
 @njit(**KERNEL)
 def silhouette_terms(planes, weight, wanted, strength, gradient, sums):
-    """Adds to ``gradient[4]`` (H, W) that of strength · Σ weight |alpha − wanted|, and to ``sums`` (H,) every row's
-    Σ weight |alpha − wanted|, for ``wanted`` (H, W) bool."""
+    """Add the gradient of strength · Σ weight |alpha − wanted| to ``gradient[4]`` (H, W), for ``wanted`` (H, W) bool.
+
+    ``sums`` (H,) gains every row's Σ weight |alpha − wanted|.
+    """
     for y in range(weight.shape[0]):
         for x in range(weight.shape[1]):
             miss = float32(1) - planes[4, y, x] - (float32(1) if wanted[y, x] else float32(0))

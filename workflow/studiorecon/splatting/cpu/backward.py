@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gradients of the blended image by every splat, front to back again, as ten moments per splat.
+"""Gradients of the blended image by every splat, in a second front-to-back pass, as ten moments per splat.
 
-Carried along per pixel are the transmittance T and R = (rendered · g) minus the prefix; with w·g the splat's colour and
-depth times the incoming gradient, dL/dalpha = T·(colour·g) − R/(1 − alpha). Colours, depth, alpha and background
-collapse into that one scalar, and T is never recovered by a division. The evaluation repeats the forward pass operation
-by operation, so pixels finish at the same splat.
+Each pixel carries the transmittance T and R = (rendered · g) minus the prefix. With w·g the splat's colour and depth
+times the incoming gradient, dL/dalpha = T·(colour·g) − R/(1 − alpha). Colours, depth, alpha and background collapse
+into that one scalar, and T is never recovered by a division. The evaluation repeats the forward pass operation by
+operation, so pixels finish at the same splat.
 
 Moments (q = alpha·dL/dalpha, u = dx − k·dy): Σq, Σq·u, Σq·dy, Σq·u², Σq·u·dy, Σq·dy², and Σw·g for red, green, blue,
 depth.
@@ -147,11 +147,10 @@ def _gather_tile(
 
 @njit(parallel=True, **KERNEL)
 def gather(shares, columns, rows, splats, starts, pairs, touched, ends, offsets, planes, gradients, moments):
-    """Adds the moments of every splat to ``moments`` (shares · N · 16) for image gradients (5, H, W): rgb, depth sum,
-    alpha.
+    """Add every splat's moments to ``moments`` (shares · N · 16) for image gradients (5, H, W): rgb, depth sum, alpha.
 
     Tile t belongs to share t modulo ``shares``: each share has its own records, so sums repeat bit for bit for a given
-    number of shares, and it is as fast as handing tiles out.
+    number of shares. This is as fast as handing out tiles dynamically.
     """
     size = len(splats)
     for share in prange(shares):

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaussians as the kernels read them: blocks of sixteen, every parameter a row of sixteen floats, in Morton order when
-it pays.
+"""Gaussians in the kernels' layout: blocks of sixteen, every parameter a row of sixteen floats, in Morton order when it
+pays.
 
 One block is 59 consecutive cache lines (mean, scale, quaternion, opacity, harmonics), so projection, its gradient and
-Adam are plain vector loads, and a block with nothing visible costs nothing. Neighbours in space share blocks when the
-order is Morton's.
+Adam are plain vector loads, and a block with nothing visible costs nothing. In Morton order, neighbours in space share
+blocks.
 """
 
 from __future__ import annotations
@@ -119,8 +119,8 @@ def fill_blocks(means_m, quaternions, log_scales, logit_opacities, sh, order, pa
 def take_gradients(
     gradient, parameters, visible, screen, means_m, quaternions, log_scales, logit_opacities, sh, screen_norm
 ):
-    """Gradient blocks → arrays of the Gaussians in block order, by log scale and logit opacity; 0 for what is not
-    visible."""
+    """Gradient blocks → arrays of the Gaussians in block order, by log scale and logit opacity; 0 for invisible
+    ones."""
     count, bands, size = len(means_m), sh.shape[1], len(visible)
     for block_index in prange(size // LANES):
         for lane in range(min(LANES, count - block_index * LANES)):

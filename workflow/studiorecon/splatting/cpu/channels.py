@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Any values blended like colours, three channels at a time: beside the colours, or with the same lists once more in
-other colours."""
+"""Blends any values like colours, three channels at a time: in the same pass as the colours, or again with the same
+lists."""
 
 from __future__ import annotations
 

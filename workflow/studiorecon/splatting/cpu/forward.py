@@ -90,7 +90,7 @@ def _blend_tile(
     planes,
     more,
 ):
-    # ``more`` is None or planes (3, H, W): what depends on it is left out when the kernel is compiled for None.
+    # ``more`` is None or planes (3, H, W); code that depends on it is left out when the kernel is compiled for None.
     lane_x, lane_y = load(offsets, 0), load(offsets, LANES)
     tile_x, tile_y = (tile % columns) * TILE_PX, (tile // columns) * TILE_PX
     full_blocks = 0
@@ -182,11 +182,11 @@ def _blend_tile(
 
 @njit(parallel=True, **KERNEL)
 def blend(threads, columns, rows, splats, starts, pairs, touched, ends, background, offsets, planes, ticket):
-    """Fills ``planes`` (5, H, W): red, green, blue over the background, depth sum, transmittance.
+    """Fill ``planes`` (5, H, W): red, green, blue over the background, depth sum, transmittance.
 
-    Also fills, for the backward pass, one bit per touched pixel block for every list entry (``touched``) and where each
-    tile's list ended for being opaque (``ends``). Tiles are handed out as threads become free; every tile is computed
-    by one thread, so the result does not depend on who took it.
+    Also fills, for the backward pass, one bit per touched pixel block for every list entry (``touched``), and where
+    each tile's list ended for being opaque (``ends``). Threads take tiles as they become free; one thread computes a
+    whole tile, so the result does not depend on which.
     """
     height, width = planes.shape[1], planes.shape[2]
     ticket[0] = 0

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Colour from spherical harmonics (degree 0 to 3, 3DGS order and signs), sixteen Gaussians at a time, and its gradient.
 
-How many bands the cameras can tell apart is ``degree_supported``'s to say.
+``degree_supported`` computes how many bands the cameras can distinguish.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ DISTINCT_DEG = 5.0
 def degree_supported(directions: Num[np.ndarray, "N 3"]) -> int:
     """The largest degree d, at most 3, for which there are (d + 1)² distinct viewing directions (G15).
 
-    ``directions`` (N, 3) point from what is seen to the cameras, any length; zeros and NaN do not count. With fewer
-    directions than coefficients the bands reproduce every camera's exposure error exactly and invent what lies between.
+    ``directions`` (N, 3) point from the surface to the cameras, with any length; zeros and NaN do not count. With fewer
+    directions than coefficients, the bands fit every camera's exposure error exactly and invent colours in between.
     """
     length = np.linalg.norm(directions, axis=1, keepdims=True)
     usable = np.isfinite(length[:, 0]) & (length[:, 0] > 0)
@@ -114,7 +114,7 @@ def colour(parameters, base, degree, x, y, z):
 
 @njit(**INLINE)
 def _spread(parameters, gradient, row, mask, weight, red, green, blue):
-    """Stores the gradient of the band at ``row`` and returns dL/d(basis function)."""
+    """Store the gradient of the band at ``row`` and return dL/d(basis function)."""
     store(gradient, row, where(mask, weight * red))
     store(gradient, row + LANES, where(mask, weight * green))
     store(gradient, row + 2 * LANES, where(mask, weight * blue))
@@ -125,7 +125,7 @@ def _spread(parameters, gradient, row, mask, weight, red, green, blue):
 
 @njit(**INLINE)
 def colour_gradient(parameters, gradient, base, degree, mask, x, y, z, red, green, blue):
-    """Stores the gradients of all harmonics for colour gradients (red, green, blue); returns dL/d(x, y, z), not yet
+    """Store the gradients of all harmonics for colour gradients (red, green, blue); return dL/d(x, y, z), not yet
     tangential.
 
     The colour gradients must be 0 outside ``mask``.

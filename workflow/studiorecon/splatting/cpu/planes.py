@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Between the kernels' planes (5, H, W) — red, green, blue, depth sum, transmittance — and images as the rest of the
-project holds them."""
+"""Converts between the kernels' planes (5, H, W) — red, green, blue, depth sum, transmittance — and the project's
+images."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ DEPTH_ALPHA_MIN = np.float32(1e-4)
 
 @njit(parallel=True, **KERNEL)
 def planes_to_images(planes, rgb, alpha, depth_m):
-    """Fills rgb (H, W, 3), alpha (H, W) and expected depth (H, W)."""
+    """Fill rgb (H, W, 3), alpha (H, W) and expected depth (H, W)."""
     for y in prange(planes.shape[1]):
         for x in range(planes.shape[2]):
             for channel in range(3):
@@ -30,7 +30,7 @@ def gradients_into_planes(planes, by_rgb, by_alpha, by_depth, plane_gradients, b
     """Flat gradients by rgb, alpha and expected depth (an empty array means 0) → gradients by rgb, depth sum and alpha
     (5, H, W).
 
-    Adds each row's gradient by the background colour to ``behind`` (H, 3).
+    Each row's gradient by the background colour is added to ``behind`` (H, 3).
     """
     height, width = planes.shape[1], planes.shape[2]
     for y in prange(height):

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From parameter blocks to splat records: EWA projection (3DGS), sixteen Gaussians at a time.
+"""Projects parameter blocks to splat records: EWA projection (3DGS), sixteen Gaussians at a time.
 
 A splat is the ellipse q = A·(dx − k·dy)² + c·dy² with alpha = 2^(log2 opacity − q); A = s·Syy/det, k = Sxy/Syy, c =
 s/Syy with s = log2(e)/2 and det = |m1×m2|² + e(|m1|² + |m2|²) + e², where m1, m2 are the rows of J·W·R·S and e is the
 dilation. Unlike the usual conic from a·c − b², nothing cancels: on 300:1 needles in float32 the worst error is 1e-5
 instead of 19 %.
 
-Dilation makes small splats brighter than what they stand for (121 times at σ 0.05 px, G06). With energy
-compensation (Mip-Splatting) the opacity is multiplied by √(|m1×m2|² / det), the ratio of the two areas; as a sum of
-squares it is never negative.
+Dilation makes small splats too bright (121 times at σ 0.05 px, G06). With energy compensation (Mip-Splatting) the
+opacity is multiplied by √(|m1×m2|² / det), the ratio of the two areas; as a sum of squares it is never negative.
 """
 
 from __future__ import annotations
@@ -250,9 +249,9 @@ def _project_blocks(begin, end, parameters, camera, degree, splats, depth_m, vis
 
 @njit(parallel=True, **KERNEL)
 def project(parameters, camera, degree, splats, depth_m, visible, refused):
-    """Fills records (N·16), depths (N) and visibility (N, 0/1); ``refused`` (N/16) counts Gaussians with absurd values.
+    """Fill records (N·16), depths (N) and visibility (N, 0/1); ``refused`` (N/16) counts Gaussians with absurd values.
 
-    Lanes that are not visible keep whatever their record held before.
+    Records of lanes that are not visible are left unchanged.
     """
     blocks = len(visible) // LANES
     for piece in prange(-(-blocks // PIECE)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Moments of the backward pass → gradients of the parameter blocks; the projection is evaluated again instead of being
+"""Moments of the backward pass → gradients of the parameter blocks; the projection is computed again instead of
 stored."""
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def _positive(splats, first, field):
 
 @njit(**INLINE)
 def _moments(moments, first, size, shares):
-    """The ten moments of sixteen Gaussians, summed over shares in order; the records are zero afterwards."""
+    """The ten moments of sixteen Gaussians, summed over shares in order; sets the records to zero."""
     m0, m1, m2, m3, m4, m5, m6, m7, m8, m9 = take_moments(moments, first * RECORD)
     for share in range(1, shares):
         n0, n1, n2, n3, n4, n5, n6, n7, n8, n9 = take_moments(moments, (share * size + first) * RECORD)
@@ -128,7 +128,7 @@ def _gradients_of_blocks(begin, end, parameters, camera, degree, splats, visible
         if bits == 0:
             continue
         seen = mask_from_bits(bits)
-        # The forward projection once more.
+        # Repeats the forward projection.
         x, y, z = in_camera(parameters, base, camera)
         inverse_depth = float32(1) / select(above(z, broadcast(camera[NEAR])), z, broadcast(float32(1)))
         tangent_x, tangent_y = x * inverse_depth, y * inverse_depth
@@ -218,7 +218,7 @@ def _gradients_of_blocks(begin, end, parameters, camera, degree, splats, visible
         blue = where(both(seen, mask_from_bits(_positive(splats, first, BLUE))), m8)
         dx, dy, dz, inverse_distance = direction(parameters, base, camera)
         vx, vy, vz = colour_gradient(parameters, gradient, base, degree, seen, dx, dy, dz, red, green, blue)
-        # Harmonics at the end of float32 change so fast with the direction that the change is no number.
+        # Harmonics near float32's limit change so fast with the direction that the change overflows.
         steepest = broadcast(_STEEPEST)
         told = both(
             below(magnitude(vx), steepest), both(below(magnitude(vy), steepest), below(magnitude(vz), steepest))
@@ -235,7 +235,7 @@ def _gradients_of_blocks(begin, end, parameters, camera, degree, splats, visible
 
 @njit(parallel=True, **KERNEL)
 def project_gradient(parameters, camera, degree, splats, visible, moments, gradient, screen):
-    """Fills ``gradient`` (layout of the parameter blocks) and ``screen`` (2·N: dL/dx then dL/dy of the centre in
+    """Fill ``gradient`` (layout of the parameter blocks) and ``screen`` (2·N: dL/dx then dL/dy of the centre in
     pixels).
 
     Gradients are by the stored (activated) scale and opacity. Blocks without a visible Gaussian are left as they are.

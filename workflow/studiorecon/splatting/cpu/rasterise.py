@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What other packages call: render Gaussians from a camera, and gradients of that. This is the CPU's back end;
-``device`` picks one.
+"""The CPU back end's interface: renders Gaussians from a camera, and their gradients; ``device`` chooses the back end.
 
 Conventions are gsplat's: dilation 0.3 px², pixel centres at +0.5, alpha below 1/255 skipped and cut at 0.999, blending
 stops when the transmittance would fall to 1e-4, colour max(0, 0.5 + harmonics).
@@ -54,7 +53,7 @@ __all__ = ["GaussianGradients", "Rasteriser", "Rendering"]
 
 @contextmanager
 def _threads(count: int) -> Iterator[None]:
-    """numba with ``count`` threads inside the block, or all it has when it has fewer."""
+    """Run numba with ``count`` threads inside the block, or with all it has when it has fewer."""
     before = numba.get_num_threads()
     numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]  # set by numba at import
     try:
@@ -98,7 +97,7 @@ class Rasteriser:
         self._ticket = np.zeros(1, np.int64)
 
     def own_threads(self) -> AbstractContextManager[None]:
-        """numba restricted to this rasteriser's threads, for the calls of a ``with`` block."""
+        """A context in which numba uses this rasteriser's threads only."""
         return _threads(self.threads)
 
     def forward(
@@ -110,13 +109,11 @@ class Rasteriser:
         normals: bool = False,
         values: Num[np.ndarray, "N C"] | None = None,
     ) -> Rendering:
-        """One view as fresh arrays; blocks are drawn as they are, Gaussians are put into blocks in their order first.
+        """One view as fresh arrays; Gaussians are first put into blocks in their order, blocks are drawn directly.
 
-        ``values`` (N, C) of the Gaussians are blended like colours, over 0; they may be negative; ``normals`` asks for
-        those too. The first three channels of all these cost 14 to 25 % of a
-        pass (50,000 Gaussians at 320×176 to 300,000 at 1280×704), every three more 70 to 80 %.
-
-        Raises ValueError for values of another number of Gaussians.
+        ``values`` (N, C) of the Gaussians are blended like colours, over 0; they may be negative; ``normals`` adds
+        normals. The first three channels of all these cost 14 to 25 % of a pass (50,000 Gaussians at 320×176 to 300,000
+        at 1280×704), every three more 70 to 80 %. Raises ValueError for values of another number of Gaussians.
         """
         wanted = [] if values is None else [checked_values(values, gaussians.count)]
         with self.own_threads():
@@ -150,7 +147,7 @@ class Rasteriser:
         camera: Camera,
         background_rgb: Sequence[float],
     ) -> np.ndarray:
-        """``draw``, and values (N, C) blended like colours, (H, W, C) float32."""
+        """The result of ``draw``, and values (N, C) blended like colours, (H, W, C) float32."""
         threes = in_threes(values)
         self.draw(blocked, camera, background_rgb, threes[0] if threes else None)
         image = np.empty((*self.planes.shape[1:], values.shape[1]), np.float32)
@@ -207,7 +204,7 @@ class Rasteriser:
     def forward_planes(
         self, gaussians: Gaussians, camera: Camera, background_rgb: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> Float[np.ndarray, "5 H W"]:
-        """``draw`` of Gaussians that are others at every call, for a training that poses them; the next call overwrites
+        """The planes of ``draw`` for Gaussians that change at every call, as posed ones do; the next call overwrites
         everything."""
         self._own_blocks = blocks.block(gaussians, within=self._own_blocks).parameters
         blocked = BlockedGaussians(self._own_blocks, gaussians.count, gaussians.sh_degree)
@@ -242,7 +239,7 @@ class Rasteriser:
         background_rgb: Sequence[float],
         three: Float[np.ndarray, "N 3"] | None = None,
     ) -> Float[np.ndarray, "5 H W"]:
-        """Inner loop of training: fills and returns ``planes`` (5, H, W): red, green, blue, depth sum, transmittance.
+        """Fill and return ``planes`` (5, H, W) for training: red, green, blue, depth sum, transmittance.
 
         ``three`` (N, 3) are values that are blended in the same pass. The next call overwrites everything. Raises
         UserError when the Gaussians cover more tiles than any lists can hold.
@@ -290,13 +287,12 @@ class Rasteriser:
         return self.planes
 
     def gather(self, plane_gradients: Float[np.ndarray, "5 H W"]) -> Float[np.ndarray, " P"]:
-        """Inner loop of training: fills and returns ``gradient`` (blocks; by activated scale and opacity) from
-        gradients (5, H, W).
+        """Fill and return ``gradient`` for training (blocks; by activated scale and opacity) from gradients (5, H, W).
 
-        The planes are red, green, blue, depth sum, alpha. Blocks without a visible Gaussian keep what they held;
-        ``visible`` says which.
+        The planes are red, green, blue, depth sum, alpha. Blocks without a visible Gaussian are left unchanged;
+        ``visible`` marks the others.
         """
-        # Imported here so that who only renders never loads or compiles the gradients.
+        # Imported here so that rendering never loads or compiles the gradients.
         from studiorecon.splatting.cpu.backward import gather
         from studiorecon.splatting.cpu.projection_gradient import project_gradient
 

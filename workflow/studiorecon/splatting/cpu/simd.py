@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sixteen-lane float32 values inside numba kernels, with no compiler but the LLVM that numba ships.
+"""Sixteen-lane float32 values inside numba kernels, compiled by the LLVM that numba ships.
 
 numba's own vectoriser gives up on masked, branchy loops over pixels, so this module adds two numba types, ``Lanes`` (16
-floats) and ``Mask`` (16 bits), and intrinsics that emit LLVM vector instructions. LLVM lowers them to what the machine
-has: AVX-512, two AVX2 halves, four NEON or SSE quarters. ``madd`` and its relatives are fused where the target fuses
-and a product and a sum elsewhere.
+floats) and ``Mask`` (16 bits), and intrinsics that emit LLVM vector instructions. LLVM lowers them to the machine's
+own: AVX-512, two AVX2 halves, four NEON or SSE quarters. ``madd`` and its relatives are fused where the target fuses,
+otherwise a product and a sum.
 
-numba's on-disk cache looks at the file of a kernel, not at what it imports: after an edit here, delete ``__pycache__``.
+numba's on-disk cache checks a kernel's file, not its imports: after an edit here, delete ``__pycache__``.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ def call(builder: Any, name: str, returned: Any, arguments: list[Any]) -> Any:
 
 
 def emit_madd(builder: Any, a: Any, b: Any, c: Any) -> Any:
-    """a·b + c. fmuladd, not fma: without the instruction an fma becomes sixteen calls of a C function (the design saw
-    70 ms for 4)."""
+    """a·b + c. fmuladd, not fma: without the instruction an fma becomes sixteen calls of a C function (70 ms instead of
+    4)."""
     return call(builder, "llvm.fmuladd.v16f32", FLOATS, [a, b, c])
 
 
@@ -90,7 +90,7 @@ _add, _subtract, _multiply, _divide = _arithmetic("fadd"), _arithmetic("fsub"), 
 def _register(symbol: Any, function: Any) -> None:
     number = (types.Float, types.Integer)
 
-    # numba compares the parameters of an overload with those of the lambda it returns, annotations included: hence
+    # numba compares the parameters of an overload with those of the lambda that it returns, annotations included: hence
     # none.
     @overload(symbol)
     def binary(a, b):
@@ -212,7 +212,7 @@ def select(typing: Any, mask: Any, a: Any, b: Any) -> Any:
 
 @intrinsic
 def where(typing: Any, mask: Any, a: Any) -> Any:
-    """``a`` where the mask is set, else 0, whatever ``a`` holds there."""
+    """``a`` where the mask is set, else 0, also where ``a`` is NaN."""
     return Lanes(Mask, Lanes), lambda context, builder, signature, v: builder.select(v[0], v[1], constant(0.0))
 
 
@@ -227,17 +227,16 @@ def _choice(op: str) -> Any:
     return choose
 
 
-# Of a NaN and a number these return the second argument, so put the limit second.
+# For a NaN and a number these return the second argument, so put the limit second.
 least, most = _choice("<"), _choice(">")
 
 
 @intrinsic
 def exp2(typing: Any, a: Any) -> Any:
-    """2^a for a in [−126, 126], relative error 2e-7; anything outside gives some number and must be masked."""
+    """2^a for a in [−126, 126], relative error 2e-7; outside, the result is arbitrary and must be masked."""
 
     def emit(context: Any, builder: Any, signature: Any, v: Any) -> Any:
-        # Adding 1.5·2²³ rounds to an integer that stands in the low mantissa bits: no rounding instruction, same on
-        # every target.
+        # Adding 1.5·2²³ rounds to an integer in the low mantissa bits: no rounding instruction, same on every target.
         shifted = builder.fadd(v[0], constant(12582912.0))
         fraction = builder.fsub(v[0], builder.fsub(shifted, constant(12582912.0)))
         power = constant(1.3333558e-3)

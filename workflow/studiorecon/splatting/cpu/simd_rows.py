@@ -72,7 +72,7 @@ def item(typing: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def prefetch(typing: Any, array: Any, index: Any) -> Any:
-    """Asks for the cache line of array[index]."""
+    """Prefetch the cache line of array[index]."""
 
     def emit(context: Any, builder: Any, signature: Any, v: Any) -> Any:
         pointer = _address(context, builder, array, v[0], v[1], ir.IntType(8))
@@ -86,7 +86,7 @@ def prefetch(typing: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def take_ticket(typing: Any, counter: Any) -> Any:
-    """counter[0], which is then one higher; atomic, for handing tiles to threads."""
+    """counter[0], incremented afterwards; atomic, for handing tiles to threads."""
 
     def emit(context: Any, builder: Any, signature: Any, v: Any) -> Any:
         pointer = context.make_array(counter)(context, builder, value=v[0]).data
@@ -154,7 +154,7 @@ def store_records(
 
 @intrinsic
 def take_moments(typing: Any, array: Any, index: Any) -> Any:
-    """Ten vectors, the k-th holding field k of sixteen records of sixteen floats, which are then set to zero."""
+    """Ten vectors, the k-th with field k of sixteen records of sixteen floats; sets the records to zero."""
     ten = types.UniTuple(Lanes, 10)
 
     def emit(context: Any, builder: Any, signature: Any, v: Any) -> Any:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kernels of the photometric loss: L1 and SSIM with their analytic gradient, sixteen pixels at a time.
 
-Window and constants are those of ``images.similarity``, which measures; outside the image are zeros, as in 3DGS. Images
-are padded planes: three planes of (H + 10) rows, each a multiple of 16 wide with 16 zeros on either side, flat. The
-statistics of the target alone are computed once.
+Window and constants are those of the measure ``images.similarity``; outside the image are zeros, as in 3DGS. Images are
+padded planes: three planes of (H + 10) rows, each a multiple of 16 wide with 16 zeros on either side, flat. The
+target's own statistics are computed once.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ C1, C2 = np.float32(K_1**2), np.float32(K_2**2)
 
 
 def window() -> Float[np.ndarray, " 11"]:
-    """(11,) float32, the window that pictures are measured with."""
+    """(11,) float32 window of the measure SSIM."""
     return similarity.window().astype(np.float32)
 
 
@@ -57,8 +57,11 @@ def _sum_of_lanes(lanes, scratch):
 
 @njit(**KERNEL)
 def pad_target(rgb, weight, wide, padded, wide_weight):
-    """Target (H, W, 3) and weight (H, W) → padded planes and rows of a weight, both zero before; returns how many
-    pixels weigh. Colours of others are cut to 0..1, 0 where they are NaN."""
+    """Target (H, W, 3) and weight (H, W) → padded planes and weights, both zero before; returns the number of weighted
+    pixels.
+
+    Colours of other pixels are clipped to 0..1, 0 where they are NaN.
+    """
     height, width = weight.shape
     rows, inner, used = height + 2 * RADIUS, wide - 2 * PAD, 0
     for y in range(height):
@@ -96,8 +99,8 @@ def target_statistics(target, height, wide, taps, mean, square):
 
 @njit(**KERNEL)
 def _pad_row(j, planes, target, weight, wide, padded):
-    """Rendering (5, H, W) → padded planes; where the weight (H, wide − 32) is 0 the target stands in and disturbs no
-    window."""
+    """Rendering (5, H, W) → padded planes; where the weight (H, wide − 32) is 0 the target replaces it and leaves
+    windows unbiased."""
     height, width = planes.shape[1], planes.shape[2]
     rows, inner = height + 2 * RADIUS, wide - 2 * PAD
     channel, y = j // height, j % height
@@ -135,7 +138,7 @@ def _similarity_row(j, image, target, mean, square, weight, height, wide, taps, 
         inverse_p, inverse_q = one / (squares + c1), one / (xx + yy - squares + c2)
         similarity = a * b * inverse_p * inverse_q
         total = madd(w, one - similarity, total)
-        # By the mean with mean square and mean product held, through a, b, p and q.
+        # By the mean with mean square and mean product fixed, through a, b, p and q.
         by_mean = two * my * (b - a) * inverse_p * inverse_q + two * mx * similarity * (inverse_q - inverse_p)
         store(slopes, out + x, w * by_mean)
         store(slopes, size + out + x, -(w * similarity * inverse_q))
@@ -145,7 +148,7 @@ def _similarity_row(j, image, target, mean, square, weight, height, wide, taps, 
 
 @njit(**KERNEL)
 def _gradient_row(j, image, target, weight, height, wide, taps, slopes, l1, ssim, gradient, sums):
-    """Adds to gradient (3, H, W) that by the image for l1·Σ w|x−y| + ssim·Σ w(1−SSIM).
+    """Add the gradient of l1·Σ w|x−y| + ssim·Σ w(1−SSIM) by the image to gradient (3, H, W).
 
     sums[:, 1:] = Σ w|x−y| and Σ over w > 0 of (x−y)², per row.
     """
@@ -193,11 +196,11 @@ def _gradient_row(j, image, target, weight, height, wide, taps, slopes, l1, ssim
 def photometric_terms(
     planes, target, mean, square, weight, height, wide, taps, l1, ssim, image, slopes, gradient, sums
 ):
-    """Rendering (5, H, W) against a padded target: adds to ``gradient`` (3, H, W) and fills the rows' ``sums`` (3·H,
-    3), see the rows' functions.
+    """Compare a rendering (5, H, W) with a padded target: add to ``gradient`` (3, H, W) and fill the rows' ``sums``
+    (3·H, 3).
 
-    Three loops in one kernel, since each parallel kernel takes a second to compile; not fused, since rows need their
-    neighbours.
+    The rows' functions define the sums. Three loops in one kernel, since each parallel kernel takes a second to
+    compile; not fused, since rows need their neighbours.
     """
     for j in prange(3 * height):
         _pad_row(int64(j), planes, target, weight, wide, image)

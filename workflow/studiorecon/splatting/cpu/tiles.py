@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which splats meet which tile, front to back: one radix sort by depth, then a stable counting scatter into tiles.
+"""Lists the splats that touch each tile, front to back: one radix sort by depth, then a stable counting scatter into
+tiles.
 
 Splats are scattered in depth order, so every tile's list comes out sorted and ties resolve by index.
 """
@@ -34,7 +35,7 @@ DIGITS = 1 << DIGIT_BITS
 
 @njit(**KERNEL)
 def depth_order(depth_bits, visible, order, order_scratch, keys, keys_scratch):
-    """Fills ``order`` with the visible indices by increasing depth (three stable passes of 11 bits); returns how many
+    """Fill ``order`` with the visible indices by increasing depth (three stable passes of 11 bits); return how many
     there are.
 
     ``depth_bits`` are the uint32 bit patterns of positive float32 depths, which sort like the depths.
@@ -144,10 +145,10 @@ def _scatter_share(share, count, order, splats, columns, rows, shares, cursor, r
 
 @njit(parallel=True, **KERNEL)
 def scatter_into_tiles(count, order, splats, columns, rows, shares, cursor, rectangles, pairs, fill):
-    """Pass one (``fill`` False) counts pairs per share and tile; pass two writes splat indices where ``cursor`` points.
+    """Pass one (``fill`` False) counts pairs per share and tile; pass two writes splat indices at ``cursor``.
 
-    ``cursor`` is (shares · tiles) uint32, zero before pass one and turned into places by ``place_tiles`` in between.
-    A bounding box one tile wide or high needs no ellipse test: a convex splat meets every tile of such a strip.
+    ``cursor`` is (shares · tiles) uint32, zero before pass one; ``place_tiles`` turns it into places in between. A
+    bounding box one tile wide or high needs no ellipse test: a convex splat meets every tile of such a strip.
     """
     for share in prange(shares):
         _scatter_share(int64(share), count, order, splats, columns, rows, shares, cursor, rectangles, pairs, fill)
@@ -155,7 +156,7 @@ def scatter_into_tiles(count, order, splats, columns, rows, shares, cursor, rect
 
 @njit(**KERNEL)
 def place_tiles(cursor, shares, starts):
-    """Counts → first places: by tile, and within a tile by share. Fills ``starts`` (tiles + 1) and returns the total in
+    """Counts → first places, by tile and within a tile by share; fills ``starts`` (tiles + 1) and returns the total in
     64 bits.
 
     When the total does not fit 32 bits the places are meaningless; the caller must refuse.

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Adam over tensors of Gaussians with the departures of ``adam``: only the visible move, epsilon is relative, no NaN is
-followed."""
+"""Adam over tensors of Gaussians, changed as ``train.optimiser``: only visible ones move, epsilon is relative, NaN is
+skipped."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Adam:
         )
 
     def _settle(self, part: str, gradient: torch.Tensor, value: torch.Tensor, seen: torch.Tensor) -> None:
-        """Epsilon × root mean square gradient of the first steps, by scale and opacity as they act, as on the CPU."""
+        """Set epsilon × root mean square gradient of the first steps, by activated scale and opacity, as on the CPU."""
         if part == "log_scales":
             gradient = gradient / value.exp()
         elif part == "logit_opacities":
@@ -109,7 +109,7 @@ class Adam:
         return {**held, "steps": np.array(self._steps), "refused": self.refused.cpu().numpy()}
 
     def resume(self, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> None:
-        """Puts ``arrays`` back."""
+        """Restore ``arrays``."""
         for kind, values in (
             ("first", self._first),
             ("second", self._second),

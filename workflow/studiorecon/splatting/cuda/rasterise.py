@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The CUDA back end: gsplat's rasterisation behind the same calls as ``rasterise.Rasteriser``.
+"""gsplat's rasterisation behind the same calls as ``rasterise.Rasteriser``.
 
 gsplat shares our conventions (viewmats are camera_from_world, pixel centres at +0.5, quaternions w first, harmonics (N,
-K, 3) in 3DGS order, dilation 0.3, thresholds of ``conventions``), so nothing is converted but shapes. What it does not
-do is guard itself: a zero quaternion becomes NaN, an infinite scale a wild tile index. Such Gaussians are therefore
-taken out and counted before the call.
+K, 3) in 3DGS order, dilation 0.3, thresholds of ``conventions``), so only shapes are converted. It does not check its
+input: a zero quaternion becomes NaN, an infinite scale a wild tile index. So such Gaussians are removed and counted
+before the call.
 
-torch and gsplat are imported inside functions. Tests call this module without a GPU, with a float64 stand-in for
+torch and gsplat are imported inside functions. Tests call this module without a GPU, with a float64 replacement of
 gsplat's function.
 """
 
@@ -92,8 +92,8 @@ def view(
     function: Rasterization,
     values: torch.Tensor | None = None,
 ) -> DeviceView:
-    """Draws raw parameters (the fields of ``Gaussians`` as tensors); with ``values`` (N, C) those are blended instead
-    of colours."""
+    """Draw raw parameters (the fields of ``Gaussians`` as tensors); with ``values`` (N, C) those are blended instead of
+    colours."""
     import torch
 
     means = parameters["means_m"]
@@ -102,7 +102,7 @@ def view(
         torch.as_tensor(m, dtype=means.dtype, device=means.device)
         for m in (camera.camera_from_world, camera.intrinsics)
     )
-    # Selected before anything is computed from them, so that no NaN comes back as a gradient either.
+    # Selected before any arithmetic, so that no NaN returns as a gradient either.
     chosen = {
         name: torch.where(sane.reshape(-1, *[1] * (value.ndim - 1)), value, 0.0) for name, value in parameters.items()
     }
@@ -145,8 +145,7 @@ def view(
 
 
 def _sane(parameters: dict[str, torch.Tensor], camera: Camera, near_m: float) -> torch.Tensor:
-    """(N,) Gaussians that gsplat can be given: finite, below ``SANE`` in metres, colour and, where they are drawn,
-    pixels."""
+    """(N,) Gaussians that gsplat can draw: finite, with metres, colour and, where drawn, pixels below ``SANE``."""
     import torch
 
     means, log_scales, sh = (parameters[name].detach() for name in ("means_m", "log_scales", "sh"))
@@ -184,7 +183,7 @@ class GsplatRasteriser:
         self._view: DeviceView | None = None
 
     def own_threads(self) -> AbstractContextManager[None]:
-        """Nothing: the CPU's threads do not draw."""
+        """An empty context: the CPU's threads do not draw."""
         return nullcontext()
 
     def forward(

@@ -2,7 +2,7 @@
 """A still set of Gaussians in training on a CUDA device: gsplat draws, torch differentiates.
 
 Settings, targets, draw order, terms, schedules, epsilons and density control are those of ``train/blocked_set``, so it
-learns the same to rounding. A run taken up at its checkpoint continues from the very bits it had, and differs from an
+learns the same to rounding. A run resumed at its checkpoint continues from exactly the same bits, and differs from an
 uninterrupted one by no more than two runs do.
 """
 
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 
 
 class TensorSet:
-    """Gaussians as tensors and the targets they are fitted to; arguments as for ``train.still.train_still``.
+    """Gaussians as tensors, and the targets they are fitted to; arguments as for ``train.still.train_still``.
 
-    ``place`` and ``function`` (in place of gsplat's) let it run without a GPU.
+    ``place`` and ``function`` (instead of gsplat's) let it run without a GPU.
 
     Attributes:
         leaves: the fields of ``Gaussians``.
         source: (N,) index of the initial Gaussian each descends from.
-        adam: counts what it refused.
+        adam: counts the gradients that it refused.
     """
 
     def __init__(
@@ -67,20 +67,20 @@ class TensorSet:
         return int(self.adam.refused)
 
     def gaussians(self) -> Gaussians:
-        """As they are now, in the order of ``source``."""
+        """The current Gaussians, in the order of ``source``."""
         return Gaussians(*(self.leaves[name].detach().cpu().numpy() for name in FIELDS))
 
     @contextmanager
     def threads(self) -> Iterator[None]:
-        """In float32 whatever the caller's autocast says; the CPU's threads do not draw."""
+        """A context with float32 whatever the caller's autocast; the CPU's threads do not draw."""
         with torch.autocast(torch.device(self._place).type, enabled=False):
             yield
 
     def begin(self, iteration: int) -> None:
-        """Nothing starts late."""
+        """Does nothing: no part of a still set starts late."""
 
     def draw(self, iteration: int) -> TensorView:
-        """The next target in order, at half its size while warming up."""
+        """The view of the next target in order, at half its size while warming up."""
         key, target = self._targets.at(self._settings, iteration, self._order.draw())
         if key not in self._images:
             self._images[key] = self._image(target)
@@ -90,7 +90,7 @@ class TensorSet:
         return TensorView(target, iteration, self._rng, drawn.rgb, drawn.alpha, rgb, weight, key)
 
     def step(self, iteration: int, view: TensorView, loss: torch.Tensor) -> tuple[float, float]:
-        """Autograd, Adam, density control."""
+        """Move the Gaussians by autograd and Adam, then control their density; returns loss and PSNR."""
         s, drawn = self._settings, self._drawn
         assert drawn is not None
         assert view.squared_error is not None
@@ -108,7 +108,7 @@ class TensorSet:
 
     @torch.no_grad()
     def _control(self, done: int, width: int) -> None:
-        """Density control, chosen on the CPU by the same functions."""
+        """Add and remove Gaussians, chosen on the CPU by the same functions."""
         s, drawn = self._settings, self._drawn
         assert drawn is not None
         if density.watched(s, done) and drawn.centres.grad is not None:
@@ -122,20 +122,20 @@ class TensorSet:
             self.adam.regrow(grown.parent, grown.fresh)
 
     def preview(self) -> Preview:
-        """The first target."""
+        """A preview of the first target."""
         target = self._targets.first
         with torch.no_grad():
             shown = self._view(target, self._settings.sh_degree).rgb.cpu().numpy()
         return Preview(len(self.source), target.camera.name, shown, target.rgb, target.used)
 
     def snapshot(self) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], dict[str, Any]]:
-        """Parameters, Adam, screen gradients so far, the rest of the round of targets."""
+        """Parameters, Adam, screen gradients so far, and the rest of the round of targets."""
         arrays = {name: leaf.detach().cpu().numpy() for name, leaf in self.leaves.items()}
         arrays |= {f"adam.{name}": value for name, value in self.adam.arrays().items()}
         return arrays | {"source": self.source, "seen": self._seen.cpu().numpy()}, {"pending": self._order.pending}
 
     def resume(self, arrays: dict[str, Shaped[np.ndarray, " ..."]], facts: dict[str, Any]) -> None:
-        """Puts a ``snapshot`` back."""
+        """Restore a ``snapshot``."""
         self.source, self._order.pending = arrays["source"], facts["pending"]
         self._put({name: arrays[name] for name in FIELDS})
         self._seen.copy_(torch.as_tensor(arrays["seen"]))

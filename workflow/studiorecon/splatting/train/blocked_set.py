@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 
 class BlockedSet:
-    """Gaussians in blocks and the targets they are fitted to; arguments as for ``still.train_still``.
+    """Gaussians in blocks, and the targets they are fitted to; arguments as for ``still.train_still``.
 
     Attributes:
-        state: parameters and moments, and where every Gaussian came from.
-        adam: counts what it refused.
-        order: which target comes next.
+        state: parameters and moments, and every Gaussian's source.
+        adam: counts the gradients that it refused.
+        order: chooses the next target.
     """
 
     def __init__(
@@ -60,18 +60,18 @@ class BlockedSet:
         return self.adam.refused
 
     def gaussians(self) -> Gaussians:
-        """As they are now, in the order of ``source``."""
+        """The current Gaussians, in the order of ``source``."""
         return state.gaussians_of(self.state)
 
     def threads(self) -> AbstractContextManager[None]:
-        """The rasteriser's own."""
+        """The rasteriser's own context of threads."""
         return self.rasteriser.own_threads()
 
     def begin(self, iteration: int) -> None:
-        """Nothing starts late."""
+        """Does nothing: no part of a still set starts late."""
 
     def draw(self, iteration: int) -> PlaneView:
-        """The next target in order, at half its size while warming up."""
+        """The view of the next target in order, at half its size while warming up."""
         key, target = self._targets.at(self._settings, iteration, self.order.draw())
         self._degree = degree_at(self._settings, iteration)
         blocked = replace(self.state.blocked, degree=self._degree)
@@ -83,13 +83,13 @@ class BlockedSet:
         return PlaneView(target, iteration, self._rng, planes, gradient, key=key)
 
     def step(self, iteration: int, view: PlaneView, loss: float) -> tuple[float, float]:
-        """Gradients to the blocks, Adam, density control."""
+        """Move the Gaussians by gradients in blocks and Adam, then control their density; returns loss and PSNR."""
         self.descend(iteration, self._degree, self.rasteriser.gather(view.gradient))
         self._control(iteration + 1, view.target.camera.wh[0])
         return loss, view.psnr_db
 
     def descend(self, iteration: int, degree: int, gradient: Float[np.ndarray, " P"]) -> None:
-        """One step of Adam along a gradient in blocks."""
+        """Do one step of Adam along a gradient in blocks."""
         s = self._settings
         most = np.log(s.largest_scale_m) if s.largest_scale_m > 0 else np.inf
         rates = rates_at(s, iteration, self._extent_m)
@@ -108,7 +108,7 @@ class BlockedSet:
             self.state = state.regrown(before, grown.gaussians, grown.parent, grown.fresh)
 
     def preview(self) -> Preview:
-        """The first target."""
+        """A preview of the first target."""
         target = self._targets.first
         shape = target.camera.hw
         rgb, alpha, depth_m = (np.empty(s, np.float32) for s in ((*shape, 3), shape, shape))
@@ -117,12 +117,12 @@ class BlockedSet:
         return Preview(self.state.blocked.count, target.camera.name, rgb, target.rgb, target.used)
 
     def snapshot(self) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], dict[str, Any]]:
-        """The state, Adam's epsilons, the rest of the round of targets."""
+        """The state, Adam's epsilons, and the rest of the round of targets."""
         adam = {f"adam.{name}": value for name, value in self.adam.arrays().items()}
         return {**adam, **state.arrays_of(self.state)}, {"pending": self.order.pending}
 
     def resume(self, arrays: dict[str, Shaped[np.ndarray, " ..."]], facts: dict[str, Any]) -> None:
-        """Puts a ``snapshot`` back."""
+        """Restore a ``snapshot``."""
         self.state = state.restored(arrays)
         self.adam.resume({name.removeprefix("adam."): a for name, a in arrays.items() if name.startswith("adam.")})
         self.order.pending = facts["pending"]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training that survives being killed: the whole state of a loop in one file, taken up again only by the very same run.
+"""Checkpoints: the whole state of a training loop in one file, so that the same run can resume after being killed.
 
-A checkpoint lies in the working folder that the rule names, not among its outputs: a workflow engine deletes those of
-a failed job. It carries a fingerprint of settings, inputs and code; one that does not match, or that cannot
-be read, is left aside with a sentence, and training starts anew.
+A checkpoint is in the working folder that the rule names, not among its outputs: a workflow engine deletes those of a
+failed job. It carries a fingerprint of settings, inputs and code. One that does not match, or cannot be read, is
+ignored with a message, and training starts from the beginning.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _FACTS = "facts"
 
 
 def fingerprint(settings: Any, inputs: Sequence[Path], code: str, *more: object) -> str:
-    """Hex digest of a settings dataclass, the bytes of the input files, the code's digest and what else the result
+    """Hex digest of a settings dataclass, the input files' bytes, the code's digest and other data that the result
     depends on."""
     digest = hashlib.sha256(json.dumps([dataclasses.asdict(settings), code, *map(str, more)], sort_keys=True).encode())
     digest.update(f"numba {numba.__version__} numpy {np.__version__}".encode())
@@ -44,7 +44,7 @@ class Checkpoint:
     """One run's checkpoint file.
 
     Attributes:
-        path: where it is; written under another name first and renamed, so it is never half a file.
+        path: of the file; written under another name first and renamed, so it is never incomplete.
     """
 
     def __init__(self, path: Path, mark: str, every_s: float) -> None:
@@ -56,7 +56,7 @@ class Checkpoint:
         return self._every_s > 0 and time.monotonic() - self._last >= self._every_s
 
     def save(self, arrays: Mapping[str, Shaped[np.ndarray, " ..."]], facts: Mapping[str, Any]) -> None:
-        """Writes arrays and JSON facts; uncompressed, because this happens in the middle of training."""
+        """Write arrays and JSON facts; uncompressed, because this happens during training."""
         stored: dict[str, Any] = {_FACTS: np.array(json.dumps({"mark": self._mark, **facts}))}
         named: dict[str, Any] = dict(arrays)
         with complete(self.path) as partial, open(partial, "wb") as file:
@@ -64,12 +64,12 @@ class Checkpoint:
         self._last = time.monotonic()
 
     def load(self) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], dict[str, Any]] | None:
-        """What ``save`` wrote for the same fingerprint; None, after a sentence, when there is something else or nothing
-        readable."""
+        """The arrays and facts saved with the same fingerprint; None, after a message, for another fingerprint or an
+        unreadable file."""
         if not self.path.is_file():
             return None
         try:
-            # Every member's CRC is checked while it is read.
+            # Reading checks every member's CRC.
             with open(self.path, "rb") as file, np.load(file, allow_pickle=False) as stored:
                 facts = json.loads(str(stored[_FACTS]))
                 if facts.pop("mark") != self._mark:
@@ -81,8 +81,7 @@ class Checkpoint:
             return None
 
     def remove(self) -> None:
-        """Takes the file away, with what a process killed while saving left of it, and its folder when nothing else is
-        in it."""
+        """Delete the file, the remains of an interrupted ``save``, and the folder when it is empty."""
         for path in (self.path, *self.path.parent.glob(f".partial-*-{self.path.name}")):
             path.unlink(missing_ok=True)
         if self.path.parent.is_dir() and not any(self.path.parent.iterdir()):

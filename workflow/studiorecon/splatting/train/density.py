@@ -30,8 +30,10 @@ class Growth:
 
 
 def watched(settings: TrainingSettings, done: int) -> bool:
-    """Whether density control goes on after ``done`` steps. What is added after the last step would be in the result
-    untrained: 6 dB on the photos when seen."""
+    """Whether density control continues after ``done`` steps.
+
+    Gaussians added after the last step would stay untrained: 6 dB on the photos when measured.
+    """
     return settings.densify != "none" and done <= settings.densify_until and done < settings.iterations
 
 
@@ -69,9 +71,10 @@ def grow(
     cap: int,
     rng: np.random.Generator,
 ) -> Growth:
-    """Prunes opacities below ``prune_opacity``, then clones (longest axis up to ``large_m``) or splits (longer) those
-    whose mean screen gradient (N,) exceeds ``threshold``, the strongest first, while there are fewer than ``cap``. The
-    order of the kept ones is kept. A ``cap`` of 0 is none.
+    """Gaussians after pruning, then cloning or splitting those whose mean screen gradient (N,) exceeds ``threshold``.
+
+    Opacities below ``prune_opacity`` are pruned. Those with a longest axis up to ``large_m`` are cloned, longer ones
+    split, the strongest first, while there are fewer than ``cap`` (0 for no cap). The others stay in order.
     """
     kept = (
         gaussians.logit_opacities >= np.log(prune_opacity / (1 - prune_opacity))
@@ -84,7 +87,7 @@ def grow(
     chosen = np.sort(chosen[np.argsort(-strength[chosen], kind="stable")][:room])
     longest = np.exp(gaussians.log_scales[chosen].max(axis=1))
     split, cloned = chosen[longest > large_m], chosen[longest <= large_m]
-    # Of a split pair one half takes the old one's place, so that its descendants stay traceable; both are new to Adam.
+    # One half of a split pair takes the old one's index, so that its descendants stay traceable; both are new to Adam.
     halves = [_half(gaussians.take(split), rng) for _ in range(2)]
     index = np.concatenate([np.flatnonzero(kept), cloned, split])
     fresh = np.concatenate([np.isin(np.flatnonzero(kept), split), np.ones(len(cloned) + len(split), bool)])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Adam on the CPU, for arrays and for parameter blocks; ``cuda/adam`` is the same for tensors.
 
-Three departures from the textbook, each from a failure seen elsewhere (O04–O06): Gaussians that were not
-visible keep their parameters and moments; epsilon is relative to the typical gradient where a set is trained as blocks
-or tensors, so rounding noise is not blown up to full steps; a gradient that is not finite counts as 0 and is reported.
+It differs from the textbook in three points, each because of a known failure (O04–O06). Gaussians that were not visible
+keep their parameters and moments. Epsilon is relative to the typical gradient where a set is trained as blocks or
+tensors, so that rounding noise does not become full steps. A gradient that is not finite counts as 0 and is reported.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Adam:
         return {**held, "refused": np.array(self.refused)}
 
     def resume(self, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> None:
-        """Puts ``arrays`` back, in place."""
+        """Restore ``arrays``, in place."""
         for name, value in self.parameters.items():
             value[...] = held[f"parameter.{name}"]
             for moment, kind in zip(self._moments[name], ("first", "second")):
@@ -65,7 +65,7 @@ class Adam:
         parent: Integer[np.ndarray, " M"],
         fresh: Bool[np.ndarray, " M"],
     ) -> Adam:
-        """Adam over ``parameters`` of other rows: ``parent`` (M,) is each one's old row, ``fresh`` (M,) bool start
+        """Adam over ``parameters`` with other rows: ``parent`` (M,) is each one's old row, ``fresh`` (M,) bool start
         without moments."""
         other = Adam(parameters, self._betas, self._epsilon)
         other.refused, other._steps = self.refused, dict(self._steps)
@@ -82,8 +82,8 @@ class Adam:
         rates: Mapping[str, float],
         rows: Bool[np.ndarray, " N"] | None = None,
     ) -> None:
-        """One step of the parameters named in ``gradients``; with ``rows`` (N,) bool only those entries of the first
-        axis move.
+        """Move the parameters named in ``gradients`` by one step; with ``rows`` (N,) bool only those entries of the
+        first axis.
 
         Raises ValueError for a gradient or rows of another shape.
         """
@@ -129,8 +129,8 @@ class BlockAdam:
         degree: int,
         log_scale_max: float,
     ) -> None:
-        """Moves the ``visible`` (padded,) Gaussians by ``rates`` (59,); harmonics above ``degree`` stay. ``gradient``
-        is in blocks."""
+        """Move the ``visible`` (padded,) Gaussians by ``rates`` (59,); harmonics above ``degree`` stay. ``gradient`` is
+        in blocks."""
         self._steps += 1
         if self._steps <= EPSILON_STEPS:
             self._settle_epsilons(gradient, visible)
@@ -152,11 +152,11 @@ class BlockAdam:
         self.refused += int(refused.sum())
 
     def _settle_epsilons(self, by_blocks: np.ndarray, visible: np.ndarray) -> None:
-        """Per kind of parameter: epsilon × root mean square gradient over the first steps."""
+        """Set, per kind of parameter, epsilon × root mean square gradient over the first steps."""
         shown, gradients = visible.reshape(-1, LANES) != 0, by_blocks.reshape(-1, ROWS, LANES)
         count = max(1, int(shown.sum())) * EPSILON_STEPS
         for row in range(ROWS):  # one at a time: all at once in float64 would be the largest thing in memory
-            # An infinite gradient that counted here would make epsilon infinite, and nothing would ever move again.
+            # One infinite gradient would make epsilon infinite and stop all further steps.
             seen = np.where(shown & np.isfinite(gradients[:, row]), gradients[:, row], 0).astype(np.float64)
             self._squares[row] += np.square(seen).sum() / count
         for begin, end in ((0, SCALE), (SCALE, QUATERNION), (QUATERNION, OPACITY), (OPACITY, SH), (SH, ROWS)):
@@ -169,6 +169,6 @@ class BlockAdam:
         return {"squares": self._squares, "epsilons": self._epsilons, **counts}
 
     def resume(self, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> None:
-        """Puts ``arrays`` back."""
+        """Restore ``arrays``."""
         self._squares, self._epsilons = held["squares"], held["epsilons"]
         self._steps, self.refused = int(held["steps"]), int(held["refused"])

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The perceptual term (LPIPS) as training loops see it: how often, on which part of the picture, and what the network
-gives back.
+"""The perceptual term (LPIPS) of training: its schedule, its crop of the picture, and the interface of its network.
 
-The network is behind a Protocol, so that who trains without it needs neither torch nor weights.
+The network is behind a Protocol, so that training without it needs neither torch nor weights.
 """
 
 from __future__ import annotations
@@ -24,8 +23,11 @@ SMALLEST_PX = 16
 
 @dataclass(frozen=True)
 class PerceptualSettings:
-    """How often, and on how much of a picture, LPIPS counts: ``every`` so many steps, as many times, on a random square
-    of ``crop_px``; ``whole``: at every step on all of it. By far the dearest part of a step on a CPU."""
+    """Schedule and crop of LPIPS: weighted ``every`` times at every ``every``-th step, on a random square of
+    ``crop_px``.
+
+    ``whole``: at every step on the whole picture. On a CPU it is by far the slowest part of a step.
+    """
 
     weight: float = setting(
         0.0,
@@ -46,7 +48,7 @@ class PerceptualSettings:
 
     @property
     def steps(self) -> int:
-        """From one evaluation to the next."""
+        """Number of steps from one evaluation to the next."""
         return 1 if self.whole else self.every
 
 
@@ -59,11 +61,11 @@ class Perceptual(Protocol):
         """Distance of two (h, w, 3) float32 RGB pictures in [0, 1], and its gradient (h, w, 3) by ``rendered``."""
 
     def distance(self, rendered: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-        """The same of two tensors (1, 3, h, w) where the network lies, as a () tensor that carries gradients."""
+        """The same for two tensors (1, 3, h, w) on the network's device, as a () tensor that carries gradients."""
 
 
 def crop_of(hw: tuple[int, int], settings: PerceptualSettings, rng: np.random.Generator) -> tuple[slice, slice]:
-    """Rows and columns of what is compared of a picture, at most all of it."""
+    """Rows and columns of the compared crop, at most the whole picture."""
     if settings.whole:
         return slice(0, hw[0]), slice(0, hw[1])
     side = settings.crop_px
@@ -82,8 +84,8 @@ def perceptual(
 ) -> tuple[float, Float[np.ndarray, "H W 3"]]:
     """The term's share of the loss and its gradient (H, W, 3) for one picture of (H, W, 3).
 
-    Where ``weight`` (H, W) is 0 the target stands in for the rendering, so masked pixels neither count nor disturb
-    their surroundings (U11). ``weighed``: times the mean weight of the others. 0 for crops below ``SMALLEST_PX``.
+    Where ``weight`` (H, W) is 0 the target replaces the rendering, so masked pixels neither count nor affect their
+    surroundings (U11). ``weighed``: times the mean weight of the others. 0 for crops below ``SMALLEST_PX``.
     """
     rows, columns = crop_of(rendered.shape[:2], settings, rng)
     gradient = np.zeros(rendered.shape, np.float32)
@@ -111,8 +113,10 @@ def perceptual_of_tensors(
     rng: np.random.Generator,
     weighed: bool = False,
 ) -> torch.Tensor:
-    """``perceptual`` of tensors on the device that draws: ``rendered`` and ``wanted`` (3, H, W), ``weight`` (H, W),
-    0 = masked, where ``wanted`` is finite. Nothing leaves the device."""
+    """``perceptual`` for tensors on the drawing device: ``rendered`` and ``wanted`` (3, H, W), ``weight`` (H, W).
+
+    Weight 0 is masked; ``wanted`` is finite there too. No data leave the device.
+    """
     import torch
 
     rows, columns = crop_of((weight.shape[0], weight.shape[1]), settings, rng)

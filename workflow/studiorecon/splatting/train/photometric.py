@@ -39,8 +39,7 @@ class PhotometricTerms:
 
 
 class Memory:
-    """Buffers by name that are filled with zeros anew, for pictures that come once each and in many sizes: fresh memory
-    costs as much as the loss."""
+    """Zeroed buffers by name, for pictures of many sizes that are used once: allocation costs as much as the loss."""
 
     def __init__(self) -> None:
         self._held: dict[str, np.ndarray] = {}
@@ -60,11 +59,10 @@ class _Fresh(Memory):
 
 
 class Photometric:
-    """l1·L1 + ssim·(1 − SSIM) for images of one size, with reused buffers; with ``memory``, what ``prepare`` gives
-    holds until it is called again.
+    """l1·L1 + ssim·(1 − SSIM) for images of one size, with reused buffers.
 
-    Pixels of weight 0 neither count nor disturb the SSIM windows of their neighbours: the target's colours stand in for
-    them.
+    With ``memory``, the result of ``prepare`` is valid until its next call. Pixels of weight 0 neither count nor affect
+    the SSIM windows of their neighbours: the target's colours replace them.
     """
 
     def __init__(self, hw: tuple[int, int], l1: float, ssim: float, memory: Memory | None = None) -> None:
@@ -80,7 +78,7 @@ class Photometric:
 
     @property
     def statistics_bytes(self) -> int:
-        """Memory of one target's kept statistics."""
+        """Memory of one target's stored statistics."""
         return 2 * 3 * self._plane * 4
 
     def prepare(
@@ -140,5 +138,5 @@ class Photometric:
 
 
 def flat(image: Num[np.ndarray, "H W"] | None) -> Float[np.ndarray, " C"]:
-    """An image as the kernels take it: (H·W,) float32, empty for None."""
+    """An image in the kernels' layout: (H·W,) float32, empty for None."""
     return np.zeros(0, np.float32) if image is None else np.ascontiguousarray(image, np.float32).reshape(-1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a training loop tells while it works: a sentence and a picture at every tenth of the way."""
+"""Progress of a training loop: a message and a picture at every tenth of the way."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 class Feedback:
-    """Losses of a run and how they are told.
+    """Losses of a run and their reports.
 
     Attributes:
-        losses, psnrs_db: of every iteration so far, on the picture it drew; what a resumed run puts back.
+        losses, psnrs_db: of every iteration so far, on the picture it drew; restored in a resumed run.
     """
 
     def __init__(self, label: str, first: int, last: int, previews: Path | None) -> None:
@@ -31,15 +31,15 @@ class Feedback:
         self._tenth = max(1, (last - first) // 10)
 
     def record(self) -> dict[str, Float[np.ndarray, " I"]]:
-        """What has been added so far, for a checkpoint."""
+        """The values added so far, for a checkpoint."""
         return {"losses": np.array(self.losses), "psnrs_db": np.array(self.psnrs_db)}
 
     def resume(self, record: Mapping[str, Float[np.ndarray, " I"]]) -> None:
-        """Takes up the ``record`` of an interrupted run."""
+        """Restore the ``record`` of an interrupted run."""
         self.losses, self.psnrs_db = record["losses"].tolist(), record["psnrs_db"].tolist()
 
     def add(self, loss: float, psnr_db: float) -> bool:
-        """Records one iteration; True when a tenth is done and ``tell`` is due."""
+        """Record one iteration; returns True when a tenth is done and ``tell`` is due."""
         self.losses.append(loss)
         self.psnrs_db.append(psnr_db)
         return len(self.losses) % self._tenth == 0
@@ -57,11 +57,10 @@ class Feedback:
         wanted: Num[np.ndarray, "H W 3"],
         used: Bool[np.ndarray, "H W"],
     ) -> None:
-        """One line on how it goes, and the picture ``preview_<percent>.png``: left ``wanted``, right ``shown`` (H, W,
-        3).
+        """Log one line of progress and write ``preview_<percent>.png``: left ``wanted``, right ``shown`` (H, W, 3).
 
-        PSNR is over the pixels ``used`` (H, W) of ``view``, which is a training view: it says that training works, not
-        how well unseen views come out.
+        PSNR is over the pixels ``used`` (H, W) of ``view``, which is a training view: it measures the training, not the
+        quality of unseen views.
         """
         done = len(self.losses)
         score = psnr(shown, wanted, used)
@@ -70,11 +69,11 @@ class Feedback:
             f"{self._label}: {self._first + done} of {self._last}, loss {np.mean(self.losses[-self._tenth :]):.4f}, "
             f"PSNR {self.last_psnr_db:.2f} dB on what was drawn, {on_view} on training view {view}, {count} Gaussians"
         )
-        # Every tenth is in the log; shown is how it ended.
+        # Every tenth is logged; only the last is shown.
         (say if self._first + done == self._last else LOGGER.debug)(told)
         if self._previews is not None:
             percent = round(100 * done / (self._last - self._first))
-            # Loaded here: it brings the decoders of films, which take longer to import than a small training to start.
+            # Loaded here: it imports the decoders of films, which takes longer than a small training needs to start.
             from studiorecon.footage.video import to_bytes
 
             sheet = np.concatenate([to_bytes(np.nan_to_num(wanted)), to_bytes(np.nan_to_num(shown))], axis=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a configuration says about training, and the learning rates that follow from it."""
+"""Settings of training, and the learning rates that follow from them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EPSILON_MIN = 1e-30
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """What a stage's configuration section says about training.
+    """The training part of a stage's configuration.
 
     Attributes:
         l1, ssim: weights of mean absolute error and of 1 − SSIM (U10, U11).
@@ -34,12 +34,12 @@ class TrainingSettings:
         sh_lr, sh_rest_lr: steps of the constant harmonic and of the others.
         adam_epsilon: relative to the first steps' root mean square gradient of each kind of parameter.
         near_m: nothing nearer is drawn.
-        largest_scale_m: scales are cut here; 0 = no limit.
+        largest_scale_m: upper limit of scales; 0 = no limit.
         densify_every, densify_from, densify_until: iterations at which that happens.
         densify_gradient: mean screen gradient, in half image widths, above which a Gaussian is cloned or split.
         densify_scale: share of the scene extent above which it is split rather than cloned.
-        prune_opacity: Gaussians fainter than that are removed when densifying.
-        checkpoint_every_s: seconds between checkpoints, from which a killed training goes on with the same result; 0 =
+        prune_opacity: Gaussians below this opacity are removed when densifying.
+        checkpoint_every_s: seconds between checkpoints, from which a killed training resumes with the same result; 0 =
             none.
     """
 
@@ -106,8 +106,7 @@ class TrainingSettings:
 
 
 def exponential(begin: float, end: float, done: float) -> float:
-    """The schedule ``begin``^(1 − done) · ``end``^done, both raised to 1e-12 so that a rate of 0 is no logarithm of 0
-    (O07)."""
+    """``begin``^(1 − done) · ``end``^done, both raised to at least 1e-12 so that a rate of 0 has a logarithm (O07)."""
     begin, end = max(begin, RATE_MIN), max(end, RATE_MIN)
     return float(begin * (end / begin) ** done)
 
@@ -134,5 +133,5 @@ def degree_at(settings: TrainingSettings, iteration: int) -> int:
 
 
 def halved_at(settings: TrainingSettings, iteration: int) -> bool:
-    """Whether a step warms up at half the image size."""
+    """Whether a step runs at half the image size for warm-up."""
     return iteration < settings.warmup_half_resolution * settings.iterations

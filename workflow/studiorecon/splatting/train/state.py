@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a training loop carries from step to step: blocked parameters, Adam's moments, and where every Gaussian came
-from."""
+"""The state of a training loop: blocked parameters, Adam's moments, and every Gaussian's source."""
 
 from __future__ import annotations
 
@@ -55,8 +54,8 @@ def start(gaussians: Gaussians) -> TrainingState:
 def regrown(
     state: TrainingState, gaussians: Gaussians, parent: Integer[np.ndarray, " M"], fresh: Bool[np.ndarray, " M"]
 ) -> TrainingState:
-    """The state with other Gaussians: ``parent`` (M,) says which old one each descends from; ``fresh`` ones start
-    without moments."""
+    """The state with other Gaussians: ``parent`` (M,) is the old index of each; ``fresh`` ones start without
+    moments."""
     return _laid_out(gaussians, state.source[parent], state.first, state.second, np.where(fresh, -1, parent))
 
 
@@ -99,13 +98,13 @@ def restored(arrays: Mapping[str, Shaped[np.ndarray, " ..."]]) -> TrainingState:
 
 
 def finite(gaussians: Gaussians) -> Bool[np.ndarray, " N"]:
-    """(N,) bool: nothing of a Gaussian is NaN or infinite."""
+    """(N,) bool: Gaussians without NaN or infinite values."""
     arrays = (gaussians.means_m, gaussians.quaternions, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh)
     return np.all([np.isfinite(array).all(axis=tuple(range(1, array.ndim))) for array in arrays], axis=0)
 
 
 def gaussians_of(state: TrainingState) -> Gaussians:
-    """The Gaussians in the state's order, their log scales and logits exactly as Adam left them."""
+    """The Gaussians in the state's order, with the exact log scales and logits of Adam."""
     n, bands = state.blocked.count, (state.blocked.degree + 1) ** 2
     arrays = tuple(np.empty(shape, np.float32) for shape in ((n, 3), (n, 4), (n, 3), (n,), (n, bands, 3)))
     take_parameters(state.blocked.parameters, state.raw, *arrays)
@@ -114,10 +113,10 @@ def gaussians_of(state: TrainingState) -> Gaussians:
 
 @njit(**KERNEL)
 def fill_raw(log_scales, logit_opacities, order, raw):
-    """Log scales and logits → their blocks.
+    """Write log scales and logits into blocks.
 
-    Padding gets logit −60: Adam writes the opacity of every lane of a visible block, and that of a logit of 0 would be
-    a ghost of ½.
+    Padding gets logit −60: Adam writes the opacity of every lane of a visible block, and a logit of 0 would be a ghost
+    of ½.
     """
     for i in range(len(order), len(raw) // RAW_ROWS):
         raw[((i // LANES) * RAW_ROWS + 3) * LANES + i % LANES] = float32(-60)
@@ -130,7 +129,7 @@ def fill_raw(log_scales, logit_opacities, order, raw):
 
 @njit(**KERNEL)
 def take_parameters(parameters, raw, means_m, quaternions, log_scales, logit_opacities, sh):
-    """Blocks → arrays of the Gaussians in block order."""
+    """Copy blocks into arrays of the Gaussians in block order."""
     for i in range(len(means_m)):
         at, raw_at = (i // LANES) * BLOCK_FLOATS + i % LANES, (i // LANES) * RAW_ROWS * LANES + i % LANES
         for axis in range(3):
@@ -146,7 +145,7 @@ def take_parameters(parameters, raw, means_m, quaternions, log_scales, logit_opa
 
 @njit(parallel=True, **KERNEL)
 def move_lanes(given, lanes, taken):
-    """taken's lane i = given's lane lanes[i], all rows; 0 where that is −1."""
+    """Copy lanes: taken's lane i = given's lane lanes[i], all rows; 0 where that is −1."""
     for i in prange(len(lanes)):
         at = (i // LANES) * BLOCK_FLOATS + i % LANES
         j = lanes[i]
@@ -159,7 +158,7 @@ def move_lanes(given, lanes, taken):
 
 @njit(parallel=True, **KERNEL)
 def add_screen_gradient(visible, screen, scale, gradient_sum, gradient_count):
-    """Adds the length of dL/d(centre), times ``scale``, of every visible Gaussian."""
+    """Add the length of dL/d(centre), times ``scale``, of every visible Gaussian."""
     size = len(visible)
     for i in prange(size):
         if visible[i]:

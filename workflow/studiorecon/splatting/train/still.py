@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training of a set of Gaussians that stays where it is: the room, a thing seen from itself; on either device."""
+"""Trains a set of Gaussians that does not move, on either device: the room, or an object in its own frame."""
 
 from __future__ import annotations
 
@@ -30,13 +30,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TrainedGaussians:
-    """Attributes:
-    gaussians: in the order of the initial ones (descendants beside each other); without densification the same N.
-    source: (N,) index of the initial Gaussian each descends from: what labels such as provenance are carried over with.
-    psnr_db: mean over the last tenth of the iterations, on the pixels that counted.
-    refused: gradient entries that were not finite and were skipped.
-    left_out: Gaussians, given or trained, that were not finite and are not in the result.
-    masked: pixels of targets that were not finite and did not count.
+    """The result of a training.
+
+    Attributes:
+        gaussians: in the order of the initial ones (descendants are adjacent); without densification the same N.
+        source: (N,) index of the initial Gaussian each descends from, to carry over labels such as provenance.
+        psnr_db: mean over the last tenth of the iterations, on the pixels that counted.
+        refused: gradient entries that were not finite and were skipped.
+        left_out: Gaussians, given or trained, that were not finite and are not in the result.
+        masked: pixels of targets that were not finite and did not count.
     """
 
     gaussians: Gaussians
@@ -65,11 +67,11 @@ def train_still(
     """Gaussians fitted to the targets on a resolved ``device``.
 
     ``extent_m`` (``targets.scene_extent``) scales position steps. ``span`` runs only those iterations of the schedule,
-    for loops that change the targets in between (Adam's moments start anew). ``network`` is asked when
+    for loops that change the targets in between (Adam's moments start at 0). ``network`` is used when
     ``settings.lpips.weight`` is above 0. On the CPU the same inputs, generator state and ``threads`` give the same
-    bytes, also when a killed run is taken up at its ``checkpoint``; on CUDA sums come in any order, so two runs differ
-    by rounding. Gaussians and pixels that are not finite are left out and counted. Raises UserError without Gaussians
-    or targets.
+    bytes, also when a killed run resumes at its ``checkpoint``; on CUDA sums come in any order, so two runs differ by
+    rounding. Gaussians and pixels that are not finite are left out and counted. Raises UserError without Gaussians or
+    targets.
     """
     initial = initial.with_sh_degree(settings.sh_degree)
     given = np.flatnonzero(finite(initial))
@@ -106,7 +108,7 @@ def _on(
     extent_m: float,
     threads: int | None,
 ) -> BlockedSet | TensorSet:
-    """The set as the device holds it."""
+    """The set in the device's form."""
     if device == "cuda":
         from studiorecon.splatting.cuda.tensor_set import TensorSet
 

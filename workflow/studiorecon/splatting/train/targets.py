@@ -22,7 +22,7 @@ class Target:
     """One image to fit.
 
     Attributes:
-        camera: where it was taken; its size is the image's.
+        camera: of the image; its size is the image's.
         rgb: (H, W, 3) float32; masked pixels may hold anything.
         weight: (H, W) float32 per pixel, 0 = masked; None = 1 everywhere.
         share: how often it is drawn, relative to the others.
@@ -43,7 +43,7 @@ class Target:
         return np.ones(self.camera.hw, bool) if self.weight is None else self.weight > 0
 
     def sound(self) -> tuple[Target, int]:
-        """The target with every pixel masked whose colour or weight is not finite, and how many that were."""
+        """The target with every pixel masked whose colour or weight is not finite, and the number of such pixels."""
         weight = np.ones(self.rgb.shape[:2], np.float32) if self.weight is None else self.weight
         finite = np.isfinite(weight)
         finite &= np.isfinite(self.rgb).all(axis=-1) | (weight == 0)
@@ -68,18 +68,18 @@ class Target:
 
 
 class TargetSizes:
-    """Targets whole and at half the size, the latter made when first asked for."""
+    """Targets at full and half size; the half size is computed on first use."""
 
     def __init__(self, targets: Sequence[Target]) -> None:
         self._whole, self._half = list(targets), dict[int, Target]()
 
     @property
     def first(self) -> Target:
-        """The first one, whole."""
+        """The first target at full size."""
         return self._whole[0]
 
     def at(self, settings: TrainingSettings, iteration: int, index: int) -> tuple[tuple[bool, int], Target]:
-        """A target as large as a step wants it, and what it is known by."""
+        """The target at a step's size, with its cache key."""
         half = halved_at(settings, iteration)
         if half and index not in self._half:
             self._half[index] = self._whole[index].halved()
@@ -87,7 +87,7 @@ class TargetSizes:
 
 
 class DrawOrder:
-    """Which target comes next: each as often as its share says, spread evenly; with equal shares every round visits all
+    """Chooses the next target: each as often as its share, spread evenly; with equal shares every round visits all
     once.
 
     Attributes:
@@ -112,7 +112,6 @@ class DrawOrder:
 
 
 def scene_extent(cameras: Sequence[Camera]) -> float:
-    """Metres that position learning rates are multiplied by: 1.1 × the largest distance of a camera from their mean
-    (3DGS)."""
+    """Scale of position learning rates, metres: 1.1 × the largest distance of a camera from their mean (3DGS)."""
     centres = np.array([camera.centre_m for camera in cameras])
     return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())

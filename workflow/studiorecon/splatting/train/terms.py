@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The terms of a training's loss, each for planes on the CPU (gradient by hand) and tensors on CUDA (autograd).
 
-A training names the weights of its terms, ``terms_of`` makes them, and the one loop in ``trainer`` adds them up. Every
-term but LPIPS is a mean over the pixels whose weight is above 0, of weight times error: with weights 0 and 1 that is
-Σ m·l / Σ m (U11), and a weight of 3 counts three times (U15); ``weighing`` "photometric" has it as the paper prints it.
-SSIM enters as 1 − SSIM, not halved (U10).
+A training names the weights of its terms, ``terms_of`` builds them, and the loop in ``trainer`` adds them up. Every
+term but LPIPS is a mean over the pixels whose weight is above 0, of weight times error: with weights 0 and 1 that is Σ
+m·l / Σ m (U11), and a weight of 3 counts three times (U15). With ``weighing`` "photometric" it is as printed in the
+paper. SSIM enters as 1 − SSIM, not halved (U10).
 
 A new term is a class with ``on_cpu`` and ``on_cuda``, its line in ``WEIGHED`` and a setting of that name.
 """
@@ -35,14 +35,14 @@ time)."""
 
 @dataclass
 class PlaneView:
-    """A picture as it was drawn on the CPU, what it should be, and the gradient that terms add to.
+    """A picture drawn on the CPU, its target, and the gradient that terms add to.
 
     Attributes:
-        target: what it is compared with.
-        iteration, rng: for terms that are not evaluated at every step, or on random pieces.
+        target: the image that it is compared with.
+        iteration, rng: for terms that are not evaluated at every step, or on random crops.
         planes: (5, H, W) red, green, blue, depth sum, transmittance.
         gradient: (5, H, W) of the loss by red, green, blue, depth sum and alpha; 0 before the first term.
-        key: what the target is known by when it comes again unchanged; None = it was made for this step.
+        key: cache key of a target that comes again unchanged; None = it was made for this step.
         psnr_db: over the pixels that count; the photometric term sets it.
     """
 
@@ -55,7 +55,7 @@ class PlaneView:
     psnr_db: float = 0.0
 
     def total(self, terms: Sequence[Term]) -> float:
-        """The loss; its gradient is in ``gradient`` then."""
+        """The loss; fills ``gradient``."""
         loss = 0.0
         for term in terms:
             loss += term.on_cpu(self)
@@ -64,7 +64,7 @@ class PlaneView:
 
 @dataclass
 class TensorView:
-    """A picture as tensors that carry gradients, and what it should be.
+    """A picture as tensors that carry gradients, and its target.
 
     Attributes:
         target, iteration, rng, key, psnr_db: as in ``PlaneView``.
@@ -96,15 +96,14 @@ class Term(Protocol):
     """One summand of the loss, weight included."""
 
     def on_cpu(self, view: PlaneView) -> float:
-        """Its value; adds its gradient to ``view.gradient``."""
+        """The term's value; adds its gradient to ``view.gradient``."""
 
     def on_cuda(self, view: TensorView) -> torch.Tensor:
-        """Its value as a () tensor."""
+        """The term's value as a () tensor."""
 
 
 class L1AndSsim:
-    """l1·L1 + ssim·(1 − SSIM), in one pass. Pixels of weight 0 do not disturb the windows of their neighbours: the
-    target stands in for them."""
+    """l1·L1 + ssim·(1 − SSIM), in one pass; the target replaces pixels of weight 0, so they leave windows unbiased."""
 
     def __init__(self, l1: float, ssim: float) -> None:
         self.l1, self.ssim = l1, ssim
@@ -157,14 +156,16 @@ def _windowed(planes: torch.Tensor) -> torch.Tensor:
 
 @cache
 def _window_on_device() -> type[torch.autograd.Function]:
-    """The window as torch differentiates it: it is symmetric, so its adjoint is the window again; a
-    convolution's own derivative takes an H100 2.7 times as long."""
+    """An autograd function of the window, with the window as its adjoint because it is symmetric.
+
+    A convolution's own derivative takes an H100 2.7 times as long.
+    """
     import torch
     from kornia.filters import filter2d_separable
 
     def filtered(planes: torch.Tensor) -> torch.Tensor:
         taps = torch.as_tensor(window(), device=planes.device, dtype=planes.dtype)[None]
-        # Variances are differences of what comes out: TF32's ten bits, which cuDNN may take, are noise in flat places.
+        # Variances are differences of the outputs: TF32's ten bits, which cuDNN may use, are noise in flat regions.
         with torch.backends.cudnn.flags(enabled=True, benchmark=False, deterministic=False, allow_tf32=False):
             return filter2d_separable(planes[:, None], taps, taps, border_type="constant")[:, 0]
 
@@ -182,7 +183,7 @@ def _window_on_device() -> type[torch.autograd.Function]:
 
 @dataclass(frozen=True)
 class Silhouette:
-    """L1 of alpha and the target's silhouette: nothing of the person outside of it, no hole inside (U52)."""
+    """L1 of alpha and the target's silhouette: no part of the person outside of it, no hole inside (U52)."""
 
     weight: float
 
@@ -202,10 +203,10 @@ class Silhouette:
 
 @dataclass(frozen=True)
 class Density:
-    """Pull of alpha to 0 or 1 (I14, U13): the mean of D(α) = log(1 + 1/e) + α − log(1 + e^{2α−1}), 0 for empty
-    and for opaque pixels and 0.120 half-way; its slope is tanh(½ − α), finite everywhere.
+    """Loss that pulls alpha to 0 or 1 (I14, U13): the mean of D(α) = log(1 + 1/e) + α − log(1 + e^{2α−1}).
 
-    ``everywhere``: over all pixels alike, masked ones too, as it stands in the paper's Eq. 5.
+    D is 0 for empty and for opaque pixels and 0.120 half-way; its slope is tanh(½ − α), finite everywhere.
+    ``everywhere``: over all pixels, masked ones too, as in the paper's Eq. 5.
     """
 
     weight: float
@@ -230,10 +231,10 @@ class Density:
 
 @dataclass(frozen=True)
 class LpipsTerm:
-    """The perceptual distance on a random crop at every so-many-th step; without a network it is 0.
+    """The perceptual distance on a random crop at every n-th step; without a network it is 0.
 
-    ``weighed``: times the mean weight of the crop's pixels that count, as Eq. 5 of the paper has it: a photo that
-    counts three times does so here too. A distance of pictures has no pixels of its own to weigh one by one.
+    ``weighed``: times the mean weight of the crop's pixels that count, as in Eq. 5 of the paper: a photo that counts
+    three times does so here too. A distance of pictures has no pixels to weight one by one.
     """
 
     settings: PerceptualSettings
@@ -265,7 +266,10 @@ WEIGHED: dict[str, Callable[[float], Term]] = {"mask": Silhouette, "density": De
 
 def terms_of(weights: Any, network: Perceptual | None = None) -> list[Term]:
     """The terms whose weights (fields ``l1``, ``ssim``, ``lpips`` and the names in ``WEIGHED``) are above 0; L1 and
-    SSIM always. ``weighing``, where there is such a field, says what the targets' weights multiply."""
+    SSIM always.
+
+    ``weighing``, where there is such a field, selects what the targets' weights multiply.
+    """
     named = ((make, getattr(weights, name, 0.0)) for name, make in WEIGHED.items())
     terms: list[Term] = [L1AndSsim(weights.l1, weights.ssim), *(make(weight) for make, weight in named if weight > 0)]
     photometric = getattr(weights, "weighing", "picture") == "photometric"

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one training loop: draw a target, render, add up the terms, step; on the way checkpoints, sentences and pictures.
+"""The one training loop: draw a target, render, add up the terms, step; with checkpoints, messages and preview
+pictures.
 
-What is trained describes itself as a ``Trainable``: a still set of Gaussians in blocks on the CPU (``blocked_set``) or
-in tensors on a CUDA device (``cuda/tensor_set``), a person posed anew at every step (``humans/training``).
+Its subject is a ``Trainable``: a still set of Gaussians in blocks on the CPU (``blocked_set``) or in tensors on a CUDA
+device (``cuda/tensor_set``), or a person posed at every step (``humans/training``).
 """
 
 from __future__ import annotations
@@ -28,8 +29,10 @@ View = TypeVar("View", PlaneView, TensorView)
 
 @dataclass(frozen=True)
 class Preview:
-    """How a training goes: ``count`` Gaussians; a training view's ``name``, as it is ``shown`` and as it is ``wanted``
-    (H, W, 3), and the pixels ``used`` (H, W)."""
+    """A preview of a training: ``count`` Gaussians, and a training view's ``name``, pictures and pixels.
+
+    ``shown`` and ``wanted`` (H, W, 3) are the render and its target, ``used`` (H, W) the pixels that count.
+    """
 
     count: int
     name: str
@@ -39,28 +42,28 @@ class Preview:
 
 
 class Trainable(Protocol, Generic[View]):
-    """What a training moves. A step is ``begin``, ``draw``, the terms, ``step``, in this order."""
+    """The subject of a training. A step is ``begin``, ``draw``, the terms, ``step``, in this order."""
 
     def threads(self) -> AbstractContextManager[object]:
-        """What every step and preview runs in: its share of the threads, float32 whatever the caller's autocast."""
+        """The context of every step and preview: its share of the threads, float32 whatever the caller's autocast."""
 
     def begin(self, iteration: int) -> None:
-        """A hook before the step: for what starts at an iteration."""
+        """A hook before the step, for parts that start at an iteration."""
 
     def draw(self, iteration: int) -> View:
-        """A target of its choice and the picture rendered for it."""
+        """A target of its choice, and the picture rendered for it."""
 
     def step(self, iteration: int, view: View, loss: Any) -> tuple[float, float]:
-        """Moves the parameters by the gradient of the view's loss; returns the loss and the PSNR on what was drawn."""
+        """Move the parameters by the gradient of the view's loss; returns the loss and the PSNR of the drawn view."""
 
     def preview(self) -> Preview:
-        """A training view as it is now."""
+        """A current training view."""
 
     def snapshot(self) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], dict[str, Any]]:
-        """All that later steps depend on beside the generator: arrays, and JSON facts."""
+        """Everything except the generator that later steps depend on: arrays, and JSON facts."""
 
     def resume(self, arrays: dict[str, Shaped[np.ndarray, " ..."]], facts: dict[str, Any]) -> None:
-        """Puts a ``snapshot`` back."""
+        """Restore a ``snapshot``."""
 
 
 def train(
@@ -73,10 +76,10 @@ def train(
     checkpoint: Checkpoint | None = None,
     previews: Path | None = None,
 ) -> float:
-    """Trains ``subject`` in place over the iterations [first, last); returns the mean PSNR of the last tenth, dB.
+    """Train ``subject`` in place over the iterations [first, last); returns the mean PSNR of the last tenth, dB.
 
-    ``rng`` is the generator that the subject draws from: with it a killed run that is taken up at its ``checkpoint``
-    ends with the same bytes. ``previews`` is the folder that receives a picture at every tenth of the way.
+    ``rng`` is the generator that the subject draws from: with it a killed run that resumes at its ``checkpoint`` ends
+    with the same bytes. ``previews`` is the folder that receives a picture at every tenth of the way.
     """
     first, last = iterations
     feedback, begin = Feedback(label, first, last, previews), first
