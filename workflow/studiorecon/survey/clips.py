@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the survey looks at of a camera's film: short runs of pictures, spread over the clip, small, and where nobody
-stands in them."""
+"""The survey's samples of a camera's film: short runs of small pictures, spread over the clip, with a mask of
+people.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer
 
-# People's outlines grow by this share of their height, and hold for so many frames: clothes are wide, and detectors
-# blink.
+# People's outlines grow by this share of their height and last this many frames more: clothes are wide, and detectors
+# miss single frames.
 _MARGIN, _HOLD = 0.06, 1
 # Pictures of a run are taken at about this rate, or the footage's own if that is less.
 _RUN_FPS = 30.0
@@ -35,7 +36,7 @@ class Film:
         camera: of the working pictures.
         times: (T,) working frame of each picture, rising; pictures of one run follow one another in even steps.
         pictures: (T, h, w, 3) uint8, smaller than the working pictures.
-        free: (T, h, w) bool: nobody stands there.
+        free: (T, h, w) bool: pixels without people.
         scale: working pixels per pixel.
         step: working frames from one picture of a run to the next.
     """
@@ -55,8 +56,7 @@ class Film:
 
 
 def run_starts(frames: int, pictures: int, run: int) -> list[int]:
-    """First frames of runs of ``run`` pictures, evenly over ``frames`` of them and ``pictures`` in all; the first run
-    starts at 0."""
+    """First frames of runs of ``run`` pictures, spread evenly over ``frames``, ``pictures`` in all; the first is 0."""
     count = max(min(pictures, frames) // run, 1)
     return sorted({int(s) for s in np.linspace(0, max(frames - run, 0), count).round()})
 
@@ -72,13 +72,13 @@ def read_film(
     run: int,
     longest_px: int,
 ) -> Film:
-    """Read at most ``pictures`` pictures in runs of ``run``, about thirty a second, their longer side at most
+    """At most ``pictures`` pictures of a film in runs of ``run``, about thirty a second, their longer side at most
     ``longest_px``.
 
-    Outlines are drawn from ``found``; None where the room is known to be empty, or only silhouettes tell who is there.
-    Cost: 12 ms for a picture of 1280×704 on one core.
+    Outlines of people come from ``found``; it is None where the room is known to be empty, or where only silhouettes
+    show people. Cost: 12 ms for a picture of 1280×704 on one core.
     """
-    # A hundred and twenty frames a second would show a run's things standing still.
+    # At 120 frames per second things hardly move within a run, so frames are skipped.
     step = max(1, round(fps / _RUN_FPS))
     starts = run_starts(-(-frames // step), pictures, run)
     wanted = step * np.unique(np.concatenate([np.arange(s, min(s + run, -(-frames // step))) for s in starts]))
@@ -94,8 +94,9 @@ def read_pictures(
     longest_px: int,
     step: int = 1,
 ) -> tuple[Integer[np.ndarray, "T h w 3"], Bool[np.ndarray, "T h w"], float]:
-    """The ``wanted`` frames (T,), rising: (T, h, w, 3) uint8 shrunk to ``longest_px``, where nobody stands, and pixels
-    per pixel."""
+    """The ``wanted`` frames (T,), rising: (T, h, w, 3) uint8 shrunk to ``longest_px``, masks without people, and pixels
+    per pixel.
+    """
     scale = max(max(camera.wh) / longest_px, 1.0)
     wh = (round(camera.wh[0] / scale), round(camera.wh[1] / scale))
     held: list[np.ndarray] = []
@@ -112,9 +113,9 @@ def read_pictures(
 
 
 def halved(film: Film) -> Film:
-    """The film at half its size, for what is larger than a few pixels: a quarter of the time."""
+    """The film at half its size, for things larger than a few pixels, in a quarter of the time."""
     wh = (film.pictures.shape[2] // 2, film.pictures.shape[1] // 2)
     pictures = np.stack([cv2.resize(p, wh, interpolation=cv2.INTER_AREA) for p in film.pictures])
-    # A small pixel is free when all of the pixels under it are.
+    # A small pixel is free when all pixels that it covers are free.
     covered = np.stack([cv2.resize((~f).astype(np.float32), wh, interpolation=cv2.INTER_AREA) > 0 for f in film.free])
     return Film(film.camera, film.times, pictures, ~covered, film.scale * film.pictures.shape[2] / wh[0], film.step)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much of the room the cameras see, and from how far apart they look."""
+"""The share of the room that the cameras see, and the angles between their views."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# Sides from which a surface must be seen to be placed (T01).
+# Angle between two views from which a surface can be triangulated (T01).
 PARALLAX_DEG = 2.0
 
 
 def stage_points(cameras: Sequence[Camera], step_m: float, height_m: float) -> Float[np.ndarray, "N 3"]:
-    """(N, 3) grid points between the cameras: their horizontal surroundings of the point they look at, from the floor
-    to ``height_m``.
+    """(N, 3) grid points of the stage between the cameras, from the floor to ``height_m``.
 
     The stage is a disc about the point nearest to all optical axes, with the distance of the nearest camera as its
     radius.
@@ -33,15 +32,16 @@ def stage_points(cameras: Sequence[Camera], step_m: float, height_m: float) -> F
 
 
 def stage(cameras: Sequence[Camera]) -> tuple[Float[np.ndarray, " 2"], float]:
-    """Horizontal centre (2,) of what the cameras look at, and the distance of the nearest of them."""
+    """Horizontal centre (2,) that the cameras look at, and the distance of the nearest of them."""
     positions = np.array([c.centre_m[:2] for c in cameras])
     directions = np.array([c.forward[:2] for c in cameras])
     lengths = np.linalg.norm(directions, axis=1)
-    # A camera that looks straight down has no horizontal direction; its own place is what it looks at.
+    # A camera that looks straight down has no horizontal direction; its own position then is the point that it looks
+    # at.
     normals = (
         np.eye(2) - np.einsum("ci,cj->cij", directions, directions) / np.maximum(lengths, 1e-9)[:, None, None] ** 2
     )
-    # Parallel axes meet nowhere: a little pull towards the mean position keeps the answer finite.
+    # Parallel axes do not intersect: a small weight on the mean position keeps the solution finite.
     system = normals.sum(axis=0) + 1e-3 * np.eye(2)
     centre = np.linalg.solve(system, np.einsum("cij,cj->i", normals, positions) + 1e-3 * positions.mean(axis=0))
     return centre, float(np.linalg.norm(positions - centre, axis=1).min())
@@ -53,10 +53,11 @@ def seen_by(
     depths_m: Sequence[Float[np.ndarray, "H W"]],
     tolerance: float,
 ) -> Bool[np.ndarray, "C N"]:
-    """(C, N) bool: which camera sees which point (N, 3): inside the picture and not behind what its depth map shows.
+    """(C, N) bool: which camera sees which point (N, 3): inside the picture and not behind the surface of its depth
+    map.
 
-    Unknown depth (0, or what is not finite) hides nothing. ``tolerance`` is the share of depth by which a point may lie
-    behind the surface.
+    Unknown depth (0 or non-finite) hides nothing. ``tolerance`` is the share of depth by which a point may be behind
+    the surface.
     """
     seen = np.zeros((len(cameras), len(points_m)), bool)
     for index, (camera, depth_m) in enumerate(zip(cameras, depths_m)):
@@ -70,7 +71,7 @@ def seen_by(
 def from_two_sides(
     points_m: Float[np.ndarray, "N 3"], cameras: Sequence[Camera], seen: Bool[np.ndarray, "C N"], least_deg: float
 ) -> Bool[np.ndarray, " N"]:
-    """(N,) bool: two cameras that see the point do so from directions at least ``least_deg`` apart (T01)."""
+    """(N,) bool: at least two cameras see the point from directions at least ``least_deg`` apart (T01)."""
     rays = np.stack([points_m - c.centre_m for c in cameras])
     rays /= np.maximum(np.linalg.norm(rays, axis=-1, keepdims=True), 1e-12)
     apart = np.zeros(len(points_m), bool)
@@ -81,7 +82,7 @@ def from_two_sides(
 
 
 def mean_pair_deg(cameras: Sequence[Camera]) -> float:
-    """Mean azimuth between every two cameras about what they look at, degrees; 0 for a single one.
+    """Mean azimuth between every two cameras about their common centre, degrees; 0 for a single one.
 
     This is the reading U56 of cameras said to be so many degrees apart "from the centre": four on an even ring have
     120.

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which effects does this scene call for? Each decision has a statistic, a threshold and a sentence, and can be forced.
+"""Decides which effects this scene calls for. Each decision has a statistic, a threshold and a sentence, and can be
+forced.
 
-Only what a decision is about is simulated later; "undetermined" takes the cheaper branch and says so. What shows only
-in a trained scene is listed here, and decided by ``report.audit``. What later steps divide out of the pictures is
-written beside the decisions, by the effects themselves: something empty where they are not called for.
+Only effects that are on are simulated later; "undetermined" takes the cheaper branch and says so. Effects that show
+only in a trained scene are listed here, and decided by ``report.audit``. Factors that later steps divide out of the
+pictures are written by the effects themselves, next to the decisions; the file is empty where the effect is off.
 """
 
 from __future__ import annotations
@@ -46,10 +47,9 @@ def run(
     decisions: Written,
     artefacts: list[Written],
 ) -> None:
-    """Decide from what the earlier stages found; ``people`` and ``identities`` are absent when the room is known to be
-    empty.
+    """Write the decisions on all effects; ``people`` and ``identities`` are absent when the room is known to be empty.
 
-    ``artefacts``: where every effect that has a file of its own writes it, found by the file's name.
+    ``artefacts``: the paths where effects write their own files, identified by the file's name.
     """
     cameras, capture = read_model(model.parent), read_manifest(manifest)
     one_each(cameras, videos=videos, plates=plates, depth_maps=depths, files_of_keypoints=detections or cameras)

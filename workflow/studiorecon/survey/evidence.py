@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What effects are measured on: a scene before training, how much of it is looked at, and what several effects ask."""
+"""The data that effects are measured on: a scene before training, its sampling, and values that several
+effects share.
+"""
 
 from __future__ import annotations
 
@@ -25,23 +27,23 @@ from studiorecon.survey.exposures import MIN_PIXELS, ExposureView, disagreement,
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# What counts as agreement of rays (U34, T01, T06).
+# Limits within which rays agree (U34, T01, T06).
 LIMITS = Limits(min_confidence=0.0, huber_share=0.005, outlier_units=3.0, min_angle_deg=2.0, near_m=0.05)
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """How much is looked at."""
+    """The density of the survey's samples."""
 
-    # Pictures of every camera that are looked at.
+    # Pictures read of every camera.
     pictures: int = 60
-    # Pictures follow each other without a gap in runs of so many; their longer side.
+    # Number of pictures in a run without gaps; length of their longer side.
     run: int = 12
     longest_px: int = 480
     # Step and height of the points that make up the stage.
     grid_m: float = 0.25
     height_m: float = 2.0
-    # Two depths are one surface within this share of them.
+    # Two depths belong to one surface within this share of them.
     depth_tolerance: float = 0.05
     # Keypoints below it are not used.
     min_confidence: float = 0.3
@@ -49,11 +51,11 @@ class Sampling:
 
 @dataclass(frozen=True)
 class Recordings:
-    """Every camera's whole film, for what is written frame by frame.
+    """Every camera's whole film, for files with one entry per frame.
 
     Attributes:
         videos: one per camera.
-        found: every camera's keypoints; None where nobody is looked for.
+        found: every camera's keypoints; None when nothing detects people.
         frames: of every film.
     """
 
@@ -64,11 +66,11 @@ class Recordings:
 
 @dataclass(frozen=True)
 class Material:
-    """What is known of a scene before training.
+    """A scene before training.
 
     Attributes:
         cameras: training cameras.
-        people: who was found; None when the dataset says the room is empty.
+        people: ids of the people; None when the dataset says the room is empty.
         views: every camera's clean plate and depth.
         films: every camera's pictures over time.
         tracks: people's keypoints.
@@ -87,15 +89,15 @@ class Material:
 
 @dataclass(frozen=True)
 class SmallFilm:
-    """One camera's film at half its size, beside its plate.
+    """One camera's film at half its size, with its plate.
 
     Attributes:
         film: the pictures.
         camera: of those pictures.
         plate: (h, w, 3) the clean plate.
         depth_m: (h, w) of the empty room.
-        free: (T, h, w) where nobody stands and the plate was measured.
-        ratio: (T, h, w, 3) log ratio to the plate, without the light's course.
+        free: (T, h, w) pixels without people where the plate was measured.
+        ratio: (T, h, w, 3) log ratio to the plate, without the change of light.
         noise: standard deviation of a picture, levels of 255.
     """
 
@@ -110,7 +112,7 @@ class SmallFilm:
 
 @dataclass(frozen=True)
 class Evidence:
-    """The material, and what more than one effect asks of it; each is worked out once, when it is first asked for."""
+    """The material, and values that several effects share; each is computed once, at its first use."""
 
     material: Material
     sampling: Sampling
@@ -127,7 +129,7 @@ class Evidence:
 
     @cached_property
     def light(self) -> list[tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]]:
-        """Per camera the light's course (T,), log, and its standard error (T,)."""
+        """Per camera the log brightness of the light over time (T,), and its standard error (T,)."""
         return [stillness.light(film.pictures, film.free) for film in self.halves]
 
     @cached_property
@@ -145,7 +147,7 @@ class Evidence:
 
     @cached_property
     def small_films(self) -> list[SmallFilm]:
-        """What moves in the room is looked for in these."""
+        """The small films in which the survey searches for motion in the room."""
         found = []
         for small, view, (drift, _) in zip(self.halves, self.material.views, self.light, strict=True):
             hw = small.pictures.shape[1:3]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much the cameras differ on the colour of the surfaces they share."""
+"""Differences between cameras in the colour of the surfaces that they share."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# Every so many pixels a surface point is compared: neighbours share their errors, and count as one.
+# Stride in pixels between compared surface points: neighbours share their errors, and count as one.
 _STRIDE = 4
-# Least common surface points of two cameras that are evidence. A difference is certain beyond five standard errors; the
-# interval has two.
+# Common surface points that two cameras need. A difference is certain beyond five standard errors; the interval has
+# two.
 MIN_PIXELS, CERTAIN, INTERVAL = 50, 5.0, 2.0
 
 
 @dataclass(frozen=True)
 class ExposureView:
     """One camera's clean plate: rgb (H, W, 3) in [0, 1], measured (H, W), depth_m (H, W) of the empty room, 0 =
-    unknown."""
+    unknown.
+    """
 
     camera: Camera
     rgb: Float[np.ndarray, "H W 3"]
@@ -35,8 +36,9 @@ class ExposureView:
 
 
 def overlaps(views: Sequence[ExposureView], tolerance: float, least_pixels: int) -> tuple[list[Overlap], list[float]]:
-    """Colour ratios of every pair of cameras on surfaces whose depths agree to ``tolerance``, and each one's standard
-    error."""
+    """Colour ratios of every pair of cameras on surfaces whose depths agree to ``tolerance``, and their standard
+    errors.
+    """
     found, errors = [], []
     for i, first in enumerate(views):
         pixels = first.camera.pixel_centres()[::_STRIDE, ::_STRIDE].reshape(-1, 2)
@@ -65,7 +67,7 @@ def disagreement(
     """Largest |gain − 1| over cameras and channels, that camera's standard error, and the gains (cameras, 3)."""
     gains = solve_gains(cameras, found)
     worst = int(np.abs(gains - 1).max(axis=1).argmax())
-    # Covariance of the least-squares gains, their common factor being fixed at 1.
+    # Covariance of the least-squares gains, with their common factor fixed at 1.
     design = np.zeros((len(found), cameras))
     for row, overlap in enumerate(found):
         design[row, overlap.first], design[row, overlap.second] = 1, -1

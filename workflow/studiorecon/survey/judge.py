@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All that can be decided before training, in the order in which one effect hides another."""
+"""All decisions that are possible before training, in the order in which one effect hides another."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ else:
 
 @dataclass(frozen=True)
 class Settings(Sampling):
-    """Of the effects that show before training (``effects.Decided``), and how much is looked at."""
+    """Settings of the effects that show before training (``effects.Decided``), and the sampling."""
 
     thresholds: Mapping[Tunable, float] = thresholds(EARLY)
     force: Mapping[Named, str] = force(EARLY)
@@ -36,8 +36,8 @@ def judge(
 ) -> list[Decision]:
     """One decision for every effect that shows before training.
 
-    An effect without a threshold in ``thresholds`` has its own. What an effect voids while it is on, it does not void
-    where ``force`` has it off.
+    An effect that is not in ``thresholds`` uses its own. An effect that is on voids others, but not if ``force`` turned
+    it off.
     """
     verdicts = force or {}
     made: dict[str, Decision] = {}
@@ -59,7 +59,7 @@ def judge(
 
 
 def decided(effect: SurveyedEffect, evidence: Evidence, threshold: float) -> Decision:
-    """The decision on one effect by itself, and in its detail those on the parts of the scene that it has."""
+    """The decision on one effect; its detail holds the decisions on parts of the scene, if it has any."""
     found = effect.measure(evidence, threshold)
     parts = {}
     for name, own in found.parts.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What moves in the room beside people: their shadows on the floor, and things."""
+"""Motion in the room other than people: their shadows on the floor, and objects."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# A shadow darkens by this share, changes no channel's part by more than that, and lasts for so many frames on end.
+# A shadow darkens by this share, changes no channel's share by more than the second, and lasts this many consecutive
+# frames.
 _DARKER, _SAME_COLOUR, _FRAMES = 0.05, 0.02, 5
 _RING_M = 1.0
 _SIGMAS = 5.0
-# Regions below this share of the picture are not followed.
+# Regions below this share of the picture are not tracked.
 _MIN_REGION = 0.00025
-# Pixels that the opening of noise joins err together: so many count as one.
+# Morphological opening correlates the errors of neighbouring pixels: this many count as one.
 _PATCH_PX = 9
 _MIN_RING_PX, _MIN_FREE = 200, 0.3
-# Below this level a ratio is noise; a change of fewer levels (of 255) nobody sees.
+# Below this level a ratio is noise; a change of fewer levels (of 255) is not visible.
 _MIN_LEVEL, _VISIBLE_LEVELS = 4.0, 6.0
 
 
@@ -39,8 +40,8 @@ def relative(
     """(T, H, W, 3) float32 log ratio of ``pictures`` (T, H, W, 3) uint8 to the ``plate`` (H, W, 3) in [0, 1], without
     ``light_log`` (T,).
 
-    What the plate got wrong stays the same over time, so each pixel's median over the moments when it is ``free`` (T,
-    H, W) is taken off.
+    Errors of the plate are constant over time, so each pixel's median over the moments when it is ``free`` (T, H, W) is
+    subtracted.
     """
     require("pictures", pictures, ("T", "H", "W", 3))
     require("free", free, pictures.shape[:3])
@@ -58,10 +59,9 @@ def relative(
 def floor_ring(
     camera: Camera, depth_m: Float[np.ndarray, "H W"], floor_m: float, feet_m: Float[np.ndarray, "P T 3"]
 ) -> Bool[np.ndarray, "T H W"]:
-    """(T, H, W) bool: floor within 1 m of anybody's foot. ``depth_m`` (H, W) of the empty room, ``feet_m`` (P, T, 3),
-    NaN unknown.
+    """(T, H, W) bool: floor within 1 m of any foot.
 
-    ``camera`` has the size of ``depth_m``.
+    ``camera`` has the size of ``depth_m`` (H, W) of the empty room; ``feet_m`` is (P, T, 3), NaN unknown.
     """
     points, floor = floor_points(camera, depth_m, floor_m)
     ring = np.zeros((feet_m.shape[1], *camera.hw), bool)
@@ -77,11 +77,10 @@ def shadow_share(
     ring: Bool[np.ndarray, "T H W"],
     runs: Sequence[slice],
 ) -> Estimate:
-    """Share of the floor around feet that darkens without changing its colour, for five frames on end.
+    """Share of the floor around feet that darkens without changing its colour, for five consecutive frames.
 
     ``ratio`` (T, H, W, 3) log ratio to the empty room; ``free`` (T, H, W) outside people; ``ring`` (T, H, W) floor near
-    feet. Means over five frames of one run stand for "five frames on end": they say the same and are not undone by one
-    noisy frame.
+    feet. The test uses means over five frames of one run, so that one noisy frame does not break it.
     """
     require("ring", ring, free.shape)
     ever, dark = np.zeros(free.shape[1:], bool), np.zeros(free.shape[1:], bool)
@@ -91,7 +90,7 @@ def shadow_share(
         known = np.isfinite(level)
         ever |= known.any(axis=0)
         shaded = known & (level < np.log(1 - _DARKER)) & (colour < _SAME_COLOUR)
-        # A shadow is larger than a pixel: noise in single ones is not counted.
+        # A shadow is larger than a pixel, so noise in single pixels does not count.
         for picture in shaded:
             dark |= cv2.morphologyEx(picture.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
     if ever.sum() < _MIN_RING_PX:
@@ -106,13 +105,13 @@ def moving_share(
     noise: float,
     runs: Sequence[slice],
 ) -> Estimate:
-    """Area of the largest thing that moves through the room, as a share of the picture, with how it varies while it
-    does.
+    """Area of the largest object that moves through the room, as a share of the picture, and its variation while it
+    moves.
 
-    A thing is a connected region that differs visibly, by more than five standard deviations of ``noise`` (levels of
-    255) from the ``usual`` level (H, W), is not merely darker, does not touch a person's outline, which legs and hands
-    leave when keypoints are missing, and travels by more than its own radius in five frames on end. What flickers in
-    place is none. Nothing when people hide most of the room.
+    An object is a connected region that differs visibly, by more than five standard deviations of ``noise`` (levels of
+    255) from the ``usual`` level (H, W). It is not merely darker and does not touch a person's outline, beyond which
+    legs and hands reach when keypoints are missing. It travels by more than its own radius in five consecutive frames;
+    things that flicker in place do not count. There is no estimate when people hide most of the room.
     """
     height, width = free.shape[1:]
     runs = [run for run in runs if run.stop - run.start >= _FRAMES]
@@ -139,8 +138,8 @@ def moving_share(
 
 
 def _level_and_colour(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of the channels (T, H, W), and the largest difference of one of them from it."""
-    # One channel after the other: numpy is several times slower along a last axis of 3.
+    """Mean of the channels (T, H, W), and the largest difference of a channel from it."""
+    # Channel by channel: numpy is several times slower along a last axis of 3.
     red, green, blue = (ratio[..., k] for k in range(3))
     level = (red + green + blue) / np.float32(3)
     return level, np.maximum(np.maximum(np.abs(red - level), np.abs(green - level)), np.abs(blue - level))
@@ -149,8 +148,7 @@ def _level_and_colour(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _followed(
     first: tuple[float, np.ndarray], later: Sequence[list[tuple[float, np.ndarray]]], reach_px: float
 ) -> list[float]:
-    """Areas of a region in successive pictures, none when it is lost, changes its size fourfold or stays where it
-    is."""
+    """Areas of a region in successive pictures; none when it is lost, changes its size fourfold or stays in place."""
     areas, places = [first[0]], [first[1]]
     for regions in later:
         near = min(regions, key=lambda r: np.linalg.norm(r[1] - places[-1]), default=None)
@@ -162,8 +160,9 @@ def _followed(
 
 
 def _regions(changed: np.ndarray, free: np.ndarray, least_px: float) -> list[tuple[float, np.ndarray]]:
-    """(area, centre) of connected regions of at least ``least_px`` away from what is not ``free``, thin ones opened
-    away."""
+    """(area, centre) of connected regions of at least ``least_px`` that do not touch pixels outside ``free``, after an
+    opening.
+    """
     solid = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
     count, labels, statistics, centres = cv2.connectedComponentsWithStats(solid, connectivity=8)
     beside = cv2.dilate((~free).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
@@ -173,7 +172,7 @@ def _regions(changed: np.ndarray, free: np.ndarray, least_px: float) -> list[tup
 
 
 def _running(ratio: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Mean over five frames on end where all are known, else NaN: (T - 4, H, W, 3)."""
+    """(T - 4, H, W, 3) mean over five consecutive frames where all are known, else NaN."""
     if len(ratio) < _FRAMES:
         return np.full((0, *ratio.shape[1:]), np.nan, np.float32)
     filled = np.where(known[..., None], ratio, 0).astype(np.float32)
@@ -184,7 +183,7 @@ def _running(ratio: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def most(names: Sequence[str], found: Sequence[Estimate]) -> tuple[float | None, tuple[float, float] | None, str]:
-    """Value, interval and name of the camera whose estimate is surely the largest; None when none was measured."""
+    """Value, interval and name of the camera whose estimate is certainly the largest; None when none was measured."""
     known = [
         (e.interval[0], e.value, e.interval, name)
         for name, e in zip(names, found)

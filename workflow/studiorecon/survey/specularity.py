@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much surfaces change their colour with the direction they are seen from."""
+"""Change of surfaces' colour with the direction of view."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 _LIMIT = 0.99
 _MIN_POINTS, _STRIDE = 200, 4
-# Depth and calibration misplace a sample by about this much; where colours change within it, they say nothing about
+# Depth and calibration misplace a sample by about this much; where colours change within it, they do not show
 # specularity.
 _MISPLACED_PX = 1.5
-# The gains are themselves estimated, and lenses shade their corners: differences below this are not specular.
+# The gains are estimates, and lenses darken towards the corners: smaller differences than this are not specular.
 _FLOOR = 0.01
 
 
@@ -57,7 +57,7 @@ def covisible(
     """Colours (V, N, 3) of static points that several views see, divided by ``gains`` (V, 3), and their noise (V, N).
 
     ``noise`` is a plate's temporal standard deviation. Where colours change within ``_MISPLACED_PX`` the noise grows
-    with their slope.
+    with their gradient.
     """
     colours, errors = [], []
     slopes = [_slope(v.rgb) for v in views]
@@ -85,7 +85,7 @@ def covisible(
 
 
 def _slope(rgb: np.ndarray) -> np.ndarray:
-    """(H, W) float32 largest change of brightness per pixel nearby."""
+    """(H, W) float32 largest change of brightness per pixel in the neighbourhood."""
     grey = cv2.GaussianBlur(channel_sum(rgb.astype(np.float32)) / 3, (0, 0), 0.7)
     slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=1 / 8))
     return cv2.dilate(slope, np.ones((3, 3), np.uint8))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does the camera stand still? And does the light? Both from the room's own pixels, block by block, people left out."""
+"""Motion of the camera and changes of light, from the room's own pixels in blocks, without people."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from studiorecon.images.exposure import BRIGHTEST, DARKEST
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Blocks per side; texture in a block below this many grey levels per pixel holds no flow.
+# Blocks per side, fewest usable blocks, and the texture in grey levels per pixel below which a block gives no flow.
 _BLOCKS, _MIN_BLOCKS, _MIN_TEXTURE = 6, 6, 1.5
-# Shifts that one linear step can follow; the start is found by correlation.
+# Gauss-Newton steps per block; phase correlation gives the start.
 _STEPS = 3
 
 
@@ -26,7 +26,7 @@ def block_shifts(
     """(B, 2) shift in px of every block of ``picture`` (H, W, 3) uint8 against ``reference``, where ``free`` (H, W);
     NaN without texture.
 
-    Lucas-Kanade with a gain and an offset per block, so that a change of light is none of place; started by phase
+    Lucas-Kanade with a gain and an offset per block, so that changes of light do not count as motion; started by phase
     correlation.
     """
     require("picture", picture, ("H", "W", 3))
@@ -66,8 +66,10 @@ def block_shifts(
 
 
 def worst_shift(shifts: Float[np.ndarray, "T B 2"]) -> tuple[float, float]:
-    """Median shift of the picture that surely moved the most, of ``block_shifts`` (T, B, 2), and its error from the
-    scatter of the blocks, px; NaN when too few blocks tell."""
+    """Median shift of the picture that surely moved the most, of ``block_shifts`` (T, B, 2), and its error, px.
+
+    The error comes from the scatter of the blocks; NaN when too few blocks have a shift.
+    """
     known = np.isfinite(shifts).all(-1)
     enough = known.sum(axis=1) >= _MIN_BLOCKS if len(shifts) else np.zeros(0, bool)
     frames = [_median_vector(f[k]) for f, k in zip(shifts[enough], known[enough])]
@@ -83,19 +85,19 @@ def _median_vector(vectors: np.ndarray) -> tuple[float, float]:
 def light(
     frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray, "T H W"]
 ) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]:
-    """Log of the room's brightness against the first frame (T,), and its standard error (T,); NaN where too little of
-    it is seen.
+    """Log of the room's brightness against the first frame (T,), and its standard error (T,); NaN where too little is
+    visible.
 
-    ``frames`` (T, H, W, 3) uint8, ``free`` (T, H, W) where nobody stands. Each block says the middle of its densest
-    half, so that who covers up to half of it does not count; the answer is the blocks' median and the error their
-    scatter: light changes everywhere at once.
+    ``frames`` (T, H, W, 3) uint8, ``free`` (T, H, W) pixels without people. Each block contributes the middle of its
+    densest half, so that a person may cover up to half of it. The result is the blocks' median and the error their
+    scatter, because light changes in all blocks at once.
     """
     require("frames", frames, ("T", "H", "W", 3))
     require("free", free, frames.shape[:3])
     value, error = np.full(len(frames), np.nan), np.full(len(frames), np.nan)
     rows, columns = (np.linspace(0, n, _BLOCKS + 1).astype(int) for n in frames.shape[1:3])
     low, high = DARKEST * 255, BRIGHTEST * 255
-    # One channel after the other: numpy is several times slower along a last axis of 3.
+    # Channel by channel: numpy is several times slower along a last axis of 3.
     usable = free.copy()
     for channel in range(3):
         usable &= (frames[..., channel] > low) & (frames[..., channel] < high)
@@ -115,7 +117,7 @@ def light(
 
 
 def _densest(values: np.ndarray) -> float:
-    """Middle of the shortest interval that holds half of the values."""
+    """Middle of the shortest interval that contains half of the values."""
     ordered = np.sort(values)
     half = max(len(ordered) // 2, 1)
     at = int((ordered[half:] - ordered[: len(ordered) - half]).argmin()) if len(ordered) > half else 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page's strip of who is seen by which camera when, and how surely every body is known over time."""
+"""The page's timeline of people per camera, and of the certainty of every body."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ _WIDTH, _LEFT, _BAR, _GAP = 1000, 120, 9, 12
 def frames_seen(
     found: Sequence[Detections], whose: Mapping[tuple[str, int], str], people: Sequence[str], frames: int
 ) -> dict[str, Bool[np.ndarray, "P F"]]:
-    """camera → (P + 1, frames) bool: in which frames it has a detection of each person, in the last row one of nobody
-    kept."""
+    """camera → (P + 1, frames) bool: frames with a detection of each person; the last row has detections of rejected
+    tracks.
+    """
     seen = {}
     for detections in found:
         rows = np.zeros((len(people) + 1, frames), bool)
@@ -34,8 +35,9 @@ def frames_seen(
 
 
 def strip(seen: Mapping[str, Bool[np.ndarray, "P F"]], people: Sequence[str]) -> str:
-    """A row of bars per camera, one bar per person, named and coloured as in the overlay films; tracks of nobody
-    grey."""
+    """A row of bars per camera, one bar per person, named and coloured as in the overlay films; rejected tracks are
+    grey.
+    """
     if not seen:
         return ""
     lanes = len(people) + 1
@@ -79,7 +81,7 @@ def runs(row: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
 
 
 def surety(people: Sequence[Person], jitter: Mapping[str, Mapping[str, Any]]) -> str:
-    """In how many frames everybody was measured, and is there; how sure the joints are, and how much they tremble."""
+    """A table of people: frames measured, frames present, uncertainty of the joints, and jitter."""
     if not people:
         return ""
     rows = []

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page's section on which effects the scene calls for: every statistic against its threshold, and who acts on
-it."""
+"""The page's section on effects: every statistic against its threshold, and the steps that obey the verdict."""
 
 from __future__ import annotations
 
@@ -13,15 +12,15 @@ from studiorecon.pages import html
 from studiorecon.scene.decisions import Decision
 
 _WIDTH, _HEIGHT = 120, 14
-# Stages whose jobs are there for one effect alone.
+# Stages that exist for one effect only.
 _STAGES = {"people": ("people", "masks", "humans"), "view_synthesis": ("views",), "enhancement": ("enhance",)}
 
 
 def decisions(found: Sequence[Mapping[str, Decision]], spent: Mapping[str, Any]) -> str:
-    """A row for every effect, in the order of the first file; what a later file decided counts before an earlier one.
+    """A row for every effect, in the order of the first file; a later file's decision replaces an earlier one.
 
-    ``spent`` is the run's cost by stage (``report.sections.cost``): what an effect's own jobs took is what leaving it
-    out would save.
+    ``spent`` is the run's cost by stage (``report.sections.cost``): the cost of an effect's own jobs is the saving of
+    leaving it out.
     """
     merged: dict[str, Decision] = {}
     for survey in found:
@@ -45,8 +44,9 @@ def decisions(found: Sequence[Mapping[str, Decision]], spent: Mapping[str, Any])
 
 
 def gauge(decision: Decision) -> str:
-    """A small picture with its numbers: interval and value on a scale from 0 to twice the threshold; words when nothing
-    was measured."""
+    """A small picture of interval and value on a scale from 0 to twice the threshold; words when there is no
+    measurement.
+    """
     if decision.value is None or decision.interval is None or not decision.threshold:
         return "not measured"
     measured = (decision.interval[0], decision.value, decision.interval[1])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects that a scene may call for: one file each, ending with its ``EFFECT``, listed here and nowhere else.
+"""Effects that a scene may call for: one file each, ending with its ``EFFECT``, and listed only here.
 
-In comes ``survey.evidence``; out goes a measurement for each, which ``survey.judge`` turns into a decision. Settings,
-schema, ``survey.force`` and the table of ``config/README.md`` are made from the list. Begin with ``surveyed`` (what an
-effect is) and ``people`` (the plainest); the statistics stand beside this folder, one file per kind of measurement.
+In: ``survey.evidence``; out: a measurement for each, which ``survey.judge`` turns into a decision. Settings, schema,
+``survey.force`` and the table of ``config/README.md`` are generated from the list. Start with ``surveyed`` (what an
+effect is) and ``people`` (the simplest); the statistics are in the parent folder, one file per kind of measurement.
 ``docs/contributing.md`` says how to add one.
 """
 
@@ -32,7 +32,7 @@ from studiorecon.survey.effects.surveyed import SurveyedEffect
 from studiorecon.survey.effects.view_dependent_colour import EFFECT as VIEW_DEPENDENT_COLOUR
 from studiorecon.survey.effects.view_synthesis import EFFECT as VIEW_SYNTHESIS
 
-# In the order in which they are decided: each after those that hide it. Three of them only a trained scene shows.
+# In the order of the decisions: each effect after those that hide it. Three of them show only in a trained scene.
 EFFECTS: tuple[Effect, ...] = (
     MOVING_CAMERAS,
     PEOPLE,
@@ -54,7 +54,7 @@ EARLY = tuple(effect for effect in EFFECTS if isinstance(effect, SurveyedEffect)
 
 @dataclass(frozen=True)
 class Decided:
-    """What the configuration says of all effects; a step is told of those that it decides."""
+    """The configuration of all effects; a step gets the settings of those that it decides."""
 
     thresholds: Mapping[str, float] = thresholds(EFFECTS)
     force: Mapping[str, str] = force(EFFECTS)

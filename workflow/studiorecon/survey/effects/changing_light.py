@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does the light change while filming? And how bright is every frame against the clean plate, by the room's pixels?"""
+"""Measures whether the light changes while filming, and the brightness of every frame against the clean plate."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from studiorecon.survey.stillness import light
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Frames that are held at a time.
+# Frames in memory at a time.
 _TOGETHER = 64
-# Seconds of one core for a frame, and for a million pixels of it on top: comparing it, decoding and shrinking it
-# (measured at 240×136 and 1280×704).
+# Seconds of one core per frame, and per million pixels of it: comparing, decoding and shrinking (measured at 240×136
+# and 1280×704).
 _FRAME_S, _MEGAPIXEL_S = 0.008, 0.013
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:
-    """The largest change in any camera; light changes in all of them at once, which the reason says."""
+    """The largest change in any camera; the reason says that light changes in all cameras at once."""
     names, worst = evidence.names, [largest(value[1:], error[1:]) for value, error in evidence.light]
     estimate = largest([w.value if w.value is not None else np.nan for w in worst], [_error(w) for w in worst])
     reason = "too little of the room is seen without people to compare its brightness over time"
@@ -55,7 +55,7 @@ def _error(estimate: Estimate) -> float:
 
 
 def write(path: Path, decision: Decision, evidence: Evidence, recordings: Recordings) -> None:
-    """Every frame's brightness against its plate, for the cameras that can tell."""
+    """Write every frame's brightness against its plate, for the cameras where it can be measured."""
     changes: dict[str, np.ndarray] = {}
     if decision.called_for:
         longest_px = evidence.sampling.longest_px
@@ -72,18 +72,18 @@ def write(path: Path, decision: Decision, evidence: Evidence, recordings: Record
 
 
 def cost_s(cameras: Sequence[Camera], frames: int) -> float:
-    """Seconds of one core that following the light of all cameras takes, about."""
+    """Approximate seconds of one core to measure the light of all cameras."""
     return round(frames * sum(_FRAME_S + _MEGAPIXEL_S * c.wh[0] * c.wh[1] / 1e6 for c in cameras), 2)
 
 
 def course_of(
     path: Path, camera: Camera, frames: int, found: Detections | None, view: ExposureView, longest_px: int
 ) -> Float[np.ndarray, "frames 3"] | None:
-    """(frames, 3) factors of a film's brightness against its plate, red, green and blue alike; None when no frame can
-    be told.
+    """(frames, 3) factors of a film's brightness against its plate, equal in all channels; None when no frame can be
+    measured.
 
-    Frames in which too little of the room is seen take what lies between those before and after. A lamp that changes
-    its colour keeps it.
+    Frames in which too little of the room is seen are interpolated from those before and after. A change of the lamp's
+    colour is not corrected.
     """
     level = np.concatenate(list(_levels(path, camera, frames, found, view, longest_px)))
     known = np.flatnonzero(np.isfinite(level))
@@ -97,7 +97,7 @@ def _levels(
 ) -> Iterator[np.ndarray]:
     for first in range(0, frames, _TOGETHER):
         wanted = np.arange(first, min(first + _TOGETHER, frames))
-        # Light is larger than a few pixels: half of the survey's size.
+        # Light varies over more than a few pixels: half of the survey's size suffices.
         pictures, free, _ = read_pictures(path, camera, wanted, found, longest_px // 2)
         wh = (pictures.shape[2], pictures.shape[1])
         rgb, measured = shrink(view.rgb, view.measured, wh)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do the cameras surround the stage? A ring has its gap between every two neighbours, an arc a wide one beyond its
-ends."""
+"""Measures whether the cameras surround the stage: a ring has even gaps between neighbours, an arc a wide one between
+its ends.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +15,10 @@ from studiorecon.survey.evidence import Evidence
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:
-    """The widest gap between neighbours, seen from what they look at; views in the middle of a wide one would show what
-    no camera sees (U18)."""
+    """The widest gap between neighbours, as an angle about the centre that they look at.
+
+    Views in the middle of a wide gap would show surfaces that no camera sees (U18).
+    """
     cameras = evidence.material.cameras
     gaps = np.degrees([gap.rad for gap in gaps_around(cameras)])
     gap = float(gaps.max())

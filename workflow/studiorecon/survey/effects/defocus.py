@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is a camera less sharp than the others, out of focus or behind a dirty lens? Its photos then soften what others show
-sharply, and nothing here mends that: it informs."""
+"""Measures whether a camera is less sharp than the others: out of focus, or behind a dirty lens.
+
+Its photos soften what others show sharply. Nothing in this workflow repairs that: the effect only informs.
+"""
 
 from __future__ import annotations
 
@@ -18,25 +20,26 @@ from studiorecon.survey.evidence import Evidence
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# Pixels are meant at this width; working frames of another have as much less or more.
+# Blur is stated in pixels at this width; working frames of another width have proportionally more or less.
 AT_WIDTH = 1280.0
-# The second blur; below this share of the steepest slopes a pixel is no edge; so many edges are asked for at least.
+# The second blur; the share of the steepest slopes and the slope below which a pixel is no edge; the number of edges
+# needed.
 _AGAIN_PX, _STEEP_SHARE, _MIN_SLOPE, _MIN_EDGES = 1.0, 0.01, 0.01, 100
-# The sharpest of them tell the focus: others are soft in the world.
+# The sharpest of them show the focus: others are soft in the world.
 _SHARPEST = 0.25
-# Pixels along one edge err together.
+# Errors of pixels along one edge are correlated.
 _TOGETHER = 8
-# Cameras look at things that are sharp by so much more or less, a share of their blur, one deviation: those of a real
-# room and of four made ones by 0.05 to 0.2. Of so many cameras that shows in themselves; a normal distribution's
-# standard deviation by its median deviation.
+# Scenes before the cameras differ in sharpness by this share of the blur, one standard deviation: 0.05 to 0.2 in a real
+# room and four synthetic ones. With this many cameras the spread is measured instead; a normal distribution's standard
+# deviation is 1.4826 median deviations.
 _APART, _MANY, _NORMAL = 0.1, 6, 1.4826
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:
     """The blur of each clean plate's edges beyond that of the median camera, the largest of them.
 
-    Blurs add in squares: ``extra² = blur² - median²``. Plates are medians of many pictures, so neither noise nor people
-    who move are in them.
+    Blurs add in squares: ``extra² = blur² - median²``. Plates are medians of many pictures, so they contain neither
+    noise nor moving people.
     """
     views = evidence.material.views
     found = [edge_blur_px(view.rgb, view.measured) for view in evidence.material.views]
@@ -53,7 +56,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
         return Measured(None, None, "fewer than two cameras see enough sharp edges to compare their focus")
     usual = float(np.median(blur[known]))
     worst = max(known, key=lambda k: blur[k] - error[k])
-    # Some camera looks at softer things than the others: it must stand out from how they differ anyhow.
+    # Some camera always sees softer things than the others: its blur must exceed that usual spread.
     shown = _NORMAL * float(np.median(np.abs(blur[known] - usual))) if len(known) >= _MANY else 0.0
     spread = max(_APART * usual, shown)
     extra = _beyond(blur[worst], error[worst], 2 * spread, usual)
@@ -66,8 +69,10 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
 
 
 def _beyond(blur: float, error: float, of_what_it_sees: float, usual: float) -> Estimate:
-    """The blur that, added to ``usual``, gives ``blur``; its interval from that of ``blur``, of which as much as
-    ``of_what_it_sees`` may be none of the camera's."""
+    """The blur that, added to ``usual``, gives ``blur``, with an interval from that of ``blur``.
+
+    As much as ``of_what_it_sees`` of it may come from the scene and not from the camera.
+    """
     if not np.isfinite(error):
         return NOTHING
     ends = (blur, blur - float(np.hypot(error, of_what_it_sees)), blur + error)
@@ -80,8 +85,8 @@ def edge_blur_px(rgb: Float[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H 
     ``measured`` (H, W).
 
     A step blurred by s has the slope 1 / s; blurred again by a, 1 / √(s² + a²): their ratio R gives s = a / √(R² - 1)
-    (Zhuo and Sim 2011, Defocus map estimation from a single image). Only the steepest pixel across each edge counts;
-    nothing for a picture with few edges.
+    (Zhuo and Sim 2011, Defocus map estimation from a single image). Only the steepest pixel across each edge counts; a
+    picture with few edges has no estimate.
     """
     require("rgb", rgb, ("H", "W", 3))
     require("measured", measured, rgb.shape[:2])
@@ -104,7 +109,7 @@ def edge_blur_px(rgb: Float[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H 
 
 
 def _neighbours(slope: np.ndarray, axis: int) -> np.ndarray:
-    """The steeper of the two pixels beside each along ``axis``."""
+    """The steeper of each pixel's two neighbours along ``axis``."""
     return np.maximum(np.roll(slope, 1, axis), np.roll(slope, -1, axis))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does anything move that is neither a person nor a shadow?"""
+"""Measures whether anything moves other than people and shadows."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from studiorecon.survey.scene_change import most, moving_share
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:
-    """The area of the largest thing that travels through the room, in the camera that shows the most of it."""
+    """The area of the largest object that travels through the room, in the camera that shows most of it."""
     found = [
         moving_share(small.ratio, small.free, small.plate.mean(axis=-1) * 255, small.noise, small.film.runs)
         for small in evidence.small_films

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do the cameras agree on the colour of the surfaces they share? Ignored, 2 % caps PSNR at 40 dB, 10 % at 26 dB."""
+"""Measures whether the cameras agree on the colour of shared surfaces. Ignored, 2 % caps PSNR at 40 dB, 10 %
+at 26 dB.
+"""
 
 from __future__ import annotations
 
@@ -42,13 +44,15 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
 
 
 def write(path: Path, decision: Decision, evidence: Evidence, recordings: Recordings) -> None:
-    """The factors that pictures are divided by."""
+    """Write the factors that pictures are divided by."""
     write_factors(path, gains_called_for(decision))
 
 
 def gains_called_for(exposure: Decision) -> Mapping[str, Float[np.ndarray, "1 3"]]:
-    """Camera → (1, 3) gains to divide pictures by; none unless the verdict is on, nor for cameras that could not be
-    compared."""
+    """Camera → (1, 3) gains to divide pictures by.
+
+    There are none unless the verdict is on, nor for cameras that could not be compared.
+    """
     if not exposure.called_for:
         return {}
     found = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does a camera move? Everything that is measured later rests on cameras that stand still."""
+"""Measures whether a camera moves: every later measurement assumes static cameras."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from studiorecon.survey.stillness import block_shifts, worst_shift
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:
-    """The room's shift between the first picture of each run and the last of all, camera by camera."""
+    """The shift of the room between the first picture of each run and the last of all, camera by camera."""
     films = evidence.material.films
     values, errors = [], []
     for film in films:
-        # The first picture of every run is enough: who moves a camera leaves it moved, and a shake shows in some.
+        # The first picture of every run is enough: a camera that was moved stays moved, and shaking shows in some runs.
         later = [*(run.start for run in film.runs[1:]), len(film.times) - 1]
         free = [film.free[0] & film.free[t] for t in later]
         shifts = [block_shifts(film.pictures[0], film.pictures[t], f) for t, f in zip(later, free)]

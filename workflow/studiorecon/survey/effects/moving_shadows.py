@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do people's shadows move over the floor?"""
+"""Measures whether people's shadows move over the floor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _ANKLES = ("left_ankle", "right_ankle")
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:
-    """The share of the floor near feet that darkens, in the camera that shows the most of it."""
+    """The share of the floor near feet that darkens, in the camera that shows most of it."""
     material = evidence.material
     feet = in_world(material.tracks, _ANKLES, material.cameras, LIMITS)[0]
     found = []

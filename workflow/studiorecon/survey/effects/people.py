@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is anybody there?"""
+"""Decides whether there are people in the scene."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from studiorecon.survey.evidence import Evidence
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:
-    """How many people association found; none where the dataset says that the room is empty."""
+    """The number of people that association found; none where the dataset says that the room is empty."""
     found = evidence.material.people
     count = len(found or ())
     if found is None:

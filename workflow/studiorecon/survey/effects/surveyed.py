@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An effect that shows before training: how it is measured, and the file it writes for who acts on it."""
+"""An effect that shows before training: its measurement, and the file that it writes for the steps that obey it."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from studiorecon.survey.evidence import Evidence, Recordings
 
 @dataclass(frozen=True)
 class Measured:
-    """What a statistic came to, before anything is decided.
+    """The value of a statistic before the decision.
 
     Attributes:
         value, interval: the measurement; None when there was nothing to measure.
-        reason: one sentence, which says why where there is no value.
-        detail: numbers for who acts on the decision.
-        parts: where parts of the scene are decided one by one: name → value and interval of its own.
+        reason: one sentence; without a value it says why.
+        detail: numbers for the steps that obey the decision.
+        parts: name → value and interval, for parts of the scene that are decided one by one.
     """
 
     value: float | None
@@ -34,12 +34,12 @@ class Measured:
 
 @dataclass(frozen=True)
 class Artefact:
-    """A file that is written with the decision, for who acts on it.
+    """A file that is written with the decision, for the steps that obey it.
 
     Attributes:
         file: its name in the results of the survey.
-        write: writes it: path, decision, evidence, recordings; something empty unless the effect is called for.
-        cost_s: seconds of one core that writing it takes when the effect is on: cameras, frames. None: next to nothing.
+        write: writes it from path, decision, evidence, recordings; an empty file unless the effect is on.
+        cost_s: seconds of one core that writing it takes when the effect is on: cameras, frames. None: negligible.
     """
 
     file: str
@@ -52,8 +52,8 @@ class SurveyedEffect(Effect):
     """An effect with its measurement.
 
     Attributes:
-        measure: the statistic of a scene; told the threshold too, for reasons that count what lies beyond it.
-        artefact: what is written for who acts on the effect.
+        measure: the statistic of a scene; it also gets the threshold, for reasons that count the values beyond it.
+        artefact: the file for the steps that obey the effect.
     """
 
     measure: Callable[[Evidence, float], Measured]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Should colours depend on the direction of view, and how many directions are there to learn that from?"""
+"""Measures whether colours depend on the direction of view, and how many directions there are to learn that from."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from studiorecon.survey.effects.surveyed import Artefact, Measured, SurveyedEffe
 from studiorecon.survey.evidence import Evidence, Recordings
 from studiorecon.survey.specularity import covisible, varying_share
 
-# Plates hold the median of many pictures: their noise is a picture's over the root of about so many.
+# Plates are medians of many pictures: their noise is a picture's over the root of about this many.
 _PLATE_PICTURES = 16
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:
-    """The share of surface points that look different from different sides, the cameras' gains taken out.
+    """The share of surface points whose colour differs between directions of view, after division by the cameras'
+    gains.
 
-    ``detail`` has the highest degree of harmonics that the real views can tell (G15).
+    ``detail`` has the highest degree of harmonics that the real views can determine (G15).
     """
     material, sampling = evidence.material, evidence.sampling
     noise = float(np.median([noise_levels(f.pictures) for f in material.films])) / 255 / np.sqrt(_PLATE_PICTURES)
@@ -42,7 +43,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
 
 
 def write(path: Path, decision: Decision, evidence: Evidence, recordings: Recordings) -> None:
-    """A file apart, because who waits for the verdict is to run again only when this changes."""
+    """Write the verdict to a file of its own, so that steps that obey it rerun only when it changes."""
     write_json(path, {"degree": decision.detail["degree"]})
 
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do the photos of two neighbours leave so much of the stage open that views between them have to be synthesised?"""
+"""Measures how much of the stage the photos of two neighbours leave open, so that views between them must be
+synthesised.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +16,11 @@ from studiorecon.survey.evidence import Evidence
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:
-    """The share of the stage that is not covered: of what either of two neighbours sees, for every pair of them; the
-    scene's is the largest.
+    """The share of the stage that is not covered, of the part that either of two neighbours sees; the largest of all
+    pairs.
 
-    Where neighbours stand further apart than ``COVERED_DEG``, what both see still looks different from between them:
-    the share that counts as covered is lowered by the ratio of the two.
+    Where neighbours are further apart than ``COVERED_DEG``, surfaces that both see still change between them: the share
+    that counts as covered is lowered by the ratio of the two.
     """
     cameras, sampling = evidence.material.cameras, evidence.sampling
     points = stage_points(cameras, sampling.grid_m, sampling.height_m)
