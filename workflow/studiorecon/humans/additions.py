@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the training of a person has beside the paper's, each to be switched off."""
+"""Settings of the training of a person that the paper does not have; each can be switched off."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from studiorecon.configuration.setting import setting
 
 @dataclass(frozen=True)
 class Additions:
-    """Measures against what four views leave open; ``presets/paper.yaml`` has none of them."""
+    """Measures against ambiguities of four views; ``presets/paper.yaml`` has none of them."""
 
     behind: Literal["random", "black"] = setting(
         "random",

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The temporal network's part in a person's training: from which step, whether it is called for, and how it moves
-(paper, appendix D)."""
+"""The temporal network in a person's training: whether it is needed, its first step, and its optimiser (paper, appendix
+D)."""
 
 from __future__ import annotations
 
@@ -54,14 +54,13 @@ class OverTime:
 
 
 class Appearance:
-    """Residuals of colour and opacity while they are learned; until ``begin`` there are none.
+    """Residuals of colour and opacity during training; zero until ``begin``.
 
     Attributes:
-        network: what is trained; its last layer is zero until the first step.
-        seen: (N,) bool, the Gaussians it acts on: nothing teaches it what those are like that no camera saw, yet the
-            paper's letter asks it at all.
-        decision: what was measured when it was asked whether the network is called for; None before, and when nobody
-            asked.
+        network: the network in training; its last layer is zero until the first step.
+        seen: (N,) bool, the Gaussians it acts on: nothing trains it on Gaussians that no camera saw, yet the paper
+            evaluates it at all.
+        decision: the measured decision whether the network is needed; None before it, and when none was required.
     """
 
     def __init__(
@@ -78,11 +77,11 @@ class Appearance:
 
     @property
     def trained(self) -> TemporalNetwork | None:
-        """The network where it takes part, else None."""
+        """The network if it is used, else None."""
         return self.network if self._active else None
 
     def begin(self, draw: Callable) -> None:
-        """Decide whether the network takes part; ``draw`` renders a crop as it is now, (h, w, 3)."""
+        """Decide whether the network is used; ``draw`` renders a crop in its current state, (h, w, 3)."""
         if self.settings.use == "auto":
             self.decision = self._judge(draw)
         self._active = self.settings.use == "always" or (self.decision is not None and self.decision.called_for)
@@ -94,12 +93,12 @@ class Appearance:
         logits: Float[np.ndarray, " N"],
         frame: int,
     ) -> tuple[Float[np.ndarray, "N 1 3"], Float[np.ndarray, " N"]]:
-        """Constant harmonics (N, 1, 3) and logit opacities (N,) of one frame."""
+        """Constant harmonics (N, 1, 3) and logit opacities (N,) of one frame, with residuals."""
         return with_residuals(self.trained, self.seen, means_m, colour, logits, frame)
 
     def step(self, by_colour: Float[np.ndarray, "N 1 3"], by_logit: Float[np.ndarray, " N"]) -> None:
-        """Move the network along gradients by the constant harmonics (N, 1, 3) and logits (N,) of the frame last
-        ``added``."""
+        """Move the network along gradients by the constant harmonics (N, 1, 3) and logits (N,) of the last ``added``
+        frame."""
         if self._active:
             slope = self.network.gradient(by_colour[self.seen, 0], by_logit[self.seen])
             self._adam.step({"network": slope}, {"network": self.settings.rate})
@@ -112,7 +111,7 @@ class Appearance:
         }
 
     def resume(self, held: Mapping[str, Shaped[np.ndarray, " ..."]], decision: Decision | None) -> None:
-        """Puts ``arrays`` back, in place."""
+        """Restore ``arrays``, in place."""
         own = {name.removeprefix("network."): value for name, value in held.items() if name.startswith("network.")}
         self._active, self.decision = bool(own.pop("active")), decision
         self._adam.resume(own)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``humans.canonical``: a person in a rest pose by a network, from one photo: the capture's best (``photo``), or one of
-somebody who was never there (``stranger``). On request, or where a film's ``replace`` names a photo.
+"""``humans.canonical``: a person in a rest pose by a network, from one photo.
 
-Writes a canonical ``.ply`` (3DGS layout, SMPL's body axes), for replacing somebody (paper: human replacement).
+The photo is the capture's best (``photo``), or one of a person outside the capture (``stranger``). Runs on request, or
+where a film's ``replace`` names a photo. Writes a canonical ``.ply`` (3DGS layout, SMPL's body axes), to replace a
+person (paper: human replacement).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _INSIDE = 128
 
 
 def run(photo: Path, weights: Place, gaussians: Written) -> None:
-    """Write the canonical Gaussians of whoever ``photo`` (PNG with alpha) shows."""
+    """Write the canonical Gaussians of the person in ``photo`` (PNG with alpha)."""
     stored = decoded(photo, cv2.IMREAD_UNCHANGED)
     network = load("canonical avatar", CANONICAL, weights, "cuda")
     made = network.avatar(np.ascontiguousarray(stored[..., 2::-1]), stored[..., 3] >= _INSIDE)

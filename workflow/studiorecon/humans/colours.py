@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pictures show of a person's Gaussians: which are in view, and the colours they start with."""
+"""Colours of a person's Gaussians in pictures: which are in view, and their initial colours."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 # A Gaussian this far behind the nearest rendered surface is hidden.
 _HIDDEN_M = 0.04
-# A Gaussian facing away more than this (cosine) shows too little to be judged.
+# A Gaussian facing away more than this (cosine) is not judged.
 _GRAZING = 0.2
 
 
@@ -25,7 +25,7 @@ def in_view(
     normals: Float[np.ndarray, "N 3"],
     nearest_m: Float[np.ndarray, "h w"],
 ) -> tuple[Integer[np.ndarray, " M"], Float[np.ndarray, "M 2"], Float[np.ndarray, " M"]]:
-    """Which Gaussians a picture shows: their indices (M,), pixels (M, 2) float32 and weights (M,).
+    """Indices (M,), pixels (M, 2) float32 and weights (M,) of the Gaussians that a picture shows.
 
     ``means_m`` and ``normals`` (N, 3) are posed, ``nearest_m`` (h, w) is the depth of the person's own surface in the
     crop. A Gaussian counts where the pixel is the person's, it is not behind that surface, and it faces the camera;
@@ -73,8 +73,8 @@ def look(
 def nearest_surface(
     pixels: Float[np.ndarray, "N 2"], depth_m: Float[np.ndarray, " N"], hw: tuple[int, int], reach_px: int
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) depth of the nearest point around every pixel, infinite where none is: points (N, 2) splatted as squares
-    of ``reach_px``."""
+    """(H, W) depth of the nearest point around every pixel, infinite for none: points (N, 2) splatted as squares of
+    ``reach_px``."""
     surface = np.full(hw, np.inf)
     known = np.flatnonzero(np.isfinite(pixels).all(axis=1))
     at = np.floor(pixels[known]).astype(np.int64)

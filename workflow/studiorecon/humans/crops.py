@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The training pictures of one person: a crop per frame and camera, with a verdict on every pixel."""
+"""The training pictures of one person: a crop per frame and camera, with a class for every pixel."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 IGNORED, OUTSIDE, PERSON = 0, 1, 2
 
-_MIN_INSET_PX = 1.5  # less is the fitted shape's own error
+_MIN_INSET_PX = 1.5  # a smaller inset is the fitted shape's own error
 
 
 class Crop(Protocol):
@@ -29,7 +29,7 @@ class Crop(Protocol):
         view: index of the training camera.
         camera: the camera cut to the crop.
         rgb: (h, w, 3) uint8.
-        verdict: (h, w) uint8: PERSON, OUTSIDE (nothing of the person here) or IGNORED (no telling).
+        verdict: (h, w) uint8: PERSON, OUTSIDE (no part of the person) or IGNORED (undecided).
     """
 
     @property
@@ -57,7 +57,7 @@ class HeldCrop:
 
 @dataclass(frozen=True)
 class SpooledCrop:
-    """A crop whose pixels are read when they are looked at: those of a minute fill gigabytes."""
+    """A crop whose pixels are read from disk on access: those of a minute fill gigabytes."""
 
     frame: int
     view: int
@@ -77,7 +77,7 @@ class SpooledCrop:
 
 @dataclass(frozen=True)
 class TrainingCrop:
-    """What a ``Crop`` is made of: its picture, with mask labels (h, w) uint8 and the fitted body's silhouette (h, w)
+    """The input of a ``Crop``: its picture, with mask labels (h, w) uint8 and the fitted body's silhouette (h, w)
     bool."""
 
     frame: int
@@ -91,10 +91,9 @@ class TrainingCrop:
 def box_around(
     pixels: Float[np.ndarray, "V 2"], mask: Bool[np.ndarray, "H W"], wh: tuple[int, int], margin_px: int
 ) -> tuple[int, int, int, int] | None:
-    """Left, top, right, bottom (exclusive) around projected body points (V, 2; NaN behind the camera) and a mask,
-    inside the picture.
+    """Left, top, right, bottom (exclusive) of a box in the picture around projected body points (V, 2) and a mask.
 
-    None when neither lies in the picture.
+    Points behind the camera are NaN. None when neither is in the picture.
     """
     inside = np.all((pixels >= 0) & (pixels < np.array(wh)), axis=1)  # NaN compares false
     across, down = [pixels[inside, 0]], [pixels[inside, 1]]
@@ -126,14 +125,14 @@ def judge(
     occluder_px: int,
     inset_px: int = 0,
 ) -> Integer[np.ndarray, "h w"]:
-    """(h, w) uint8 verdicts from mask labels (0 background, k+1 person k, 255 unassigned) and the body's silhouette (h,
-    w) bool.
+    """(h, w) uint8 classes of pixels, from mask labels and the body's silhouette (h, w) bool.
 
-    Where masks are cut too small (``mask_inset_px``), what lies up to ``inset_px`` around them inside the silhouette is
-    the person too, and so are limbs that such a cut takes away wholly: the photo shows them there. Ignored are: pixels
-    of other people and unassigned foreground (they may hide the person); a seam of ``edge_px`` on either side of the
-    outline, whose colours are mixed with the background and would leave a halo; and pixels deeper than ``occluder_px``
-    inside the body's silhouette that the mask calls background: furniture stands before the person there.
+    Labels are 0 background, k+1 person k, 255 unassigned. Where masks are too small (``mask_inset_px``), pixels up to
+    ``inset_px`` around them inside the silhouette are the person's too, and so are limbs that such a mask misses: the
+    photo shows them there. Ignored are: pixels of other people and unassigned foreground, which may hide the person; a
+    seam of ``edge_px`` on either side of the outline, whose colours are mixed with the background and would leave a
+    halo; and pixels deeper than ``occluder_px`` inside the silhouette that the mask calls background, because furniture
+    is in front of the person.
     """
     person = labels == label
     if inset_px > 0:
@@ -147,7 +146,7 @@ def judge(
     if edge_px > 0:
         kernel = np.ones((2 * edge_px + 1, 2 * edge_px + 1), np.uint8)
         stamp = person.astype(np.uint8)
-        # Outside the picture counts as more of the same, or the frame's border would be taken for an outline.
+        # The picture is continued beyond its border, which would otherwise count as an outline.
         kept = cv2.erode(stamp, kernel, borderType=cv2.BORDER_REPLICATE)
         seam = (cv2.dilate(stamp, kernel) > 0) & (kept == 0)
         verdict[seam] = IGNORED
@@ -159,11 +158,10 @@ def judge(
 
 
 def silhouette(pixels: Float[np.ndarray, "V 2"], hw: tuple[int, int]) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: where the body projects, from its vertices (V, 2; NaN behind the camera) with the gaps between them
-    closed.
+    """(H, W) bool: the body's silhouette, from its projected vertices (V, 2; NaN behind the camera) with closed gaps.
 
     Drawing all triangles of a dense body costs 20 ms a picture, this 0.3 ms; it differs by a pixel at the outline,
-    which no one here looks at. Vertices are at most 3 % of a person's height apart.
+    which is not used here. Vertices are at most 3 % of a person's height apart.
     """
     drawn = np.zeros(hw, np.uint8)
     at = np.floor(pixels[np.isfinite(pixels).all(axis=1)]).astype(np.int64)
@@ -186,7 +184,8 @@ def looks_of(
     margin_px: int,
     smallest_px: int,
 ) -> Iterator[TrainingCrop]:
-    """One camera's looks at one person: frames in which the body is valid and shows at least ``smallest_px`` pixels.
+    """One camera's training crops of one person: frames in which the body is valid and has at least ``smallest_px``
+    pixels.
 
     ``vertices_m``, (V, 3) a frame, is the fitted body over time; pictures and labels are the camera's frames in order.
     """
@@ -205,12 +204,11 @@ def looks_of(
 
 
 def mask_inset_px(looks: Iterable[TrainingCrop], label: int) -> int:
-    """How far the masks' outlines lie inside the fitted body's, whole pixels; 0 below ``_MIN_INSET_PX`` and where
-    they lie outside.
+    """How far the masks' outlines are inside the fitted body's, whole pixels; 0 below ``_MIN_INSET_PX`` and outside.
 
-    The median over outline pixels of the signed distance, then over looks: furniture and other people before the person
-    bend the outline of few looks and of parts of them, masks that are cut too small bend all of it. Pixels at the
-    picture's border do not count.
+    The median over outline pixels of the signed distance, then over crops: furniture and other people in front bend
+    parts of the outline in a few crops, masks that are too small bend all of it. Pixels at the picture's border do not
+    count.
     """
     insets = []
     for look in looks:
@@ -228,7 +226,7 @@ def mask_inset_px(looks: Iterable[TrainingCrop], label: int) -> int:
 def judged(
     looks: Iterable[TrainingCrop], label: int, edge_px: int, occluder_px: int, inset_px: int
 ) -> Iterator[HeldCrop]:
-    """The crops that the looks make for the person that masks call ``label``."""
+    """The crops, with classes, for the person with mask label ``label``."""
     for k in looks:
         verdict = judge(k.labels, k.body, label, edge_px, occluder_px, inset_px)
         yield HeldCrop(k.frame, k.view, k.camera, k.rgb, verdict)

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does a person's colour change over time beside the pose, so that a temporal network is worth its time? (evaluation
-§3, effect 2)
+"""Measures whether a person's colour changes over time, apart from the pose, so that a temporal network pays
+(evaluation §3, effect 2).
 
-Photo minus render is followed at every Gaussian over the clip. Noise and a pose that jitters change their sign from
-frame to frame; cloth that folds and light that one walks through keep it. What shows both a large and a lasting
-residual drifts.
+Photo minus render is tracked at every Gaussian over the clip. Noise and a jittering pose change its sign from frame to
+frame; folding cloth and changing light keep it. A Gaussian with a large and lasting residual drifts.
 """
 
 from __future__ import annotations
@@ -29,12 +28,13 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
 _NOISE_RATIO, _MEMORY = 3.0, 0.3
-# Moments that are followed at most, in runs of successive ones: a longer clip would cost more and tell no more.
+# Most frames that are tracked, and length of a run of successive ones: a longer clip would cost more without a clearer
+# result.
 _MOMENTS, _RUN = 240, 24
 _MIN_FRAMES, _MIN_POINTS = 12, 50
-# Nobody sees a shade that wanders by less than this (standard deviation, of 1).
+# A change below this standard deviation (of 1) is invisible.
 _VISIBLE = 2 / 255
-# A fold covers about this many Gaussians: that many fewer are independent.
+# A fold covers about this many Gaussians, so their residuals are correlated.
 _PATCH = 25
 # Pixels this near to the person's outline show the misfit of the body rather than its colour.
 _OUTLINE_PX = 3
@@ -49,10 +49,11 @@ def followed(
     normals: Float[np.ndarray, "N 3"],
     spacing_m: float,
 ) -> Float[np.ndarray, "N M"]:
-    """(N, M) float64: brightness of photo minus render at every Gaussian, mean of the cameras that show it, NaN where
-    none does. Columns are the ``moments`` of the clip.
+    """(N, M) float64 brightness of photo minus render at every Gaussian, mean of the cameras that show it, NaN for
+    none.
 
-    ``draw`` renders a crop, (h, w, 3) in 0..1; ``means_m`` and ``normals`` (N, 3) are canonical.
+    Columns are the ``moments`` of the clip. ``draw`` renders a crop, (h, w, 3) in 0..1; ``means_m`` and ``normals`` (N,
+    3) are canonical.
     """
     columns = {int(frame): column for column, frame in enumerate(moments(len(motion.local))) if frame >= 0}
     sums = np.zeros((len(means_m), max(columns.values(), default=-1) + 1))
@@ -79,8 +80,10 @@ def followed(
 
 
 def moments(frames: int) -> Integer[np.ndarray, " M"]:
-    """Frames that are followed, in order: all of a clip of 240, else ten runs of 24 from its beginning to its end, with
-    -1, a moment that nobody sees, between two runs."""
+    """Tracked frames, in order: all of a clip of up to 240, else ten runs of 24 from its start to its end.
+
+    A -1 between two runs is a frame without data.
+    """
     if frames <= _MOMENTS:
         return np.arange(frames)
     starts = evenly_spread(frames - _RUN + 1, _MOMENTS // _RUN)
@@ -91,9 +94,9 @@ def moments(frames: int) -> Integer[np.ndarray, " M"]:
 def drifting_share(residual: Float[np.ndarray, "N T"]) -> Estimate:
     """Share of body points whose residual (N, T) varies three times as much as its noise and keeps its sign over time.
 
-    Noise is half the mean square of successive differences, which holds whatever does not last: the camera's noise and
-    the jitter of the pose. Memory is the lag-1 autocorrelation, above 0.3. A shade of less than two grey levels of 255
-    counts as none. Points need twelve frames with a successor; NaN is not seen.
+    Noise is half the mean square of successive differences, which contains everything short-lived: the camera's noise
+    and the jitter of the pose. Memory is the lag-1 autocorrelation, above 0.3. A variation of less than two grey levels
+    of 255 counts as none. Points need twelve frames with a successor; NaN is not seen.
 
     Raises:
         ValueError: ``residual`` is not (N, T).
@@ -114,10 +117,10 @@ def drifting_share(residual: Float[np.ndarray, "N T"]) -> Estimate:
 
 
 def decide_appearance(person: str, estimate: Estimate, threshold: float) -> Decision:
-    """Is the temporal network worth training for this person, from ``threshold`` on?"""
+    """The decision whether the temporal network is worth training for this person: from ``threshold`` on."""
     reason = f"too few points of {person}'s body are followed long enough"
     if estimate.value is not None:
         reason = f"the colour of {estimate.value:.0%} of {person}'s body drifts over time after posing"
-    # Who acts on it is said where all people's decisions become one (report.audit).
+    # report.audit combines the decisions of all people and names those on whom it acts.
     measured = TEMPORAL_APPEARANCE.decide(estimate.value, estimate.interval, reason, threshold=threshold)
     return replace(measured, obeyed_by="")

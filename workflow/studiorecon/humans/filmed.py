@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The crops of one person, from every camera's film and masks: cut out, spooled, and judged when all are known.
+"""One person's crops from every camera's film and masks: cut out, spooled to disk, and classified once all are known.
 
-Five bytes a pixel of every crop go to a file beside the training; memory holds one look at a time, however long the
-clip is.
+Every pixel of a crop takes five bytes in a file in the working folder; memory holds one crop at a time, however long
+the clip is.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _FRAMES_AT_ONCE = 32
 
 @dataclass(frozen=True)
 class _Kept:
-    """A look without its pixels: whose they are, and where they lie."""
+    """A crop without its pixels: its source, and its offset in the file."""
 
     frame: int
     view: int
@@ -39,7 +39,7 @@ class _Kept:
 
 
 class _Looks:
-    """Looks that were spooled, read anew at every pass."""
+    """Spooled crops, read again at every pass."""
 
     def __init__(self, folder: Path) -> None:
         self.spool, self.kept = Spool(folder), list[_Kept]()
@@ -65,8 +65,10 @@ def read_crops(
     folder: Path,
     exposure: Factors = NONE,
 ) -> list[Crop]:
-    """Every camera's crops of the person that masks call ``label``, camera by camera, of one exposure and light; their
-    pixels lie in a file in ``folder`` until the process ends."""
+    """Every camera's crops of the person with mask label ``label``, camera by camera, of one exposure and light.
+
+    Their pixels are in a file in ``folder`` until the process ends.
+    """
     looks = _Looks(folder)
     for view, (camera, video, mask) in enumerate(zip(cameras, videos, masks)):
         for look in looks_of(
@@ -96,7 +98,7 @@ def read_crops(
 
 
 def _surface_over_time(model: BodyModel, fitted: Person) -> Iterator[np.ndarray]:
-    """The fitted body's vertices (V, 3) frame by frame: those of a minute would fill a gigabyte."""
+    """Yields the fitted body's vertices (V, 3) frame by frame: those of a minute would fill a gigabyte."""
     for first in range(0, len(fitted.poses), _FRAMES_AT_ONCE):
         own = slice(first, first + _FRAMES_AT_ONCE)
         yield from model.vertices(fitted.poses[own], fitted.betas, fitted.trans[own])

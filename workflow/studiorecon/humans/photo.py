@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``humans.photo``: the best photo that the capture has of a person, cut out. On request only, for ``canonical``."""
+"""``humans.photo``: cuts out the capture's best photo of a person. On request only, for ``canonical``."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from studiorecon.progress import say
 from studiorecon.scene.people import read_people
 from studiorecon.signature import Written
 
-# Photos are compared at every so many frames.
+# Every so many frames one photo is compared.
 _STEP = 5
 
 
 def best_photo(masks: Sequence[Path], label: int) -> tuple[int, int]:
-    """(camera index, frame) in which the person covers most pixels without touching the border or somebody else's mask.
+    """(camera index, frame) in which the person covers most pixels without touching the border or another person's
+    mask.
 
     Raises UserError when there is no such frame.
     """

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``humans.proxy``: the body itself as a canonical person, with a chequered texture, to stand in for somebody. On
-request only.
+"""``humans.proxy``: the body itself as a canonical person with a chequered texture, to replace a person. On request
+only.
 
-It has the person's own build and nobody's looks: for films that must not show who was filmed, and to see the motion
-alone.
+It has the person's build without their appearance: for films that must not show them, and to show the motion only.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Float, Shaped
 
-# Colours of a body's parts, sRGB in 0..1; a part that is not listed (all of an SMPL body) is the first.
+# Colours of a body's parts, sRGB in 0..1; a part without an entry (all of an SMPL body) has the first.
 _COLOURS = {
     "skin": (0.80, 0.72, 0.62), "hair": (0.25, 0.22, 0.20), "shirt": (0.85, 0.55, 0.20), "trousers": (0.25, 0.45, 0.60),
     "shoes": (0.20, 0.20, 0.22), "eyes": (0.15, 0.15, 0.18),
@@ -39,12 +38,12 @@ _DARKER = 0.72
 
 @dataclass(frozen=True)
 class Settings(Started):
-    """How many Gaussians, and the seed of where they lie."""
+    """Number of Gaussians, and the seed of their positions."""
 
 
 def chequered(points_m: Float[np.ndarray, "N 3"], parts: Shaped[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"]:
     """(N, 3) colours of rest-pose points (N, 3) on parts (N,) named as in a body model: squares of 7 cm, every other
-    one darker."""
+    darker."""
     base = np.array([_COLOURS.get(str(part), _COLOURS["skin"]) for part in parts])
     dark = np.floor(points_m / _SQUARE_M).astype(int).sum(axis=1) % 2 == 0
     return np.where(dark[:, None], _DARKER * base, base)

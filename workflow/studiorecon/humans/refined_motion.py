@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The person's motion while it is being refined on the pictures: joint turns per frame, moved by image gradients.
+"""The person's motion during training: joint rotations per frame, moved by image gradients.
 
 The paper refines SMPL poses jointly with the Gaussians under a temporal smoothness term (appendix D, weight 50). Turns
-live on SO(3): each step is a small rotation put in front of the joint's own, so nothing wraps or needs an Euler angle.
+are on SO(3): each step multiplies a small rotation from the left, so nothing wraps or needs an Euler angle.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Shaped
 
 _FIRST_DECAY, _SECOND_DECAY = 0.9, 0.99
-# Joints whose turn moves hardly any surface of its own, or which pictures do not show: they keep the fitted pose.
+# Joints whose turn moves almost no surface, or is invisible in pictures: they keep the fitted pose.
 HELD = (10, 11, 15, 22, 23)
 """Feet (toes), head, hands."""
 
@@ -64,7 +64,7 @@ class RefinedMotion:
         return {name: getattr(self, attribute) for name, attribute in _STORED.items()}
 
     def resume(self, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> None:
-        """Puts ``arrays`` back, in place."""
+        """Restore ``arrays``, in place."""
         for name, attribute in _STORED.items():
             getattr(self, attribute)[...] = held[name]
 
@@ -113,8 +113,8 @@ class RefinedMotion:
         return gradient
 
     def step(self, frame: int, gradient: Float[np.ndarray, "25 3"], rate: float) -> None:
-        """One step of Adam on one frame: ``rate`` radians per joint and metres for the pelvis; frames not drawn do not
-        move (O04)."""
+        """Do one step of Adam on one frame: ``rate`` radians per joint, metres for the pelvis; other frames do not move
+        (O04)."""
         gradient = np.where(np.isfinite(gradient), gradient, 0.0)
         gradient[self._held] = 0.0
         self._steps[frame] += 1

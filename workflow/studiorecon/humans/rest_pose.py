@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 _BONES_KEPT = 4
 NEIGHBOURS = 8
 """Surface neighbours that an unseen Gaussian takes its colour from."""
-# Pictures that colours start from: enough to see every side of a turning person, few enough to take a second.
+# Number of pictures for initial colours: enough to see every side of a turning person, few enough to take a second.
 _LOOKS = 160
-# A Gaussian is measured when the weight of its looks passes that of one frontal look from 20 focal lengths per metre.
+# A Gaussian is measured when its weight in all crops exceeds that of one frontal crop at 20 focal lengths per metre.
 _SEEN_WEIGHT = 20.0
 
 
@@ -48,11 +48,10 @@ def skinning_weights(
     weights: Float[np.ndarray, "V 24"],
     settings: Settings,
 ) -> tuple[Integer[np.ndarray, "N K"], Float[np.ndarray, "N K"], WeightGrid | None]:
-    """Joints (N, K) and weights (N, K): the surface's own four strongest, or all of the paper's voxel grid, and the
+    """Joints (N, K), weights (N, K), and the grid: the surface's four strongest joints, or all of the paper's voxel
     grid.
 
-    The grid mixes what is nearer than a voxel (3 cm at 64³), fingers and thighs among it (L06); the surface
-    does not.
+    The grid mixes parts nearer than a voxel (3 cm at 64³), such as fingers and thighs (L06); the surface does not.
     """
     if settings.skinning == "surface":
         return *strongest(samples.weights, _BONES_KEPT), None
@@ -88,19 +87,18 @@ def first_colours(
 
 
 def supported_degree(settings: Settings, motion: RefinedMotion, crops: Sequence[Crop]) -> int:
-    """``sh_degree``, with ``sh_cap`` at most what the directions tell apart from which the turning body is seen
-    (G15)."""
+    """``sh_degree``, or with ``sh_cap`` at most the degree that the turning body's viewing directions support (G15)."""
     looks = [motion.local[c.frame, 0].T @ (c.camera.centre_m - motion.trans_m[c.frame]) for c in crops]
     return min(settings.sh_degree, degree_supported(np.array(looks))) if settings.sh_cap else settings.sh_degree
 
 
 @dataclass(frozen=True)
 class RestPose:
-    """A person before training: Gaussians on the surface of the body in its rest pose, and what moves them.
+    """A person before training: Gaussians on the surface of the body in its rest pose, and their motion.
 
     Attributes:
         vertices_m: (V, 3) the body's surface at rest.
-        samples: where on it the Gaussians are.
+        samples: positions of the Gaussians on it.
         posing, motion, grid: skinning, fitted motion, and the paper's voxel grid of weights (None: the surface's own).
         start: the Gaussians, coloured by the photos.
         seen: (N,) bool, a camera saw the Gaussian.

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A trained person stays as trained while nothing of what the training saw has changed.
+"""Reuses a trained person while no input of the training has changed.
 
-Masks show everybody, so they are made again when somebody else's identity is corrected; but training sees only the
-crops around one person. The same crops, body, fit, settings and code give the same bytes, so what was trained from them
-need not be trained again.
+Masks show all people, so they are computed again when another person's identity is corrected; but training sees only
+the crops around one person. The same crops, body, fit, settings and code give the same bytes, so training need not run
+again.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ STANDS = "the result stands as it is"
 
 
 def mark_of(settings: Any, crops: Sequence[Crop], inputs: Sequence[Path], code: str, *more: object) -> str:
-    """Hex digest of all that a person's training depends on: as ``splatting.train.checkpoint.fingerprint``, and every
-    crop to the pixel."""
+    """Hex digest of everything a person's training depends on: as ``splatting.train.checkpoint.fingerprint``, with
+    every crop's pixels."""
     digest = hashlib.sha256(fingerprint(settings, inputs, code, *more).encode())
     for crop in crops:
         camera = dataclasses.asdict(crop.camera)
@@ -40,8 +40,10 @@ def mark_of(settings: Any, crops: Sequence[Crop], inputs: Sequence[Path], code: 
 
 
 def still_stands(mark: str, gaussians: Path, avatar: Path, working: Path) -> bool:
-    """Whether what was last trained, kept in the folder ``working``, was trained from what ``mark`` names; then it is
-    put into place with the time of now."""
+    """Whether the last result in the folder ``working`` was trained from the inputs of ``mark``; if so, restore it.
+
+    The restored files get the current time.
+    """
     kept = [_kept(path, working) for path in (gaussians, avatar)]
     if written_from(*kept) != mark:
         return False
@@ -52,7 +54,7 @@ def still_stands(mark: str, gaussians: Path, avatar: Path, working: Path) -> boo
 
 
 def keep(gaussians: Path, avatar: Path, working: Path) -> None:
-    """Remember what was trained in ``working``, because a workflow takes away the outputs of steps it runs again."""
+    """Copy the trained files to ``working``, because a workflow deletes the outputs of steps it runs again."""
     for path in (gaussians, avatar):
         _linked(path, _kept(path, working))
 
@@ -62,7 +64,7 @@ def _kept(path: Path, working: Path) -> Path:
 
 
 def _linked(source: Path, target: Path) -> None:
-    """``target`` is ``source`` under another name, or a copy of it where the file system has no such links."""
+    """Link ``target`` to ``source``, or copy it where the file system has no such links."""
     target.parent.mkdir(parents=True, exist_ok=True)
     with complete(target) as partial:
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings that several steps of the stage are told."""
+"""Settings that several steps of the stage share."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from studiorecon.configuration.setting import setting
 
 @dataclass(frozen=True)
 class Started:
-    """How a person is started."""
+    """How a person's Gaussians are initialised."""
 
     gaussians: int = setting(
         10000,

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``humans.stranger``: somebody who is not in the capture, cut out of a photo for ``canonical``.
+"""``humans.stranger``: cuts a person outside the capture out of a photo, for ``canonical``.
 
-A photo with alpha is taken as it is cut. In any other the embedded detector looks for the person, and GrabCut (Rother
-et al. 2004) draws the outline where the detector's coarse mask leaves it open.
+A photo with alpha is already cut. In any other the embedded detector locates the person, and GrabCut (Rother et al.
+2004) draws the outline where the detector's coarse mask leaves it open.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Of the detector's mask (0 to 1): surely not, and surely the person; between them the colours decide.
+# Limits of the detector's mask (0 to 1): surely not, and surely the person; between them the colours decide.
 _OUT, _IN = 0.02, 0.9
 _ROUNDS = 5
-# Whoever is so many times as large as everybody else in the photo is meant.
+# The person in a photo must be this many times as large as every other one.
 _MEANT = 1.5
 # Longer side of the picture that GrabCut sees: finer than the detector's mask, and done in seconds.
 _CUT_PX = 1000
@@ -36,7 +36,7 @@ _ASK = "bring a photo of one whole person, or one that is cut out (PNG with alph
 
 
 def whole_mask(seen: Landmarks, wh: tuple[int, int]) -> Float[np.ndarray, "h w"]:
-    """(h, w) float32 in [0, 1]: the detector's mask of somebody over the whole picture of ``wh`` pixels."""
+    """(h, w) float32 in [0, 1]: the detector's mask of a person over the whole picture of ``wh`` pixels."""
     # OpenCV counts pixels from the first one's centre.
     affine = seen.region.crop_from_picture(MASK_PX)
     affine[:, 2] += affine[:, :2].sum(1) / 2 - 0.5
@@ -45,8 +45,8 @@ def whole_mask(seen: Landmarks, wh: tuple[int, int]) -> Float[np.ndarray, "h w"]
 
 
 def cut_out(picture: Integer[np.ndarray, "H W 3"], sure: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: the person in ``picture`` (H, W, 3 uint8) by colours, where ``sure`` (H, W) in [0, 1] does not say;
-    one whole region."""
+    """(H, W) bool: the person in ``picture`` (H, W, 3 uint8) by colours, where ``sure`` (H, W) in [0, 1] is undecided;
+    one region."""
     height, width = sure.shape
     scale = min(1.0, _CUT_PX / max(height, width))
     small = (max(1, round(width * scale)), max(1, round(height * scale)))
@@ -68,7 +68,7 @@ def cut_out(picture: Integer[np.ndarray, "H W 3"], sure: Float[np.ndarray, "H W"
 def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
     """Write the person of ``photo`` as a PNG whose alpha is their mask; ``networks`` are the embedded detector's.
 
-    Raises UserError for a photo that shows nobody, or several people of like size.
+    Raises UserError for a photo without people, or with several people of similar size.
     """
     stored = decoded(photo, cv2.IMREAD_UNCHANGED)
     if stored.ndim == 3 and stored.shape[-1] == 4:
@@ -78,7 +78,7 @@ def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
             raise UserError(f"{photo} has alpha, but it cuts nobody out; {_ASK}")
         say(f"{stranger}: cut out as the photo's alpha says")
     else:
-        # Decoded again, because this way the camera's note of which way is up is heeded.
+        # Decoded again, because this way the photo's orientation tag is applied.
         picture = np.ascontiguousarray(decoded(photo, cv2.IMREAD_COLOR)[..., ::-1])
         wh = picture.shape[1], picture.shape[0]
         found = newcomers(BlazePose(networks[0], networks[1]), picture, grid(wh), [])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Canonical Gaussians on the body's surface, and what lies beside what there."""
+"""Canonical Gaussians on the body's surface, and their neighbours on it."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from studiorecon.splatting.discs import discs
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# A disc's standard deviation as a share of the spacing, so that neighbours just overlap, and its thickness as a share
-# of that.
+# A disc's sigma as a share of the spacing, so that neighbours just overlap, and its thickness as a share of that.
 _WIDTH, _FLATNESS = 0.6, 0.33
 _OPACITY = 0.9
 
@@ -48,8 +47,8 @@ def sample_surface(
 ) -> SurfaceSamples:
     """``count`` points over the mesh, evenly by area: one in every ``count``-th of the area in face order, jittered.
 
-    Faces that follow each other in a body mesh lie beside each other, so equal steps along the summed area leave
-    neither clumps nor gaps, which independent draws would.
+    Successive faces of a body mesh are neighbours, so equal steps along the summed area leave neither clumps nor gaps;
+    independent draws would.
     """
     vertex_normals, crosses = _vertex_normals(vertices_m, faces)
     areas = np.linalg.norm(crosses, axis=1) / 2
@@ -74,7 +73,7 @@ def started(
     how: Started,
     rng: np.random.Generator,
 ) -> SurfaceSamples:
-    """Where a person's Gaussians start, as the settings say."""
+    """Start positions of a person's Gaussians, by the settings."""
     if how.placed == "vertices":
         return vertex_samples(vertices_m, faces, weights)
     return sample_surface(vertices_m, faces, weights, how.gaussians, rng)
@@ -112,8 +111,8 @@ def gaussians_on(samples: SurfaceSamples, sh_degree: int) -> Gaussians:
 
 
 def neighbours(samples: SurfaceSamples, count: int) -> Integer[np.ndarray, "N K"]:
-    """(N, count) indices of the nearest samples whose normals agree, so that a palm does not border on the thigh beside
-    it.
+    """(N, count) indices of the nearest samples whose normals agree, so that a palm is no neighbour of the thigh next
+    to it.
 
     Samples with fewer agreeing neighbours repeat themselves.
     """
@@ -139,11 +138,11 @@ def fill_unseen(
     twin: Integer[np.ndarray, " N"],
     passes: int = 400,
 ) -> Float[np.ndarray, "N C"]:
-    """``values`` (N, C) with the unseen rows replaced: from the body's other side where that was seen, else spread from
-    seen neighbours.
+    """``values`` (N, C) with the unseen rows filled: from the body's other side where that was seen, else from seen
+    neighbours.
 
-    Spreading is repeated averaging over ``near`` (the discrete Laplace equation with seen rows held), started from the
-    mean of all seen rows. Rows stay as they are when nothing was seen.
+    Neighbours are averaged repeatedly over ``near`` (the discrete Laplace equation with seen rows fixed), starting from
+    the mean of all seen rows. Rows stay unchanged when nothing was seen.
     """
     if not seen.any() or seen.all():
         return values
@@ -155,7 +154,7 @@ def fill_unseen(
     hidden = np.flatnonzero(~known)
     for _ in range(passes if len(hidden) else 0):
         filled[hidden] = filled[near[hidden]].mean(axis=1)
-    # The seam between copied and seen rows: a few passes over the copied ones take the edge off.
+    # A few passes over the copied rows smooth the seam to seen rows.
     copied = np.flatnonzero(from_twin)
     for _ in range(3 if len(copied) else 0):
         filled[copied] = filled[near[copied]].mean(axis=1)

@@ -55,14 +55,14 @@ from studiorecon.splatting.train.trainer import train
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer
 
-# Frame rate that the weight of the smoothness of poses refers to.
+# Frame rate to which the weight of the poses' smoothness refers.
 _POSE_FPS = 30.0
 
 
 def recolour_unseen(
     trained: Gaussians, seen: Bool[np.ndarray, " N"], near: Integer[np.ndarray, "N K"], twin: Integer[np.ndarray, " N"]
 ) -> Gaussians:
-    """The trained Gaussians with every unseen one's colour taken from its surroundings on the body; training showed it
+    """The trained Gaussians with the unseen ones' colours from their surroundings on the body; they were trained on
     silhouettes only."""
     sh = np.where(seen[:, None, None], trained.sh, 0)
     sh[:, 0] = fill_unseen(trained.sh[:, 0], seen, near, twin)
@@ -87,12 +87,11 @@ def run(
     exposure: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
 ) -> None:
-    """Train one person and write the avatar; pictures are divided by the gains and the light that ``exposure`` names,
-    if any.
+    """Train one person and write the avatar; pictures are divided by the gains and light of ``exposure``, if any.
 
-    Where nothing near the person has changed since the files were written, they stay (``unchanged``). A killed run goes
-    on from its checkpoint. ``working`` is a folder of its own: the checkpoint, pictures of how it goes, and what was
-    last trained; ``lpips`` holds the weights of the perceptual term.
+    Files stay (``unchanged``) where nothing near the person has changed since they were written. A killed run resumes
+    at its checkpoint. ``working`` is a folder of its own: the checkpoint, preview pictures, and the last result;
+    ``lpips`` holds the weights of the perceptual term.
     """
     device = resolve(device)
     cameras, footage, fitted, body_model = read_model(model.parent), read_manifest(manifest), *_fitted(fit, body)
@@ -107,7 +106,7 @@ def run(
             "remove the person in people/identities.tsv"
         )
     about = code.digest("humans.train"), threads, person, device
-    # How often a checkpoint is made changes no byte of the result.
+    # The interval of checkpoints changes no byte of the result.
     trained_from = mark_of(replace(settings, checkpoint_every_s=0.0), crops, [fit, body], *about)
     if still_stands(trained_from, gaussians, avatar, working):
         say(
@@ -121,7 +120,7 @@ def run(
     mark = fingerprint(settings, inputs, *about)
     checkpoint = Checkpoint(working / "checkpoint.npz", mark, settings.checkpoint_every_s)
     appearance = _appearance(settings, rest, fitted, crops)
-    # Smoothness holds a joint's speed: between frames that are further apart in time it turns further.
+    # Smoothness limits a joint's speed: between frames further apart in time the joint turns further.
     losses = replace(settings.losses, pose=settings.losses.pose * (fitted.fps / _POSE_FPS) ** 2)
     subject = _in_training(settings, rest, losses, crops, threads, rng, appearance, device)
     terms = terms_of(losses, _network(settings, lpips, threads, device))
@@ -134,7 +133,7 @@ def run(
 
 
 def _checked(settings: Settings, person: str, people: Path) -> int:
-    """Index of the person in ``people``; UserError where the settings contradict each other or nobody has that name."""
+    """Index of the person in ``people``; UserError for contradictory settings or an unknown name."""
     if settings.sh_degree > MAX_SH_DEGREE:
         raise UserError(
             f"humans.sh_degree is {settings.sh_degree}; moving Gaussians rotate "
@@ -172,7 +171,7 @@ def _in_training(
     appearance: Appearance | None,
     device: str,
 ) -> PersonInTraining:
-    """The person as ``train`` takes it."""
+    """The person as the subject of ``train``."""
     return PersonInTraining(
         rest.start,
         rest.samples.spacing_m,
@@ -203,7 +202,7 @@ def _avatar(
     subject: PersonInTraining,
     appearance: Appearance | None,
 ) -> Avatar:
-    """The trained person; colours of Gaussians that no camera saw come from their surroundings, where that is set."""
+    """The trained person; colours of Gaussians that no camera saw come from their surroundings, if so configured."""
     trained, source, person, samples = subject.gaussians(), subject.source, fitted.name, rest.samples
     if trained.count != rest.start.count:
         say(f"{person}: {rest.start.count} Gaussians became {trained.count}")
@@ -243,13 +242,13 @@ def _avatar(
 
 
 def _appearance(settings: Settings, rest: RestPose, fitted: Person, crops: Sequence[Crop]) -> Appearance | None:
-    """The temporal network in its box around the body, and what decides whether it takes part; None when it is not
-    wanted."""
+    """The temporal network in its box around the body, and the measure that decides its use; None when it is switched
+    off."""
     if settings.temporal.use == "never":
         return None
     reach = settings.grid_margin * np.ptp(rest.vertices_m, axis=0).max()
     shape = settings.temporal.width, settings.temporal.layers
-    # Its own generator: with and without it, the crops are drawn in the same order.
+    # A separate generator: with and without the network, the crops are drawn in the same order.
     rng = np.random.default_rng([settings.seed, 1])
     points = settings.temporal.points
     everywhere = settings.additions.unseen == "trained"
@@ -277,7 +276,7 @@ def _appearance(settings: Settings, rest: RestPose, fitted: Person, crops: Seque
 
 
 def _network(settings: Settings, lpips: Path, threads: int, device: str) -> Perceptual | None:
-    """The network of the perceptual term where Gaussians are drawn; None when its weight is 0."""
+    """The network of the perceptual term on the drawing device; None when its weight is 0."""
     if settings.losses.lpips.weight == 0:
         say("LPIPS is off (humans.losses.lpips.weight is 0)")
         return None

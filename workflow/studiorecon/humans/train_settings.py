@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the training of a person is told."""
+"""Settings of the training of a person."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from studiorecon.scene.effects import TEMPORAL_APPEARANCE, thresholds
 
 @dataclass(frozen=True)
 class Trained(Started):
-    """How a person is started and trained; ``checkpoint_every_s`` is as in ``TrainingSettings``."""
+    """How a person is initialised and trained; ``checkpoint_every_s`` is as in ``TrainingSettings``."""
 
     sh_degree: int = setting(
         1,
@@ -59,7 +59,7 @@ class Trained(Started):
 
 @dataclass(frozen=True)
 class Settings(Trained):
-    """The same, and from where the temporal network is called for, which ``survey.effects.Decided`` declares."""
+    """The same, and the threshold of the temporal network, which ``survey.effects.Decided`` declares."""
 
     thresholds: Mapping[Literal["temporal_appearance"], float] = thresholds([TEMPORAL_APPEARANCE])
 

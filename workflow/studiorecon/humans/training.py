@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the training of one person is: canonical Gaussians, crops of all training cameras and frames, terms and hooks.
+"""One person in training: canonical Gaussians, crops of all training cameras and frames, terms and hooks.
 
 Every step draws one crop, poses the Gaussians, renders them over a random colour, and carries the gradients back
-through the skinning (paper, section 3.3 and appendix D). The random colour stands for the background the mask has cut
-away: what is opaque there, or transparent on the person, is wrong whatever the colour (U52). The hooks are the
+through the skinning (paper, section 3.3 and appendix D). The random colour replaces the background that the mask has
+removed: opaque pixels there, or transparent ones on the person, are wrong with any colour (U52). The hooks are the
 temporal network, which begins late, and the pose, which moves with the Gaussians.
 """
 
@@ -42,8 +42,10 @@ _BETAS, _EPSILON, _GREY = (0.9, 0.999), 1e-15, np.full(3, 0.5)
 
 @dataclass(frozen=True)
 class Losses:
-    """Weights of the terms of a person's loss (``splatting/train/terms``); ``surface`` and ``pose`` hold the Gaussians
-    to the body and the poses to their neighbours in time."""
+    """Weights of the terms of a person's loss (``splatting/train/terms``).
+
+    ``surface`` ties the Gaussians to the body, ``pose`` the poses to their neighbours in time.
+    """
 
     l1: float = 0.8
     ssim: float = 0.2
@@ -79,11 +81,11 @@ class Rates:
     opacity: float = 0.02
     colour: float = 0.005
     harmonics: float = 0.00025
-    # Of joints, metres for the pelvis.
+    # For joints; metres for the pelvis.
     pose_rad: float = 0.0005
 
     def at(self, done: float) -> dict[str, float]:
-        """The rate of every kind of parameter after this share of the iterations."""
+        """The rate of every kind of parameter after a share ``done`` of the iterations."""
         ends = np.log([self.position_m, self.position_end_m])
         return {
             "means": float(np.exp(np.interp(done, [0, 1], ends))),
@@ -97,8 +99,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class GaussianLimits:
-    """How far a Gaussian may stray: standard deviations as shares of the spacing, distance from the surface in
-    metres."""
+    """Limits of a Gaussian: sigmas as shares of the spacing, distance from the surface in metres."""
 
     smallest: float = 0.08
     largest: float = 1.6
@@ -110,7 +111,7 @@ class Growing:
     """When Gaussians are added to a person.
 
     Attributes:
-        until: last step that densifies; every: steps from one time to the next; prune_opacity: fainter are removed.
+        until: last step that densifies; every: steps between densifications; prune_opacity: fainter are removed.
         gradient: mean screen gradient, in half widths of the crop, above which a Gaussian is cloned or split.
         scale: share of the body's height above which one is split rather than cloned.
     """
@@ -131,12 +132,13 @@ class Growing:
     )
 
     def watched(self, done: int, iterations: int) -> bool:
-        """Whether it goes on after ``done`` steps; what is added after the last one would be untrained."""
+        """Whether densification continues after ``done`` steps; Gaussians added after the last one would stay
+        untrained."""
         return self.use != "none" and done <= self.until and done < iterations
 
 
 def target_of(crop: Crop, behind_rgb: Num[np.ndarray, " 3"]) -> Target:
-    """The person as filmed, ``behind_rgb`` (3,) everywhere else; what belongs to nobody for certain is masked."""
+    """The person as filmed, over ``behind_rgb`` (3,); undecided pixels are masked."""
     rgb, weight = np.empty(crop.rgb.shape, np.float32), np.empty(crop.verdict.shape, np.float32)
     _paint_target(crop.rgb, crop.verdict, behind_rgb.astype(np.float32), rgb, weight)
     return Target(crop.camera, rgb, weight, background_rgb=tuple(behind_rgb), silhouette=crop.verdict == PERSON)
@@ -155,21 +157,21 @@ def _paint_target(photo, verdict, behind_rgb, rgb, weight):
 def held_near_surface(
     means_m: Float[np.ndarray, "N 3"], start_m: Float[np.ndarray, "N 3"], reach_m: float
 ) -> Float[np.ndarray, "N 3"]:
-    """Gradient of mean(|Δ|²) / reach² for the way Δ from where each started: a person is where the body is."""
+    """Gradient of mean(|Δ|²) / reach² for the distance Δ from each start: the person is on the body."""
     return (2 / (reach_m**2 * len(means_m)) * (means_m - start_m)).astype(np.float32)
 
 
 class PersonInTraining:
     """A person for ``splatting.train.trainer.train``; ``motion`` and ``appearance`` are refined in place.
 
-    Gaussians start on the surface, where a person's pixels come from; their number stays the same unless ``growing``
-    says otherwise, and whoever is added is carried by the bones of the one it comes from. The pose moves from iteration
-    ``pose_from`` on when its rate is above 0. With a ``grid`` the weights are asked for anew at every step, where the
-    Gaussians are then (Eq. 6; the weights' own slope is not followed).
+    Gaussians start on the surface, because a person's pixels come from there. Their number is constant unless
+    ``growing`` is set; new ones are carried by the bones of the one they come from. The pose moves from iteration
+    ``pose_from`` on when its rate is above 0. With a ``grid`` the weights are sampled at every step at the Gaussians'
+    current positions (Eq. 6; the weights' own gradient is ignored).
 
     Attributes:
-        adam: counts what it refused.
-        source: (N,) the Gaussian at the start that each descends from.
+        adam: counts the gradients that it refused.
+        source: (N,) the initial Gaussian that each descends from.
     """
 
     def __init__(
@@ -215,7 +217,7 @@ class PersonInTraining:
         self._rng, self._rasteriser = rng, rasteriser_on(device, near_m=near_m, threads=threads)
 
     def gaussians(self) -> Gaussians:
-        """The canonical Gaussians as they are now."""
+        """The current canonical Gaussians."""
         own = self._own
         sh = np.concatenate([own["colour"], own["harmonics"]], axis=1)
         return Gaussians(own["means"], own["quaternions"], own["scales"], own["opacities"], sh)
@@ -227,27 +229,27 @@ class PersonInTraining:
 
     @property
     def weights(self) -> Float[np.ndarray, "N K"]:
-        """(N, K) with which shares, as the Gaussians are now."""
+        """(N, K) skinning weights at the Gaussians' current positions."""
         return self._posing.weights if self._grid is None else self._grid.query(self._own["means"])
 
     def threads(self) -> AbstractContextManager[None]:
-        """The rasteriser's own."""
+        """The rasteriser's own context of threads."""
         return self._rasteriser.own_threads()
 
     def begin(self, iteration: int) -> None:
-        """The temporal network starts, or not, once the person is there to be measured."""
+        """Start the temporal network, or not, once the person can be measured."""
         if self._appearance is not None and iteration == self._appearance.settings.start:
             self._appearance.begin(self._shown)
 
     def draw(self, iteration: int) -> PlaneView:
-        """A crop, posed and rendered over a random colour, or black."""
+        """The view of a crop, posed and rendered over a random colour, or black."""
         self._crop = self._crops[int(self._rng.integers(len(self._crops)))]
         behind = self._rng.random(3) if self._additions.behind == "random" else np.zeros(3)
         planes = self._rasteriser.forward_planes(self._posed(self._crop), self._crop.camera, behind.tolist())
         return PlaneView(target_of(self._crop, behind), iteration, self._rng, planes, np.zeros_like(planes))
 
     def _shown(self, crop: Crop) -> np.ndarray:
-        """(h, w, 3) the person over grey."""
+        """(h, w, 3) render of the person over grey."""
         return self._rasteriser.forward(self._posed(crop), crop.camera, _GREY.tolist()).rgb
 
     def _posed(self, crop: Crop) -> Gaussians:
@@ -263,7 +265,7 @@ class PersonInTraining:
         return Gaussians(means, quaternions, own["scales"], logits, sh)
 
     def step(self, iteration: int, view: PlaneView, loss: float) -> tuple[float, float]:
-        """Gradients back through the pose; pose, temporal network and Gaussians move."""
+        """Move pose, temporal network and Gaussians by gradients through the pose; returns loss and PSNR."""
         own, losses, rates, frame = self._own, self._losses, self._rates, self._crop.frame
         back = self._rasteriser.backward_planes(view.gradient)
         grad_means, grad_quaternions, grad_sh = self._posing.back(back.means_m, back.quaternions, back.sh)
@@ -283,7 +285,7 @@ class PersonInTraining:
         if self._appearance is not None:
             self._appearance.step(grad_sh[:, :1], back.logit_opacities)
         self.adam.step(gradients, rates.at(iteration / self._iterations), back.screen > 0)
-        # A needle at a joint or a blanket over the chest fits four views and spoils the fifth.
+        # A needle at a joint or a wide, flat Gaussian over the chest fits four views and spoils the fifth.
         if self._additions.scales_held:
             np.clip(own["scales"], *self._scale_range, out=own["scales"])
         if self._growing.watched(iteration + 1, self._iterations):
@@ -291,7 +293,7 @@ class PersonInTraining:
         return loss, crop_psnr_db(view.planes, self._crop)
 
     def _grow(self, done: int, screen: np.ndarray) -> None:
-        """Add up the screen gradient (N,) in pixels; when it is time, clone, split and prune."""
+        """Add up the screen gradient (N,) in pixels; when due, clone, split and prune."""
         growing, seen = self._growing, screen > 0
         self._watched += np.where(seen, screen * self._crop.camera.wh[0] / 2, 0), seen
         if done % growing.every:
@@ -321,7 +323,7 @@ class PersonInTraining:
         self._descend(self.source[grown.parent])
 
     def _descend(self, source: np.ndarray) -> None:
-        """Everything that Gaussians have from the one that they descend from."""
+        """Copy to new Gaussians all arrays of the ones that they descend from."""
         self.source, self._start_m = source, self._first_m[source]
         self._posing = (
             Posing(self._first.bones[source], self._first.weights[source])
@@ -333,7 +335,7 @@ class PersonInTraining:
             self._appearance.seen = self._seen[source]
 
     def preview(self) -> Preview:
-        """The crop in the middle, over grey."""
+        """A preview of the middle crop, over grey."""
         crop = self._crops[len(self._crops) // 2]
         name, target = f"frame {crop.frame} of {crop.camera.name}", target_of(crop, _GREY)
         return Preview(len(self._start_m), name, self._shown(crop), target.rgb, target.used)
@@ -348,7 +350,7 @@ class PersonInTraining:
         return arrays, facts
 
     def resume(self, arrays: dict[str, Shaped[np.ndarray, " ..."]], facts: dict[str, Any]) -> None:
-        """Puts a ``snapshot`` back, in place."""
+        """Restore a ``snapshot``, in place."""
         if len(arrays["growth.source"]) != len(self.source) or (arrays["growth.source"] != self.source).any():
             source = arrays["growth.source"]
             self._own = {name: np.ascontiguousarray(value[source]) for name, value in self._own.items()}
@@ -362,7 +364,7 @@ class PersonInTraining:
 
 
 def crop_psnr_db(planes: Float[np.ndarray, "5 h w"], crop: Crop) -> float:
-    """PSNR of a crop drawn as planes on the person's own pixels; 0 when there are none."""
+    """PSNR of a crop, drawn as planes, on the person's own pixels; 0 when there are none."""
     squares, pixels = _squared_error(planes, crop.rgb, crop.verdict)
     return float(-10 * np.log10(max(squares / (3 * pixels), 1e-12))) if pixels else 0.0
 
