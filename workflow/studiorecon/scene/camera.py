@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One pinhole camera, and the lens a real camera had before its frames were undistorted."""
+"""One pinhole camera, and the lens of a real camera before its frames were undistorted."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LENS: dict[str, Schema] = CAMERA | {
     "calibration_from_video": real("2 3"),
     "placed": Maybe(text()),
 }
-"""What ``as_json`` of a camera and of a lens holds."""
+"""The schema of ``as_json`` of a camera and of a lens."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Camera:
     """A static pinhole camera in the metric world.
 
     Attributes:
-        name: what the user called it.
+        name: the user's name of the camera.
         wh: width and height in pixels.
         intrinsics: (3, 3) float64, pixels, pixel centres at +0.5, no skew.
         camera_from_world: (4, 4) float64 rigid transform, OpenCV axes.
@@ -84,8 +84,8 @@ class Camera:
     def project(self, points_m: Num[np.ndarray, "... 3"]) -> tuple[Num[np.ndarray, "... 2"], Num[np.ndarray, " ..."]]:
         """Pixels and depth in metres of world points.
 
-        Points at or behind the camera plane get NaN pixels; their depth (≤ 0) says so (C05); a NaN point gives
-        NaN. Raises ValueError when the last axis is not 3.
+        Points at or behind the camera plane get NaN pixels, and their depth is ≤ 0 (C05); a NaN point gives NaN. Raises
+        ValueError when the last axis is not 3.
         """
         points = np.asarray(points_m, dtype=np.float64)
         require("points_m", points, (..., 3))
@@ -103,8 +103,8 @@ class Camera:
     def unproject(self, pixels: Num[np.ndarray, "... 2"], depth_m: Num[np.ndarray, " ..."]) -> Num[np.ndarray, "... 3"]:
         """World points of pixels at z-depth; not along-ray range (C03).
 
-        The caller says which depths are real: 0 gives the camera's centre, a negative depth a point behind it (C04; see
-        ``geometry.lifting``). Raises ValueError when the shapes do not fit together.
+        The caller decides which depths are valid: 0 gives the camera's centre, a negative depth a point behind it (C04;
+        see ``geometry.lifting``). Raises ValueError when the shapes do not agree.
         """
         pixels, depth = np.asarray(pixels, dtype=np.float64), np.asarray(depth_m, dtype=np.float64)
         require("pixels", pixels, (*depth.shape, 2))
@@ -131,8 +131,7 @@ class Camera:
         return self.centre_m, directions
 
     def resized(self, wh: tuple[int, int]) -> Camera:
-        """The same camera with another number of pixels. With centres at +0.5 this is a pure scaling of the
-        intrinsics."""
+        """The same camera with another number of pixels; with centres at +0.5 this only scales the intrinsics."""
         scale = np.diag([wh[0] / self.wh[0], wh[1] / self.wh[1], 1.0])
         return replace(self, wh=(int(wh[0]), int(wh[1])), intrinsics=scale @ self.intrinsics)
 
@@ -156,7 +155,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Lens:
-    """A calibrated camera as the user has it: pixels of the calibration, distortion not yet removed.
+    """A calibrated camera in the user's footage: pixels of the calibration, distortion not yet removed.
 
     Attributes:
         name: camera name.
@@ -167,7 +166,7 @@ class Lens:
         camera_from_world: (4, 4) float64.
         calibration_from_video: (2, 3) affine map from pixels of the video file to pixels of the calibration (identity
             when the video has the calibrated size; a pure scaling when it was resized).
-        placed: how that map was found, in words; "" where capture.yaml gives another one than the identity, and
+        placed: how that map was determined, in words; "" where capture.yaml gives one other than the identity, and
             where there is none.
     """
 
@@ -182,7 +181,7 @@ class Lens:
 
     @property
     def has_place(self) -> bool:
-        """Whether the video's place in the calibrated picture is known, given or found."""
+        """Whether the video's place in the calibrated picture is known, given or estimated."""
         return bool(self.placed) or not np.array_equal(self.calibration_from_video, np.eye(2, 3))
 
     def as_json(self) -> dict[str, Any]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `capture` found out about each camera's footage: ``capture/<camera>.json`` and ``capture/manifest.json``."""
+"""The facts about each camera's footage from `capture`: ``capture/<camera>.json`` and ``capture/manifest.json``."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ _MANIFEST = {"scene": text(), "fps": _FPS, "frames": _FRAMES, "footage": Listed(
 
 @dataclass(frozen=True)
 class Footage:
-    """The frames of one camera as the pipeline works with them.
+    """The working frames of one camera.
 
     Attributes:
         camera: camera name.
-        held_out: True when no stage but ``report`` may look at the pictures.
+        held_out: True when only ``report`` may read the pictures.
         wh: working size of the undistorted frames.
         intrinsics: 3×3 nested list, pixels of the undistorted working frames.
         fps: frames per second.
@@ -49,9 +49,9 @@ class Footage:
         source_sha256: digest of the file (of the sorted file digests for a folder).
         source_wh: size of the source frames, after their rotation tag.
         rotation_deg: rotation tag that was applied, 0 when none.
-        sync_offset_s: when its first source frame was taken on the common clock (0 when synchronised).
-        changes: sentences: what was done to the footage.
-        source_frames: the source frame of every working frame, where they do not follow one another; else empty.
+        sync_offset_s: common time of its first source frame (0 when synchronised).
+        changes: sentences: every conversion of the footage.
+        source_frames: the source frame of every working frame, where they are not consecutive; else empty.
     """
 
     camera: str
@@ -77,8 +77,7 @@ class Footage:
 
 @dataclass(frozen=True)
 class Manifest:
-    """All cameras of a scene; ``footage`` is in the user's camera order, training cameras and held-out ones
-    together."""
+    """All cameras of a scene; ``footage`` is in the user's camera order, training and held-out cameras together."""
 
     scene: str
     fps: float
@@ -94,7 +93,7 @@ class Manifest:
         return tuple(f for f in self.footage if f.held_out)
 
     def of(self, camera: str) -> Footage:
-        """The footage of one camera; KeyError when there is none of that name."""
+        """The footage of one camera; raises KeyError when there is none of that name."""
         for footage in self.footage:
             if footage.camera == camera:
                 return footage
@@ -102,7 +101,7 @@ class Manifest:
 
 
 def common_start(footage: Sequence[Footage]) -> int:
-    """``frames.first`` of capture.yaml: the first used frame of the camera that was started last."""
+    """``frames.first`` of capture.yaml: the first used frame of the camera that started last."""
     return min(f.first_source_frame for f in footage)
 
 
@@ -111,7 +110,7 @@ def write_footage(path: Path, footage: Footage) -> None:
 
 
 def read_footage(path: Path) -> Footage:
-    """The footage of the camera that the file is called after; raises UserError as ``intermediate.read`` does."""
+    """The footage of the camera that names the file; raises UserError as ``intermediate.read`` does."""
 
     def made(value: dict[str, Any]) -> Footage:
         of_its_name(path, value["camera"])

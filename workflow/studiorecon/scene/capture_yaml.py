@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a user may write into ``capture.yaml``: its keys, and each value read with a sentence for whatever is wrong."""
+"""The keys of ``capture.yaml``, and the check of each value."""
 
 from __future__ import annotations
 
@@ -30,14 +30,15 @@ _MAX_FRAMES = 10**8
 _MAX_NUMBER = 2**63 - 1
 # Pictures of other sizes than the calibration's: from a thumbnail to four times 4K; no picture is wider than 16,384 px.
 MIN_PIXEL_SCALE, MAX_PIXEL_SCALE, MAX_PIXEL_OFFSET = 0.05, 20.0, 16384.0
-# What only counts without a calibration, and what says something about recorded keypoints.
+# Keys that apply only without a calibration, and keys about recorded keypoints.
 WITHOUT_CALIBRATION = ("focal_px", "height_m", "distance_m")
 ABOUT_KEYPOINTS = ("keypoint_layout", "keypoint_first_frame")
 
 
 def read_description(folder: Path, capture_yaml: Path | None) -> dict[str, Any]:
-    """What ``capture_yaml`` (default: ``capture.yaml`` in ``folder``, if it is there) says; UserError for a key that
-    there is not."""
+    """The contents of ``capture_yaml`` (default: ``capture.yaml`` in ``folder``, if it exists); raises UserError for an
+    unknown key.
+    """
     path = capture_yaml or folder / "capture.yaml"
     if not path.exists() and not path.is_symlink():
         if capture_yaml is None:
@@ -69,7 +70,7 @@ def _check_named(camera: Any, key: str, footage: Mapping[str, Path]) -> str:
 
 
 def names_under(description: dict[str, Any], key: str, footage: Mapping[str, Path]) -> list[str]:
-    """The cameras listed under ``key``, all of them in ``footage``."""
+    """The cameras listed under ``key``; all of them must be in ``footage``."""
     chosen = listed(description.get(key), f"capture.yaml: {key}", "[cam01, cam02]")
     found = [_check_named(camera, key, footage) for camera in chosen]
     if twice := [camera for camera in dict.fromkeys(found) if found.count(camera) > 1]:
@@ -78,7 +79,7 @@ def names_under(description: dict[str, Any], key: str, footage: Mapping[str, Pat
 
 
 def chapters(description: dict[str, Any]) -> dict[str, list[str]]:
-    """camera → the films of its recording in order, as ``chapters`` lists them."""
+    """camera → the films of its recording in order, as listed under ``chapters``."""
     where = "capture.yaml: chapters"
     given = mapping(description.get("chapters"), where, "{cam1: [videos/first.mp4, videos/second.mp4]}")
     return {
@@ -91,12 +92,12 @@ def chapters(description: dict[str, Any]) -> dict[str, list[str]]:
 
 
 def path_under(description: dict[str, Any], key: str) -> str | None:
-    """The file or folder named under ``key``, or None where there is none."""
+    """The file or folder named under ``key``; None without the key."""
     return None if description.get(key) is None else path(description[key], f"capture.yaml: {key}")
 
 
 def paths_under(description: dict[str, Any], key: str) -> list[str] | None:
-    """The file named under ``key``, or the list of them; None where there is none."""
+    """The file or list of files named under ``key``; None without the key."""
     given = description.get(key)
     if given is None:
         return None
@@ -118,7 +119,7 @@ def anybody(description: dict[str, Any]) -> bool:
 
 
 def frames_used(description: dict[str, Any]) -> tuple[int, int]:
-    """First frame and number of frames (0 = to the end) that ``frames`` chooses."""
+    """First frame and number of frames (0 = to the end), from ``frames``."""
     frames = mapping(description.get("frames"), "capture.yaml: frames", "{first: 0, count: 60}")
     if set(frames) - {"first", "count"}:
         raise UserError("capture.yaml: frames must look like {first: 0, count: 60}")
@@ -130,8 +131,10 @@ def frames_used(description: dict[str, Any]) -> tuple[int, int]:
 
 
 def starts_of(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
-    """camera → the frame of its footage that shows one moment, 0 for cameras that are not named; empty where
-    capture.yaml names none."""
+    """camera → the frame of its footage that shows one common moment; empty without the key.
+
+    Cameras that are not named have 0.
+    """
     given = mapping(
         description.get("starts"),
         "capture.yaml: starts",
@@ -146,7 +149,7 @@ def starts_of(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[
 
 
 def first_numbers(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, int]:
-    """camera → ``keypoint_first_frame``; one number is everybody's."""
+    """camera → ``keypoint_first_frame``; a single number applies to all cameras."""
     given = description.get("keypoint_first_frame")
     if given is None:
         return {}
@@ -160,7 +163,7 @@ def first_numbers(description: dict[str, Any], footage: Mapping[str, Path]) -> d
 
 
 def focal_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
-    """camera → ``focal_px``, in pixels of its footage; one number is everybody's."""
+    """camera → ``focal_px``, in pixels of its footage; a single number applies to all cameras."""
     given = description.get("focal_px")
     if given is None:
         return {}
@@ -178,8 +181,9 @@ def focal_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> d
 
 
 def measured_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, Any]:
-    """What ``height_m`` (person → metres, or one number) and ``distance_m`` ([camera, camera, metres]) say; empty:
-    nothing."""
+    """The lengths under ``height_m`` (person → metres, or one number) and ``distance_m`` ([camera, camera, metres]);
+    empty without them.
+    """
     found: dict[str, Any] = {}
     if (heights := description.get("height_m")) is not None:
         table = heights if isinstance(heights, dict) else {"": heights}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One common clock for all cameras, and which frame of each video shows which moment: ``clocks/clocks.json``."""
+"""One common clock for all cameras, and the video frame that shows each moment: ``clocks/clocks.json``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from studiorecon.scene.schema import ASCENDING, Listed, frame_rate, real, second
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
-# Times closer than this share of a frame are one time: what rounding to a file's time base leaves.
+# Times closer than this share of a frame are equal: files round times to their time base.
 _SAME_FRAMES = 1e-4
 _FPS = frame_rate()
 _CLOCK = {
@@ -33,16 +33,16 @@ _CLOCKS = {"fps": _FPS, "start_s": seconds(), "frames": whole(low=0), "refusal":
 
 @dataclass(frozen=True)
 class Clock:
-    """When the frames of one camera's footage were taken, on the common clock.
+    """Times of one camera's frames on the common clock.
 
     Attributes:
         camera: camera name.
         fps: frames per second by the camera's own clock.
-        frames: how many frames the footage has.
-        times_s: seconds of every frame after the first one where they do not come evenly; empty: frame k at k / fps.
+        frames: number of frames of the footage.
+        times_s: seconds of every frame after the first one where they are not evenly spaced; empty: frame k at k / fps.
         offset_s: common time of the first frame, seconds.
         drift_ppm: by how many millionths a second of this camera is longer than a common one.
-        readout_s: seconds from the first row to the last, by which keypoints are moved; 0: all rows at once.
+        readout_s: seconds from the first row to the last, used to correct keypoints; 0: all rows at once.
     """
 
     camera: str
@@ -66,10 +66,9 @@ class Clock:
 
 @dataclass(frozen=True)
 class Clocks:
-    """All cameras on one clock, and the moments that the scene is made of: working frame w is at ``start_s`` + w /
-    ``fps``.
+    """All cameras on one clock, and the times of the scene: working frame w is at ``start_s`` + w / ``fps``.
 
-    ``refusal`` is the sentence for which the footage cannot be used as it stands; empty: it can.
+    ``refusal`` is the reason why the footage cannot be used; empty when it can.
     """
 
     fps: float
@@ -79,22 +78,22 @@ class Clocks:
     refusal: str = ""
 
     def of(self, camera: str) -> Clock:
-        """The clock of one camera; KeyError when there is none of that name."""
+        """The clock of one camera; raises KeyError when there is none of that name."""
         for clock in self.cameras:
             if clock.camera == camera:
                 return clock
         raise KeyError(camera)
 
     def positions(self, camera: str) -> Num[np.ndarray, " N"]:
-        """Where every frame of the camera's footage lies among the working frames: 3.4 is 0.4 frames after working
-        frame 3."""
+        """Position of every frame of the camera's footage among the working frames: 3.4 is 0.4 frames after working
+        frame 3.
+        """
         exact = (self.of(camera).common_s - self.start_s) * self.fps
         whole = np.round(exact)
         return np.where(np.abs(exact - whole) < _SAME_FRAMES, whole, exact)
 
     def source_frames(self, camera: str) -> Integer[np.ndarray, " T"]:
-        """The frame of the camera's footage that is nearest to every working frame; of two equally near ones the
-        earlier."""
+        """The frame of the camera's footage nearest to every working frame; of two equally near ones the earlier."""
         position, wanted = self.positions(camera), np.arange(self.frames)
         after = np.clip(np.searchsorted(position, wanted), 1, max(len(position) - 1, 1))
         late = position[np.minimum(after, len(position) - 1)] - wanted
@@ -103,8 +102,7 @@ class Clocks:
         )
 
     def late_frames(self, camera: str) -> Num[np.ndarray, " T"]:
-        """By how many working frames the picture of every working frame comes late; at most half a frame of its
-        camera."""
+        """Delay in working frames of the picture of every working frame; at most half a frame of its camera."""
         return self.positions(camera)[self.source_frames(camera)] - np.arange(self.frames)
 
 

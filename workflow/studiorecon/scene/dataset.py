@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A dataset directory as the workflow knows it: what a user has on disk. ``plan.discovery`` finds it."""
+"""A dataset directory: the files of a user's capture, as ``plan.discovery`` lists them."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 
 @dataclass(frozen=True)
 class Dataset:
-    """Where everything of one capture lies. All paths exist unless the studio is still to make them.
+    """Paths of all parts of one capture. They exist, unless the studio is still to make them.
 
     Attributes:
         folder: the dataset directory.
         footage: camera → video file, or folder of pictures; of a recording in chapters the first file.
         chapters: camera → all files of its recording in order, for cameras whose recording is in several.
-        held_out: cameras that only ``report`` may look at.
-        calibration: the calibration's file(s); empty when none was found.
+        held_out: cameras that only ``report`` may read.
+        calibration: the calibration's file(s); empty when there is none.
         keypoints: camera → folder of JSON files, or one file. Cameras without recorded keypoints are absent.
         chapter_keypoints: camera → one such entry per chapter, where they were recorded chapter by chapter.
         keypoint_layout: name of the layout, or ``"auto"``.
-        keypoint_first_frame: camera → the number in its keypoint files that belongs to the first frame of its video,
-            where capture.yaml says it.
-        plates, masks, depth: camera → file or folder, where the user brings them.
+        keypoint_first_frame: camera → the number in its keypoint files that belongs to the first frame of its video, if
+            capture.yaml gives it.
+        plates, masks, depth: camera → the user's file or folder.
         identities: a corrected ``identities.tsv`` (camera, track, person), or None.
         pixel_maps: camera → (scale, x, y) with p_video = scale · p_calibration + (x, y), pixel centres at +0.5, for
             footage that was resized or padded after the calibration.
-        focal_px: camera → focal length in pixels of its footage, where capture.yaml gives one; only used without a
+        focal_px: camera → focal length in pixels of its footage, if capture.yaml gives one; only used without a
             calibration.
-        lengths: what capture.yaml measures where cameras are found from people: ``height_m``, person → metres ("" =
-            everybody's), or ``between`` two cameras and ``distance_m``; empty: nothing.
-        starts: camera → the frame of its footage, maybe between two, that shows one moment, as ``capture.yaml`` says;
-            empty: it does not.
-        first_frame: of the moments that all cameras have, the first to use.
-        frame_count: how many of them to use; 0 = to the end.
+        lengths: lengths in capture.yaml for cameras that are calibrated from people: ``height_m``, person → metres (""
+            = of all persons), or ``between`` two cameras and ``distance_m``; empty without them.
+        starts: camera → the frame of its footage, possibly fractional, that shows one common moment, from
+            ``capture.yaml``; empty without it.
+        first_frame: the first used moment, counted among those that all cameras have.
+        frame_count: number of moments used; 0 = to the end.
         people: False when ``capture.yaml`` says ``people: 0``: the room is known to be empty.
         lenses: files with lenses and no poses, where there is no calibration: the poses then come from people.
         truth: folder of exact truth (synthetic studio only), else None.
-        notes: sentences: what was chosen among several, and every file of the folder that is not used, with the reason.
+        notes: sentences: every choice among several files, and every unused file of the folder with the reason.
     """
 
     folder: Path
@@ -78,7 +78,9 @@ class Dataset:
 
 
 def colmap_files(images: Path) -> tuple[Path, ...]:
-    """The files of the COLMAP model of an ``images.txt`` or ``images.bin`` that say where its cameras stand: its poses
-    are only whole together with ``rigs`` and ``frames``, where there are some."""
+    """The files of the COLMAP model of an ``images.txt`` or ``images.bin`` that hold the cameras' poses.
+
+    They include ``rigs`` and ``frames`` if these exist, because poses are incomplete without them.
+    """
     beside = [images.with_name(f"{part}{images.suffix}") for part in ("rigs", "frames")]
     return (images.with_name(f"cameras{images.suffix}"), images, *(path for path in beside if path.is_file()))

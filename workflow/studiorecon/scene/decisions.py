@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which effects a scene calls for, and why: ``survey/decisions.json``."""
+"""The effects that a scene calls for, with reasons: ``survey/decisions.json``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from studiorecon.scene.schema import ASCENDING, Anything, Listed, Maybe, check, 
 
 Verdict = Literal["on", "off", "undetermined"]
 
-# What supports the thresholds: planted effects. No real capture has been measured yet.
+# Basis of the thresholds: planted effects. No real capture has been measured yet.
 UNCALIBRATED = "uncalibrated"
 _DECISION = {
     "effect": text(),
@@ -38,25 +38,25 @@ _DECISIONS = {"order": Listed(text()), "decisions": Listed(_DECISION)}
 
 @dataclass(frozen=True)
 class Decision:
-    """One effect and whether this scene calls for it.
+    """One effect, and whether this scene calls for it.
 
     Attributes:
         effect: its name.
-        statistic: what was measured, in words with its unit.
+        statistic: the measured quantity, in words with its unit.
         value: the measurement; None when there was nothing to measure.
-        interval: where the measurement lies with its uncertainty (low, high); None when unknown.
-        threshold: the value from which the verdict turns, in the statistic's unit; None when it is not a matter of
+        interval: uncertainty of the measurement (low, high); None when unknown.
+        threshold: the value at which the verdict changes, in the statistic's unit; None when it is not a matter of
             degree.
         verdict: ``undetermined`` takes the cheaper branch.
         reason: one sentence.
         unit: of value, interval and threshold; empty for a pure number.
         on_above: the effect is on above the threshold; False when it is on below.
-        cost_saved_estimate_s: seconds that leaving the effect out saves; None when nothing is left out or nobody
-            measured it.
-        calibration: what the threshold rests on.
-        forced: the user's word, not the measurement's.
-        obeyed_by: which step or plan acts on the verdict; empty while none does, and the verdict only informs.
-        detail: numbers for who acts on the decision.
+        cost_saved_estimate_s: seconds saved when the effect is left out; None when nothing is left out or the cost was
+            not measured.
+        calibration: the basis of the threshold.
+        forced: the verdict comes from the user and not from the measurement.
+        obeyed_by: the step or plan that acts on the verdict; empty when the verdict only informs.
+        detail: numbers for the steps that act on the decision.
     """
 
     effect: str
@@ -81,8 +81,9 @@ class Decision:
 
 
 def forced(decisions: Sequence[Decision], verdicts: Mapping[str, str]) -> list[Decision]:
-    """The decisions with the verdicts that the user wants (effect → ``on`` or ``off``); raises UserError for an effect
-    that is not among them."""
+    """The decisions with the user's verdicts (effect → ``on`` or ``off``) applied; raises UserError for an effect that
+    is not among them.
+    """
     known = {d.effect for d in decisions}
     for effect, verdict in verdicts.items():
         if effect not in known or verdict not in ("on", "off"):
@@ -104,7 +105,7 @@ def forced(decisions: Sequence[Decision], verdicts: Mapping[str, str]) -> list[D
 
 
 def write_decisions(path: Path, decisions: Sequence[Decision]) -> None:
-    """Write the decisions, and the order in which they were made."""
+    """Write the decisions in the order in which they were made."""
     write_json(path, {"order": [d.effect for d in decisions], "decisions": [asdict(d) for d in decisions]})
 
 
@@ -120,6 +121,6 @@ def _decisions(value: Mapping[str, Any]) -> dict[str, Decision]:
 
 
 def from_entry(entry: Mapping[str, Any]) -> Decision:
-    """A decision from its fields by name, as JSON holds them; raises ValueError that names the field that is none."""
+    """A decision from its fields by name, as in JSON; raises ValueError with the name of a wrong field."""
     check(entry, _DECISION)
     return Decision(**{**entry, "interval": tuple(entry["interval"]) if entry["interval"] is not None else None})

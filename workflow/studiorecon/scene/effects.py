@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an effect is: its statistic, its threshold and how a measurement becomes a decision; the settings that follow
-from it; and the effects that only a trained scene shows, which human training, films and the report measure."""
+"""The type of an effect: its statistic, its threshold, the decision from a measurement, and the resulting settings.
+
+It also holds the effects that show only in a trained scene; human training, films and the report measure those.
+"""
 
 from __future__ import annotations
 
@@ -14,24 +16,24 @@ from studiorecon.configuration.setting import setting
 from studiorecon.scene.decisions import Decision, Verdict
 
 COVERED_DEG = 30.0
-"""Neighbouring cameras that are at most this far apart need no views in between; measured, not assumed (U55)."""
+"""Neighbouring cameras at most this far apart need no views in between; measured, not assumed (U55)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """One thing that a scene may call for, or suffer from, and how that is told.
+    """An effect of a scene: something to simulate, or a fault, and the rule that decides on it.
 
     Attributes:
         name: as in ``survey.force`` and the files of decisions.
-        statistic: what is measured, in words.
+        statistic: the measured quantity, in words.
         unit: of the statistic and its threshold; empty for a pure number.
-        threshold: the value from which it is on, unless the settings say otherwise.
-        paper: what the paper does instead of asking, or the reading (U18) that it follows.
-        tunable: whether the settings may: False where it is no matter of degree.
+        threshold: the value from which it is on, unless the settings give another.
+        paper: the paper's fixed choice, or the reading (U18) that it follows.
+        tunable: whether the settings may change the threshold: False where it is no matter of degree.
         on_above: on above the threshold; False: on below it.
-        hidden_by: effects that are decided before, because they would pass for it or spoil its measurement.
-        voids: what is said of an effect that this one hides while it is on; empty: that one is measured all the same.
-        obeyed_by: which step or plan acts on the verdict, and how; empty: it is a finding, which nobody can force.
+        hidden_by: effects that are decided before, because they look like this one or spoil its measurement.
+        voids: the reason for an effect that this one hides while it is on; empty: that one is measured all the same.
+        obeyed_by: the step or plan that acts on the verdict, and how; empty: it only informs, and cannot be forced.
     """
 
     name: str
@@ -47,7 +49,7 @@ class Effect:
 
     @property
     def acts(self) -> bool:
-        """Whether anything is done or left out by this verdict; else it is a finding."""
+        """Whether a step obeys the verdict; otherwise it only informs."""
         return bool(self.obeyed_by)
 
     def decide(
@@ -59,10 +61,10 @@ class Effect:
         threshold: float | None = None,
         detail: Mapping[str, Any] | None = None,
     ) -> Decision:
-        """On when the whole interval lies beyond the threshold, off when none of it does, else undetermined.
+        """On when the whole interval is beyond the threshold, off when none of it is, else undetermined.
 
-        Without a finite value and interval there is nothing to tell, and ``reason`` must say why. Raises ValueError
-        when the value lies outside of its interval.
+        Without a finite value and interval the result is undetermined, and ``reason`` must say why. Raises ValueError
+        when the value is outside its interval.
         """
         limit = self.threshold if threshold is None else threshold
         verdict: Verdict
@@ -92,7 +94,7 @@ class Effect:
         )
 
     def left_to(self, report: str) -> Decision:
-        """The effect is listed, and where it will be decided."""
+        """The effect as an entry without a verdict, with the name of the report that will decide it."""
         reason = f"not measured here: only a trained scene shows it; {report} decides"
         return Decision(self.name, self.statistic, None, None, None, "undetermined", reason)
 
@@ -107,11 +109,11 @@ PAPERS: Mapping[str, str] = {
     "dynamic_objects": "off",
     "moving_shadows": "off",
 }
-"""What the paper always does, and what it has not."""
+"""The paper's fixed choices: the effects that it always uses, and those that it lacks."""
 
 
 def thresholds(effects: Iterable[Effect]) -> Any:
-    """The setting of a dataclass that holds other thresholds than the effects' own, of those that have one to set."""
+    """The dataclass field with thresholds that replace the effects' own, for those that can be tuned."""
     known = {
         effect.name: {"description": effect.statistic, "type": "number", "exclusiveMinimum": 0}
         for effect in effects
@@ -125,7 +127,7 @@ def thresholds(effects: Iterable[Effect]) -> Any:
 
 
 def force(effects: Iterable[Effect]) -> Any:
-    """The setting of a dataclass that decides beforehand on those of these effects that something acts on."""
+    """The dataclass field with verdicts given in advance, for those of these effects that a step obeys."""
     names = [effect.name for effect in effects if effect.acts]
     return setting(
         {},
@@ -144,7 +146,7 @@ def force(effects: Iterable[Effect]) -> Any:
 
 
 def settled(effect: Effect, on: bool, reason: str) -> Decision:
-    """A verdict that nothing had to be measured for."""
+    """A verdict that needs no measurement."""
     return replace(effect.decide(None, None, reason), verdict="on" if on else "off")
 
 
@@ -170,5 +172,5 @@ INJECTION = Effect(
     paper="always",
     obeyed_by="enhance.shot, which measures it on pairs of pictures of the film before it makes the film",
 )
-# Measured when the scene is trained, and by every film of its own.
+# Measured while the scene is trained, and by every film.
 TRAINED, FILMED = (TEMPORAL_APPEARANCE,), (ENHANCEMENT, INJECTION)

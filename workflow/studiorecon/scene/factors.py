@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What exposure and light did to the pictures of every camera, and pictures without it: ``survey/gains.json``,
+"""Brightness factors of every camera and frame, and pictures without them: ``survey/gains.json``,
 ``survey/brightness.json``.
 
-Both files hold factors of colours in [0, 1]: one (red, green, blue) per camera, or one per frame. Divided by them, the
-pictures of all cameras are of one common exposure, and every frame is lit as the clean plate is.
+Both files hold factors of colours in [0, 1]: one (red, green, blue) per camera, or one per frame. Dividing by them
+gives the pictures of all cameras one common exposure, and gives every frame the light of the clean plate.
 """
 
 from __future__ import annotations
@@ -30,14 +30,12 @@ _FACTORS = {"factors": Named(real("F 3", above=0))}
 
 @dataclass(frozen=True)
 class Factors:
-    """``of``: camera → (1, 3) or (frames, 3) float64 factors; cameras that are not named have none, and keep their
-    bytes."""
+    """``of``: camera → (1, 3) or (frames, 3) float64 factors; pictures of cameras that are not named stay unchanged."""
 
     of: Mapping[str, Float[np.ndarray, "F 3"]] = field(default_factory=dict)
 
     def even(self, camera: str, picture: Num[np.ndarray, "H W 3"], frame: int = 0) -> Num[np.ndarray, "H W 3"]:
-        """A picture, uint8 or float32 in [0, 1], with its factor divided out, clipped; the same array without a
-        factor."""
+        """A picture, uint8 or float32 in [0, 1], divided by its factor and clipped; the same array without a factor."""
         if camera not in self.of:
             return picture
         own = self.of[camera]
@@ -56,16 +54,16 @@ NONE = Factors()
 
 
 def write_factors(path: Path, factors: Mapping[str, Num[np.ndarray, "F 3"]]) -> None:
-    """Write camera → (1 or frames, 3) factors; an empty file of them says that there is nothing to divide out."""
+    """Write camera → (1 or frames, 3) factors; empty factors mean that there is nothing to divide out."""
     for camera, own in factors.items():
         require(f"factors of {camera}", own, ("F", 3), finite=True)
     write_json(path, {"factors": {camera: np.round(own, 5).tolist() for camera, own in factors.items()}})
 
 
 def read_factors(paths: Sequence[Path], frames: int | None = None) -> Factors:
-    """The product of what the files say; ``frames`` refuses a film's factors of another length.
+    """The product of the files' factors; a film with another number of factors than ``frames`` is refused.
 
-    Raises UserError as ``intermediate.read`` does, also where there is not one factor, or one per frame.
+    Raises UserError as ``intermediate.read`` does, also unless there is one factor, or one per frame.
     """
 
     def made(content: dict[str, Any]) -> dict[str, np.ndarray]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are either complete or absent: written beside their name, renamed when done."""
+"""Files that are either complete or absent: written under a temporary name, renamed when done."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = [
 
 
 def one_each(cameras: Sequence[object], **files: Sequence[object]) -> None:
-    """Raises UserError unless there is one file of every kind per camera; a kind's name is said in words."""
+    """Raises UserError unless every kind has one file per camera; the kinds are named in words."""
     if any(len(several) != len(cameras) for several in files.values()):
         counted = ", ".join(f"{len(several)} {kind.replace('_', ' ')}" for kind, several in files.items())
         counted = " and ".join(counted.rsplit(", ", 1))
@@ -40,7 +40,10 @@ def one_each(cameras: Sequence[object], **files: Sequence[object]) -> None:
 @contextmanager
 def complete(path: Path) -> Iterator[Path]:
     """A temporary path in the same folder with the same suffix; renamed to ``path`` when the block ends without an
-    error. What the system refuses meanwhile names ``path`` (a write to an open file does not by itself)."""
+    error.
+
+    Operating-system errors in the block name ``path``: errors of writes to an open file otherwise name no file.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".partial-{os.getpid()}-{path.name}")
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A set of 3D Gaussians, stored as 3DGS stores them: log scales, logit opacities, spherical harmonics."""
+"""A set of 3D Gaussians in the form of 3DGS: log scales, logit opacities, spherical harmonics."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Gaussians:
     @property
     def opacities(self) -> Float[np.ndarray, " N"]:
         """(N,) float32 in 0..1."""
-        from scipy.special import expit  # not at once: images of networks read Gaussians and have no scipy
+        from scipy.special import expit  # imported here: containers of networks read Gaussians and have no scipy
 
         return expit(self.logit_opacities).astype(np.float32)
 
@@ -86,7 +86,7 @@ class Gaussians:
         )
 
     def undrawn(self) -> Gaussians:
-        """As many Gaussians, none of which is drawn: what is absent at a time leaves its place in a composite empty."""
+        """The same number of Gaussians, all invisible: it keeps the place of an absent person in a composite."""
         return replace(self, logit_opacities=np.full(self.count, _UNDRAWN, np.float32))
 
     def with_sh_degree(self, degree: int) -> Gaussians:
@@ -99,7 +99,7 @@ class Gaussians:
 
 
 def sh_from_rgb(rgb: Num[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
-    """The constant spherical harmonic that shows as ``rgb``."""
+    """The constant spherical harmonic that is displayed as ``rgb``."""
     return ((np.asarray(rgb, np.float64) - 0.5) / SH_C0).astype(np.float32)
 
 

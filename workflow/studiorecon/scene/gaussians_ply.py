@@ -60,8 +60,8 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
 def read_ply(path: Path, remedy: str = CURE) -> Gaussians:
     """The Gaussians of a PLY; properties may come in any order.
 
-    Says which further properties are not used, and how many Gaussians hold a value that is not a number: they are never
-    drawn. Raises UserError naming the file, which ends in ``remedy``, for anything but this layout.
+    Logs the properties that are not used, and the number of Gaussians with a value that is not a number: they are never
+    drawn. Raises UserError with the file's name and ``remedy`` for any other layout.
     """
     try:
         return _gaussians(path, read_bytes(path))
@@ -70,7 +70,7 @@ def read_ply(path: Path, remedy: str = CURE) -> Gaussians:
 
 
 def _gaussians(path: Path, data: bytes) -> Gaussians:
-    """Raises ValueError with how the sentence goes on that begins with the file's name."""
+    """The Gaussians of ``data``; raises ValueError with the rest of a sentence that starts with the file's name."""
     end = data.find(b"end_header", 0, _HEADER_LIMIT)
     body = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or body == 0:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that one step writes and another reads: they hold what their schema says, or are named with the field and the
-cure.
+"""Reads files that one step writes and another reads, and checks them against their schema.
 
-A disk, a copy or somebody's hand may have damaged them since; what got in would spread into everything that follows,
-and nobody could tell from where.
+A disk, a copy or an edit may have damaged them. An error names the file, the field and a remedy; an unchecked value
+would spread through all later results without a trace of its source.
 """
 
 from __future__ import annotations
@@ -57,11 +56,10 @@ def read(
     but: Container[str] = (),
     sizes: Mapping[str, int] | None = None,
 ) -> Any:
-    """The values of a JSON file, the arrays of an npz or the rows of a table, or what ``made`` makes of them; what that
-    raises is the file's damage.
+    """The values of a JSON file, the arrays of an npz or the rows of a table, or the result of ``made`` on them.
 
-    ``names``: of an npz, only these arrays; ``but``: all others; ``sizes``: letters of shapes that are known. Raises
-    UserError that names the file, the field and what is expected of it.
+    An error that ``made`` raises counts as damage of the file. ``names``: of an npz, only these arrays; ``but``: all
+    others; ``sizes``: known letters of shapes. Raises UserError with the file, the field and its expected value.
     """
     with as_written(path):
         if path.suffix == ".npz":
@@ -75,7 +73,7 @@ def read(
 
 
 def _rows(path: Path, schema: Schema) -> list[dict[str, Any]]:
-    """The rows of a table whose columns are ``schema``'s, whose words become numbers where those are."""
+    """The rows of a table whose columns are ``schema``'s, with numeric columns converted from text."""
     assert isinstance(schema, Listed)
     assert isinstance(schema.inner, Mapping)
     text = outside.read_text(path, CURE)
@@ -87,18 +85,18 @@ def _rows(path: Path, schema: Schema) -> list[dict[str, Any]]:
 
 
 def expect(holds: object, words: str) -> None:
-    """Raises ValueError with ``words`` unless ``holds``: for what the fields of a file must be to one another."""
+    """Raises ValueError with ``words`` unless ``holds``: for conditions between the fields of a file."""
     if not holds:
         raise ValueError(words)
 
 
 def of_its_name(path: Path, owner: str) -> None:
-    """Raises ValueError unless a file is called as the camera or person whose it says to be."""
+    """Raises ValueError unless the file's name is that of the camera or person in it."""
     expect(path.stem == owner, f"it is {owner}'s, not {path.stem}'s")
 
 
 def require_size(path: Path, picture: Shaped[np.ndarray, "H W ..."], wh: tuple[int, int]) -> None:
-    """Raises UserError unless a picture that a step made has the size of its camera's."""
+    """Raises UserError unless a step's picture has the size of its camera's."""
     with as_written(path):
         width, height = picture.shape[1], picture.shape[0]
         expect((width, height) == tuple(wh), f"it is {width}×{height}, its camera's pictures are {wh[0]}×{wh[1]}")
@@ -106,8 +104,9 @@ def require_size(path: Path, picture: Shaped[np.ndarray, "H W ..."], wh: tuple[i
 
 @contextmanager
 def as_written(path: Path) -> Iterator[None]:
-    """Around what takes values out of a file that a step wrote: what is missing in it, or of another kind, becomes a
-    UserError that names it."""
+    """Context for reading values from a step's file: a missing or wrong entry becomes a UserError that names
+    the file.
+    """
     try:
         yield
     except UserError:

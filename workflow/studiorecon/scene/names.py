@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of cameras and scenes, which become folders, wildcards and columns: what they may consist of."""
+"""Checks names of cameras and scenes, which become folders, wildcards and columns."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ from pathlib import Path
 from studiorecon.errors import UserError
 
 MAX_LETTERS = 100
-# Letters and digits of any script with single blanks and marks between them; (1) is what a second download is called.
+# Letters and digits of any script with single blanks and marks between them; browsers name a second download with (1).
 _NAME = re.compile(r"[\w(](?:[\w.+@()-]| (?! ))*(?<![ .])")
-# What the rules' own language takes for its own.
+# Characters with a meaning in Snakemake's rules.
 _NOT_IN_PATHS = "{}\n\r"
 _OF_THE_SYSTEM = {"thumbs.db", "desktop.ini", "__macosx", "lost+found", "system volume information", "ehthumbs.db"}
 
 
 def checked_name(name: str, what: str, remedy: str) -> str:
-    """``name``, if folders, tables and rules can bear it; raises UserError that says what it names and ``remedy``."""
+    """``name``, if folders, tables and rules can use it; otherwise raises UserError with the thing it names and
+    ``remedy``.
+    """
     if len(name) > MAX_LETTERS or not _NAME.fullmatch(name):
         raise UserError(
             f"the name {name!r} of {what} cannot be used: letters, digits, single blanks and . _ - + @ ( ) may be in "
@@ -28,22 +30,22 @@ def checked_name(name: str, what: str, remedy: str) -> str:
 
 
 def checked_place(path: Path) -> Path:
-    """``path``, if the rules can bear it; raises UserError for braces and line ends in it."""
+    """``path``, if the rules can use it; raises UserError for braces and line ends in it."""
     if found := [letter for letter in _NOT_IN_PATHS if letter in str(path)]:
         raise UserError(f"the path {str(path)!r} holds {found[0]!r}, which the workflow cannot bear; rename the folder")
     return path
 
 
 def folded(name: str) -> str:
-    """``name`` as names are compared: composed letters (macOS stores decomposed ones), without case."""
+    """``name`` in the form for comparison: composed letters (macOS stores decomposed ones), without case."""
     return unicodedata.normalize("NFC", name).casefold()
 
 
 def of_the_system(path: Path) -> bool:
-    """Whether a file or folder is one that operating systems and file servers leave beside the user's own."""
+    """Whether a file or folder is one that operating systems and file servers add to a user's folder."""
     return path.name.startswith((".", "._", "@ea", "$")) or path.name.casefold() in _OF_THE_SYSTEM
 
 
 def segment_name(number: int) -> str:
-    """How the views between two neighbouring cameras are called: by their gap's number, once around the scene."""
+    """The name of the views between two neighbouring cameras: their gap's number, once around the scene."""
     return f"{number:02d}"

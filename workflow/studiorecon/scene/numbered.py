@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbered files in the order of their numbers: 2 before 10, and which numbers are missing."""
+"""Sorts numbered files by their numbers, 2 before 10, and finds missing numbers."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ _MAX_LISTED = 10_000
 
 
 def natural(name: str) -> list[tuple[int, str]]:
-    """What names are sorted by: runs of digits compare as numbers, frame_2 before frame_10."""
+    """The sorting key of a name: runs of digits compare as numbers, frame_2 before frame_10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 def pictures_in(folder: Path) -> list[Path]:
-    """The pictures of a folder in the order of their numbers; hidden files are none."""
+    """The pictures of a folder in the order of their numbers, without hidden files."""
     found = (p for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith("."))
     return sorted(found, key=lambda path: (natural(path.stem), path.name))
 
 
 def missing_numbers(files: Sequence[Path]) -> list[int]:
-    """The numbers that a sequence of files leaves out between its first and its last.
+    """The numbers missing in a sequence of files between its first and its last.
 
-    Of several numbers in the names the last one that differs counts. Nothing is missing where names do not count, or
-    count by an even step (every fifth frame).
+    Of several numbers in the names the last one that differs counts. Nothing is missing where names are not numbered,
+    or have a constant step (every fifth frame).
     """
     parts = [re.split(r"(\d+)", path.stem) for path in files]
     if len(files) < 2 or len({len(part) for part in parts}) > 1:
@@ -40,14 +40,14 @@ def missing_numbers(files: Sequence[Path]) -> list[int]:
     numbers = sorted({int(part[differing[0]]) for part in parts})
     steps = [b - a for a, b in pairwise(numbers)]
     step = min(steps, default=1)
-    # Times in the names count in no even step, and leave nothing out.
+    # Names that are times have no constant step, so no number is missing.
     if not steps or any(gap % step for gap in steps) or sum(gap == step for gap in steps) < len(steps) / 2:
         return []
     return list(islice((n for a, b in pairwise(numbers) for n in range(a + step, b, step)), _MAX_LISTED))
 
 
 def gaps_named(files: Sequence[Path]) -> str:
-    """The missing numbers in words (``3, 4, 9 and 5 more``); empty where none is missing."""
+    """The missing numbers in words (``3, 4, 9 and 5 more``); empty when none is missing."""
     missing = missing_numbers(files)
     more = len(missing) - _MAX_NAMED
     return ", ".join(map(str, missing[:_MAX_NAMED])) + (f" and {more} more" if more > 0 else "")

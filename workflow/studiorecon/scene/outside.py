@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The door for files that users bring: every one is opened here, and is either what its ending says or refused in one
-sentence.
+"""Opens every file that a user brings; a file is either valid for its suffix or refused in one sentence.
 
-Nothing that is opened here can run a program (no pickles, no YAML tags), and no file takes more memory than in
-proportion to its own size or to a limit that stands below. What the values mean is checked with ``scene.values``, the
-order of numbered files with ``scene.numbered``.
+Opening a file never runs a program (no pickles, no YAML tags). Memory is bounded by the file's own size or by a limit
+below. ``scene.values`` checks the meaning of values, ``scene.numbered`` the order of numbered files.
 """
 
 from __future__ import annotations
@@ -33,12 +31,12 @@ if TYPE_CHECKING:
     from jaxtyping import Shaped
 
 MAX_TEXT_BYTES = 2**30
-"""The largest text (JSON, YAML, TOML, table) that is read: keypoints of an hour of a crowd have less."""
+"""The largest text (JSON, YAML, TOML, table) that is read: keypoints of a crowd over an hour have less."""
 MAX_ARRAY_BYTES = 2**33
-"""The most that the arrays of one file may take in memory."""
+"""The largest size of one file's arrays in memory."""
 _MAX_REPEATED = 200
 _COPY = "it may have been copied only in part: copy it again, or write it again with the program that made it"
-# What a damaged header, which is a Python literal, ends in.
+# Errors of parsing a damaged header, which is a Python literal.
 _BROKEN_HEADER = (ValueError, TypeError, SyntaxError, OverflowError, RecursionError, MemoryError)
 # Whole numbers of YAML 1.1 that are not in plain decimals: 010, 0x10, 0b1, 1:30.
 _OTHER_BASE = re.compile(r"[-+]?(0[0-9xXbB_].*|.*:.*)")
@@ -46,8 +44,10 @@ _WIDE = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}
 
 
 def read_bytes(path: Path, most: int = MAX_ARRAY_BYTES) -> bytes:
-    """The bytes of a regular file. Raises UserError when it is missing, a folder, a device, not to be read, or larger
-    than ``most`` bytes."""
+    """The bytes of a regular file.
+
+    Raises UserError when it is missing, a folder, a device, not readable, or larger than ``most`` bytes.
+    """
     size = file_size(path)
     if size > most:
         raise UserError(f"{path} has {size / 2**20:.0f} MiB; at most {most / 2**20:.0f} MiB are read: is it the file?")
@@ -58,7 +58,7 @@ def read_bytes(path: Path, most: int = MAX_ARRAY_BYTES) -> bytes:
 
 
 def file_size(path: Path) -> int:
-    """Bytes of a regular file; raises UserError as ``read_bytes`` does."""
+    """Size of a regular file in bytes; raises UserError as ``read_bytes`` does."""
     try:
         if path.is_dir():
             raise UserError(f"{path} is a folder where a file is expected; name the file in it")
@@ -74,7 +74,7 @@ def file_size(path: Path) -> int:
 
 
 def read_text(path: Path, remedy: str = "") -> str:
-    """The text of a file in UTF-8, with or without a byte order mark, its lines ended by ``\\n``.
+    r"""The text of a file in UTF-8, with or without a byte order mark, its lines ended by ``\n``.
 
     Raises UserError, with the line, for UTF-16, for binary files and for other encodings; it ends in ``remedy``, if
     any.
@@ -97,10 +97,9 @@ def read_text(path: Path, remedy: str = "") -> str:
 
 
 def read_json(path: Path, remedy: str = _COPY) -> Any:
-    """What a JSON file holds; raises UserError, which ends in ``remedy``, for what is no JSON, or is nested beyond what
-    can be read.
+    """The value of a JSON file; raises UserError, ending in ``remedy``, for invalid or too deeply nested JSON.
 
-    NaN and infinities, which detectors write, are let in: ``scene.values`` refuses them where they must not be.
+    NaN and infinities, which detectors write, are accepted: ``scene.values`` refuses them where they are not allowed.
     """
     text = read_text(path, remedy if remedy is not _COPY else "")
     try:
@@ -114,8 +113,9 @@ def read_json(path: Path, remedy: str = _COPY) -> Any:
 
 
 class PlainYaml(yaml.SafeLoader):
-    """YAML 1.2: what YAML 1.1 reads as another number (010 as 8, 12:30 as 750, 1_0 as 10), as a truth value (no, on) or
-    as a date stays text, and is a name where a name is wanted."""
+    """YAML 1.2 loader: numbers (010 as 8, 12:30 as 750, 1_0 as 10), truth values (no, on) and dates of YAML 1.1 stay
+    text.
+    """
 
     yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
 
@@ -133,9 +133,10 @@ for _kind, _form, _first in (
 
 
 def read_yaml(path: Path, loader: type = PlainYaml, *, comments: str = "") -> Any:
-    """What a YAML file holds, in plain types or those of ``loader``; lines that begin with ``comments`` are left out.
+    """The contents of a YAML file, in plain types or those of ``loader``; lines that begin with ``comments`` are
+    skipped.
 
-    Raises UserError with the line, also for a key that stands there twice.
+    Raises UserError with the line, also for a repeated key.
     """
     text = read_text(path)
     if comments:
@@ -156,7 +157,7 @@ def read_yaml(path: Path, loader: type = PlainYaml, *, comments: str = "") -> An
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file; raises UserError."""
-    import tomllib  # not in Python 3.10, on which networks' images read other files
+    import tomllib  # not in Python 3.10, which containers of networks use
 
     text = read_text(path)
     try:
@@ -166,10 +167,12 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """The root of an XML file in the encoding that it declares; raises UserError, also for one that declares entities,
-    which can grow without end."""
+    """The root of an XML file in the encoding that it declares.
+
+    Raises UserError, also for declared entities, which can expand without limit.
+    """
     data = read_bytes(path, MAX_TEXT_BYTES)
-    # Without zero bytes, which UTF-16 has between letters.
+    # Zero bytes are removed: UTF-16 has them between letters.
     if b"<!DOCTYPE" in (plain := data.replace(b"\0", b"")) or b"<!ENTITY" in plain:
         raise UserError(f"{path} declares entities, which no calibration needs; export it again")
     try:
@@ -181,8 +184,8 @@ def read_xml(path: Path) -> ElementTree.Element:
 def read_rows(path: Path, columns: Iterable[str], delimiter: str = "\t") -> list[tuple[int, dict[str, str]]]:
     """(line, column → text) of every row of a table whose first line names the columns.
 
-    Empty lines are passed over. Raises UserError for a column of ``columns`` that is not there, and for a row that has
-    more or fewer cells than the header.
+    Empty lines are skipped. Raises UserError for a missing column of ``columns``, and for a row that has more or fewer
+    cells than the header.
     """
     wanted = list(columns)
     kind = {"\t": "tab", ",": "comma"}.get(delimiter, delimiter)
@@ -220,11 +223,10 @@ def read_npz(
     but: Container[str] = (),
     remedy: str = _COPY,
 ) -> dict[str, Shaped[np.ndarray, " ..."]]:
-    """The arrays of an npz by name: those of ``names`` (KeyError for one that is not there), or all but those of
-    ``but``.
+    """The arrays of an npz by name: those of ``names`` (KeyError for a missing one), or all but those of ``but``.
 
     Raises UserError, which ends in ``remedy``, for pickled objects, damage, and more than ``most`` bytes of arrays,
-    before any of them is taken into memory.
+    before any array is loaded.
     """
     file_size(path)
     try:
@@ -257,8 +259,10 @@ def read_npy(path: Path) -> Shaped[np.ndarray, " ..."]:
 
 @contextmanager
 def laid_out_as(path: Path | str, what: str) -> Iterator[None]:
-    """Around what takes values out of a file that is ``what``: an entry that is missing, of another kind or size, or
-    nested otherwise than in such a file becomes a UserError that names file and entry."""
+    """Context for reading values from a file of the kind ``what``: a missing or wrong entry becomes a UserError.
+
+    It covers entries of another kind, size or nesting, and names file and entry.
+    """
     try:
         yield
     except UserError:
@@ -274,19 +278,19 @@ def laid_out_as(path: Path | str, what: str) -> Iterator[None]:
 
 
 def _array(stream: Any, held: int, where: str, remedy: str = _COPY) -> np.ndarray:
-    """The array of a stream in npy's format, of which ``held`` bytes are there."""
-    import numpy as np  # a tenth of a second, which plans that read only text do without
+    """The array of a stream in npy's format of which ``held`` bytes exist."""
+    import numpy as np  # takes 0.1 s, which plans that read only text save
 
     try:
         version = np.lib.format.read_magic(stream)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         with warnings.catch_warnings():
-            # Of Python 2, or damaged: what it says about headers is nothing that a user can change.
+            # Warnings about headers of Python 2, or damaged ones, do not help a user.
             warnings.simplefilter("ignore", UserWarning)
             shape, fortran, dtype = read(stream)
         if dtype.hasobject:
             raise UserError(f"{where} holds Python objects, which could run a program; save plain numbers")
-        # The header may promise anything: what is not there is not reserved.
+        # The header may claim any size: memory is allocated only for bytes that exist.
         if any(extent < 0 for extent in shape) or math.prod(shape) * dtype.itemsize > held:
             raise UserError(f"{where} is cut off: its header promises {shape} of {dtype}; {remedy}")
         data = stream.read(math.prod(shape) * dtype.itemsize)
@@ -297,7 +301,7 @@ def _array(stream: Any, held: int, where: str, remedy: str = _COPY) -> np.ndarra
 
 
 def _entries(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """The entries of a JSON object; raises ValueError for a key that is there twice."""
+    """The entries of a JSON object; raises ValueError for a repeated key."""
     found = dict(pairs)
     if len(found) < len(pairs):
         keys = [key for key, _ in pairs]
@@ -307,8 +311,9 @@ def _entries(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _once(node: Any) -> None:
-    """Raises yaml.MarkedYAMLError for a key that a mapping has twice, since nobody could tell which one counts, and for
-    a number that YAML takes for another: 010 for 8, 1:30 for 90."""
+    """Raises yaml.MarkedYAMLError for a repeated key, since the intended one is unknown, and for ambiguous numbers: 010
+    for 8, 1:30 for 90.
+    """
     seen: set[int] = set()
     waiting = [node]
     while waiting:
@@ -334,6 +339,6 @@ def _once(node: Any) -> None:
 
 
 def first_line(error: BaseException) -> str:
-    """What a library says of a damaged file, on one line and not too long: some repeat what they read."""
+    """A library's message on a damaged file, shortened to one line: some repeat the file's contents."""
     line = next(iter(str(error).splitlines()), "") or type(error).__name__
     return line if len(line) <= _MAX_REPEATED else line[: _MAX_REPEATED - 1] + "…"

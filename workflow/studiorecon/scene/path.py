@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera path: which camera looks at which time for every frame of a film or a set of views."""
+"""A camera path: camera and time for every frame of a film or a set of views."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class PathStep:
     """One picture of a path.
 
     Attributes:
-        camera: where from.
+        camera: the camera.
         frame: 0-based working frame that is shown (fractions between frames are allowed).
         segment: name of the part of the path this picture belongs to (``"00"``, or a camera name for ``heldout``).
     """

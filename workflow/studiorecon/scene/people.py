@@ -65,7 +65,7 @@ class Detections:
             or None.
         body_root: (D, 3) axis-angle of that body's root in its camera's frame; body_shape: (D, 10) its shape, SMPL's;
             or None.
-        points_m: (D, K, 3) a network's guess of where the keypoints are, metres about the middle of the hips, camera's
+        points_m: (D, K, 3) a network's estimate of the keypoints in metres relative to the middle of the hips, camera's
             axes; or None.
         row: (D,) int, row in the detector's file that holds the person's mask (-1 = none); or None.
     """
@@ -83,7 +83,7 @@ class Detections:
     row: Integer[np.ndarray, " D"] | None = None
 
     def only(self, which: Bool[np.ndarray, " D"] | Integer[np.ndarray, " M"]) -> Detections:
-        """Those that ``which`` (bool mask or indices) chooses."""
+        """The detections selected by ``which`` (bool mask or indices)."""
         per_detection = [
             n for n in self.__dataclass_fields__ if n not in ("camera", "layout") and getattr(self, n) is not None
         ]
@@ -100,13 +100,13 @@ class Person:
         fps: frames per second.
         poses: (T, 72) axis-angle, SMPL's 24-joint order, radians.
         trans: (T, 3) world position of the pelvis joint, metres.
-        betas: (B,) shape, and size where there is one more than the shape space has (``body.model.of_size``).
+        betas: (B,) shape, plus size if there is one more than the shape space has (``body.model.of_size``).
         joints: (T, 24, 3) world joints, metres.
-        valid: (T,) bool: frames in which the body was measured (others are filled, for films that must not blink).
+        valid: (T,) bool: frames in which the body was measured (others are filled, so that films do not flicker).
         sigma: (T, 24) standard deviation of the joints, metres (inf where unknown).
         metric: True when lengths are metres.
-        present: (T,) bool: frames in which the person is there; in others they are away, and what the arrays hold
-            leads a camera that follows them from where they left to where they come back. All when none are given.
+        present: (T,) bool: frames in which the person is present. In others the arrays interpolate from the place of
+            leaving to the place of return, for cameras that follow the person. All frames by default.
     """
 
     name: str
@@ -132,7 +132,7 @@ def write_detections(path: Path, detections: Detections) -> None:
 
 
 def read_detections(path: Path) -> Detections:
-    """The detections of the camera that the file is called after; raises UserError as ``intermediate.read`` does."""
+    """The detections of the camera that names the file; raises UserError as ``intermediate.read`` does."""
 
     def made(data: dict[str, Any]) -> Detections:
         of_its_name(path, str(data["camera"]))
@@ -142,7 +142,7 @@ def read_detections(path: Path) -> Detections:
 
 
 def usable(found: Detections) -> tuple[Detections, int]:
-    """The detections with keypoints that are no numbers, or no places, marked missing, and how many those were."""
+    """The detections with non-finite or impossible keypoints marked missing, and their number."""
     keypoints = found.keypoints
     bad = ~np.isfinite(keypoints[..., 2]) | (
         (keypoints[..., 2] > 0) & (~np.isfinite(keypoints[..., :2]).all(-1) | (keypoints[..., :2] == 0).all(-1))
@@ -155,11 +155,11 @@ def write_people(
     rows: list[tuple[str, int, str, float, str]],
     rejected: Sequence[tuple[str, int, str, float, str, str, str]] = (),
 ) -> None:
-    """Write ``people.tsv``: person, frames seen, cameras (comma-separated), confidence 0..1, source ("keypoints" or
-    "corrected"), status ("person" or "rejected") and the reason of the latter, who stand below the people of the scene
-    under names of their own.
+    """Write ``people.tsv``: person, frames seen, cameras, confidence, source, status and reason.
 
-    May have no rows: an empty room.
+    Cameras are comma-separated, confidence is 0..1, source "keypoints" or "corrected", status "person" or "rejected"; a
+    rejected row has a reason. Rejected rows follow the people of the scene, under names of their own. There may be no
+    rows: an empty room.
     """
     everybody = [*((*row, "person", "") for row in rows), *rejected]
     write_table(
@@ -168,8 +168,9 @@ def write_people(
 
 
 def read_people(path: Path) -> list[str]:
-    """Ids of the scene's people in ``people.tsv``, in file order; who was rejected is none of them. Raises UserError as
-    ``intermediate.read`` does."""
+    """Ids of the scene's people in ``people.tsv``, in file order, without rejected ones; raises UserError as
+    ``intermediate.read`` does.
+    """
     return [row["person"] for row in people_rows(path)]
 
 
@@ -191,8 +192,10 @@ def write_identities(path: Path, identities: dict[tuple[str, int], str]) -> None
 
 
 def read_identities(path: Path) -> dict[tuple[str, int], str]:
-    """{(camera, track): person} of ``identities.tsv``; an empty person means the track was rejected. Raises UserError
-    as ``intermediate.read`` does."""
+    """{(camera, track): person} of ``identities.tsv``; an empty person means the track was rejected.
+
+    Raises UserError as ``intermediate.read`` does.
+    """
 
     def made(rows: list[dict[str, Any]]) -> dict[tuple[str, int], str]:
         found = {(row["camera"], row["track"]): row["person"] for row in rows}
@@ -203,9 +206,9 @@ def read_identities(path: Path) -> dict[tuple[str, int], str]:
 
 
 def read_given_identities(path: Path) -> dict[tuple[str, int], str]:
-    """What ``read_identities`` gives, of a table that a user corrected.
+    """The result of ``read_identities`` for a table that a user corrected.
 
-    Raises UserError with the line for a track that is no number, and for one that has two.
+    Raises UserError with the line for a track that is no number, and for a track with two persons.
     """
     found: dict[tuple[str, int], str] = {}
     for line, row in read_rows(path, IDENTITY_COLUMNS):

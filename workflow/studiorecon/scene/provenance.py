@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a Gaussian's appearance comes from; the truth map of every film is rendered from these marks."""
+"""The provenance of every Gaussian; the truth map of every film is rendered from these marks."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 MEASURED = 0
 """A training camera saw it."""
 INFERRED = 1
-"""Not seen itself, but its place or colour follows from what was seen: a default wall, the mirror image of an arm."""
+"""Not seen itself, but its place or colour follows from seen parts: a default wall, the mirror image of an arm."""
 INVENTED = 2
 """Painted in so that there is no hole."""
 
 
 def provenance_of(shape: str) -> Numbers:
-    """What an array of marks must hold, as ``scene.schema`` has it."""
+    """The schema of an array of marks."""
     return whole(shape, low=MEASURED, high=INVENTED)
 
 
@@ -34,7 +34,8 @@ def write_provenance(path: Path, marks: Integer[np.ndarray, " N"]) -> None:
 
 
 def read_provenance(path: Path, count: int) -> Integer[np.ndarray, " N"]:
-    """(N,) uint8 marks of ``count`` Gaussians; raises UserError as ``intermediate.read`` does, also for as many as
-    another room has."""
+    """(N,) uint8 marks of ``count`` Gaussians; raises UserError as ``intermediate.read`` does, also for another number
+    of marks.
+    """
     held = read(path, {"provenance": provenance_of("N")}, sizes={"N": count})
     return np.asarray(held["provenance"], np.uint8)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the detector found on the footage of one camera: ``detect/found/<camera>.npz``, before any calibration."""
+"""The detector's result on the footage of one camera: ``detect/found/<camera>.npz``, before any calibration."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ class RawDetections:
         layout: name of the keypoint layout (``keypoints/layouts.py``).
         frame: (D,) int, number of the picture in the footage.
         keypoints: (D, K, 3) x, y in pixels of the footage (centres at +0.5), confidence in [0, 1]; 0 = missing.
-        presence: (D,) how sure the network is that somebody is there.
-        points_m: (D, K, 3) its metric guess about the middle of the hips, camera's axes (x right, y down, z forward);
-            NaN = none. mask: (D, M, M) uint8, 255 = surely this person; M may be 0.
+        presence: (D,) the network's confidence that there is a person.
+        points_m: (D, K, 3) its estimate in metres relative to the middle of the hips, camera's axes (x right, y down, z
+            forward); NaN = none. mask: (D, M, M) uint8, 255 = certainly this person; M may be 0.
         mask_from_picture: (D, 2, 3) affine map of footage pixels to those of the mask, centres at +0.5 on both sides.
-        looked: (first, count) of the pictures that were looked at.
-        note: what was looked with, and at what, for people to read.
+        looked: (first, count) of the pictures that were searched.
+        note: the detector and its input, for people to read.
     """
 
     camera: str
@@ -65,8 +65,9 @@ class RawDetections:
     def of(
         camera: str, layout: str, points: int, rows: Sequence[tuple], looked: tuple[int, int], note: str
     ) -> RawDetections:
-        """From rows (frame, keypoints, presence, points_m, mask, mask_from_picture) in order of frames; there may be
-        none."""
+        """The detections from rows (frame, keypoints, presence, points_m, mask, mask_from_picture) in order of frames;
+        rows may be empty.
+        """
         frame, keypoints, presence, points_m, mask, affine = zip(*rows) if rows else ([],) * 6
         edge = len(mask[0]) if rows else 0
         return RawDetections(
@@ -83,8 +84,7 @@ class RawDetections:
         )
 
     def grown(self, rows: Sequence[tuple]) -> RawDetections:
-        """With more rows (as for ``of``) behind those that are there, of whatever frame: the numbers of those do not
-        change."""
+        """The detections with more rows (as for ``of``) appended, of any frame; existing rows keep their numbers."""
         if not rows:
             return self
         more = RawDetections.of(self.camera, self.layout, self.keypoints.shape[1], rows, self.looked, self.note)
@@ -100,7 +100,7 @@ def write_raw_detections(path: Path, found: RawDetections) -> None:
 
 
 def is_found(path: Path) -> bool:
-    """Whether a file is the detector's, not somebody's recorded keypoints."""
+    """Whether a file is the detector's, and not recorded keypoints."""
     if path.suffix != ".npz" or not path.is_file():
         return False
     try:
@@ -111,8 +111,10 @@ def is_found(path: Path) -> bool:
 
 
 def read_raw_detections(path: Path, masks: bool = False) -> RawDetections:
-    """The detector's file; ``mask`` is empty unless asked for, which takes longer. Raises UserError when there is
-    none."""
+    """The detector's file; ``mask`` is empty unless ``masks``, which takes longer.
+
+    Raises UserError when the file does not exist.
+    """
 
     def made(data: dict[str, Any]) -> RawDetections:
         first, count = (int(v) for v in data["looked"])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keypoints that the user recorded with another detector, of one camera: ``detect/recorded/<camera>.npz``."""
+"""Keypoints of one camera that the user recorded with another detector: ``detect/recorded/<camera>.npz``."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ _RECORDED = {
 
 @dataclass(frozen=True)
 class Recorded:
-    """2D keypoints of everybody in the pictures of one camera, as their file holds them; D people over P pictures.
+    """2D keypoints of all people in the pictures of one camera, as in their file; D people over P pictures.
 
     Attributes:
-        program: whose format the file has.
-        pictures: (P,) int, ascending, numbers of all pictures that the file tells of, with people or without.
+        program: the program whose format the file has.
+        pictures: (P,) int, ascending, numbers of all pictures in the file, with people or without.
         frame: (D,) int, ascending, number of the picture that shows each person, one of ``pictures``.
         keypoints: (D, K, 3) float64 x, y, score; NaN where the file holds no number. A score of 0 or less = missing.
-        counted: whether the numbers count the film's frames from 0 by the format itself, not by somebody's file names.
+        counted: whether the format itself numbers the film's frames from 0, and not the files' names.
         layout: name of the keypoint layout (``keypoints/layouts.py``); "" = not known yet.
-        refusal: why the film bears them out under no reading; "" where they can be used.
+        refusal: the reason why they do not fit the film under any interpretation; "" where they can be used.
     """
 
     program: str
@@ -51,12 +51,14 @@ class Recorded:
     refusal: str = ""
 
     def only(self, which: Bool[np.ndarray, " D"]) -> Recorded:
-        """The people that ``which`` chooses; the pictures stay."""
+        """The people selected by ``which``; the pictures stay."""
         return replace(self, frame=self.frame[which], keypoints=self.keypoints[which])
 
     def renumbered(self, frame_of: Num[np.ndarray, " P"], frames: int) -> Recorded:
-        """With the film's frames, 0 … ``frames`` - 1, as numbers: picture p shows frame ``frame_of[p]``; who is in
-        pictures beyond the film is left out."""
+        """The same with the film's frames, 0 … ``frames`` - 1, as numbers: picture p shows frame ``frame_of[p]``.
+
+        People in pictures beyond the film are left out.
+        """
         inside = (frame_of >= 0) & (frame_of < frames)
         place = np.searchsorted(self.pictures, self.frame)
         shown = np.asarray(frame_of, dtype=np.int64)[place] if len(place) else self.frame
@@ -76,7 +78,7 @@ def write_recorded(path: Path, recorded: Recorded) -> None:
 
 
 def read_recorded(path: Path) -> Recorded:
-    """What ``detect.keypoints`` wrote. Raises UserError naming the file where it is missing or damaged."""
+    """The output of ``detect.keypoints``; raises UserError with the file's name where it is missing or damaged."""
 
     def made(data: dict[str, Any]) -> Recorded:
         expect(np.isin(data["frame"], data["pictures"]).all(), "frame names a picture that is not among pictures")

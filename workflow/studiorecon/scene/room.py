@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room as a box: floor, ceiling and four upright walls, each fitted to the photos or stated as a default."""
+"""The room as a box: floor, ceiling and four upright walls, each fitted to the photos or a default."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Num
 
 FACES = ("u_low", "u_high", "v_low", "v_high", "floor", "ceiling")
-# Planes and faces are worked out from the same numbers.
+# Planes and faces are computed from the same numbers.
 _SAME = 1e-6
 _FACE = {"fitted": flag(), "score": real(gaps=True, low=-1, high=1)}
 _GAIN = real("3", above=0)
@@ -53,14 +53,14 @@ class Face:
         return n / np.linalg.norm(n)
 
     def nodes(self, step_m: float) -> Num[np.ndarray, "R C 3"]:
-        """(R, C, 3) points in the middle of cells of about ``step_m``, rows along v."""
+        """(R, C, 3) centres of cells of about ``step_m``, rows along v."""
         columns = max(1, round(float(np.linalg.norm(self.along_u)) / step_m))
         rows = max(1, round(float(np.linalg.norm(self.along_v)) / step_m))
         u, v = (np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows
         return self.corner_m + u[None, :, None] * self.along_u + v[:, None, None] * self.along_v
 
     def cells(self, points_m: Num[np.ndarray, "*N 3"], shape: tuple[int, int]) -> Num[np.ndarray, "*N 2"]:
-        """(..., 2) row and column, first cell's centre at 0, where points (..., 3) lie among ``shape`` cells."""
+        """(..., 2) row and column of points (..., 3) among ``shape`` cells; 0 is the first cell's centre."""
         rows, columns = shape
         there = points_m - self.corner_m
         shares = [there @ edge / (edge @ edge) for edge in (self.along_v, self.along_u)]
@@ -69,12 +69,13 @@ class Face:
 
 @dataclass(frozen=True)
 class Platform:
-    """What people stand on where the room's floor lies lower, as its own pixels tell; the first of
-    ``depth/primitives.json`` is the same, widened to what explains the photos.
+    """The surface on which people stand where the room's floor is lower, measured from its own pixels.
+
+    The first of ``depth/primitives.json`` is the same surface, extended to explain the photos.
 
     Attributes:
-        low_m, high_m: (2,) its sides' least and greatest coordinates along the room box's u and v.
-        top_m: its height, where people stand.
+        low_m, high_m: (2,) its sides' smallest and largest coordinates along the room box's u and v.
+        top_m: its height, on which people stand.
     """
 
     low_m: Num[np.ndarray, " 2"]
@@ -86,19 +87,19 @@ class Platform:
 class RoomBox:
     """A box with vertical walls that encloses every camera.
 
-    The walls stand across the horizontal directions u = (cos yaw, sin yaw, 0) and v = (-sin yaw, cos yaw, 0).
+    The walls are perpendicular to the horizontal directions u = (cos yaw, sin yaw, 0) and v = (-sin yaw, cos yaw, 0).
 
     Attributes:
         yaw_rad: direction of u, in [0, pi/2).
-        low_m: (3,) least coordinates along u, v and z.
-        high_m: (3,) greatest coordinates along u, v and z.
-        fitted: (6,) bool in the order of ``FACES``: found in the photos; the others are defaults and must not be called
-            measured.
+        low_m: (3,) smallest coordinates along u, v and z.
+        high_m: (3,) largest coordinates along u, v and z.
+        fitted: (6,) bool in the order of ``FACES``: fitted to the photos; the others are defaults and must not be
+            called measured.
         score: (6,) mean correlation over the pixels each face was fitted to; NaN for defaults.
         gains: camera name → (3,) factors that multiplied its exposure: divide its photo by them to make the cameras
             agree.
         planes: (K, 4) every plane the photos voted for, n·p = o, metres; the six faces come first.
-        platform: what people stand on, None where that is the floor.
+        platform: the surface on which people stand, None where that is the floor.
     """
 
     yaw_rad: float
@@ -112,7 +113,7 @@ class RoomBox:
 
     @property
     def standing_m(self) -> float:
-        """Height of what people stand on."""
+        """Height of the surface on which people stand."""
         return float(self.low_m[2]) if self.platform is None else self.platform.top_m
 
     @property
@@ -141,7 +142,7 @@ class RoomBox:
         return found
 
     def contains(self, points_m: Num[np.ndarray, "... 3"], margin_m: float = 0.0) -> Bool[np.ndarray, " ..."]:
-        """Which points lie inside the box grown by ``margin_m``."""
+        """Which points are inside the box grown by ``margin_m``."""
         inside = points_m @ self.axes.T
         return ((inside >= self.low_m - margin_m) & (inside <= self.high_m + margin_m)).all(axis=-1)
 
@@ -150,8 +151,8 @@ class RoomBox:
     ) -> tuple[Num[np.ndarray, " ..."], Integer[np.ndarray, " ..."]]:
         """Length along the directions to the wall that a ray from inside meets, and the face's index in ``FACES``.
 
-        With ``Camera.rays`` the length is z-depth in metres. A ray that never meets the box, or whose origin has left
-        it for good, gets length 0 and face -1; from outside looking in, the far wall is what is met.
+        With ``Camera.rays`` the length is z-depth in metres. A ray that never meets the box, or starts outside and
+        leads away, gets length 0 and face -1. From outside towards the box, the far wall counts.
         """
         origin = np.broadcast_to(
             origins_m @ self.axes.T, np.broadcast_shapes(np.shape(origins_m), np.shape(directions))
@@ -161,7 +162,7 @@ class RoomBox:
         step = np.where(still, 1.0, direction)
         to_low, to_high = (self.low_m - origin) / step, (self.high_m - origin) / step
         between = (origin >= self.low_m) & (origin <= self.high_m)
-        # A ray parallel to a pair of faces never leaves through them, or never enters at all.
+        # A ray parallel to a pair of faces never crosses them: it is always between them, or never.
         leave = np.where(still, np.where(between, np.inf, -np.inf), np.maximum(to_low, to_high))
         enter = np.where(still, -np.inf, np.minimum(to_low, to_high))
         axis = leave.argmin(axis=-1)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a file between two steps must hold: declared field by field, checked by one function.
+"""The schema of a file between two steps: declared field by field, checked by one function.
 
-A noun's module declares a schema beside its writer, such as ``{"fps": real(above=0, unit="frames per second"),
-"times_s": real("N", such=ASCENDING)}``. Equal letters in shapes stand for equal sizes within one mapping and those
-inside of it; ``check`` leaves the values as they are.
+The module of a data type declares a schema next to its writer, such as ``{"fps": real(above=0, unit="frames per
+second"), "times_s": real("N", such=ASCENDING)}``. Equal letters in shapes mean equal sizes within one mapping and those
+inside it. ``check`` does not change the values.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from studiorecon.scene.values import shown
 
 LARGEST = 1e9
 """No step writes a larger number."""
-# No scene reaches 100 km, also where a calibration's lengths are millimetres; no capture lasts twelve days; no turn is
-# 160 rounds; no camera takes a million pictures a second for this.
+# No scene reaches 100 km, even where a calibration's lengths are millimetres; no capture lasts twelve days; no rotation
+# has 160 turns; no camera here takes a million pictures a second.
 _FAR_M, _LONG_S, _TURNED_RAD, _FASTEST_FPS = 1e5, 1e6, 1e3, 1e6
 
 
@@ -37,7 +37,7 @@ class Such:
 class Numbers:
     """Numbers of one kind; "" is a single one, "N 3" a table of rows of three, "..." of any shape.
 
-    ``low`` and ``high`` belong to the range, ``above`` does not. With ``gaps``, NaN, infinities and null may stand.
+    ``low`` and ``high`` belong to the range, ``above`` does not. ``gaps`` allows NaN, infinities and null.
     """
 
     kind: str
@@ -51,7 +51,7 @@ class Numbers:
 
     @property
     def words(self) -> str:
-        """What is expected, as a sentence goes on."""
+        """The expected value, as the rest of a sentence."""
         what = {"f": "numbers", "i": "whole numbers", "b": "true or false"}[self.kind]
         least = max(self.above, self.low)
         bounds = {
@@ -65,35 +65,35 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Text:
-    """Text; one of ``choices``, where there are any."""
+    """Text; one of ``choices``, if given."""
 
     choices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Maybe:
-    """What may be left out, or be null."""
+    """A value that may be missing or null."""
 
     inner: Schema
 
 
 @dataclass(frozen=True)
 class Listed:
-    """A list of things of one kind, or a row of texts in an npz."""
+    """A list of values of one kind, or a row of texts in an npz."""
 
     inner: Schema
 
 
 @dataclass(frozen=True)
 class Named:
-    """A mapping from names that the file chooses to things of one kind."""
+    """A mapping from arbitrary names to values of one kind."""
 
     inner: Schema
 
 
 @dataclass(frozen=True)
 class Anything:
-    """What no step computes with."""
+    """A value that no step computes with."""
 
 
 Schema = Numbers | Text | Maybe | Listed | Named | Anything | Mapping[str, Any]
@@ -105,7 +105,7 @@ def real(shape: str = "", **limits: Any) -> Numbers:
 
 
 def metres(shape: str = "", **limits: Any) -> Numbers:
-    """Lengths and places."""
+    """Lengths and positions."""
     return real(shape, **({"low": -_FAR_M, "high": _FAR_M, "unit": "m"} | limits))
 
 
@@ -154,7 +154,7 @@ def _is_intrinsic(matrix: np.ndarray) -> bool:
     )
 
 
-# Calibrations give rotations to three digits; one of another sign or order is off by far more.
+# Calibrations give rotations to three digits; wrong signs or orders cause far larger errors.
 _ROTATION = 0.02
 RIGID = Such("a rotation, and 0 0 0 1 in the last row", _is_rigid)
 ROTATION = Such("rotations", _is_rigid)
@@ -168,11 +168,11 @@ CONFIDENT = Such(
     "confidences from 0 to 1 in the last column",
     lambda keypoints: not (np.isfinite(keypoints[..., 2]) & (np.abs(keypoints[..., 2] - 0.5) > 0.5)).any(),
 )
-"""Those that are not finite are gaps (``scene.people.usable``)."""
+"""Non-finite ones are gaps (``scene.people.usable``)."""
 
 
 def check(value: Any, schema: Schema, name: str = "", sizes: Mapping[str, int] | None = None) -> None:
-    """Raises ValueError that names the field below ``name`` whose value is not of ``schema``, and what is expected.
+    """Raises ValueError with the field below ``name`` whose value does not match ``schema``, and the expected value.
 
     ``sizes``: letters of shapes that are known already.
     """
@@ -223,7 +223,7 @@ def _at(name: str) -> str:
 
 
 def _numbers(value: Any, field: Numbers, name: str, sizes: Mapping[str, int]) -> dict[str, int]:
-    """The sizes of the letters, these among them."""
+    """The sizes of all letters, including those of this field."""
     array = value if isinstance(value, np.ndarray) else _of_lists(value, field, name)
     if array.dtype.kind not in {"f": "fiu", "i": "iu", "b": "b"}[field.kind]:
         raise ValueError(f"{name} holds {array.dtype}, expected {field.words}")
@@ -243,7 +243,7 @@ def _numbers(value: Any, field: Numbers, name: str, sizes: Mapping[str, int]) ->
 
 
 def _of_lists(value: Any, field: Numbers, name: str) -> np.ndarray:
-    """The array of a number or of nested lists, as JSON holds them."""
+    """The array of a number or of nested lists, as in JSON."""
     try:
         things = np.array(value, dtype=object)
         flat = things.reshape(-1).tolist()
@@ -254,11 +254,11 @@ def _of_lists(value: Any, field: Numbers, name: str) -> np.ndarray:
             array = np.array(flat, dtype={"i": np.int64, "b": bool}[field.kind])
         else:
             array = np.array([math.nan if v is None else v for v in flat], dtype=np.float64)
-            if np.isinf(array).any():  # what is not finite is written as null
+            if np.isinf(array).any():  # non-finite numbers are written as null
                 raise ValueError
     except (TypeError, ValueError, OverflowError, RecursionError):
         raise ValueError(f"{name} is {shown(value)}, expected {field.words}") from None
-    # An empty list says nothing of the lengths of its rows.
+    # An empty list does not determine the lengths of its rows.
     extents = field.shape.split()
     if not flat and things.ndim < len(extents):
         return array.reshape(0, *(int(part) if part.isdigit() else 0 for part in extents[1:]))

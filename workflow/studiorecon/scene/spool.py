@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arrays that are too many for memory: put into a file without a name, and read back one by one.
+"""Stores arrays that do not fit into memory in an unnamed file, and reads them back one by one.
 
-The file is gone with the process, however that ends. It is read, not mapped: pages of a mapped file count as the
+The file disappears when the process ends in any way. It is read and not mapped: pages of a mapped file count as the
 process's own memory.
 """
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Slot:
-    """Where an array lies in the file, and what it is."""
+    """Position, shape and type of an array in the file."""
 
     offset: int
     shape: tuple[int, ...]
@@ -29,11 +29,11 @@ class Slot:
 
 
 class Spool:
-    """The file, in ``folder``, which is made if it is not there."""
+    """The file, in ``folder``, which is created if needed."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self._file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 (open as long as it is there)
+        self._file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 (open as long as the spool exists)
         weakref.finalize(self, self._file.close)
         self._end = 0
 
@@ -45,13 +45,13 @@ class Spool:
         return slot
 
     def put_back(self, slot: Slot, array: Shaped[np.ndarray, " ..."]) -> None:
-        """Write an array over another one. Raises ValueError for one of another shape or kind."""
+        """Overwrite an array with another one; raises ValueError for another shape or type."""
         if (array.shape, array.dtype) != (slot.shape, slot.kind):
             raise ValueError(f"array is {array.shape} of {array.dtype}, its place is {slot.shape} of {slot.kind}")
         self._write(slot, array)
 
     def get(self, slot: Slot) -> Shaped[np.ndarray, " ..."]:
-        """The array, in memory of its own."""
+        """A copy of the array in memory."""
         array = np.empty(slot.shape, slot.kind)
         rest = array.data.cast("B") if array.size else memoryview(b"")
         self._file.seek(slot.offset)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a film names strangers: people of a photo, who stand in for somebody of the capture."""
+"""Names of strangers in films: people of a photo who replace a person of the capture."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _PLAIN = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def is_photo(source: str) -> bool:
-    """Whether a shot's ``replace`` names a photo; else it names a person, a canonical ``.ply`` or nobody."""
+    """Whether a shot's ``replace`` names a photo; otherwise it names a person, a canonical ``.ply`` or nobody."""
     return Path(source).suffix.lower() in _PHOTOS
 
 
 def stranger(photo: str) -> str:
-    """What files call the person of a photo: ``stranger_anna`` for ``photos/anna.jpg``.
+    """The name in files of the person in a photo: ``stranger_anna`` for ``photos/anna.jpg``.
 
     Raises UserError for a name that files of the results cannot have.
     """
@@ -33,7 +33,9 @@ def stranger(photo: str) -> str:
 
 
 def strangers(sources: Iterable[str]) -> dict[str, str]:
-    """Stranger → photo for what shots' ``replace`` name; UserError when two photos would be the same stranger."""
+    """Stranger → photo for the sources in shots' ``replace``; raises UserError when two photos have the same stranger
+    name.
+    """
     found: dict[str, str] = {}
     for photo in sources:
         if is_photo(photo) and found.setdefault(stranger(photo), photo) != photo:

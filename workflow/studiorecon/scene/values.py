@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values of files that users bring, as what they must be: mappings, lists, numbers in ranges.
+"""Checks values of users' files: mappings, lists, numbers in ranges.
 
 Every function takes ``where``, the beginning of a sentence that names file and key (``capture.yaml: focal_px of cam1``)
 and raises UserError with it.
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 MAX_SHOWN = 60
-"""Of a value that is refused so many characters are shown."""
+"""Number of characters shown of a refused value."""
 _LONGEST_NAME = 255
 
 
 def shown(value: Any) -> str:
-    """A value as it stands in a sentence: on one line, and not too long."""
+    """A value for a sentence: on one line, and not too long."""
     try:
         text = repr(value) if not isinstance(value, (dict, list, tuple)) or len(value) < 20 else type(value).__name__
     except (RecursionError, ValueError):
@@ -34,7 +34,7 @@ def shown(value: Any) -> str:
 
 
 def mapping(value: Any, where: str, example: str) -> Mapping[Any, Any]:
-    """``value``, which must map names to something, as ``example`` does; None is an empty one."""
+    """``value``, which must be a mapping from names such as ``example``; None becomes an empty one."""
     if value is None:
         return {}
     if not isinstance(value, Mapping):
@@ -43,7 +43,7 @@ def mapping(value: Any, where: str, example: str) -> Mapping[Any, Any]:
 
 
 def listed(value: Any, where: str, example: str) -> list[Any]:
-    """``value``, which must be a list, as ``example`` is: text is none, though it has letters. None is an empty one."""
+    """``value``, which must be a list such as ``example``, and not text; None becomes an empty one."""
     if value is None:
         return []
     if not isinstance(value, (list, tuple)):
@@ -67,7 +67,7 @@ def path(value: Any, where: str) -> str:
 
 
 def number(value: Any, where: str, low: float, high: float, what: str) -> float:
-    """``value`` as a finite number within ``low`` … ``high``; ``what`` says in words what it must be, with its unit."""
+    """``value`` as a finite number within ``low`` … ``high``; ``what`` names the expected quantity, with its unit."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise UserError(f"{where} is {shown(value)}; it must be {what}{_as_text(value)}")
     try:
