@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures as arrays: read between pixels, compared, moved, and taken apart.
+"""Pictures as arrays: reading at fractional pixels, comparing, warping and decomposing them.
 
-In come (H, W[, 3]) arrays; out come arrays and figures. No files but plates and PNG.
+Inputs are (H, W[, 3]) arrays; outputs are arrays and figures. No files but plates and PNG.
 
 * ``warp``, ``sizes``, ``blur``, ``regions``, ``silhouette``: fractional pixels, other sizes, binary pictures, meshes;
-* ``encoded``: pictures as PNG and JPEG; ``channels``: over the channels of every pixel;
-* ``plate``, ``steady_light``, ``difference``, ``exposure``, ``colours``: what stays put, in one light, what differs
-  from it, and how cameras agree;
-* ``self_similar``: holes closed with what a surface shows elsewhere;
-* ``flow``, ``transfer`` (inner loops: ``lookup``): where pixels go, and what renders miss carried to other views;
-* ``metrics`` (inner loops: ``similarity``, ``temporal``), ``flip``, ``perceptual``: how close a picture is to the true
+* ``encoded``: pictures as PNG and JPEG; ``channels``: reductions over the channels of every pixel;
+* ``plate``, ``steady_light``, ``difference``, ``exposure``, ``colours``: the static background, constant light,
+  differences from the plate, and equal colours across cameras;
+* ``self_similar``: fills holes with repeats of the surface;
+* ``flow``, ``transfer`` (inner loops: ``lookup``): optical flow, and residuals of renders carried to other views;
+* ``metrics`` (inner loops: ``similarity``, ``temporal``), ``flip``, ``perceptual``: distance of a picture from the true
   one;
 * ``palette``: the colours of people in films and pages.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The affine map of colours between two pictures, from whole-number sums, and what is left after it."""
+"""The affine map of colours between two pictures, from integer sums, and the error that remains after it."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ def colour_sums(
     """Σ d dᵀ and Σ d sᵀ, int64, over the pixels of two uint8 pictures, d = (first's colour, 1). Exact."""
     height, width, _ = first.shape
     own, both = np.zeros((4, 4), np.int64), np.zeros((4, 3), np.int64)
-    # A row of each channel by itself, and of ones: the compiler uses the processor's vector instructions for such sums
-    # only.
+    # Rows per channel and of ones: the compiler vectorises only such sums.
     rows = np.ones((7, width), np.int32)
     for y in range(height):
         _split(first[y], rows[:3])
@@ -55,7 +54,7 @@ def _add_products(factor, red, green, blue, total):
 def mapped_squared_error(
     first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"], by: Num[np.ndarray, "4 3"]
 ) -> np.int64:
-    """Σ over pixels and channels of the squared difference of levels once ``by`` has moved ``first``'s colours;
+    """Σ over pixels and channels of the squared difference of levels after ``by`` is applied to ``first``'s colours;
     clamped, rounded."""
     total = np.int64(0)
     for y in range(first.shape[0]):
@@ -69,9 +68,10 @@ def mapped_squared_error(
 
 
 def colour_map(first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]) -> Num[np.ndarray, "4 3"]:
-    """Least-squares affine map from ``first``'s levels to ``second``'s; minimum norm where too few colours tell it."""
+    """Least-squares affine map from ``first``'s levels to ``second``'s; minimum norm where too few colours determine
+    it."""
     own, both = colour_sums(first, second)
-    # In units of the range: sums of at most 1 over a million pixels are conditioned well enough in float64.
+    # In units of the range: sums of at most 1 over a million pixels are well enough conditioned in float64.
     unit = np.array([255.0, 255.0, 255.0, 1.0])
     solution = np.linalg.pinv(own / np.outer(unit, unit), rcond=1e-10, hermitian=True) @ (
         both / np.outer(unit, np.full(3, 255.0))

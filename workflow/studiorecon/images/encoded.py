@@ -17,18 +17,22 @@ if TYPE_CHECKING:
 
 
 def png(picture: Shaped[np.ndarray, "H W ..."]) -> bytes:
-    """(H, W), (H, W, 3) RGB or (H, W, 4) RGBA picture, uint8 or uint16, as a PNG file. Raises ValueError for none."""
+    """(H, W), (H, W, 3) RGB or (H, W, 4) RGBA picture, uint8 or uint16, as a PNG file. Raises ValueError for other
+    arrays."""
     return _encoded(".png", picture, [])
 
 
 def jpeg(picture: Shaped[np.ndarray, "H W ..."], quality: int) -> bytes:
-    """(H, W) or (H, W, 3) RGB uint8 picture as a JPEG file of ``quality`` 0 to 100. Raises ValueError for none."""
+    """(H, W) or (H, W, 3) RGB uint8 picture as a JPEG file of ``quality`` 0 to 100. Raises ValueError for other
+    arrays."""
     return _encoded(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
 
 
 def write_png(path: Path, picture: Shaped[np.ndarray, "H W ..."]) -> None:
-    """Write a picture as ``png`` takes it; completely or not at all, on a full disk too (OpenCV's own writer returns
-    False there, and leaves half of it)."""
+    """Write a picture as ``png`` encodes it, completely or not at all.
+
+    On a full disk OpenCV's own writer returns False and leaves an incomplete file.
+    """
     with complete(path) as partial:
         partial.write_bytes(png(picture))
 

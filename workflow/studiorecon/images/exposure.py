@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exposure and white balance that make the cameras agree, from colours of surfaces that two cameras see."""
+"""Factors of exposure and white balance that equalise the cameras, from colours of surfaces that two cameras see."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from studiorecon.arrays import require
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-# Colours outside this range are clipped or noise: their ratio says nothing about gains.
+# Colours outside this range are clipped or noise: their ratio does not measure gains.
 DARKEST, BRIGHTEST = 0.03, 0.97
 
 
@@ -34,7 +34,7 @@ def compare(
     """The overlap of two cameras from colours (N, 3) of the same surface points; None below ``least_pixels`` usable
     ones.
 
-    Colours that are not numbers are not usable. Raises ValueError for colours that do not belong together.
+    Colours that are not finite are not usable. Raises ValueError if the numbers of colours differ.
     """
     require("second_rgb", second_rgb, ("N", 3), require("first_rgb", first_rgb, ("N", 3)))
     usable = ((first_rgb > DARKEST) & (first_rgb < BRIGHTEST) & (second_rgb > DARKEST) & (second_rgb < BRIGHTEST)).all(
@@ -48,11 +48,11 @@ def compare(
 
 
 def solve_gains(cameras: int, overlaps: Sequence[Overlap]) -> Num[np.ndarray, "V 3"]:
-    """Every camera's factors, geometric mean 1, whose ratios fit the overlaps in least squares; 1 for a camera without
-    any.
+    """Every camera's factors, geometric mean 1, that fit the overlaps in least squares; 1 for a camera without
+    overlaps.
 
-    Divide a photo by its factors to make it agree with the others. Cameras joined by no chain of overlaps keep their
-    own group's mean (minimum-norm solution). Raises ValueError for a ratio that is not three finite numbers.
+    Divide a photo by its factors to match the others. Cameras without a chain of overlaps between them keep their own
+    group's mean (minimum-norm solution). Raises ValueError for a ratio that is not three finite numbers.
     """
     for overlap in overlaps:
         require(f"log_ratio of cameras {overlap.first} and {overlap.second}", overlap.log_ratio, (3,), finite=True)

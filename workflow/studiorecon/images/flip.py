@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ꟻLIP: what somebody sees who flips between two pictures (Andersson et al., HPG 2020), by its authors' own package.
+"""ꟻLIP: the difference that a viewer sees when two pictures alternate (Andersson et al., HPG 2020), by its authors'
+package.
 
-A perceptual distance that needs no weights. It is not LPIPS, and not to be compared with it. The package has no wheel
-for every Python; where it does not load there is no number.
+A perceptual distance without weights; not comparable with LPIPS. The package has no wheel for every Python; where it
+does not load there is no number.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ SMALLEST_PX = 11
 
 
 def available() -> bool:
-    """Whether the package loads here."""
+    """Whether the package can be loaded."""
     try:
         import flip_evaluator  # noqa: F401
     except (ImportError, OSError):  # no wheel for this Python, or a system without its C++ library
@@ -31,11 +32,11 @@ def available() -> bool:
 
 
 def flip(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"]) -> float | None:
-    """Mean LDR-ꟻLIP of two sRGB pictures, uint8 or float in [0, 1], 0 = the same, at 67 pixels per degree, the
-    package's default: a 4K screen at 0.7 m.
+    """Mean LDR-ꟻLIP of two sRGB pictures, uint8 or float in [0, 1], 0 = the same; None under 11 pixels a side.
 
-    None under 11 pixels a side. The mean is taken here, in float64: the package's own depends on its threads. 0.2 s at
-    480×270. Raises ValueError for pictures of two sizes, ImportError where the package does not load.
+    At 67 pixels per degree, the package's default: a 4K screen at 0.7 m. The mean is computed here, in float64: the
+    package's own depends on its threads. 0.2 s at 480×270. Raises ValueError for pictures of two sizes, ImportError
+    where the package does not load.
     """
     require("truth", truth, ("H", "W", 3), require("prediction", prediction, ("H", "W", 3)))
     if min(truth.shape[:2]) < SMALLEST_PX:

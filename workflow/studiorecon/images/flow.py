@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optical flow between two pictures, and where it can be trusted.
+"""Optical flow between two pictures, and where it is reliable.
 
-A flow (H, W, 2) float32 in pixels belongs to the first picture: its pixel p shows what the second picture shows at p +
-flow(p). So the *backward* flow t → t-1 is ``dis_flow(picture_t, picture_t_minus_1)``, and warping picture t-1 with it
-gives picture t.
+A flow (H, W, 2) float32 in pixels belongs to the first picture: its pixel p shows the same point as the second picture
+at p + flow(p). So the *backward* flow t → t-1 is ``dis_flow(picture_t, picture_t_minus_1)``, and warping picture t-1
+with it gives picture t.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _SMALLEST_SIDE_PX = 24
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """OpenCV with one thread inside the block: DIS propagates inside stripes, and has as many stripes as threads.
+    """Run OpenCV with one thread inside the block: DIS propagates inside stripes, one per thread.
 
-    Results must not depend on the number of cores; callers that want speed run several flows side by side.
+    So results do not depend on the number of cores; for speed run several flows in parallel.
     """
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
@@ -78,7 +78,7 @@ def chained(
     further: Num[np.ndarray, "H W 2"],
     further_valid: Bool[np.ndarray, "H W"],
 ) -> tuple[Num[np.ndarray, "H W 2"], Bool[np.ndarray, "H W"]]:
-    """Flow from a first picture to a third and where it holds, from first to second and second to third.
+    """Flow from a first picture to a third and where it is valid, from first to second and second to third.
 
     F(p) = f(p) + g(p + f(p)); invalid where either part is, or where p + f(p) leaves the second picture. Raises
     ValueError for flows of two sizes.
@@ -95,9 +95,9 @@ def chained(
 def consistent(flow: Num[np.ndarray, "H W 2"], reverse_flow: Num[np.ndarray, "H W 2"]) -> Bool[np.ndarray, "H W"]:
     """(H, W) bool: pixels whose flow leads back, inside the picture, within a motion-dependent tolerance.
 
-    |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5, the rule of Sundaram et al. 2010 that video-consistency measures use. It
-    is what finds uncovered background, where colours may agree by chance (E10). Non-finite flow is
-    inconsistent (E13). Raises ValueError for flows of two sizes.
+    |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5, the rule of Sundaram et al. 2010 that video-consistency measures
+    use. It detects uncovered background, where colours may agree by chance (E10). Non-finite flow is inconsistent
+    (E13). Raises ValueError for flows of two sizes.
     """
     require("reverse_flow", reverse_flow, ("H", "W", 2), require("flow", flow, ("H", "W", 2)))
     return leads_back(np.ascontiguousarray(flow), np.ascontiguousarray(reverse_flow))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inner loops of the residual transfer: which surfaces of a new view a camera sees, and what is read there."""
+"""Inner loops of the residual transfer: which surfaces of a new view a camera sees, and the values that it adds."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def seen_from(
     tolerance: float,
     power: float,
 ) -> tuple[Bool[np.ndarray, "H W"], Float[np.ndarray, "H W 2"], Float[np.ndarray, "H W"]]:
-    """Of every pixel of a view: whether a source sees its surface, at which pixel, and cos^power of the angle, float32.
+    """Per pixel of a view: whether a source sees its surface, at which pixel, and cos^power of the angle, float32.
 
-    ``depth_m`` is the view's z-depth with 0 (or what is no number) for unknown, ``ray_from_pixel`` takes (x, y, 1) at
-    pixel centres +0.5 to the world direction of one metre of depth. Seen: the source's depth at the nearest pixel
-    differs by at most ``tolerance`` of the distance.
+    ``depth_m`` is the view's z-depth with 0 or NaN for unknown; ``ray_from_pixel`` maps (x, y, 1) at pixel centres +0.5
+    to the world direction of one metre of depth. Seen: the source's depth at the nearest pixel differs by at most
+    ``tolerance`` of the distance.
     """
     height, width = depth_m.shape
     rows, columns = source_depth_m.shape
@@ -53,7 +53,7 @@ def seen_from(
             cy = m[1, 0] * px + m[1, 1] * py + m[1, 2] * pz + m[1, 3]
             u = (source_intrinsics[0, 0] * cx + source_intrinsics[0, 1] * cy) / distance + source_intrinsics[0, 2]
             v = source_intrinsics[1, 1] * cy / distance + source_intrinsics[1, 2]
-            # Written so that NaN is refused.
+            # Written so that NaN fails the test.
             if not (u >= 0 and v >= 0 and u < columns and v < rows):
                 continue
             found = np.float64(source_depth_m[int(v), int(u)])
@@ -79,8 +79,10 @@ def add_read(
     weights: Num[np.ndarray, "H W"],
     cover: Num[np.ndarray, "H W"],
 ) -> None:
-    """Adds weight × picture, read bilinearly at ``pixels``, to ``total``; weight to ``weights``; and keeps the largest
-    weight in ``cover``. Pixels beyond the outermost centres read the border."""
+    """Add weight × picture, read bilinearly at ``pixels``, to ``total``, and the weight to ``weights``.
+
+    ``cover`` keeps the largest weight. Pixels beyond the outermost centres read the border.
+    """
     rows, columns = picture.shape[:2]
     for i in range(weight.shape[0]):
         for j in range(weight.shape[1]):

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How close a picture is to the true one: PSNR, SSIM and change over time, each in the variant its name says.
+"""Distance of a picture from the true one: PSNR, SSIM and change over time, each in the variant that its name states.
 
-Pictures are (H, W, 3), uint8 or float in [0, 1]; floats are clamped and rounded to 8 bit first (what is not a number
-becomes black, as in a stored video), so that stored videos reproduce every number. The range is 1 (255 levels) and
-never inferred (I02); sums are whole numbers or float64 (I05). A measure that cannot be taken (mask too small,
-picture too small) is None, never a number.
+Pictures are (H, W, 3), uint8 or float in [0, 1]; floats are clamped and rounded to 8 bit first, and NaN becomes black
+as in a stored video, so that stored videos reproduce every number. The range is 1 (255 levels) and never inferred
+(I02); sums are integers or float64 (I05). A measure that is impossible (mask too small, picture too small) is None,
+never a number.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from studiorecon.images.temporal import change
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Num
 
-# Identical pictures: counted with this, so that one of them does not make a mean infinite (I03).
+# Value for identical pictures, so that one of them does not make a mean infinite (I03).
 PSNR_CAP_DB = 100.0
-# A mean over fewer pixels than this says more about noise than about the picture.
+# A mean over fewer pixels than this is mostly noise.
 SMALLEST_MASK_PX = 256
 # Σ over channels of a squared difference of 8-bit levels, per unit of mean squared error with range 1.
 _SQUARES = 3 * 255**2
@@ -76,9 +76,9 @@ def psnr(
 def colour_corrected_psnr(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"]) -> float | None:
     """PSNR after the affine map of colours (3×3 and an offset) that brings the prediction closest to the truth.
 
-    Says how much of an error is exposure and white balance; beside the plain value, never instead of it (evaluation
-    1.6). The fit is linear least squares over all pixels; a picture of too few colours to fit falls back to the
-    minimum-norm map. Raises ValueError for pictures of two sizes.
+    It shows how much of an error is exposure and white balance; report it with the plain value, never instead of it
+    (evaluation 1.6). The fit is linear least squares over all pixels; a picture of too few colours to fit falls back to
+    the minimum-norm map. Raises ValueError for pictures of two sizes.
     """
     require("truth", truth, ("H", "W", 3), require("prediction", prediction, ("H", "W", 3)))
     shown, wanted = np.ascontiguousarray(levels(prediction)), np.ascontiguousarray(levels(truth))
@@ -102,11 +102,10 @@ def ssim_map(
 
 
 def whole_windows(mask: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: pixels whose 11×11 window lies inside the picture and inside ``mask`` (H, W): the mask eroded by 5
-    pixels.
+    """(H, W) bool: pixels whose 11×11 window is inside the picture and inside ``mask`` (H, W), eroded by 5 pixels.
 
-    Errors outside the mask cannot reach such windows (I08), and they need no normalising by the mask's share
-    (I10). Raises ValueError for a mask that is no picture.
+    Errors outside the mask cannot reach such windows (I08), so they need no normalising by the mask's share (I10).
+    Raises ValueError for a mask that is no picture.
     """
     require("mask", mask, ("H", "W"))
     inside = np.zeros(mask.shape, bool)
@@ -115,11 +114,10 @@ def whole_windows(mask: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
 
 
 def ssim(similarity: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"] | None = None) -> float | None:
-    """Mean of an ``ssim_map`` over windows that lie inside the picture; with ``mask``, over windows wholly inside the
-    mask.
+    """Mean of an ``ssim_map`` over windows inside the picture, and inside ``mask`` if given.
 
-    The mean divides by the windows used, not by the picture (I09). None when a side is under 11 pixels or
-    fewer than 256 masked windows remain. Raises ValueError for a mask of another size.
+    The mean divides by the windows used, not by the picture (I09). None when a side is under 11 pixels or fewer than
+    256 masked windows remain. Raises ValueError for a mask of another size.
     """
     sizes = require("similarity", similarity, ("H", "W"))
     if mask is not None:
@@ -133,9 +131,9 @@ def ssim(similarity: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"] | Non
 
 
 def ssim_3dgs(similarity: Num[np.ndarray, "H W"]) -> float | None:
-    """Mean of an ``ssim_map`` over the whole picture, zero padding included, as papers of the 3DGS lineage print it.
+    """Mean of an ``ssim_map`` over the whole picture, zero padding included, as papers after 3DGS print it.
 
-    Raises ValueError for a map that is none.
+    Raises ValueError for an array that is no map.
     """
     require("similarity", similarity, ("H", "W"))
     return None if min(similarity.shape) < WINDOW else float(similarity.mean(dtype=np.float64))
@@ -168,7 +166,6 @@ def mean_inside(values: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"]) -
 
 
 def mean_of(values: Iterable[float | None]) -> float | None:
-    """Mean of what was measured: None and values that are not finite are left out; None when nothing remains (
-    V06)."""
+    """Mean of the measured values: None and values that are not finite are left out; None when none remains (V06)."""
     used = [value for value in values if value is not None and np.isfinite(value)]
     return float(np.mean(used)) if used else None

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Colours of people in pictures and films: one each, safe for colour-blind readers (Okabe and Ito), and a grey for
-nobody's."""
+"""Colours of people in pictures and films, one each, safe for colour-blind readers (Okabe and Ito), and grey for no
+person."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ _PEOPLE = ((230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114
 
 
 def person_colour(index: int) -> tuple[int, int, int]:
-    """8-bit RGB of the person with this place among the people; the eighth has the first one's again."""
+    """8-bit RGB of the person with this index; the eighth has the first one's again."""
     return _PEOPLE[index % len(_PEOPLE)]

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stays put in a static camera's pictures: the colour that each pixel keeps returning to, and how often it
-does."""
+"""The static background of a camera: the colour that each pixel keeps returning to, and how often it does."""
 
 from __future__ import annotations
 
@@ -16,9 +15,9 @@ from studiorecon.images.encoded import write_png
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
 
-# Rows that are turned to time-last order at once: bounds the copy of the clip.
+# Rows that are transposed to time-last order at once: bounds the copy of the clip.
 _BAND = 64
-# A candidate colour shared by this share of the pictures needs no rival search: nothing can beat it.
+# A candidate colour shared by this share of the pictures needs no rival search: no other can win.
 _CLEAR_SHARE = 0.9
 
 
@@ -46,13 +45,13 @@ def temporal_modes(
 
     Args:
         frames: uint8; all of one static camera.
-        free: False where something is known to stand in front.
+        free: False where something may be in front of the background.
         agree_levels: colours whose every channel differs by at most this are the same surface.
 
     Returns:
         Mean of the agreeing colours, float32, 0..255 (0 where never free); how many agree; how many agree on the best
-        colour that is clearly another one. Costs at most T² comparisons per pixel. Raises ValueError for arrays that do
-        not belong together, or frames that are not uint8.
+        colour that is clearly another one. Costs at most T² comparisons per pixel. Raises ValueError if the shapes do
+        not match or frames are not uint8.
     """
     require("free", free, ("T", "H", "W"), require("frames", frames, ("T", "H", "W", 3)))
     if frames.dtype != np.uint8:
@@ -105,7 +104,7 @@ def _modes(values, free, tolerance, colour, votes, rival):
 
 @numba.njit(cache=True, nogil=True)
 def _rival(values, free, winner, tolerance):
-    """Most votes that any colour not shared with the winner gets."""
+    """Most votes for any colour not shared with the winner."""
     count, most = len(values), 0
     for t in range(count):
         if not free[t] or _same(values[t], winner, 2 * tolerance):

@@ -40,15 +40,17 @@ def signed_distance_px(region: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H 
         return np.full(region.shape, -np.inf, np.float32)
     if inside.all():
         return np.full(region.shape, np.inf, np.float32)
-    # Each transform measures to the nearest pixel centre of the other side; the outline runs half a pixel before it.
+    # Each transform measures to the nearest pixel centre of the other side; the outline is half a pixel before it.
     within = cv2.distanceTransform(inside, cv2.DIST_L2, 5)
     outside = cv2.distanceTransform(1 - inside, cv2.DIST_L2, 5)
     return np.where(inside > 0, within - 0.5, 0.5 - outside).astype(np.float32)
 
 
 def without_islands(region: Bool[np.ndarray, "H W"], least_px: float) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: ``region`` without its connected parts of fewer than ``least_px`` pixels. Raises ValueError for no
-    picture."""
+    """(H, W) bool: ``region`` without its connected parts of fewer than ``least_px`` pixels.
+
+    Raises ValueError for an array that is no picture.
+    """
     require("region", region, ("H", "W"))
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
     if count <= 1:
@@ -59,8 +61,10 @@ def without_islands(region: Bool[np.ndarray, "H W"], least_px: float) -> Bool[np
 
 
 def without_holes(region: Bool[np.ndarray, "H W"], largest_px: float) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: ``region`` with enclosed gaps of up to ``largest_px`` pixels filled. Raises ValueError for no
-    picture."""
+    """(H, W) bool: ``region`` with enclosed gaps of up to ``largest_px`` pixels filled.
+
+    Raises ValueError for an array that is no picture.
+    """
     require("region", region, ("H", "W"))
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(
         (~region.astype(bool)).astype(np.uint8), connectivity=4

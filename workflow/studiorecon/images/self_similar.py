@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Holes in a picture of a surface, closed with what the surface shows elsewhere: wallpaper goes on as wallpaper.
+"""Fills holes in a picture of a surface with the surface's own repeats: wallpaper continues as wallpaper.
 
 Surfaces of rooms repeat themselves. The shifts at which they do are counted over all small patches, as in He and Sun,
-"Statistics of Patch Offsets for Image Completion" (2012); then a hole is closed from its rim, patch by patch, each from
-the shift that continues best what is around it, as in Criminisi, Pérez and Toyama, "Region Filling and Object Removal
-by Exemplar-Based Image Inpainting" (2004). Only detail is copied: light falls off slowly over a wall, so it is
-interpolated.
+"Statistics of Patch Offsets for Image Completion" (2012). Then a hole is filled from its rim, patch by patch, each from
+the shift that best continues its surroundings, as in Criminisi, Pérez and Toyama, "Region Filling and Object Removal by
+Exemplar-Based Image Inpainting" (2004). Only detail is copied: light varies slowly over a wall, so it is interpolated.
 """
 
 from __future__ import annotations
@@ -25,33 +24,34 @@ from studiorecon.arrays import require
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Patches that are compared are described by so many of their principal components.
+# Number of principal components that describe a patch in comparisons.
 _COMPONENTS = 8
-# Patches that ask for one like themselves, and how many of the nearest may lie too near to count.
+# Patches that search for a similar one, and how many of the nearest may be too close to count.
 _ASKING, _NEIGHBOURS = 4000, 16
-# Fewer whole patches tell no shift.
+# Fewer whole patches determine no shift.
 _MIN_PATCHES = 100
-# What one pixel may say against a shift: posters and furniture beside a hole would decide everything.
+# Largest cost of one pixel against a shift, so that posters and furniture near a hole do not decide everything.
 _MAX_SQUARED = 0.05
-# What a pixel that a shift cannot fill says against it.
+# Cost of a pixel that a shift cannot fill.
 _MISSING = 0.002
-# What is copied is trusted less, patch by patch.
+# Copied pixels are trusted less, by this factor per patch.
 _TRUST = 0.97
-# Rounds, and robust deviations at which a pixel counts a quarter for the light: what hangs on a wall does not light it.
+# Rounds, and robust deviations at which a pixel's weight for the light is a quarter, because objects on a wall do not
+# light it.
 _LIGHT_ROUNDS, _LIGHT_DEVIATIONS = 5, 1.5
-# Below this share of known pixels around it a pixel's light comes from further away.
+# Below this share of known pixels around it, a pixel's light is taken from further away.
 _THIN = 0.05
 
 
 @dataclass(frozen=True)
 class Scale:
-    """What counts as detail, in pixels.
+    """Sizes of light and detail, in pixels.
 
     Attributes:
-        light: standard deviation of the window over which light is even.
+        light: sigma of the window over which light is even.
         patch: side of the square that is compared and copied, odd.
-        shift: nearer patches show the same thing, not another like it.
-        shifts: how many are tried.
+        shift: patches nearer than this show the same detail, not a repeat.
+        shifts: number of shifts to try.
     """
 
     light: float
@@ -63,8 +63,10 @@ class Scale:
 def filled(
     rgb: Float[np.ndarray, "H W 3"], known: Bool[np.ndarray, "H W"], scale: Scale, rng: np.random.Generator
 ) -> Float[np.ndarray, "H W 3"]:
-    """(H, W, 3) in [0, 1] whose pixels that are not ``known`` go on as the others do; where no shift reaches, they have
-    the light alone. Raises ValueError for other shapes, and where no pixel is known."""
+    """(H, W, 3) in [0, 1] with pixels that are not ``known`` continued like the others.
+
+    Where no shift reaches, they have the light only. Raises ValueError for other shapes, and where no pixel is known.
+    """
     hw = require("known", known, ("H", "W"))
     require("rgb", rgb, ("H", "W", 3), hw)
     if not known.any():
@@ -80,7 +82,7 @@ def filled(
 def light_of(
     rgb: Float[np.ndarray, "H W 3"], known: Bool[np.ndarray, "H W"], sigma: float
 ) -> Float[np.ndarray, "H W 3"]:
-    """What is left of a surface without its detail, everywhere; what stands out counts for nothing."""
+    """(H, W, 3) a surface's light without its detail, at all pixels; outliers have almost no weight."""
     weight = known.astype(np.float64)
     for _ in range(_LIGHT_ROUNDS):
         light = _smooth(rgb, weight, sigma)
@@ -91,8 +93,10 @@ def light_of(
 
 
 def _smooth(rgb: np.ndarray, weight: np.ndarray, sigma: float) -> np.ndarray:
-    """Weighted mean over a Gaussian window, over wider ones where the narrow one holds little weight; worked out on
-    fewer pixels, a quarter of the window each."""
+    """Weighted mean over a Gaussian window, over wider ones where the narrow one has little weight.
+
+    Computed on fewer pixels, a quarter of the window each.
+    """
     height, width = weight.shape
     step = max(1, int(sigma / 4))
     small = (max(1, width // step), max(1, height // step))
@@ -112,7 +116,7 @@ def _smooth(rgb: np.ndarray, weight: np.ndarray, sigma: float) -> np.ndarray:
 def repeats(
     detail: Float[np.ndarray, "H W 3"], known: Bool[np.ndarray, "H W"], scale: Scale, rng: np.random.Generator
 ) -> Integer[np.ndarray, "K 2"]:
-    """Rows and columns by which the surface repeats itself, the commonest first; none where too little of it is
+    """(K, 2) rows and columns by which the surface repeats, the commonest first; none where too little of it is
     known."""
     half = scale.patch // 2
     rows, columns = np.nonzero(minimum_filter(known, scale.patch, mode="constant", cval=False))
@@ -140,7 +144,7 @@ def repeats(
 
 @njit(cache=True)
 def _copied(detail, known, shifts, half):
-    """(H, W, 3) detail with its holes closed, and (H, W) bool where it is known or was closed."""
+    """(H, W, 3) detail with its holes filled, and (H, W) bool where it is known or was filled."""
     height, width = known.shape
     out, done, trust = detail.copy(), known.copy(), known.astype(np.float64)
     rank = np.zeros((height, width))
@@ -155,7 +159,7 @@ def _copied(detail, known, shifts, half):
             continue
         best = _best(detail, known, out, done, trust, shifts, half, r0, c0)
         if best < 0:
-            continue  # comes again if something beside it is closed
+            continue  # comes again if a neighbour is filled
         for r in range(max(r0 - half, 0), min(r0 + half + 1, height)):
             for c in range(max(c0 - half, 0), min(c0 + half + 1, width)):
                 there = r + shifts[best, 0], c + shifts[best, 1]
@@ -172,8 +176,7 @@ def _copied(detail, known, shifts, half):
 
 @njit(cache=True)
 def _rank(done, trust, half, r, c, rank, rim):
-    """Puts a pixel at the rim of a hole into the queue ``rim``: those with most around them that is trusted come
-    first."""
+    """Put a pixel at the rim of a hole into the queue ``rim``: those with the most trusted surroundings come first."""
     height, width = done.shape
     if done[r, c]:
         return
@@ -199,7 +202,7 @@ def _rank(done, trust, half, r, c, rank, rim):
 
 @njit(cache=True)
 def _best(detail, known, out, done, trust, shifts, half, r0, c0):
-    """Index of the shift that goes on best with what is around (r0, c0); -1 when none leads to something known."""
+    """Index of the shift that best continues the surroundings of (r0, c0); -1 when none leads to a known pixel."""
     height, width = known.shape
     least, best = np.inf, -1
     for k in range(len(shifts)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Silhouettes of triangle meshes: which pixel centres a mesh covers, and how far away it is there."""
+"""Silhouettes of triangle meshes: which pixel centres a mesh covers, and its depth there."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def mesh_depth(
 
     ``vertices_m`` (V, 3) in the world, ``faces`` (F, 3). Triangles with a corner nearer than ``near_m``, or a corner
     that is not finite, are left out: a person who walks through the camera has no silhouette. About 2 ms for 27,000
-    triangles. Raises ValueError for other shapes, or a face that names a vertex there is not.
+    triangles. Raises ValueError for other shapes, or a face with an index out of range.
     """
     require("vertices_m", vertices_m, ("V", 3))
     require("faces", faces, ("F", 3))
@@ -70,10 +70,9 @@ def _fill(pixels, inverse, faces, nearest):
 
 
 def front_person(depths_m: Num[np.ndarray, "K H W"]) -> Integer[np.ndarray, "H W"]:
-    """(H, W) uint8: 0 where nobody is, k + 1 where person k of (K, H, W) depths (0 = absent) is in front; ties go to
-    the first.
+    """(H, W) uint8: k + 1 where person k of (K, H, W) depths (0 = absent) is in front, 0 without a person.
 
-    Raises ValueError for another shape.
+    Ties go to the first. Raises ValueError for another shape.
     """
     require("depths_m", depths_m, ("K", "H", "W"))
     if not len(depths_m):

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inner loops of the picture measures: squared errors in whole numbers, the map of structural similarity, masked
-sums.
+"""Inner loops of the picture measures: squared errors in integers, the map of structural similarity, masked sums.
 
 Structural similarity is computed from the sum s = a + b and the difference d = a − b of the two pictures instead of
 from a and b: 2 μa μb = (μs² − μd²)/2, 2 cov = (Vs − Vd)/2, and the sums of squares with a plus. Four windowed means
@@ -69,7 +68,7 @@ def squared_error(
 
 @numba.njit(cache=True, nogil=True)
 def masked_sum(values: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"]) -> tuple[float, int]:
-    """Sum of ``values`` where ``mask`` is true, and how many there are; what lies outside may be NaN."""
+    """Sum and count of ``values`` where ``mask`` is true; values outside may be NaN."""
     total, count = 0.0, 0
     for y in range(values.shape[0]):
         row = 0.0
@@ -114,9 +113,8 @@ def _similarity(
                 _compare(mean[0], mean[1], mean[2], mean[3], shift, constants, found[row])
 
 
-# The loops below are functions of whole rows, because only then does the compiler see that they do not overlap and use
-# the processor's vector instructions; sums of more than six rows would need more overlap checks than it is willing to
-# make.
+# The loops below are functions of whole rows, because only then does the compiler see that they do not overlap, and
+# vectorises them; sums of more than six rows would need too many overlap checks.
 
 
 @numba.njit(cache=True, nogil=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures at the sizes that networks ask for, in numpy alone: stages that run without torch use them as well.
+"""Resamples pictures to the sizes of networks, in numpy alone, because stages that run without torch use them as well.
 
 The filter is PIL's and torch's (``antialias=True``), on which networks were trained. kornia's ``resize`` with antialias
 blurs with a Gaussian first: making noise smaller, it differs by up to 80 levels of 255.
@@ -16,10 +16,9 @@ if TYPE_CHECKING:
 
 
 def resampled(picture: Num[np.ndarray, "H W ..."], hw: tuple[int, int]) -> Float[np.ndarray, "h w ..."]:
-    """A picture at another size, float32: a triangle filter, as wide as an input pixel or an output pixel, whichever is
-    larger.
+    """A picture at another size, float32, by a triangle filter as wide as the larger of an input and an output pixel.
 
-    Half-pixel centres: the picture's borders stay where they are. At its own size a picture comes back as it is.
+    Half-pixel centres: the picture's borders stay in place. At its own size the picture is returned unchanged.
     """
     taken = picture.astype(np.float32)
     for axis, size in enumerate(hw):
@@ -32,7 +31,7 @@ def resampled(picture: Num[np.ndarray, "H W ..."], hw: tuple[int, int]) -> Float
 def placed(
     picture: Num[np.ndarray, "H W ..."], hw: tuple[int, int], start: tuple[float, float], step: float
 ) -> tuple[Float[np.ndarray, "h w ..."], Float[np.ndarray, "h w"]]:
-    """A part of a picture, float32, and the share of every pixel that lies inside it; what lies outside is 0.
+    """A part of a picture, float32, 0 outside of it, and the share of every pixel that is inside.
 
     Pixel (i, j) shows the picture around row ``start[0] + (i + 0.5) * step`` and column ``start[1] + (j + 0.5) *
     step``.
@@ -49,7 +48,7 @@ def placed(
 def placed_nearest(
     values: Shaped[np.ndarray, "H W ..."], hw: tuple[int, int], start: tuple[float, float], step: float
 ) -> Shaped[np.ndarray, "h w ..."]:
-    """As ``placed``, every pixel taking the one its centre falls into; 0 outside."""
+    """As ``placed``, but every pixel has the value of the pixel that contains its centre; 0 outside."""
     places = [np.floor(first + (np.arange(size) + 0.5) * step).astype(np.int64) for first, size in zip(start, hw)]
     inside = [(place >= 0) & (place < size) for place, size in zip(places, values.shape[:2])]
     rows, columns = (np.clip(place, 0, size - 1) for place, size in zip(places, values.shape[:2]))
@@ -62,7 +61,7 @@ def _along(axis: int, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def _shares(before: int, after: int, start: float, step: float) -> np.ndarray:
-    """(after, before) float32 triangle weights; a row sums to the share of its triangle that lies inside the input."""
+    """(after, before) float32 triangle weights; a row sums to the share of its triangle that is inside the input."""
     reach = max(step, 1.0)
     beyond = int(np.ceil(reach)) + 1
     centres = start + (np.arange(after) + 0.5) * step
@@ -74,8 +73,7 @@ def _shares(before: int, after: int, start: float, step: float) -> np.ndarray:
 
 
 def nearest(values: Shaped[np.ndarray, "H W ..."], hw: tuple[int, int]) -> Shaped[np.ndarray, "h w ..."]:
-    """A map at another size: every pixel takes the one its centre falls into; for depth and labels, which have no
-    means."""
+    """A map at another size without averaging, for depth and labels: every pixel has the value at its centre."""
     rows, columns = (
         ((np.arange(size) + 0.5) * before / size).astype(np.int64) for size, before in zip(hw, values.shape[:2])
     )

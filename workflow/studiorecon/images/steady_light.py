@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A static camera's pictures in one light: what lamps that swing, or a camera that sets its own exposure, do to all of
-a picture at once is divided out."""
+"""Divides light that changes over time out of a static camera's pictures.
+
+Swinging lamps and automatic exposure change the whole picture at once.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +15,9 @@ from studiorecon.arrays import require
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
 
-# So many pixels of a grid stand for all; grey levels between which a camera still tells brightness.
+# Number of grid pixels that represent the picture; grey levels between which a camera still measures brightness.
 _PIXELS, _DARKEST, _BRIGHTEST = 6000, 12, 243
-# What everything shares is told by pictures in which so many of those pixels are free and not saturated.
+# A picture needs at least so many of these pixels free and unsaturated to measure its light.
 _MIN_PIXELS = 50
 _ROUNDS = 3
 STEADY = 0.02
@@ -23,11 +25,11 @@ STEADY = 0.02
 
 
 def light_factors(frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray, "T H W"]) -> Float[np.ndarray, "T 3"]:
-    """(T, 3) how much brighter each picture (uint8) is than the clip in the median, per channel, by the pixels that are
-    ``free`` of people; 1 where too few of them tell.
+    """(T, 3) brightness of each picture (uint8) over the clip's median, per channel; 1 where too few pixels are usable.
 
-    A gain of light is taken for a gain of grey levels, which a camera's curve makes it nearly. Medians over pixels and
-    over time: who or what moves in front decides nothing. Raises ValueError for arrays that do not belong together.
+    Only pixels ``free`` of people count. A gain of light is treated as a gain of grey levels, which is nearly true for
+    a camera's curve. Medians over pixels and over time ignore moving objects. Raises ValueError if the shapes do not
+    match.
     """
     require("free", free, ("T", "H", "W"), require("frames", frames, ("T", "H", "W", 3)))
     step = max(1, int(np.sqrt(frames.shape[1] * frames.shape[2] / _PIXELS)))
@@ -54,7 +56,7 @@ def light_factors(frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray,
 def in_one_light(
     frames: Integer[np.ndarray, "T H W 3"], factors: Num[np.ndarray, "T 3"]
 ) -> Integer[np.ndarray, "T H W 3"]:
-    """Pictures (T, H, W, 3) uint8 with their ``factors`` (T, 3) divided out: the same array where they are steady."""
+    """Pictures (T, H, W, 3) uint8 divided by their ``factors`` (T, 3); the same array where all are 1."""
     if np.abs(np.log(factors)).max(initial=0.0) <= STEADY:
         return frames
     even = np.empty_like(frames)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inner loops of the temporal measures: where two flows agree, and what changed against the moved previous
-picture."""
+"""Inner loops of the temporal measures: where two flows agree, and the change against the warped previous picture."""
 
 from __future__ import annotations
 
@@ -12,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
 
-# A pixel that a flow of rounding errors moves off the outermost centre stays inside.
+# A pixel that rounding errors of the flow move beyond the outermost centre stays inside.
 _SLACK_PX = 1e-6
 
 
@@ -20,7 +19,7 @@ _SLACK_PX = 1e-6
 def leads_back(flow: Num[np.ndarray, "H W 2"], reverse_flow: Num[np.ndarray, "H W 2"]) -> Bool[np.ndarray, "H W"]:
     """Whether |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5 with p + f inside the picture (Sundaram et al. 2010).
 
-    r is read bilinearly; a flow that is not finite leads nowhere. 12 ms at 1280×704.
+    r is read bilinearly; a flow that is not finite fails. 12 ms at 1280×704.
     """
     height, width = flow.shape[:2]
     found = np.zeros((height, width), np.bool_)
@@ -28,7 +27,7 @@ def leads_back(flow: Num[np.ndarray, "H W 2"], reverse_flow: Num[np.ndarray, "H 
         for x in range(width):
             u, v = np.float64(flow[y, x, 0]), np.float64(flow[y, x, 1])
             at_x, at_y = x + u, y + v
-            # Written so that NaN is refused.
+            # Written so that NaN fails the test.
             if not (
                 at_x >= -_SLACK_PX
                 and at_y >= -_SLACK_PX
@@ -37,7 +36,7 @@ def leads_back(flow: Num[np.ndarray, "H W 2"], reverse_flow: Num[np.ndarray, "H 
             ):
                 continue
             at_x, at_y = min(max(at_x, 0.0), width - 1.0), min(max(at_y, 0.0), height - 1.0)
-            # Unsigned, so that no index is checked for counting from the end.
+            # Unsigned, so that no index is checked for being negative.
             left, top = np.uint64(min(int(at_x), width - 2)), np.uint64(min(int(at_y), height - 2))
             wx, wy = at_x - left, at_y - top
             back_u, back_v = 0.0, 0.0
@@ -59,10 +58,10 @@ def change(
     flow: Num[np.ndarray, "H W 2"],
     valid: Bool[np.ndarray, "H W"],
 ) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
-    """Absolute and squared difference, mean over channels, of ``current`` and ``previous``, uint8, moved by ``flow``.
+    """Absolute and squared difference, mean over channels, of ``current`` and ``previous``, uint8, warped by ``flow``.
 
-    In units of the range (levels / 255); the previous picture is read bilinearly at p + flow(p), which ``valid``
-    promises to lie inside. NaN outside ``valid``.
+    In units of the range (levels / 255). The previous picture is read bilinearly at p + flow(p), which must be inside
+    where ``valid``. NaN outside ``valid``.
     """
     height, width, _ = current.shape
     absolute, square = np.empty((height, width)), np.empty((height, width))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What renders miss at the training cameras (photo - render), carried over to another view.
+"""Residuals of renders at the training cameras (photo - render), carried over to another view.
 
 Every pixel of the view is lifted through its rendered depth and looked up in the training cameras of the same time.
 Where a camera sees the same surface, its residual counts, weighted by how similar the viewing directions are. Pixels
-that no training camera sees get nothing; corrections fade out towards the borders of what is seen, so that they leave
-no seams.
+that no training camera sees get no correction; corrections fade out towards the borders of the seen area, so that they
+leave no seams.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class Transfer:
 
     Attributes:
         depth_tolerance: relative depth difference up to which a training camera sees the same surface.
-        angle_power: a residual counts cos(angle between the two viewing rays) to this power.
-        feather_px: distance over which a correction fades in from the border of what its camera sees.
-        smooth_px: sigma of the blur of the residuals, pixels: detail below it is not carried over.
+        angle_power: a residual is weighted by cos(angle between the two viewing rays) to this power.
+        feather_px: distance over which a correction fades in from the border of its camera's seen area.
+        smooth_px: sigma of the blur of the residuals, pixels: finer detail is not carried over.
     """
 
     depth_tolerance: float = 0.03
@@ -43,8 +43,7 @@ class Transfer:
 
 @dataclass(frozen=True)
 class ResidualSource:
-    """One training camera at one time: residual in units of the range, depth in metres with 0 where it must not be
-    used."""
+    """One training camera at one time: residual in units of the range, depth in metres with 0 where it is unusable."""
 
     camera: Camera
     residual: Float[np.ndarray, "H W 3"]
@@ -58,8 +57,7 @@ def source(
     depth_m: Num[np.ndarray, "h w"],
     transfer: Transfer,
 ) -> ResidualSource:
-    """The residual of one training picture; pixels at depth edges are left out, since they mix two surfaces (
-    C12).
+    """The residual of one training picture; pixels at depth edges are left out, since they mix two surfaces (C12).
 
     ``render`` and ``depth_m`` may be larger than ``photo``: the camera's own picture is their top left part.
     """
@@ -68,7 +66,7 @@ def source(
     if transfer.smooth_px > 0:
         size = 2 * int(np.ceil(3 * transfer.smooth_px)) + 1
         residual = gaussian_blur(residual, size, transfer.smooth_px)
-    # What is no depth is unknown; it would spread through the edge test's window.
+    # NaN and infinite depth count as unknown; they would spread through the edge test's window.
     depth = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, 0).astype(np.float32)
     window = np.ones((3, 3), np.uint8)
     edge = cv2.dilate(depth, window) - cv2.erode(depth, window) > transfer.depth_tolerance * np.maximum(depth, 1e-6)
@@ -108,9 +106,9 @@ def best_strength(
     predicted: Sequence[tuple[Num[np.ndarray, "H W 3"], Num[np.ndarray, "H W"]]],
     actual: Sequence[Num[np.ndarray, "H W 3"]],
 ) -> tuple[float, float]:
-    """Share of the carried-over residual that is worth adding (0..1), and the share of pixels it was judged on.
+    """Share of the carried-over residual that is worth adding (0..1), and the share of pixels that it was measured on.
 
-    Each pair is a training camera's own residual and what the *other* training cameras predict for it; the
+    Each pair is a training camera's own residual and the one that the *other* training cameras predict for it. The
     least-squares factor between them, weighted by cover, is the strength that lowers the error most on views that took
     no part in the prediction.
     """

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading an image at fractional pixels: one place for the pixel-centre convention, so that an identity warp is one.
+"""Reads an image at fractional pixels: the one place for the pixel-centre convention, so that an identity warp is
+exact.
 
 Pixel coordinates have their centres at +0.5; OpenCV's ``remap`` puts them at whole numbers, and this is the only module
-that subtracts the half pixel. Nothing is ever interpolated across the border or across invalid pixels without saying so
-in ``valid``.
+that subtracts the half pixel. Values interpolated across the border or across invalid pixels are marked in ``valid``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _FILTERS = {"nearest": cv2.INTER_NEAREST, "linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC}
 _LONGEST_SIDE, _FOLD = 32767, 4096
-# A coordinate computed to be exactly on the outermost centre counts as inside.
+# A coordinate on the outermost centre up to rounding counts as inside.
 _SLACK_PX = 1e-6
 
 
@@ -30,12 +30,11 @@ def sample(
     pixels: Num[np.ndarray, "h w 2"],
     how: Literal["nearest", "linear", "cubic"] = "linear",
 ) -> tuple[Shaped[np.ndarray, "h w ..."], Bool[np.ndarray, "h w"]]:
-    """Values of an image at pixel coordinates, and where they are real.
+    """Values of an image at pixel coordinates, and which of them are valid.
 
-    A coordinate is valid when it is finite and lies within the outermost pixel centres (``nearest``: within the image).
-    Elsewhere the value is that of the nearest border pixel, or of the corner for a coordinate that is not finite
-    (E06, E13: zero padding or an unmasked NaN would enter every later mean). Raises ValueError for other
-    shapes.
+    A coordinate is valid when it is finite and within the outermost pixel centres (``nearest``: within the image).
+    Otherwise the value is that of the nearest border pixel, or of the corner for a coordinate that is not finite (E06,
+    E13: zero padding or an unmasked NaN would enter every later mean). Raises ValueError for other shapes.
     """
     require("image", image, ("H", "W", ...))
     require("pixels", pixels, ("h", "w", 2))
@@ -51,8 +50,10 @@ def sample(
 def nearest_pixels(
     pixels: Num[np.ndarray, "h w 2"], hw: tuple[int, ...]
 ) -> tuple[Integer[np.ndarray, "h w"], Integer[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Rows and columns that ``sample(…, "nearest")`` reads at coordinates of a picture of size ``hw``, and where they
-    are real: for many pictures that are read at the same places."""
+    """Rows and columns that ``sample(…, "nearest")`` reads in a picture of size ``hw``, and which are valid.
+
+    For many pictures that are read at the same coordinates.
+    """
     height, width = hw
     column, row, inside = _pulled_inside(pixels, hw, 0.0)
     columns = np.minimum(np.floor(column).astype(np.intp), width - 1)
@@ -65,8 +66,7 @@ def _pulled_inside(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Columns and rows (h, w), and where they are finite and at least ``margin_px`` within the picture's edge.
 
-    Coordinates beyond the image are pulled to its edge before float32 sees them: 1e30 would overflow remap's fixed
-    point.
+    Coordinates beyond the image are clamped to its edge before float32: 1e30 would overflow remap's fixed point.
     """
     height, width = hw
     x, y = pixels[..., 0], pixels[..., 1]
@@ -90,7 +90,7 @@ def warp(
     flow: Num[np.ndarray, "H W 2"],
     how: Literal["nearest", "linear", "cubic"] = "linear",
 ) -> tuple[Num[np.ndarray, "H W ..."], Bool[np.ndarray, "H W"]]:
-    """Backward warp: the output at pixel p is the image at p + flow(p); also where that lies inside the image.
+    """The image warped backward, at p + flow(p) for pixel p, and where that is inside the image.
 
     ``flow`` is in pixels, from the output to the image (E09: a forward flow moves things the wrong way). A zero flow
     returns the image itself, bit for bit (E07). Raises ValueError for other shapes.
@@ -107,8 +107,8 @@ def warp(
 
 @numba.njit(cache=True, nogil=True)
 def _displaced(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Column and row (H, W) float32 that ``remap`` reads for p + flow(p), and (H, W) bool where they lie inside, as
-    ``sample`` has them."""
+    """Column and row (H, W) float32 that ``remap`` reads for p + flow(p), and (H, W) bool where they are inside as in
+    ``sample``."""
     height, width = flow.shape[:2]
     x, y = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     inside = np.empty((height, width), np.bool_)
