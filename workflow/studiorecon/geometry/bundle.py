@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from jaxtyping import Num
 
 _NEAR_M = 0.05
-# Standard deviation of a lens number that stays as it is: its column keeps its place and does not move.
+# Sigma of a lens parameter that is fixed: its column stays in the matrix and does not move.
 _FIXED = 1e-9
 
 
@@ -27,7 +27,7 @@ class BundleSettings:
 
     Attributes:
         iterations: Levenberg-Marquardt steps.
-        prior_deg, prior_m: standard deviations of the given rotations and centres: how far a calibration is trusted.
+        prior_deg, prior_m: sigmas of the given rotations and centres: the expected error of the calibration.
     """
 
     iterations: int = 30
@@ -37,8 +37,10 @@ class BundleSettings:
 
 @dataclass(frozen=True)
 class LensPrior:
-    """How far lenses may move: standard deviations of the focal length's logarithm, of all or of each (V,), and of a
-    radial term k1 that starts at 0."""
+    """How far lenses may move: sigmas of the log focal length and of a radial term k1 that starts at 0.
+
+    Each is one for all cameras, or (V,).
+    """
 
     log_focal: float | Num[np.ndarray, " V"]
     radial: float
@@ -46,14 +48,14 @@ class LensPrior:
 
 @dataclass(frozen=True)
 class Adjusted:
-    """What bundle adjustment found.
+    """Result of the bundle adjustment.
 
     Attributes:
         cameras: with their new poses and focal lengths.
         points_m: (N, 3).
-        radial: (V,) k1 on undistorted normalised coordinates, beyond what was already removed.
+        radial: (V,) k1 on undistorted normalised coordinates, in addition to the distortion removed before.
         sigma: (V, 8) standard deviations: turn about camera axes (rad), centre (m), log focal length, radial term.
-            Poses are relative to one another (the common rotation, translation and scale are taken out); noise is the
+            Poses are relative to one another (the common rotation, translation and scale are removed); noise is the
             residuals' own.
         error_units: root mean square residual per coordinate, in error units, Huber-weighted.
     """
@@ -83,15 +85,14 @@ def adjust_with_lenses(
     lens: LensPrior,
     given: Sequence[Camera] | None = None,
 ) -> Adjusted:
-    """Cameras and points that lower the Huber cost of ``pixels``, and how well they are known; ``weights``: 0 = not
-    seen.
+    """Cameras and points of least Huber cost of ``pixels``, with their uncertainty; ``weights``: 0 = not seen.
 
     Six numbers per camera, and one focal factor and one radial term where ``lens`` leaves them free; points are
     eliminated by their Schur complement, so a step costs O(N V²). The Huber norm is that of the two-dimensional
     residual (T11) with the delta ``huber_px``, so residuals are in error units and the priors count as one unit per
-    standard deviation. 0.1 s for 400 points and 4 views. ``given``: the cameras that the priors are about, where the
-    search does not start at them, lenses included. Pixels that are not finite are not seen; raises ValueError that
-    names the argument for other shapes, and for points that are seen and not finite.
+    standard deviation. 0.1 s for 400 points and 4 views. ``given``: the cameras that the priors refer to, lenses
+    included, where the search starts from others. Pixels that are not finite are not seen; raises ValueError that names
+    the argument for other shapes, and for points that are seen and not finite.
     """
     problem = _Problem(cameras, pixels, weights, huber_px, settings, lens, given)
     state, _ = _solve(problem, points_m, settings.iterations)
@@ -107,7 +108,7 @@ def adjust_with_lenses(
 def moved(
     camera: Camera, rotation_camera_from_world: Num[np.ndarray, "3 3"], centre_m: Num[np.ndarray, " 3"]
 ) -> Camera:
-    """The camera at another place."""
+    """The camera at another pose."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation_camera_from_world, -rotation_camera_from_world @ centre_m
     return replace(camera, camera_from_world=pose)
@@ -120,9 +121,9 @@ def without_drift(
     similarity.
 
     Cameras that were not adjusted (held-out ones) stay consistent with them. The rotation is fitted to centres and
-    viewing axes together, which also holds two cameras, or cameras in a line. The similarity (rotation, translation,
-    scale) takes adjusted world points to given ones: X' = scale · rotation · X + translation. ``weights``: how much
-    every camera counts, positive; alike unless given.
+    viewing axes together, which also determines it for two cameras, or cameras in a line. The similarity (rotation,
+    translation, scale) maps adjusted world points to given ones: X' = scale · rotation · X + translation. ``weights``:
+    positive weight of every camera; equal by default.
     """
     new, old = np.stack([c.centre_m for c in adjusted]), np.stack([c.centre_m for c in given])
     share = np.ones(len(new)) if weights is None else np.asarray(weights, np.float64)
@@ -145,7 +146,7 @@ def without_drift(
 
 
 class _Problem:
-    """What was measured and what is believed; nothing here changes after construction."""
+    """The measurements and priors; immutable after construction."""
 
     def __init__(
         self,
@@ -191,7 +192,7 @@ class _Problem:
         )
 
     def prior(self, state: _State) -> Num[np.ndarray, "V 8"]:
-        """(V, 8) deviations from what was given."""
+        """(V, 8) deviations from the given values."""
         turned = log(state.rotations @ np.swapaxes(self.given_rotations, 1, 2))
         return np.concatenate([turned, state.centres - self.given_centres, state.lens - self.given_lens], axis=1)
 
@@ -227,8 +228,8 @@ class _Problem:
         factor = (self.focal * np.exp(state.lens[:, :1]))[..., None]  # (V, 2, 1)
         radial = state.lens[:, 1:, None]
         bent = 1 + radial * squared
-        # Arrays run over the points for every number of a derivative: small matrices, one product for each point and
-        # camera, would cost more than what they multiply.
+        # Arrays run over the points for every number of a derivative: small matrices, one product per point and camera,
+        # would take longer to build than to multiply.
         rows = np.empty((views, 2, 3, points))
         rows[:, :, :2] = 2 * radial[..., None] * normal[:, :, None] * normal[:, None]
         rows[:, [0, 1], [0, 1]] += bent
@@ -270,8 +271,7 @@ class _Problem:
         norm = np.linalg.norm(error, axis=-1)
         counted = (self.weights / np.maximum(norm, 1.0)).sum()
         variance = float((self.weights / np.maximum(norm, 1.0) * norm**2).sum() / max(2 * counted, 1e-9))
-        # Scaled by likely sizes so that radians, metres and lens numbers can share one inverse; what is fixed takes no
-        # part.
+        # Scaled by likely sizes so that radians, metres and lens parameters share one inverse; fixed ones take no part.
         unit = np.tile(np.array([0.01] * 3 + [0.03] * 3 + [0.05, 0.05]), len(blocks))
         free = (self.sigma > _FIXED).reshape(-1)
         scaled = (reduced * unit[:, None] * unit[None])[np.ix_(free, free)]
@@ -285,11 +285,12 @@ class _Problem:
 
 
 def _gauge(state: _State) -> np.ndarray:
-    """(8 V, 7) what a small common rotation, translation and scale of the world do to the cameras' numbers."""
+    """(8 V, 7) derivatives of the cameras' parameters by a small common rotation, translation and scale of the
+    world."""
     views = len(state.centres)
     columns = np.zeros((views, 8, 7))
     middle = state.centres - state.centres.mean(0)
-    columns[:, :3, :3] = -state.rotations  # R exp(-w): a turn about the camera's own axes by -R w
+    columns[:, :3, :3] = -state.rotations  # R exp(-w): a turn about the camera's own axes is -R w
     columns[:, 3:6, :3] = -cross_matrix(middle)
     columns[:, 3:6, 3:6] = np.eye(3)
     columns[:, 3:6, 6] = middle
@@ -306,8 +307,10 @@ def _times(mixed: np.ndarray, of_points: np.ndarray) -> np.ndarray:
 
 
 def _reduced(blocks: np.ndarray, divided: np.ndarray, mixed: np.ndarray) -> np.ndarray:
-    """(8 V, 8 V) normal matrix of the cameras alone: Schur complement of the points, whose blocks the mixed ones are
-    ``divided`` by."""
+    """(8 V, 8 V) normal matrix of the cameras only: Schur complement of the points.
+
+    ``divided`` are the mixed blocks divided by the points' blocks.
+    """
     views = len(blocks)
     system = np.zeros((views, 8, views, 8))
     for v in range(views):
@@ -316,7 +319,8 @@ def _reduced(blocks: np.ndarray, divided: np.ndarray, mixed: np.ndarray) -> np.n
 
 
 def _solve(problem: _Problem, points_m: np.ndarray, iterations: int) -> tuple[_State, float]:
-    """Damped Gauss-Newton; a step that raises the cost or puts a seen point behind its camera is not taken (T12)."""
+    """State and error after damped Gauss-Newton; a step that raises the cost or puts a seen point behind its camera is
+    refused (T12)."""
     state, damping = problem.start(points_m), 1e-4
     in_camera, error, cost = problem.residuals(state)
     for _ in range(iterations):

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera paths between the cameras of a rig: order around the scene, turn by slerp, move straight or along an arc."""
+"""Camera paths between the cameras of a rig: order around the scene, rotation by slerp, motion straight or along an
+arc."""
 
 from __future__ import annotations
 
@@ -19,15 +20,16 @@ if TYPE_CHECKING:
 
 LARGEST_GAP_RAD = np.radians(150)
 """A gap between neighbouring cameras beyond this leaves their ring open: nobody filmed what lies there (U18)."""
-# How far in front of the rig the scene is taken to be when the optical axes do not say (parallel axes, one camera).
+# Assumed distance of the scene in front of the rig when the optical axes do not determine it (parallel axes, one
+# camera).
 _ASSUMED_DISTANCE_M = 3.0
-# Weight of that assumption against one optical axis: decides only what the axes leave open.
+# Weight of that assumption against one optical axis: it decides only where the axes do not.
 _ASSUMPTION_WEIGHT = 1e-3
 
 
 def scene_centre(cameras: Sequence[Camera]) -> Num[np.ndarray, " 3"]:
-    """(3,) the point nearest to all optical axes in least squares; three metres ahead of the rig where the axes leave
-    it open.
+    """(3,) the point nearest to all optical axes in least squares; undetermined directions use three metres ahead of
+    the rig.
 
     Raises ValueError without a camera.
     """
@@ -66,7 +68,7 @@ def order_around(cameras: Sequence[Camera], centre_m: Num[np.ndarray, " 3"], clo
 
 @dataclass(frozen=True)
 class Gap:
-    """From one camera to its neighbour around the scene: indices, and the angle between them about the centre."""
+    """One camera and its neighbour around the scene: indices, and the angle between them about the centre."""
 
     first: int
     second: int
@@ -86,10 +88,10 @@ def gaps_around(cameras: Sequence[Camera]) -> list[Gap]:
 
 
 def look_at(eye_m: Num[np.ndarray, " 3"], target_m: Num[np.ndarray, " 3"]) -> Num[np.ndarray, "3 3"]:
-    """(3, 3) world_from_camera of a level camera at ``eye_m`` whose optical axis meets ``target_m``; straight down
-    looks along y.
+    """(3, 3) world_from_camera of a level camera at ``eye_m`` whose optical axis meets ``target_m``.
 
-    Raises ValueError for places that are not (3,) finite numbers.
+    A camera that points straight down has y as its up direction. Raises ValueError for arguments that are not (3,)
+    finite numbers.
     """
     require("eye_m", eye_m, (3,), finite=True)
     require("target_m", target_m, (3,), finite=True)
@@ -179,11 +181,11 @@ def between(
 ) -> tuple[list[Camera], bool]:
     """``count`` cameras from ``start`` to ``end``, both included, and whether the chord was bent to an arc.
 
-    Rotations by slerp (half turns go about the world's up), centres along the chord, as the paper writes. A chord that
-    passes the centre nearer than ``clearance`` times its nearer end is replaced by the arc (R07: opposite cameras would
-    fly through the people). ``look_at`` keeps the centre where the two cameras have it in their pictures, which slerp
-    does not for unlike cameras (R08). Cameras that look exactly half a turn apart are named in the log: which way to
-    turn was a choice (R05). Raises ValueError for a ``centre_m`` that is no point or fewer than one camera.
+    Rotations by slerp (half turns about the world's up), centres along the chord, as in the paper. A chord that passes
+    the centre nearer than ``clearance`` times its nearer end is replaced by the arc (R07: opposite cameras would fly
+    through the people). ``look_at`` keeps the centre at its place in the two cameras' pictures, which slerp does not
+    for unlike cameras (R08). Cameras exactly half a turn apart are named in the log, because the direction of rotation
+    was a choice (R05). Raises ValueError for a ``centre_m`` that is no point or fewer than one camera.
     """
     require("centre_m", centre_m, (3,), finite=True)
     if count < 1:

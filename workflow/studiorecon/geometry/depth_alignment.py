@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit a predicted depth map to a measured one: scale, and a shift where the scene's relief supports one."""
+"""Fits a predicted depth map to a measured one: scale, and a shift where the scene's relief supports one."""
 
 from __future__ import annotations
 
@@ -14,20 +14,19 @@ from studiorecon.arrays import require
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
-# Relief (robust spread over median) below which a shift cannot be told from a scale (D02).
+# Relief (robust spread over median) below which shift and scale cannot be separated (D02).
 _MIN_RELIEF = 0.05
 _MIN_PIXELS = 50
-# Pairs of pixels that vote for the slope; more does not move their median.
+# Number of pixel pairs that vote for the slope; more do not move their median.
 _PAIRS = 20000
 _ROUNDS = 20
-# Huber's limit in robust standard deviations.
+# Huber's limit in robust sigmas.
 _HUBER = 1.5
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """aligned = scale · predicted + shift_m; ``model`` says what was fitted: "affine", "scale" or "undetermined" (scale
-    1, shift 0)."""
+    """aligned = scale · predicted + shift_m; ``model`` is "affine", "scale" or "undetermined" (scale 1, shift 0)."""
 
     scale: float
     shift_m: float
@@ -51,10 +50,10 @@ def align_depth(
     """Robust fit of ``predicted`` to ``reference_m`` (metres) over ``static`` pixels, all of one shape.
 
     In depth, not in disparity, whose fit to near pixels turns far ones negative (D03). Theil-Sen start and Huber rounds
-    stand up to 45 % of moved pixels (D01); more need the mask. With both maps ``noisy``, in proportion to their scale,
-    the slope is the geometric mean of the fits in both directions; with noise in the prediction only it is the fit of
-    prediction to reference, turned round: the other direction flattens it to 0.9 or 0.67 (D07). Values that are not
-    finite or not positive count as unknown (D05). A scale ≤ 0 is never returned. Raises ValueError that names the
+    tolerate up to 45 % of moved pixels (D01); more need the mask. With both maps ``noisy``, in proportion to their
+    scale, the slope is the geometric mean of the fits in both directions. With noise in the prediction only it is the
+    inverse of the fit of prediction to reference: the other direction flattens it to 0.9 or 0.67 (D07). Values that are
+    not finite or not positive count as unknown (D05). A scale ≤ 0 is never returned. Raises ValueError that names the
     argument when shapes differ.
     """
     require("reference_m", reference_m, np.shape(predicted))
@@ -74,7 +73,7 @@ def align_depth(
         return ratio
     first, second = rng.integers(0, len(x), (2, _PAIRS))
     steps_x, steps_y = x[first] - x[second], y[first] - y[second]
-    # Only pairs a relief apart: the slope of near-equal depths is noise.
+    # Only pairs with a difference in depth: the slope of near-equal depths is noise.
     apart = np.abs(steps_x) > np.median(np.abs(x - np.median(x)))
     if not apart.any():
         return ratio
@@ -94,7 +93,7 @@ def align_depth(
         together = np.average((x - mean_x) * (y - mean_y), weights=weight)
         if together <= 0:
             return ratio
-        # The slope of x on y turned round, or its geometric mean with that of y on x (together/spread_x).
+        # The inverse of the slope of x on y, or its geometric mean with that of y on x (together/spread_x).
         scale = float(spread_y / together if noisy == "predicted" else np.sqrt(spread_y / spread_x))
         shift = float(mean_y - scale * mean_x)
     return Alignment(scale, shift, "affine")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a depth map to the surface it measures: points, normals, and the places where the surface breaks."""
+"""The surface that a depth map measures: points, normals, and where the surface breaks."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 def depth_breaks(depth_m: Num[np.ndarray, "H W"], jump: float) -> Bool[np.ndarray, "H W"]:
-    """Which pixels lie beside a jump in depth or beside unknown depth.
+    """(H, W) bool: pixels next to a jump in depth or next to unknown depth.
 
-    The measure is the second difference of 1/z times z: a plane, however slanted, has none of it, because 1/z is linear
-    in pixels on a plane; a step from z to z(1 + ``jump``) has about ``jump``. Sampling must not interpolate across such
+    The measure is the second difference of 1/z times z: it is 0 on a plane, however slanted, because 1/z is linear in
+    pixels on a plane; a step from z to z(1 + ``jump``) has about ``jump``. Sampling must not interpolate across such
     pixels (C12). Raises ValueError for a ``depth_m`` that is no map.
     """
     require("depth_m", depth_m, ("H", "W"))
@@ -31,7 +31,7 @@ def depth_breaks(depth_m: Num[np.ndarray, "H W"], jump: float) -> Bool[np.ndarra
         np.abs(padded[1:-1, 2:] - 2 * inverse + padded[1:-1, :-2]),
         np.abs(padded[2:, 1:-1] - 2 * inverse + padded[:-2, 1:-1]),
     ]
-    # At the image border the replicated neighbour turns a slope into a bend; there is no evidence of a break there.
+    # At the image border the replicated neighbour turns a slope into a bend, which is no evidence of a break.
     bends[0][:, [0, -1]] = 0
     bends[1][[0, -1], :] = 0
     broken = np.maximum(*bends) * depth_m > jump
@@ -45,8 +45,8 @@ def points_and_normals(
     """World points, unit normals towards the camera, and where both are measured.
 
     Normals come from central differences in 1/z, which are exact on planes. ``valid`` excludes unknown depth, its
-    neighbours, and, when ``jump`` is given, the pixels ``depth_breaks`` finds. Invalid points are NaN-free: their depth
-    is taken as 1 m. Raises ValueError for a map of another size than the camera's.
+    neighbours, and, when ``jump`` is given, the pixels of ``depth_breaks``. Invalid points are NaN-free: their depth is
+    set to 1 m. Raises ValueError for a map of another size than the camera's.
     """
     require("depth_m", depth_m, camera.hw)
     height, width = camera.hw

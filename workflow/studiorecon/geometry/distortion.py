@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lens distortion in both directions, with an answer that says where there is none.
+"""Lens distortion in both directions, with "undefined" as a possible result.
 
 Two models: ``"opencv"`` (k1 k2 p1 p2 k3 [k4 k5 k6]) and ``"fisheye"`` (k1 k2 k3 k4), both on normalised image
 coordinates (camera rays at z = 1). Undistortion brackets the radius below the lens's fold and checks its own result by
-distorting again (C09, C10); fixed-point iteration, the usual shortcut, diverges for strong lenses without
-saying so.
+distorting again (C09, C10). Fixed-point iteration, the usual shortcut, diverges silently for strong lenses.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ _COEFFICIENTS = {"opencv": 8, "fisheye": 4}
 def distort(
     points: Num[np.ndarray, "... 2"], model: str, coefficients: Num[np.ndarray, " C"]
 ) -> Num[np.ndarray, "... 2"]:
-    """Distorted normalised coordinates of undistorted ones. Says nothing about the fold: see ``fold_radius``.
+    """Distorted normalised coordinates of undistorted ones; the fold is not checked, see ``fold_radius``.
 
     Raises ValueError for another model, too many coefficients or ones that are not finite, or points of another shape.
     """
@@ -53,8 +52,8 @@ def undistort(
 ) -> tuple[Num[np.ndarray, "... 2"], Bool[np.ndarray, " ..."]]:
     """Undistorted normalised coordinates, NaN where the lens has no such ray, and where they are valid.
 
-    Valid means: distorting the answer gives the question to 1e-9, and the answer lies inside the fold (C09, C10).
-    Newton per radius inside a bracket, then in the plane for tangential terms. Raises ValueError as ``distort`` does.
+    Valid: distorting the result gives the input to 1e-9, and the result is inside the fold (C09, C10). Newton per
+    radius inside a bracket, then in the plane for tangential terms. Raises ValueError as ``distort`` does.
     """
     points = np.asarray(points, dtype=np.float64)
     require("points", points, (..., 2))
@@ -62,7 +61,7 @@ def undistort(
     if model == "opencv" and not full.any():
         valid = np.isfinite(points).all(-1)
         return np.where(valid[..., None], points, np.nan), valid
-    # Loaded here: most steps have nothing to undistort, and numba takes longer to import than they take to start.
+    # Loaded here: most steps undistort nothing, and numba takes longer to import than they take to start.
     from studiorecon.geometry import distortion_kernels as kernels
 
     flat = np.ascontiguousarray(points.reshape(-1, 2))
@@ -115,7 +114,7 @@ def _full(model: str, coefficients: np.ndarray) -> np.ndarray:
 
 def _smallest_positive_root(polynomial: np.ndarray | list[float]) -> float:
     given = np.asarray(polynomial, dtype=np.float64)
-    # A coefficient this small has its root further out than any lens sees, and would overflow the companion matrix.
+    # A coefficient this small has its root outside of any lens's field, and would overflow the companion matrix.
     trimmed = np.trim_zeros(np.where(np.abs(given) < 1e-13, 0.0, given), "f")
     if len(trimmed) < 2:
         return np.inf

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inner loop of undistortion, one point at a time, compiled; read ``distortion.py`` for what it means.
+"""The inner loop of undistortion, one point at a time, compiled; ``distortion.py`` explains it.
 
 A lens is (k (8,), fisheye): k1 k2 p1 p2 k3 k4 k5 k6 of the opencv model, or k1 k2 k3 k4 of the fisheye model in the
 first four places.
@@ -12,10 +12,9 @@ from numba import njit
 
 _RADIAL_STEPS = 100
 _PLANE_STEPS = 12
-# Newton squares its relative error: what is left after steps this small is 1e-13 or less on the radius and in the
-# plane.
+# Newton squares its relative error: after steps this small it is 1e-13 or less on the radius and in the plane.
 _SETTLED, _PLANE_SETTLED = 2e-7, 1e-6
-# Lenses with tangential terms: points settled together, and the residual above which one is settled alone.
+# Lenses with tangential terms: points solved together, and the residual above which one is solved separately.
 _BLOCK, _BLOCK_SETTLED = 512, 1e-13
 # Starts are read from a table of the radial inverse, even in the squared radius, up to this one (63° off axis without
 # distortion).
@@ -24,13 +23,13 @@ _TABLE_SIZE, _TABLE_SPAN = 2048, 2.0
 
 @njit(cache=True, nogil=True)
 def undistort(points, k, fisheye, limit, tolerance, answers, valid):
-    """Fill answers (N, 2), NaN where there is none, and valid (N,) for distorted ``points`` (N, 2); ``limit`` is the
-    fold radius."""
+    """Fill answers (N, 2), NaN for undefined, and valid (N,) for distorted ``points`` (N, 2); ``limit`` is the fold
+    radius."""
     # A division is most of a step's time, and most lenses have no denominator.
     rational = k[5] != 0.0 or k[6] != 0.0 or k[7] != 0.0
     tangential = not fisheye and (k[2] != 0.0 or k[3] != 0.0)
     farthest = _radial(limit, k, fisheye)[0] if np.isfinite(limit) else np.inf
-    # Always the same table, so that a point's answer does not depend on its batch.
+    # Always the same table, so that a point's result does not depend on its batch.
     span = min(farthest, _TABLE_SPAN)
     table = np.ones(_TABLE_SIZE + 1)
     for i in range(1, _TABLE_SIZE + 1):
@@ -50,7 +49,7 @@ def undistort(points, k, fisheye, limit, tolerance, answers, valid):
         answers[n, 0] = answers[n, 1] = np.nan
         valid[n] = False
         target = np.sqrt(x * x + y * y)
-        # Tangential terms shift the reachable region a little: leave that decision to the residual check.
+        # Tangential terms shift the reachable region a little: the residual check decides.
         if not target <= farthest * 1.05 + 1e-12 or target == np.inf:
             continue
         start = target * _ratio(target * target, table, span * span) if target < span else min(target, 0.5 * limit)
@@ -93,11 +92,10 @@ def undistort(points, k, fisheye, limit, tolerance, answers, valid):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _plane_block(points, k, rational, table, span, block):
-    """Undistorted points and what is off into the rows u, v, off of ``block``; off is large where this was not enough,
-    inf off the table.
+    """Write undistorted points and their error into the rows u, v, off of ``block``; inf outside the table.
 
-    Two Newton steps from two readings of the table, no branches: the processor works on several points at once, which a
-    loop until each has settled does not let it do.
+    A large error needs more steps. Two Newton steps from two readings of the table, no branches: the processor works on
+    several points at once, which a loop until convergence prevents.
     """
     k1, k2, p1, p2, k3, k4, k5, k6 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7]
     reach = span * span
@@ -110,7 +108,7 @@ def _plane_block(points, k, rational, table, span, block):
         ratio = table[j] + (position - j) * (table[j + 1] - table[j])
         u, v = x * ratio, y * ratio
         s = u * u + v * v
-        # What the tangential terms add, roughly, comes off before the radial inverse is read again.
+        # Subtract the approximate tangential terms before the radial inverse is read again.
         u, v = x - 2 * p1 * u * v - p2 * (s + 2 * u * u), y - p1 * (s + 2 * v * v) - 2 * p2 * u * v
         position = (u * u + v * v) * per
         position = position if position < _TABLE_SIZE else 0.0
@@ -132,7 +130,7 @@ def _plane_block(points, k, rational, table, span, block):
         turn = 1 / (across * down - mixed * mixed)
         u -= (down * dx - mixed * dy) * turn
         v -= (across * dy - mixed * dx) * turn
-        # The second step with the first one's slopes: they changed by as little as the point moved.
+        # The second step reuses the first one's slopes: they changed as little as the point moved.
         dx, dy = _plane_miss(u, v, x, y, k, rational)
         u -= (down * dx - mixed * dy) * turn
         v -= (across * dy - mixed * dx) * turn
@@ -143,7 +141,7 @@ def _plane_block(points, k, rational, table, span, block):
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
 def _plane_miss(u, v, x, y, k, rational):
-    """How far the distorted (u, v) lies from (x, y), opencv model."""
+    """Difference between the distorted (u, v) and (x, y), opencv model."""
     s = u * u + v * v
     gain = 1 + s * (k[0] + s * (k[1] + s * k[4]))
     if rational:
@@ -168,8 +166,8 @@ def _radial(radius, k, fisheye):
 
 @njit(cache=True, nogil=True)
 def _ratio(square, table, reach):
-    """Undistorted over distorted radius at a squared distorted one up to ``reach``, interpolated: in the square it is
-    nearly straight."""
+    """Undistorted over distorted radius at a squared distorted one up to ``reach``, interpolated: almost linear in the
+    square."""
     position = square * (_TABLE_SIZE / reach)
     i = min(int(position), _TABLE_SIZE - 1)
     return table[i] + (position - i) * (table[i + 1] - table[i])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a film's pixels may lie in the picture that was calibrated, when the two have other shapes.
+"""Possible positions of a film's pixels in the calibrated picture, when the two have different shapes.
 
 Codecs store whole blocks of 16 pixels: 1080 lines are calibrated as 1088 by a program that shows the padding, or the
-other way round, and some exports centre or scale what remains. A film that was turned has its sides exchanged.
+other way round, and some exports centre or scale the rest. A turned film has its sides exchanged.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from studiorecon.scene.camera import Lens
 
 # Pixels of a block: no codec pads by more than one less.
 _BLOCK = 16
-# Films are enlarged or shrunk by ratios of small numbers.
+# Films are scaled by ratios of small integers.
 _LARGEST_RATIO = 8
 
 
 @dataclass(frozen=True)
 class Place:
-    """One reading: the lens as it then is, and how the film lies, in words; "" where nothing had to be assumed."""
+    """One reading: the lens under it, and the film's position in words; "" without an assumption."""
 
     lens: Lens
     how: str
 
 
 def places(lens: Lens, source_wh: tuple[int, int]) -> list[Place]:
-    """Every place that is possible, the usual one first.
+    """Every possible position, the usual one first.
 
     Raises UserError, as ``calibration_from_video_pixels``, for shapes that neither padding nor a turn explains.
     """
@@ -40,20 +40,20 @@ def places(lens: Lens, source_wh: tuple[int, int]) -> list[Place]:
     found = list(_padded(lens, source_wh))
     if not found and same_shape(lens.wh[::-1], source_wh):
         clockwise = turned(lens)
-        # A camera is rather held upright than upside down: its picture's up points up.
+        # Cameras are seldom upside down, so the picture's up points up.
         both = [(clockwise, "clockwise"), (turned(turned(clockwise)), "counter-clockwise")]
         both.sort(key=lambda turn: turn[0].camera_from_world[1, 2])
         found = [Place(turn, f"the calibrated picture turned {way} by 90°") for turn, way in both]
     if not found:
-        calibration_from_video_pixels(lens, source_wh)  # which refuses it
+        calibration_from_video_pixels(lens, source_wh)  # raises the error
     return found
 
 
 def for_square_pixels(lens: Lens, stored_wh: tuple[int, int], shown_wh: tuple[int, int]) -> tuple[Lens, str]:
-    """The lens for the picture as shown of a film of ``stored_wh`` pixels that are not square, and the sentence about
-    which of the two its calibration is for; unchanged, with "", for square pixels.
+    """The lens for the shown picture of a film of ``stored_wh`` non-square pixels, and a sentence on the choice.
 
-    The calibration's size says which, or where it has none the ratio of its focal lengths.
+    The calibration is for stored or for shown pixels: its size decides, or without one the ratio of its focal lengths.
+    Unchanged, with "", for square pixels.
     """
     if stored_wh == shown_wh or lens.has_place:
         return lens, ""
@@ -75,7 +75,7 @@ def for_square_pixels(lens: Lens, stored_wh: tuple[int, int], shown_wh: tuple[in
 def _padded(lens: Lens, source_wh: tuple[int, int]) -> Iterator[Place]:
     calibrated, film = np.array(lens.wh, float), np.array(source_wh, float)
     ratios = film / calibrated
-    # The side without padding was scaled by a plain ratio.
+    # The side without padding was scaled by a ratio of small integers.
     off = [abs(r - float(Fraction(r).limit_denominator(_LARGEST_RATIO))) for r in ratios]
     places_found = []
     for scale in ratios[np.argsort(off, kind="stable")]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Groups of nodes that belong together, chosen whole by the sum of their affinities: beam search, piece by piece of the
+"""Groups of linked nodes, chosen whole by the sum of their affinities: beam search in each connected part of the
 graph."""
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
 _BEAM = 200
-# Candidates looked at before duplicates are dropped; a group of n nodes is reached from up to n others. Doubled until
-# it suffices.
+# Candidates examined before duplicates are dropped; a group of n nodes is reached from up to n others. Doubled until it
+# suffices.
 _CANDIDATES = 16 * _BEAM
-# Sums of one group in another order differ in their last digits: scores count to so many, so that ties are ties.
+# Sums of one group in different orders differ in their last digits: scores are rounded to so many digits, so that ties
+# are ties.
 _DIGITS = 9
 
 
 def groups_by_affinity(affinity: Num[np.ndarray, "M M"], forbidden: Bool[np.ndarray, "M M"]) -> list[list[int]]:
-    """Groups of nodes, best first, by greedy choice of the group with the largest sum of ``affinity`` (M, M), 0 = not
-    linked.
+    """Groups of nodes, best first, chosen greedily by the largest sum of ``affinity`` (M, M), 0 = not linked.
 
-    No two nodes of a group are ``forbidden`` (M, M) together; nodes without a link are left out. What no chain of links
-    connects is searched apart: a detector that loses people brings hundreds of short tracks, and one search over all of
-    them took minutes. Raises ValueError for other shapes, and for affinities that are not finite: a pair that was not
-    measured has 0 (A02).
+    No two nodes of a group are ``forbidden`` (M, M) together; nodes without a link are left out. Connected parts of the
+    graph are searched separately: a detector that loses people gives hundreds of short tracks, and one search over all
+    of them took minutes. Raises ValueError for other shapes, and for affinities that are not finite: a pair that was
+    not measured has 0 (A02).
     """
     require("forbidden", forbidden, ("M", "M"), require("affinity", affinity, ("M", "M"), finite=True))
     forbidden = forbidden | np.eye(len(affinity), dtype=bool)
-    # (negative score, nodes of the group, piece it is the best of): the heap's top is the best group of all.
+    # (negative score, nodes of the group, its connected part): the heap's top is the best group of all.
     heap: list[tuple[float, list[int], np.ndarray]] = []
     pieces, found = [np.arange(len(affinity))], []
     while pieces or heap:
@@ -52,7 +52,7 @@ def groups_by_affinity(affinity: Num[np.ndarray, "M M"], forbidden: Bool[np.ndar
 
 
 def _connected(nodes: np.ndarray, affinity: np.ndarray, forbidden: np.ndarray) -> list[np.ndarray]:
-    """The nodes in pieces between which there is no link, every piece ascending."""
+    """The connected parts of the nodes, every part ascending."""
     block = np.ix_(nodes, nodes)
     labels = connected_components(csr_array((affinity[block] > 0) & ~forbidden[block]), directed=False)[1]
     return [nodes[labels == label] for label in range(labels.max(initial=-1) + 1)]
@@ -62,7 +62,7 @@ def _best_group(affinity: np.ndarray, forbidden: np.ndarray) -> tuple[float, np.
     """(score, nodes) by beam search over groups, grown one node at a time from every linked pair; ties go to the lower
     nodes."""
     count = len(affinity)
-    # A group's name whatever order it grew in: chance makes two of a million groups the same once in ten million
+    # A group's name is independent of the order in which it grew; two of a million groups collide once in ten million
     # searches.
     names = np.random.default_rng(0).integers(1, 2**63, count, dtype=np.uint64)
     first, second = np.nonzero(np.triu((affinity > 0) & ~forbidden, 1))

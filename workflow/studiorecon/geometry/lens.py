@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the pixels a real lens recorded to the pixels of the pinhole camera that the pipeline works with."""
+"""Maps the pixels of a real lens to those of the pinhole camera that the pipeline works with."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ if TYPE_CHECKING:
 
 _BORDER_SAMPLES = 200
 _ASPECT_TOLERANCE = 0.005
-# Of a video that shows what was calibrated, padded at most into a square or a portrait frame of it.
+# Least share of a video that shows the calibrated picture: at most padded into a square or a portrait frame.
 _MIN_COVERED = 0.25
-# A pinhole picture spends 33 times as many pixels on a degree here as in its middle, and without end beyond.
+# A pinhole picture spends 33 times as many pixels per degree here as in its middle, without limit beyond.
 _STEEPEST = np.radians(80.0)
-# A board held into the middle half of the picture fixes a lens's numbers there: if they turn over within it they are
-# another lens's.
+# A calibration board covers at least the middle half of the picture: a lens model that folds within it belongs to
+# another lens.
 _MAX_UNSEEN = 0.5
-# Calibration pixels of the smallest picture that can be worked with.
+# Smallest usable picture, in calibration pixels.
 _MIN_SIDE_PX = 2.0
-# Points along a side of the picture at which the share of what is not seen is counted: to 0.1 %.
+# Points along a side of the picture at which the unseen share is counted: to 0.1 %.
 _GRID = 64
-# Normalised: no picture reaches so far, and its pixels still fit into 16 bits, as cv2.remap has them.
+# Normalised: no picture reaches so far, and its pixels still fit into 16 bits, as cv2.remap needs.
 _FAR_OUTSIDE = -6.0
-# To which a rectangle's size is found, as a share: a thousandth of a pixel of a large picture.
+# Tolerance of a rectangle's size, as a share: a thousandth of a pixel of a large picture.
 _SHARE_STEP = 1e-7
 
 
@@ -45,7 +45,7 @@ class WorkingView:
     Attributes:
         wh: working width and height.
         intrinsics: (3, 3) of the undistorted picture, pixel centres at +0.5.
-        oversampling: how many samples per working pixel and axis the maps take, so that shrinking does not alias.
+        oversampling: number of samples per working pixel and axis in the maps, so that shrinking does not alias.
         map_x, map_y: (n·H, n·W) float32 positions in the source frame, in cv2.remap's integer-centre pixels.
     """
 
@@ -58,7 +58,7 @@ class WorkingView:
     def picture(self, source: Num[np.ndarray, "rows columns ..."]) -> Num[np.ndarray, "H W ..."]:
         """The working picture (H, W[, C]) of a source frame, same dtype: bilinear, then averaged over the
         oversampling."""
-        # The maps stay inside the footage; replication only serves the half pixel beyond the outermost centres.
+        # The maps stay inside the footage; replication only affects the half pixel beyond the outermost centres.
         sampled = cv2.remap(source, self.map_x, self.map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return sampled if self.oversampling == 1 else cv2.resize(sampled, self.wh, interpolation=cv2.INTER_AREA)
 
@@ -74,8 +74,8 @@ def working_view(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) ->
     """Intrinsics and sampling maps of the largest undistorted picture of size ``wh`` without black borders.
 
     The picture shows the largest axis-aligned rectangle that the lens covers inside both the video frame and the
-    calibrated frame, cut to the aspect of ``wh``; a lens without distortion keeps its whole frame and its intrinsics
-    are only scaled. What cannot be undone lies outside of it. Raises UserError as ``unseen_share``.
+    calibrated frame, cut to the aspect of ``wh``. A lens without distortion keeps its whole frame; its intrinsics are
+    only scaled. Pixels that cannot be undistorted are outside of it. Raises UserError as ``unseen_share``.
     """
     unseen_share(lens, source_wh)
     calibration_from_video = calibration_from_video_pixels(lens, source_wh)
@@ -105,7 +105,7 @@ def calibration_from_video_pixels(lens: Lens, source_wh: tuple[int, int]) -> Num
 
     The lens's own map where one was given; else the scaling from the video's size to the calibrated one. Raises
     UserError when the two sizes have different shapes: then the footage was cropped or padded, and only the user knows
-    how; and when the given map lays the calibrated pixels beside the video's.
+    how. Raises it too when the given map puts the calibrated pixels outside the video.
     """
     given = np.asarray(lens.calibration_from_video, dtype=np.float64)
     if lens.has_place:
@@ -136,7 +136,7 @@ def _check_overlap(lens: Lens, calibration_from_video: np.ndarray, source_wh: tu
 
 
 def same_shape(one: tuple[int, int], two: tuple[int, int]) -> bool:
-    """Whether two sizes of pictures differ by scaling alone, up to rounding."""
+    """Whether two sizes of pictures differ only by scaling, up to rounding."""
     return abs(one[0] * two[1] / (one[1] * two[0]) - 1) <= _ASPECT_TOLERANCE
 
 
@@ -150,7 +150,7 @@ def calibration_from_video(pixel_map: Sequence[float] | None) -> Num[np.ndarray,
 
 
 def placed_as_given(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:
-    """The lens with the place of its video that capture.yaml gives, which may be the identity; itself without one."""
+    """The lens with its video's position from capture.yaml, which may be the identity; unchanged without one."""
     if not pixel_map:
         return lens
     placed = replace(lens, calibration_from_video=calibration_from_video(pixel_map))
@@ -158,7 +158,7 @@ def placed_as_given(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:
 
 
 def mapped_lens(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:
-    """A lens known in pixels of the video, in pixels of the calibration that ``pixel_map`` (s, x, y) speaks of."""
+    """A lens known in pixels of the video, converted to calibration pixels by ``pixel_map`` (s, x, y)."""
     if not pixel_map:
         return lens
     affine = calibration_from_video(pixel_map)
@@ -228,7 +228,8 @@ def video_from_working(
 
 
 def _pixel_aspect(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) -> float:
-    """What makes an uncropped frame fit ``wh`` exactly although both sizes were rounded: 1 up to the rounding."""
+    """The pixel aspect that makes an uncropped frame fit ``wh`` exactly although both sizes were rounded: 1 up to
+    rounding."""
     affine = calibration_from_video_pixels(lens, source_wh)
     stretch = affine[0, 0] / affine[1, 1]
     return stretch * (source_wh[0] / source_wh[1]) / (wh[0] / wh[1])
@@ -242,7 +243,7 @@ def _covered(
     corners = np.array([[0.0, 0.0], source_wh]) @ calibration_from_video[:, :2].T + calibration_from_video[:, 2]
     low, high = corners.min(0), corners.max(0)
     if 0 not in lens.wh:
-        # A letter-boxed video reaches beyond the calibrated frame: that part is a black bar, not footage.
+        # A letter-boxed video extends beyond the calibrated frame: that part is a black bar, not footage.
         low, high = np.maximum(low, 0.0), np.minimum(high, np.array(lens.wh, dtype=np.float64))
     along = np.linspace(0.0, 1.0, _BORDER_SAMPLES)
     x, y = low[0] + along * (high[0] - low[0]), low[1] + along * (high[1] - low[1])
@@ -266,8 +267,11 @@ def _covered(
 def _undoable(
     edges: Mapping[str, tuple[np.ndarray, np.ndarray]], lens: Lens, low: np.ndarray, high: np.ndarray
 ) -> Float[np.ndarray, " 4"]:
-    """Left, top, right, bottom (normalised) of a rectangle of which every point is seen between the pixels ``low`` and
-    ``high``, for a lens that cannot be undone everywhere on the undistorted ``edges`` (points, validity)."""
+    """Left, top, right, bottom (normalised) of a rectangle that is seen entirely between the pixels ``low`` and
+    ``high``.
+
+    For a lens that cannot be undistorted everywhere on the undistorted ``edges`` (points, validity).
+    """
     reach = _reach(lens)
 
     def bound(side: str, axis: int, sign: float) -> float:
@@ -296,18 +300,18 @@ def _undoable(
 
 
 def _reach(lens: Lens) -> float:
-    """The largest undistorted radius (normalised) that is used of a lens: below its fold, and not steeper than a
-    pinhole picture can show."""
+    """The largest undistorted radius (normalised) in use: below the lens's fold, and no steeper than a pinhole picture
+    can show."""
     fold = fold_radius(lens.model, lens.distortion)
     return min(float(np.tan(fold)) if lens.model == "fisheye" else fold, float(np.tan(_STEEPEST)))
 
 
 def unseen_share(lens: Lens, source_wh: tuple[int, int]) -> float:
-    """Share of a video's picture for which the lens model has no ray, since its polynomial turns over before: that part
-    is not used.
+    """Share of a video's picture for which the lens model has no ray, since its polynomial folds before; it is not
+    used.
 
-    Raises UserError where it is most of the picture, and as ``calibration_from_video_pixels``: every step that stops on
-    a lens stops here.
+    Raises UserError where it is most of the picture, and as ``calibration_from_video_pixels``: every step that rejects
+    a lens does so here.
     """
     affine = calibration_from_video_pixels(lens, source_wh)
     left, top, right, bottom = _covered(lens, source_wh, affine)

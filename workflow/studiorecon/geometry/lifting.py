@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a pixel and a depth map to a world point, without reading between two surfaces and without inventing a depth.
+"""Lifts a pixel with a depth map to a world point, without averaging two surfaces and without inventing depth.
 
-Depth is z in metres; 0, negative, not finite or masked out means unknown, and unknown depth gives no point.
+Depth is z in metres; 0, negative, not finite or masked means unknown, and unknown depth gives no point.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
-# A depth map shows the skin; the pelvis joint lies this far behind it along the ray (C11, U26).
+# A depth map shows the skin; the pelvis joint is this far behind it along the ray (C11, U26).
 SURFACE_TO_PELVIS_M = 0.13
 
 
@@ -30,7 +30,7 @@ def patch_depth(
     """Median depth of the valid pixels of a square patch around each of ``pixels``, and whether there is any.
 
     ``valid_mask`` (H, W), or one per pixel (D, H, W): the person, where the depth is measured. The lower of two middle
-    values is taken, never their mean, which may lie on neither surface (C12). Depths that are not finite or not past
+    values is taken, never their mean, which may be on neither surface (C12). Depths that are not finite or not past
     ``near_m`` do not vote (C04). Raises ValueError for other shapes or an even ``patch_px``.
     """
     sizes = require("depth_m", depth_m, ("H", "W"))
@@ -41,7 +41,7 @@ def patch_depth(
         raise ValueError(f"patch_px must be odd and positive, not {patch_px}")
     height, width = sizes["H"], sizes["W"]
     finite = np.isfinite(pixels).all(-1)
-    # Far away is far enough: 1e30 does not fit an integer.
+    # Clipped because 1e30 does not fit an integer.
     centre = np.floor(np.clip(np.where(finite[:, None], pixels, -1e6), -1e6, 1e6)).astype(np.intp)
     offset = np.arange(patch_px) - patch_px // 2
     row = (centre[:, 1, None, None] + offset[:, None]) + 0 * offset  # (D, P, P)
@@ -67,12 +67,12 @@ def lift_pelvis(
     patch_px: int = 9,
     near_m: float = 0.1,
 ) -> tuple[Num[np.ndarray, "... 3"], Bool[np.ndarray, " ..."]]:
-    """World pelvises (D, 3), or (3,) for one pixel (2,), NaN where undetermined, and where they are determined (D,) or
-    () bool.
+    """World pelvises (D, 3), or (3,) for one pixel (2,), NaN where undetermined, and (D,) or () bool whether
+    determined.
 
     The paper's p_world = Rᵀ(d K⁻¹p − t), with d from ``patch_depth`` and ``surface_to_joint_m`` added along the ray,
-    not in z: the skin seen from two sides is up to 0.34 m apart (C11, U26). Raises ValueError as
-    ``patch_depth`` does, and when the depth map has another size than the camera.
+    not in z: the skin seen from two sides is up to 0.34 m apart (C11, U26). Raises ValueError as ``patch_depth`` does,
+    and when the depth map has another size than the camera.
     """
     require("depth_m", depth_m, camera.hw)
     one = np.ndim(pixels) == 1
@@ -88,7 +88,7 @@ def lift_joint(
     camera: Camera,
     surface_to_joint_m: float,
 ) -> Num[np.ndarray, "... 3"]:
-    """World points that lie ``surface_to_joint_m`` behind the surface seen at ``pixels`` at a z-depth.
+    """World points ``surface_to_joint_m`` behind the surface seen at ``pixels`` at a z-depth.
 
     NaN where the depth is not finite and positive, or the pixel not finite (C04). Raises ValueError for other shapes.
     """

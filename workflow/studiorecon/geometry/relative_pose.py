@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses from points alone: of two cameras to each other (up to scale), and of one camera to known points."""
+"""Poses from points: of two cameras relative to each other (up to scale), and of one camera relative to known
+points."""
 
 from __future__ import annotations
 
@@ -24,11 +25,11 @@ def relative_pose(
 ) -> tuple[Num[np.ndarray, "3 3"], Num[np.ndarray, " 3"], Bool[np.ndarray, " N"]] | None:
     """Rotation, unit translation and inliers with x_second = R x_first + t, or None.
 
-    ``first`` and ``second`` are undistorted normalised coordinates of the same points, ``unit`` the Sampson distance
-    that still counts as agreement, in the same coordinates. Samples of five points propose (Nister 2004; OpenCV's
-    USAC, which takes an eighth of the time of its RANSAC and ends in the same cameras), then robust least squares of
-    the Sampson distance over the five numbers; only points in front of both cameras are inliers. None when there is no
-    answer. Raises ValueError for other shapes and coordinates that are not finite.
+    ``first`` and ``second`` are undistorted normalised coordinates of the same points, ``unit`` the Sampson distance of
+    an inlier, in the same coordinates. Samples of five points propose (Nister 2004; OpenCV's USAC, which takes an
+    eighth of the time of its RANSAC and ends in the same cameras), then robust least squares of the Sampson distance
+    over the five numbers; only points in front of both cameras are inliers. None when there is no solution. Raises
+    ValueError for other shapes and coordinates that are not finite.
     """
     require("second", second, ("N", 2), require("first", first, ("N", 2), finite=True), finite=True)
     if len(first) < _MIN_PAIRS:
@@ -86,7 +87,7 @@ def in_front(
     first: Num[np.ndarray, "N 2"],
     second: Num[np.ndarray, "N 2"],
 ) -> Bool[np.ndarray, " N"]:
-    """Whether the rays of a pair come closest before both cameras. Raises ValueError for other shapes."""
+    """Whether the closest points of a pair's rays are in front of both cameras. Raises ValueError for other shapes."""
     require("second", second, ("N", 2), require("first", first, ("N", 2)))
     one = np.pad(first, ((0, 0), (0, 1)), constant_values=1.0) @ rotation.T
     two = np.pad(second, ((0, 0), (0, 1)), constant_values=1.0)
@@ -160,7 +161,7 @@ def resection(
 def misses(
     camera_from_world: Num[np.ndarray, "4 4"], points_m: Num[np.ndarray, "N 3"], normalised: Num[np.ndarray, "N 2"]
 ) -> Num[np.ndarray, " N"]:
-    """Distance between world points as a camera shows them and ``normalised``; inf behind the camera."""
+    """Distance between projected world points and ``normalised``; inf behind the camera."""
     in_camera = points_m @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
     ahead = in_camera[:, 2] > 1e-6
     error = np.linalg.norm(in_camera[:, :2] / np.where(ahead, in_camera[:, 2], 1.0)[:, None] - normalised, axis=-1)

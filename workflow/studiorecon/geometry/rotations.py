@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rotations as (..., 3, 3) float64 matrices: to and from axis-angle and quaternions, between, on average.
+"""Rotations as (..., 3, 3) float64 matrices: to and from axis-angle and quaternions, interpolated, averaged.
 
 Stable at 0 and at π without thresholds that lose digits: exp by half-angle sincs, log by quaternions with the largest
-pivot. Every function raises ValueError that names the argument when its last axes are others than stated. Where
-rotations do not depend on one another NaN gives NaN for that one alone; where one decomposition takes them all, what is
-not finite is refused.
+pivot. Every function raises ValueError that names the argument when its last axes differ from those stated. Where
+rotations are independent, NaN affects only its own; where one decomposition handles them all, values that are not
+finite are refused.
 """
 
 from __future__ import annotations
@@ -18,10 +18,9 @@ from studiorecon.arrays import require
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
-# Within this of half a turn the sign of the axis is decided by rounding; slerp then decides it by a direction instead.
+# Within this of half a turn, rounding decides the sign of the axis; slerp then uses a reference direction instead.
 _HALF_TURN_RAD = 1e-6
-# Smallest gap between the two largest eigenvalues of Σ w q qᵀ, relative to Σ w, for a mean to mean anything (
-# R17).
+# Smallest gap between the two largest eigenvalues of Σ w q qᵀ, relative to Σ w, of a determined mean (R17).
 _MEAN_GAP = 1e-6
 
 
@@ -134,7 +133,8 @@ def from_quaternion(quaternions: Num[np.ndarray, "... 4"]) -> Num[np.ndarray, ".
 def project_to_so3(matrices: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "... 3 3"]:
     """(..., 3, 3) nearest rotations in the Frobenius norm; the sign fix keeps the determinant at +1 (R18, R19, C01).
 
-    Raises ValueError for other last axes and for values that are not finite, which would end the decomposition of all.
+    Raises ValueError for other last axes and for values that are not finite, which would make the whole decomposition
+    fail.
     """
     matrices = np.asarray(matrices, dtype=np.float64)
     require("matrices", matrices, (..., 3, 3), finite=True)
@@ -149,10 +149,11 @@ def slerp(
     share: Num[np.ndarray, " ..."] | float,
     up: Num[np.ndarray, " 3"] | None = None,
 ) -> Num[np.ndarray, "... 3 3"]:
-    """The rotation ``share`` of the shortest way from a to b, both world_from_… rotations.
+    """The rotation at ``share`` of the shortest way from a to b, both world_from_… rotations.
 
-    Exactly half a turn apart the shortest way is ambiguous: the turn then goes counter-clockwise about ``up`` (the
-    world's z when None), whatever the rounding (R01-R06); ``half_turn`` tells. Raises ValueError for other last axes.
+    Exactly half a turn apart the shortest way is ambiguous: the rotation then is counter-clockwise about ``up`` (the
+    world's z when None), whatever the rounding (R01-R06); ``half_turn`` detects this. Raises ValueError for other last
+    axes.
     """
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     require("a", a, (..., 3, 3))
@@ -160,7 +161,7 @@ def slerp(
     turn = log(b @ np.swapaxes(a, -1, -2))
     up = np.array([0.0, 0.0, 1.0]) if up is None else np.asarray(up, dtype=np.float64)
     ambiguous = np.linalg.norm(turn, axis=-1, keepdims=True) > np.pi - _HALF_TURN_RAD
-    # A half turn about a horizontal axis says nothing about up; x, then y, break that tie.
+    # A half turn about a horizontal axis is undecided by up; x, then y, break that tie.
     key = turn @ up
     key = np.where(np.abs(key) < 1e-5, np.where(np.abs(turn[..., 0]) < 1e-5, turn[..., 1], turn[..., 0]), key)
     turn = np.where(ambiguous & (key[..., None] < 0), -turn, turn)
@@ -168,8 +169,10 @@ def slerp(
 
 
 def half_turn(a: Num[np.ndarray, "... 3 3"], b: Num[np.ndarray, "... 3 3"]) -> Bool[np.ndarray, " ..."]:
-    """Whether a and b are so nearly half a turn apart that ``slerp`` chose one of two ways (R05). Raises ValueError as
-    ``angle``."""
+    """Whether a and b are so nearly half a turn apart that ``slerp`` chose one of two ways (R05).
+
+    Raises ValueError as ``angle``.
+    """
     return angle(a, b) > np.pi - _HALF_TURN_RAD
 
 
@@ -179,7 +182,7 @@ def mean(
     """Mean over the axis of N, and whether it is determined.
 
     Eigenvector of Σ w q qᵀ: signs of quaternions do not matter (R16). Undetermined where the two largest eigenvalues
-    meet, as for thirds of a turn (R17); the rotation returned there is one of many. Raises ValueError for other last
+    coincide, as for thirds of a turn (R17); the returned rotation is then one of many. Raises ValueError for other last
     axes and for rotations or weights that are not finite.
     """
     require("rotations", rotations, (..., "N", 3, 3), finite=True)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many scene units a metre is, from the bones of people of known size; or the knowledge that bones do not tell.
+"""Scene units per metre, from the bones of people of known size, or "undetermined" where bones do not decide.
 
 The paper's s* = argmin Σ ρ(‖Jʷᵢ − Jʷⱼ‖ − s ‖Jˢᵢ − Jˢⱼ‖), with a Huber ρ whose delta grows with the bone and the scale
-(S01), solved by reweighting from the median ratio instead of L-BFGS (S02, U35). One scale per scene; every
-person's own ratio is returned beside it as a check (U36), because a free scale per person cannot be told from their
+(S01), solved by reweighting from the median ratio instead of L-BFGS (S02, U35). There is one scale per scene. Every
+person's own ratio is returned with it as a check (U36), because a free scale per person cannot be separated from their
 height (S06).
 """
 
@@ -28,7 +28,7 @@ _ROUNDS = 200
 
 @dataclass(frozen=True)
 class SceneScale:
-    """The scale, or why there is none.
+    """The scale, or the reason why it is undetermined.
 
     Attributes:
         world_per_metre: scene units per metre; NaN when undetermined. Divide scene coordinates by it to get metres.
@@ -60,10 +60,10 @@ def scene_scale(
 ) -> SceneScale:
     """Scale of triangulated ``joints`` in scene units against template joints in metres.
 
-    ``bones`` are pairs of joints, ``valid`` says which joints were measured; joints that are not finite count as not
-    measured. ``sigma`` is their standard deviation per coordinate in scene units, one number or each its own: noise
-    makes bones longer by (σᵢ² + σⱼ²)/b on average, which is taken off (S05). Bones shorter than ``least_bone_m`` in the
-    template are left out, where the noise would be most of the length (S04, S05). Undetermined with fewer than 4
+    ``bones`` are pairs of joints, ``valid`` marks the measured joints; joints that are not finite count as not
+    measured. ``sigma`` is their standard deviation per coordinate in scene units, one for all or one each: noise makes
+    bones longer by (σᵢ² + σⱼ²)/b on average, which is subtracted (S05). Bones shorter than ``least_bone_m`` in the
+    template are left out, because noise would be most of their length (S04, S05). Undetermined with fewer than 4
     different bones or a scale outside 1e-6 to 1e6 (S03). Raises ValueError that names the argument when shapes do not
     fit or the template is not finite.
     """
@@ -103,13 +103,12 @@ def scene_scale(
 def fit_scale(
     lengths: Num[np.ndarray, " N"], template_m: Num[np.ndarray, " N"], variance: Num[np.ndarray, " N"]
 ) -> float:
-    """The s that minimises Σ ρ(length − variance / (s b) − s b) over bones (N,) of template length b; 0 when the
-    lengths are 0.
+    """The s that minimises Σ ρ(length − variance / (s b) − s b) over bones (N,) of template length b.
 
-    ``variance`` (N,) is the sum of the two ends' variances per coordinate: E‖b + n‖ = b + v/b up to exp(−b²/2v). Delta
-    is a tenth of the bone's expected length at the median ratio. Iteratively reweighted from the median; 1e-9 or
-    better, at any scale. Lengths must be finite and template lengths positive. Raises ValueError for other shapes and
-    numbers that are not finite.
+    It is 0 when the lengths are 0. ``variance`` (N,) is the sum of the two ends' variances per coordinate: E‖b + n‖ = b
+    + v/b up to exp(−b²/2v). Delta is a tenth of the bone's expected length at the median ratio. Iteratively reweighted
+    from the median; 1e-9 or better, at any scale. Lengths must be finite and template lengths positive. Raises
+    ValueError for other shapes and numbers that are not finite.
     """
     sizes = require("lengths", lengths, ("N",), finite=True)
     require("template_m", template_m, ("N",), sizes, finite=True)
@@ -122,7 +121,7 @@ def fit_scale(
     delta, scale = _DELTA_SHARE * template_m, 1.0
     for _ in range(_ROUNDS):
         expected = scale * template_m
-        # A bone as short as its noise says nothing: no correction may eat more than half of it.
+        # A bone as short as its noise is not informative: the correction is at most half of it.
         corrected = scaled - np.minimum(noise / expected, 0.5 * scaled)
         residual = corrected - expected
         weight = delta / np.maximum(np.abs(residual), delta)

@@ -2,12 +2,11 @@
 """Smoothing over time as in the paper's appendix: exponential forwards and backwards, then Gaussian; vectors and
 rotations.
 
-The two exponential passes are a cascade (U40), whose response is α/(2−α) (1−α)^|d|; together with the Gaussian
-that is one symmetric kernel, cut where it has faded and renormalised at the ends, so that constants stay and the first
-frame has no more say than others (F03, F06, F08). Rotations are smoothed on SO(3), in the tangent space of each
-window's own frame (F01, F02, F09). What it costs in motion is ``gain``: with α = 0.5, σ = 1 a motion of 8 frames'
-period keeps 0.34, of 15
-0.68, of 30 0.90.
+The two exponential passes are a cascade (U40), whose response is α/(2−α) (1−α)^|d|. Together with the Gaussian that is
+one symmetric kernel, truncated where it has faded and renormalised at the ends, so that constants stay and the first
+frame has no more weight than others (F03, F06, F08). Rotations are smoothed on SO(3), in the tangent space of each
+window's own frame (F01, F02, F09). ``gain`` is the share of motion that remains: with α = 0.5, σ = 1 a motion of 8
+frames' period keeps 0.34, of 15 0.68, of 30 0.90.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from studiorecon.geometry import rotations
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
-# Where the kernel is cut, relative to its centre; and the Gaussian's reach in deviations (U41).
+# Where the kernel is truncated, relative to its centre; and the Gaussian's reach in sigmas (U41).
 _FADED = 1e-4
 _GAUSS_REACH = 4.0
 _MEAN_STEPS = 2
@@ -32,7 +31,7 @@ _MEAN_STEPS = 2
 
 @dataclass(frozen=True)
 class Smoothing:
-    """How strongly to smooth.
+    """Strength of the smoothing.
 
     ``passes``: the second exponential pass runs over the first one's result, or the two are averaged (U40).
     """
@@ -65,7 +64,7 @@ class Smoothing:
     def smooth_body(
         self, local: Num[np.ndarray, "T 24 3 3"], trans_m: Num[np.ndarray, "T 3"], fps: float
     ) -> tuple[Num[np.ndarray, "T 24 3 3"], Num[np.ndarray, "T 3"]]:
-        """Joints' rotations, root first, and pelvis positions, smoothed as these settings say.
+        """Joints' rotations, root first, and pelvis positions, smoothed with these settings.
 
         Raises ValueError for other shapes, values that are not finite, and a frame rate that is not positive.
         """
@@ -82,8 +81,7 @@ class Smoothing:
 
 
 def at_frame_rate(smoothing: Smoothing, fps: float) -> tuple[float, float]:
-    """(α, σ in frames) at ``fps``: the share of the new sample is what an exponential of ``memory_s`` forgets in one
-    frame.
+    """(α, σ in frames) at ``fps``: α is the share that an exponential of ``memory_s`` forgets in one frame.
 
     Raises ValueError for a frame rate that is not positive.
     """
@@ -107,7 +105,7 @@ def kernel(alpha: float, sigma_frames: float, passes: str = "cascade") -> Num[np
     both = (1 - alpha) ** np.abs(np.arange(-reach, reach + 1)) if reach else np.ones(1)
     if passes == "average":
         both[reach] *= 2  # both passes weigh the sample itself
-    # A Gaussian narrower than this leaves its neighbours nothing; dividing by it would only overflow.
+    # A narrower Gaussian gives neighbours no weight; dividing by it would only overflow.
     wide = int(np.ceil(_GAUSS_REACH * sigma_frames)) if sigma_frames > 1e-3 else 0
     gauss = np.exp(-0.5 * (np.arange(-wide, wide + 1) / sigma_frames) ** 2) if wide else np.ones(1)
     both = np.convolve(both, gauss)
@@ -182,7 +180,7 @@ def smooth_rotations(
     reach = len(shifts) // 2
     padded = np.pad(quaternions, ((0, 0), (reach, reach), (0, 0)), mode="edge")
     window = [(padded[:, reach + shift :][:, : len(values)], weight[:, None]) for shift, weight in zip(shifts, weights)]
-    # Nearly there: the windows' mean quaternions, signs continued from the frame itself.
+    # Initial value: the windows' mean quaternions, with signs continued from the frame itself.
     centre = np.zeros_like(quaternions)
     for other, weight in window:
         centre += np.copysign(weight, _dot(quaternions, other)) * other
@@ -204,10 +202,10 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _turn_per_vector(dot: np.ndarray) -> np.ndarray:
-    """Angle of the shorter turn between unit quaternions over the length of its quaternion's vector, θ / sin(θ/2), from
-    their product.
+    """Angle of the shorter turn between unit quaternions over the length of its vector part, θ / sin(θ/2), from their
+    product.
 
-    Turns of a window then add up before the one product with the centre. Near equality both angle and sine are those of
+    Turns of a window then add up before the one product with the centre. Near equality both angle and sine come from
     the same rounded product, so their ratio, 2 in the limit, is exact to rounding; a negative product is the longer way
     round (R03).
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A number and where it lies with its uncertainty: shares, means, medians, and the largest of several estimates."""
+"""Estimates with their confidence intervals: shares, means, medians, and the largest of several estimates."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ import numpy as np
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-# Standard errors on either side: 95 % for one number, and 99.7 % where the worst of several cameras is looked for.
+# Standard errors on either side: 95 % for one number, and 99.7 % for the worst of several cameras.
 _ONE, _WORST = 2.0, 3.0
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value and its interval (low, high); None for both when there was nothing to measure. ``which`` names whose
-    value it is."""
+    """A value and its interval (low, high); None for both without data. ``which`` names the source of the value."""
 
     value: float | None
     interval: tuple[float, float] | None
@@ -30,8 +29,8 @@ NOTHING = Estimate(None, None, -1)
 
 
 def share(hits: int, count: int, independent: float | None = None) -> Estimate:
-    """Share of ``count`` that ``hits``, with Wilson's interval for ``independent`` samples (default: all are); nothing
-    for none."""
+    """Share ``hits`` of ``count``, with Wilson's interval for ``independent`` samples (default: all are); None without
+    samples."""
     if count <= 0:
         return NOTHING
     n, p = max(float(independent if independent is not None else count), 1.0), hits / count
@@ -41,8 +40,8 @@ def share(hits: int, count: int, independent: float | None = None) -> Estimate:
 
 
 def median(values: Num[np.ndarray, " N"], least: int) -> Estimate:
-    """Median of the finite ``values`` (N,) with its standard error, 1.25 robust deviations over the root of N; nothing
-    below ``least``."""
+    """Median of the finite ``values`` (N,) with its standard error, 1.25 robust sigmas over √N; None below
+    ``least``."""
     known = np.asarray(values, dtype=np.float64)
     known = known[np.isfinite(known)]
     if len(known) < max(least, 2):
@@ -53,7 +52,7 @@ def median(values: Num[np.ndarray, " N"], least: int) -> Estimate:
 
 
 def mean(values: Num[np.ndarray, " N"], least: int) -> Estimate:
-    """Mean of the finite ``values`` (N,) with its standard error; nothing below ``least``, which is 2 or more."""
+    """Mean of the finite ``values`` (N,) with its standard error; None below ``least``, which is 2 or more."""
     known = np.asarray(values, dtype=np.float64)
     known = known[np.isfinite(known)]
     if len(known) < max(least, 2):
@@ -65,8 +64,7 @@ def mean(values: Num[np.ndarray, " N"], least: int) -> Estimate:
 def largest(
     values: Sequence[float] | Num[np.ndarray, " N"], errors: Sequence[float] | Num[np.ndarray, " N"]
 ) -> Estimate:
-    """The largest magnitude of several estimates with their standard errors: which is surely large, and how large any
-    may be.
+    """The largest magnitude of several estimates with standard errors.
 
     The lower end is the best lower end of any of them, the upper end the worst upper end; entries that are not finite
     take no part.

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""World points from pixels of several cameras, batched over points, with "undetermined" as a possible answer.
+"""World points from pixels of several cameras, batched over points, with "undetermined" as a possible result.
 
-All pairs of views propose a point, truncated cost picks one, and only the views that agree refine it (
-T07-T10). A point is undetermined when fewer than two views see it, rays are nearly parallel or opposite, it lies behind
-a camera that uses it, or too few views agree: a lone pair must be half of the views, any number a third (three of ten
-agree by chance, T09).
+All pairs of views propose a point, truncated cost picks one, and only the views that agree refine it (T07-T10). A point
+is undetermined when fewer than two views see it, rays are nearly parallel or opposite, it is behind a camera that uses
+it, or too few views agree: a lone pair must be half of the views, any number a third (three of ten agree by chance,
+T09).
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ Solver = Literal["robust", "huber", "dlt"]
 
 @dataclass(frozen=True)
 class Limits:
-    """What counts as agreement.
+    """Thresholds of agreement.
 
     Attributes:
         min_confidence: keypoints below it are not used.
         huber_share: one error unit, as a share of the longer image side (U34: 0.005 = 6 px at 1280).
         outlier_units: a view further off than this many units is left out (U34: 3; 5 where the calibration is a few
             pixels off).
-        min_angle_deg: smallest largest angle between two rays, and between a ray and the reverse of another (T01, T02).
+        min_angle_deg: least angle between two rays, and between a ray and the reverse of another (T01, T02).
         near_m: smallest depth in front of every camera that is used (T06).
     """
 
@@ -46,16 +46,17 @@ class Limits:
 
 @dataclass(frozen=True)
 class Triangulated:
-    """N points (or any batch of axes in N's place), or the knowledge that there is none.
+    """N points (or any batch of axes in N's place), each determined or not.
 
     Attributes:
         points_m: (N, 3) world points, NaN where undetermined.
         valid: (N,) bool.
-        verified: (N,) bool: at least three views agree within ``outlier_units``. The residual of a pair says nothing
+        verified: (N,) bool: at least three views agree within ``outlier_units``. The residual of a pair proves nothing
             (T13).
-        inliers: (V, N) bool: views the point rests on.
-        covariance_m2: (N, 3, 3) for the given noise or the seen residual, whichever is larger; inf where undetermined.
-        error_px: (V, N) reprojection error in every view that has the point, NaN elsewhere.
+        inliers: (V, N) bool: views that determine the point.
+        covariance_m2: (N, 3, 3) for the given noise or the observed residual, whichever is larger; inf where
+            undetermined.
+        error_px: (V, N) reprojection error in every view with the point, otherwise NaN.
     """
 
     points_m: Num[np.ndarray, "N 3"]
@@ -84,23 +85,21 @@ def triangulate(
     noise_px: float | None = None,
     solver: Solver = "robust",
 ) -> Triangulated:
-    """World points of ``pixels`` (V, ..., 2), seen with ``confidence`` (V, ...), by V cameras; pixels not finite are
-    missing views.
+    """World points of ``pixels`` (V, ..., 2), seen with ``confidence`` (V, ...) by V cameras; NaN is a missing view.
 
-    Any axes between the views and the two coordinates (people, frames, joints) come back in the result, N standing for
+    Any axes between the views and the two coordinates (people, frames, joints) are those of the result, N standing for
     all of them. ``noise_px`` is the standard deviation that ``covariance_m2`` assumes; by default a third of an error
-    unit. Confidences weigh the squared residuals. float64 throughout, every point on its own: the same answer in any
+    unit. Confidences weight the squared residuals. float64 throughout, every point separately: the same result in any
     batch and any order.
 
     ``solver``, with microseconds a point for 4 views on one core and the median / 95 % error in cm at 1 px noise on a
     ring of 4 m with 0, 1 and 2 of 4 views 200 px off (benchmarks/geometry.py):
 
-    - "robust": all pairs propose, truncated cost picks, only agreeing views refine, under the Huber norm. ≤ 10 µs;
-      0.38 / 0.71, 0.45 / 0.88, 0.64 / 3.0.
-    - "huber": the paper's confidence-weighted Huber refinement from DLT (delta one unit, U34), outliers kept. Bounds
-    their pull, does not
-      end it, and cannot start where DLT lies behind a camera. ≤ 22 µs;
-      0.38 / 0.71, 1.7 / 8.4, 20 / 77.
+    - "robust": all pairs propose, truncated cost picks, only agreeing views refine, under the Huber norm. ≤ 10 µs; 0.38
+      / 0.71, 0.45 / 0.88, 0.64 / 3.0.
+    - "huber": the paper's confidence-weighted Huber refinement from DLT (delta one unit, U34), with outliers. Bounds
+      their pull, does not end it, and cannot start where DLT is behind a camera. ≤ 22 µs; 0.38 / 0.71, 1.7 / 8.4, 20 /
+      77.
     - "dlt": homogeneous least squares, no refinement. ≤ 7 µs; 0.39 / 0.73, 30 / 44, 44 / 66.
 
     Raises ValueError that names the argument when shapes do not fit together. Numerics T01-T16.
@@ -110,13 +109,14 @@ def triangulate(
     require("confidence", confidence, pixels.shape[:-1])
     if solver not in ("robust", "huber", "dlt"):
         raise ValueError(f"solver must be robust, huber or dlt, not {solver!r}")
-    # Loaded here: numba takes longer to import than most steps that only read Limits take to start.
+    # Loaded here: numba takes longer to import than most steps that only use Limits take to start.
     from studiorecon.geometry import triangulation_kernels as kernels
 
     batch = pixels.shape[1:-1]
     seen, weights = pixels.reshape(len(cameras), -1, 2), confidence.reshape(len(cameras), -1)
     usable = np.isfinite(seen).all(-1) & np.isfinite(weights) & (weights > max(limits.min_confidence, 0))
-    # Replace the input, not the output: NaN * 0 is NaN. In one order, or the kernels would be compiled once per order.
+    # NaN is replaced before the arithmetic, because NaN * 0 is NaN. In one memory order, or the kernels would be
+    # compiled once per order.
     seen = np.ascontiguousarray(np.where(usable[..., None], seen, 0.0))
     weights = np.ascontiguousarray(np.where(usable, weights, 0.0))
     units = unit_px(cameras, limits)

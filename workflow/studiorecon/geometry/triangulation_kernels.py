@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inner loops of triangulation, one point at a time, compiled; read ``triangulation.py`` for what they mean.
+"""The inner loops of triangulation, one point at a time, compiled; ``triangulation.py`` explains them.
 
 A rig is the tuple (rotations (V, 3, 3), translations (V, 3), centres (V, 3), focal (V, 2), principal (V, 2), units
 (V,)), all float64. After a change in ``triangulation_dlt.py`` touch this file: numba's cache does not notice changes in
-what it imports.
+imported files.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numba import njit
 
 from studiorecon.geometry.triangulation_dlt import dlt
 
-# What _normal minimises: the Huber norm, or unweighted squared pixels (for covariances).
+# The cost that _normal minimises: the Huber norm, or unweighted squared pixels (for covariances).
 _HUBER, _PIXELS = 1, 2
 _ROUNDS = 3
 _STEPS = 10
@@ -24,10 +24,10 @@ _HUBER_STEPS = 60
 def robust(rig, seen, weights, gates, filled):
     """Write ``filled``, the tuple (points (N, 3), covariance (N, 3, 3), error_px (V, N), inliers (V, N), state (N,)).
 
-    State 0 is undetermined, 1 a point, 2 a verified one; undetermined points keep what the arrays held.
-    All-pairs midpoints, truncated cost, damped Gauss-Newton under the Huber norm on the agreeing views only. ``seen``
-    (V, N, 2) has no NaN; ``weights`` (V, N) are 0 where a view has no pixel. ``gates``: outliers in error units, near
-    plane in metres, sine of the smallest angle, noise in pixels.
+    State 0 is undetermined, 1 a point, 2 a verified one; undetermined points leave the arrays unchanged. All-pairs
+    midpoints, truncated cost, damped Gauss-Newton under the Huber norm on the agreeing views only. ``seen`` (V, N, 2)
+    has no NaN; ``weights`` (V, N) are 0 where a view has no pixel. ``gates``: outliers in error units, near plane in
+    metres, sine of the smallest angle, noise in pixels.
     """
     gate, near, min_sine, _ = gates
     views, count = weights.shape
@@ -77,8 +77,8 @@ def robust(rig, seen, weights, gates, filled):
 
 @njit(cache=True, nogil=True)
 def linear(rig, seen, weights, gates, huber, filled):
-    """The same outputs from plain DLT over all usable views, with ``huber`` refined under the Huber norm, outliers
-    kept."""
+    """The same outputs from plain DLT over all usable views, or, with ``huber``, refined under the Huber norm with
+    outliers."""
     near = gates[1]
     views, count = weights.shape
     used, everyone, room = np.empty(views, np.int64), np.ones(views, np.bool_), np.empty(9)
@@ -115,7 +115,8 @@ def _rays(rig, seen, weights, n, rays, used):
 
 @njit(cache=True, nogil=True)
 def _midpoint(rig, rays, a, b, near, min_sine, point):
-    """Middle of the common perpendicular of two rays; False where it is not before both or the rays hardly cross."""
+    """Middle of the common perpendicular of two rays; False where it is not in front of both or the rays are nearly
+    parallel."""
     centres = rig[2]
     cosine, along_a, along_b, cross = 0.0, 0.0, 0.0, 0.0
     for i in range(3):
@@ -220,7 +221,8 @@ def _solve(room, lift, b0, b1, b2):
 
 @njit(cache=True, nogil=True)
 def _refine(rig, seen, weights, n, used, chosen, mode, steps, near, point, room):
-    """Damped Gauss-Newton in place; a step that raises the cost or crosses a near plane is not taken (T12)."""
+    """Refine the point in place by damped Gauss-Newton; a step that raises the cost or crosses a near plane is refused
+    (T12)."""
     cost = _normal(rig, seen, weights, n, used, chosen, mode, near, point, room)
     if cost == np.inf:
         return
@@ -244,8 +246,8 @@ def _refine(rig, seen, weights, n, used, chosen, mode, steps, near, point, room)
 
 @njit(cache=True, nogil=True)
 def _report(rig, seen, weights, n, used, chosen, gates, point, filled):
-    """Write point n where at least two chosen views see it ahead of them, with rays neither parallel nor opposite (T01,
-    T02, T06)."""
+    """Write point n where at least two chosen views see it in front, with rays neither parallel nor opposite (T01, T02,
+    T06)."""
     centres, units = rig[2], rig[5]
     gate, near, min_sine, noise_px = gates
     points, covariance, error_px, inliers, state = filled
