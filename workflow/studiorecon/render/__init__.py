@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Films of the scene. In come background, people, things and light; out come pictures, depth and truth maps per shot.
+"""Draws films of the scene. In: background, people, objects and light; out: pictures, depth and truth maps per shot.
 
-* steps: ``light`` (the room's light from shadows), ``shot`` (a film), ``layers`` (a film taken apart), ``shade`` (the
-  shadows alone, for the player);
-* what a shot is: ``kinds``, ``shots``, ``subjects``, and its path: ``orbit``, ``keyframes``, ``moves``, ``given``,
-  put together by ``planning``;
-* what is drawn: ``composite``, ``replacement``, ``shading`` with ``room_light``, ``lamps`` and ``occlusion``, by
-  ``canvas``;
-  ``statistics`` keeps account.
+* steps: ``light`` (the room's light from shadows), ``shot`` (a film), ``layers`` (a film split into layers), ``shade``
+  (the shadows alone, for the player);
+* the definition of a shot: ``kinds``, ``shots``, ``subjects``, and its path: ``orbit``, ``keyframes``, ``moves``,
+  ``given``, combined by ``planning``;
+* drawing: ``composite``, ``replacement``, ``shading`` with ``room_light``, ``lamps`` and ``occlusion``, by ``canvas``;
+  ``statistics`` measures the result.
+
 ``draw_settings``: settings of several steps.
 """

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws a composite picture after picture: the room is put into blocks once; from then on what moves is, and those of
-its colours that the shade has changed.
+"""Draws a composite picture by picture, and updates only the Gaussians that changed since the picture before.
 
-Everything but colour (classes of truth, mattes, normals) is blended beside it or with the lists of the same pass.
+The room is stored in blocks once; afterwards only moving Gaussians and the colours of newly shaded ones are replaced.
+Classes of truth, mattes and normals are blended separately or with the lists of the same pass.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ _FLOATS_PER_GAUSSIAN = BLOCK_FLOATS // LANES
 
 @dataclass(frozen=True)
 class Layers:
-    """One picture, taken apart.
+    """One picture, split into layers.
 
     Attributes:
         rendering: premultiplied colours over nothing, alpha, expected depth and world normals.
         shares: (H, W, 3) share of every pixel that is measured, inferred, invented.
-        mattes: (H, W, 1 + people + things) share of every pixel that is the room, then each person and thing; they add
-            up to alpha.
+        mattes: (H, W, 1 + people + objects) share of every pixel that is the room, then each person and object; they
+            add up to alpha.
     """
 
     rendering: Rendering
@@ -60,7 +60,7 @@ class Canvas:
             for first, end in zip(self._starts, self._starts[1:])
         ]
         self._orders = [np.arange(count) for count in counts]
-        # One column per class; the free places at the end of each part have opacity 0 and stay 0.
+        # One column per class; unused entries at the end of each part have opacity 0 and stay 0.
         self._classes = np.zeros((int(self._starts[-1]), len(TRUTH_LEVELS)), np.float32)
         self._fill(0, scene.background)
         self._classify(0, scene.classes)
@@ -78,7 +78,7 @@ class Canvas:
         return rendering, rendering.values
 
     def layers(self, camera: Camera, frame: float) -> Layers:
-        """The picture at a (fractional) frame, taken apart for compositing."""
+        """The picture at a (fractional) frame, split into layers for compositing."""
         self._enter(frame)
         values = np.hstack([self._classes, self._membership()])
         drawn = self._rasteriser.forward(self._blocked, camera, normals=True, values=values)
@@ -87,8 +87,7 @@ class Canvas:
         return Layers(drawn, drawn.values[..., :classes], drawn.values[..., classes:])
 
     def _enter(self, frame: float) -> None:
-        """Brings the blocks to a frame: what moves is filled in anew, of the room what is shaded otherwise than it
-        was."""
+        """Updates the blocks to a frame: all moving Gaussians, and those of the room whose shade has changed."""
         if frame == self._frame:
             return
         scene = self._scene
@@ -114,6 +113,6 @@ class Canvas:
         self._classes[first + np.arange(len(classes)), classes] = 1
 
     def _membership(self) -> np.ndarray:
-        """(N, 1 + people + things) whose each Gaussian is: the room's, then each person's and thing's."""
+        """(N, 1 + people + objects) owner of each Gaussian: the room, a person, or an object."""
         sizes = np.diff(self._starts)
         return np.eye(len(sizes), dtype=np.float32)[np.repeat(np.arange(len(sizes)), sizes)]

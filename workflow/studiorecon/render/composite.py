@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Background and people as one set of Gaussians, so that one rasterisation sorts out who hides whom."""
+"""Background and people as one set of Gaussians, so that one rasterisation resolves occlusions."""
 
 from __future__ import annotations
 
@@ -25,8 +25,10 @@ _SOLID_GROUP = 10
 
 
 class Posed(Protocol):
-    """What a composite needs of an avatar: Gaussians and joints at a time, their classes (N,), and the frames (T,) that
-    were measured. Who is absent then has as many Gaussians, none of which is drawn, and joints infinitely far away."""
+    """An avatar in a composite: Gaussians and joints at a time, their classes (N,), and the measured frames (T,).
+
+    An absent person has the same number of Gaussians, all invisible, and joints infinitely far away.
+    """
 
     @property
     def person(self) -> str: ...
@@ -44,14 +46,14 @@ class Posed(Protocol):
 
 @dataclass(frozen=True)
 class Composite:
-    """A scene that can be put together at any time.
+    """A scene that can be composed at any time.
 
     Attributes:
         background: static Gaussians.
         classes: (N,) uint8 per background Gaussian: measured, inferred or invented.
         people: one posable set per person.
-        shading: how people shade the room; None leaves it in the open.
-        objects: one posable set per loose thing.
+        shading: shadows of people on the room; None for none.
+        objects: one posable set per object.
         absent: people who were captured and are left out of this film; its camera still knows where they were.
     """
 
@@ -64,13 +66,15 @@ class Composite:
 
     @property
     def moving(self) -> list[Posed]:
-        """People, then things."""
+        """People, then objects."""
         return [*self.people, *self.objects]
 
 
 def classes_of(person: Posed, frame: float) -> Integer[np.ndarray, " N"]:
-    """(N,) uint8 a person's or thing's classes at a frame: nothing of a body is measured in a frame whose pose was
-    filled in."""
+    """(N,) uint8 classes of a person or object at a frame.
+
+    In a frame whose pose was interpolated no part of a body is measured.
+    """
     measured = bool(person.valid[int(np.clip(round(frame), 0, len(person.valid) - 1))])
     return person.provenance if measured else np.maximum(person.provenance, INFERRED)
 
@@ -78,8 +82,8 @@ def classes_of(person: Posed, frame: float) -> Integer[np.ndarray, " N"]:
 def truth_levels(shares: Float[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W"]:
     """(H, W) uint8 truth map from class shares (H, W, 3): 255 measured, 128 inferred, 0 invented.
 
-    The class with the largest share of the pixel wins; where more than half of the light comes from nothing at all, the
-    pixel is invented too: nobody measured that there is nothing.
+    The class with the largest share of the pixel wins. A pixel with more than half of its light from no Gaussian is
+    invented too: no camera measured that there is nothing.
     """
     return _levels(np.ascontiguousarray(shares), TRUTH_LEVELS)
 
@@ -100,14 +104,14 @@ def _levels(shares, levels):
 
 
 def millimetres(depth_m: Float[np.ndarray, "H W"]) -> Integer[np.ndarray, "H W"]:
-    """(H, W) uint16 millimetres; 0 stays unknown, anything beyond 65.535 m becomes 65535."""
+    """(H, W) uint16 millimetres; 0 stays unknown, larger depths than 65.535 m become 65535."""
     return np.clip(np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=65.535) * 1000), 0, 65535).astype(np.uint16)
 
 
 def blocked(eyes_m: Float[np.ndarray, "E 3"], background: Gaussians, clearance_m: float) -> Bool[np.ndarray, " E"]:
     """(E,) bool: camera positions with solid background within ``clearance_m``.
 
-    Solid is a group of Gaussians of opacity above a half: a single floater must not push a camera path around.
+    Solid is a group of Gaussians of opacity above a half: a single floater must not move a camera path.
     """
     solid = background.means_m[background.logit_opacities > 0]
     if len(solid) == 0 or clearance_m <= 0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings that several steps of the stage are told."""
+"""Settings that several steps of the stage share."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from studiorecon.configuration.setting import setting
 from studiorecon.render.kinds import KINDS
 
-# Of a film the kind is what must be said; what else may be said of it stands in the schema's $defs, kind by kind.
+# A film must have a kind; its other settings are in the schema's $defs, kind by kind.
 _FILMS = {
     "type": "object",
     "propertyNames": {
@@ -35,7 +35,7 @@ _FILMS = {
 
 @dataclass(frozen=True)
 class Drawn:
-    """The films, and the depth in metres nearer than which no Gaussian is drawn (G01)."""
+    """The films, and the near limit of depth in metres for drawing Gaussians (G01)."""
 
     shots: dict[str, Any] = setting(
         {"orbit": {"kind": "orbit"}, "heldout": {"kind": "heldout"}},

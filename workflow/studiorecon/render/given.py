@@ -20,7 +20,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.dataset import colmap_files
 from studiorecon.scene.path import PathStep
 
-# More than rounding to six decimals: then the pose carries a scale, and so may its place.
+# More than rounding to six decimals: the rotation then includes a scale, and the position perhaps too.
 _SCALE_TOLERANCE = 1e-4
 
 
@@ -29,9 +29,9 @@ class GivenPath:
     """Settings of a ``path`` shot.
 
     Attributes:
-        file: transforms.json (camera-to-world, OpenGL axes; a frame's own ``frame`` says which time it shows), or
+        file: transforms.json (camera-to-world, OpenGL axes; a frame's own ``frame`` gives the time it shows), or
             ``images.txt`` or ``images.bin`` of a COLMAP model.
-        time: how time advances where the file does not say, see ``render/shots.py``.
+        time: how time advances where the file gives none, see ``render/shots.py``.
     """
 
     kind: Literal["path"]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``spline``: a smooth camera path through keyframes, each with its own lens and its own time (bullet time, slow
-motion)."""
+motion).
+"""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from studiorecon.render.subjects import Subjects, Target
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.path import PathStep
 
-# Pictures from one camera to the next where a film is given no keys.
+# Pictures from one camera to the next in a film without keys.
 _LEG = 30
 
 
@@ -39,13 +40,13 @@ class Spline:
 
 @dataclass(frozen=True)
 class CameraKey:
-    """A keyframe that stands where a training camera stands and looks where it looks.
+    """A keyframe at the position and direction of a training camera.
 
     Attributes:
         picture: number of the picture in the film, from 0.
         camera: name of the training camera.
-        frame: capture frame that is shown; equal frames at two keys stop time between them. None leaves it to the keys
-            around, the first and last frame at the ends.
+        frame: capture frame that is shown; equal frames at two keys stop time between them. None interpolates between
+            the neighbouring keys, with the first and last frame at the ends.
         zoom: focal length as a multiple of the training cameras' mean.
     """
 
@@ -57,12 +58,12 @@ class CameraKey:
 
 @dataclass(frozen=True)
 class FreeKey:
-    """A keyframe anywhere.
+    """A keyframe at a free position.
 
     Attributes:
         picture: number of the picture in the film, from 0.
         eye_m: world position of the camera, metres.
-        target: what is in the middle of the picture.
+        target: the middle of the picture.
         frame: capture frame that is shown, as for ``CameraKey``.
         zoom: focal length as a multiple of the training cameras' mean.
     """
@@ -75,8 +76,10 @@ class FreeKey:
 
 
 def read_keys(values: Sequence[Any], name: str) -> list[CameraKey | FreeKey]:
-    """The keyframes of shot ``name``; raises UserError when there are fewer than two or their pictures do not increase
-    from 0."""
+    """The keyframes of shot ``name``.
+
+    Raises UserError when there are fewer than two or their pictures do not increase from 0.
+    """
     keys: list[CameraKey | FreeKey] = []
     for index, value in enumerate(values):
         where, load = f"render.shots.{name}.keys[{index}]", settings_module.load
@@ -90,7 +93,7 @@ def read_keys(values: Sequence[Any], name: str) -> list[CameraKey | FreeKey]:
 
 
 def from_camera_to_camera(cameras: Sequence[Camera], name: str) -> list[CameraKey | FreeKey]:
-    """Keys where the training cameras stand, by azimuth from the first one on, looking at the people.
+    """Keys at the positions of the training cameras, by azimuth from the first one on, directed at the people.
 
     Raises UserError with fewer than two cameras.
     """
@@ -108,9 +111,9 @@ def spline_steps(
 ) -> list[PathStep]:
     """One step per picture, from the first key's to the last key's.
 
-    Positions follow an Akima curve, rotations a spline on SO(3), both smooth and through every key; time and the
-    logarithm of the focal length follow monotone curves, so that time never runs backwards between keys that do not.
-    When all keys name a target, the camera looks at targets (who may walk) on the way, too. Raises UserError for an
+    Positions follow an Akima curve, rotations a spline on SO(3), both smooth and through every key. Time and the
+    logarithm of the focal length follow monotone curves, so that time never runs backwards unless the keys do. If all
+    keys name a target, the camera points at the targets (which may walk) between keys, too. Raises UserError for an
     unknown camera or person.
     """
     at = np.array([key.picture for key in keys], np.float64)
@@ -160,7 +163,7 @@ def _rotation(key: CameraKey | FreeKey, cameras: Sequence[Camera], subjects: Sub
 
 
 def _handed_over(at: np.ndarray, targets: np.ndarray, pictures: np.ndarray) -> np.ndarray:
-    """(P, 3) from each key's target (K, P, 3) over to the next one's, starting and ending gently."""
+    """(P, 3) targets over time: from each key's target to the next one's, with a gentle start and end."""
     last = np.clip(np.searchsorted(at, pictures, side="right") - 1, 0, len(at) - 2)
     share = (pictures - at[last]) / (at[last + 1] - at[last])
     share = (share**2 * (3 - 2 * share))[:, None]
@@ -175,5 +178,5 @@ def _monotone(at: np.ndarray, values: Sequence[float], pictures: np.ndarray) -> 
 def _curve(at: np.ndarray, places: np.ndarray, pictures: np.ndarray) -> np.ndarray:
     if len(at) == 2:
         return places[0] + ((pictures - at[0]) / (at[1] - at[0]))[:, None] * (places[1] - places[0])
-    # The modified form does not overshoot where a camera rests between two equal keys.
+    # The modified form does not overshoot between two equal keys, where the camera rests.
     return np.asarray(scipy.interpolate.Akima1DInterpolator(at, places, method="makima")(pictures))

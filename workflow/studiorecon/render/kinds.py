@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kinds of films that ``render.shots`` may hold, each with what may be said of it and what holds where nothing is
-said."""
+"""The kinds of films in ``render.shots``, each with its settings and their defaults."""
 
 from __future__ import annotations
 
@@ -15,19 +14,18 @@ from studiorecon.render.keyframes import Spline
 from studiorecon.render.moves import DollyZoom, Follow, Oscillate
 from studiorecon.render.orbit import Orbit
 
-# What any film but heldout may say besides: who is in the picture is none of the path's business
-# (``render/replacement.py``).
+# Settings of any film except heldout: replacing people is independent of the path (``render/replacement.py``).
 BESIDES = ("replace", "reference")
 
 
 @dataclass(frozen=True)
 class Heldout:
-    """Settings of a ``heldout`` shot, of which there are none: every held-out camera at every frame."""
+    """A ``heldout`` shot, which has no settings: every held-out camera at every frame."""
 
     kind: Literal["heldout"]
 
 
-# The defaults of these dataclasses are the only place where a film's are written; the schema and the prose follow them.
+# The defaults of a film are written only in these dataclasses; schema and documentation are generated from them.
 KINDS: Mapping[str, type] = {
     "orbit": Orbit,
     "heldout": Heldout,
@@ -40,8 +38,9 @@ KINDS: Mapping[str, type] = {
 
 
 def film(described: Mapping[str, Any], shot: str) -> Any:
-    """The settings of the film ``shot``, of its kind's type; raises UserError for an unknown kind and for values of the
-    wrong type."""
+    """The settings of the film ``shot``, of its kind's type; raises UserError for an unknown kind or a value of the
+    wrong type.
+    """
     kind = described.get("kind")
     if kind is None or kind not in KINDS:
         raise UserError(f"shot {shot} is of kind {kind!r}; known kinds are {', '.join(KINDS)}")

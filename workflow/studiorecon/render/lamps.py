@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where light may come from, and how much of it does: the strengths that best explain what the floor loses beside
-people."""
+"""Possible positions of lamps, and the strengths that best explain the darkening of the floor near people."""
 
 from __future__ import annotations
 
@@ -17,23 +16,25 @@ from studiorecon.scene.room import RoomBox
 if TYPE_CHECKING:
     from jaxtyping import Float, Shaped
 
-# Walls shine from this height on: below it hardly any lamp or window stands clear of people.
+# Walls give light from this height on: below it people occlude nearly every lamp and window.
 _WALL_FROM_M = 1.2
-# The sky: rings of so many patches at these elevations, this far off.
+# The sky: rings of patches (elevation in degrees, number of patches), at this distance.
 _SKY_RINGS = ((20.0, 12), (40.0, 10), (60.0, 6), (80.0, 3))
 _SKY_M, _SKY_RADIUS = 200.0, 0.15
-# Patches are joined where the joint one, seen from people, is still no wider than one part in so many of its distance:
-# a hall has as few as a room.
+# Patches are merged where the merged one, seen from people, is at most this fraction of its distance wide, so that a
+# hall has as few as a room.
 _JOINED_FROM = 4.0
-# Pixels whose equations are put together at a time.
+# Pixels whose equations are set up at a time.
 _PIXELS = 256
-# Lamps below this share of the light are noise; strengths and total settle within so many rounds.
+# Lamps below this share of the light are noise; the number of alternations of strengths and total; Huber's threshold.
 _MIN_SHARE, _ROUNDS, _HUBER = 0.01, 5, 2.0
 
 
 def patches(room_box: RoomBox, spacing_m: float, seen_from_m: Float[np.ndarray, " 3"]) -> Lamps:
-    """Patches of the ceiling and of the upper walls about ``spacing_m`` apart, fewer and wider ones where they are far
-    from ``seen_from_m`` (3,), and of the sky."""
+    """Patches about ``spacing_m`` apart on the ceiling and the upper walls, and patches of the sky.
+
+    They are fewer and wider where they are far from ``seen_from_m`` (3,).
+    """
     low, high = room_box.low_m, room_box.high_m
 
     def steps(start: float, end: float) -> np.ndarray:
@@ -69,8 +70,7 @@ def patches(room_box: RoomBox, spacing_m: float, seen_from_m: Float[np.ndarray, 
 
 
 def _joined(lamps: Lamps, width_m: float, seen_from_m: np.ndarray) -> Lamps:
-    """The lamps, those that share a cell ``width_m`` wide joined to one of their size where the cell is far from
-    ``seen_from_m``."""
+    """The lamps, merged to one per cell of ``width_m`` where the cell is far from ``seen_from_m``."""
     cells = np.concatenate([np.floor(lamps.positions_m / width_m), lamps.facing], axis=1)
     first, cell, count = np.unique(cells, axis=0, return_index=True, return_inverse=True, return_counts=True)[1:]
     cell = cell.reshape(-1)
@@ -87,7 +87,7 @@ def _joined(lamps: Lamps, width_m: float, seen_from_m: np.ndarray) -> Lamps:
 def losses(
     points: Groups, bodies: Sequence[Float[np.ndarray, "C 7"]], lamps: Lamps, contact_m: float
 ) -> Float[np.ndarray, "N M"]:
-    """(N, 2 + K) float32: hidden share of the sky, nearness of a body, and the hidden share of every lamp."""
+    """(N, 2 + K) float32: hidden share of the sky, closeness of a body, and the hidden share of every lamp."""
     beside = np.stack([sky_hidden(points, bodies), nearness(points, bodies, contact_m)], axis=1)
     return np.concatenate([beside, hidden(points, lamps.discs, bodies)], axis=1)
 
@@ -95,13 +95,13 @@ def losses(
 def strengths(
     lost: Float[np.ndarray, "P T M"], relative: Float[np.ndarray, "P K"], ratio: Float[np.ndarray, "P T"]
 ) -> Float[np.ndarray, " M"]:
-    """(2 + K,) non-negative strengths of sky, contact and lamps, from what changes at each of P pixels over T pictures.
+    """(2 + K,) non-negative strengths of sky, contact and lamps, from the changes of P pixels over T pictures.
 
     ``lost`` (P, T, 2 + K) from ``losses``, ``relative`` (P, K) fall-off of every lamp over its mean, ``ratio`` (P, T)
-    of picture to plate, NaN where unknown. A plate may hold a shadow that lay there most of the time, so every pixel
-    has a level of its own that is fitted with the strengths and only its changes count. The light in the open follows
-    from the strengths too: they take turns. Large residuals count by their root (Huber), since reflections and things
-    that are carried are no shadow.
+    of picture to plate, NaN where unknown. A plate may contain a permanent shadow, so every pixel has its own level
+    that is fitted with the strengths, and only its changes count. The unshaded light depends on the strengths too, so
+    the two are updated in alternation. Large residuals count by their root (Huber), since reflections and carried
+    objects are no shadows.
     """
     known = np.isfinite(ratio)
     seen, weight = np.where(known, ratio, 0.0), known.astype(np.float64)
@@ -127,12 +127,12 @@ def strengths(
 
 
 def _parts(pixels: int) -> list[slice]:
-    """So few pixels at a time that memory does not grow with them."""
+    """Slices of the pixels, small enough that memory does not grow with their number."""
     return [slice(first, first + _PIXELS) for first in range(0, pixels, _PIXELS)]
 
 
 def _columns(lost: np.ndarray, relative: np.ndarray, part: slice) -> np.ndarray:
-    """(p, T, 2 + K) float64 what the pixels of a part lose by strengths of one."""
+    """(p, T, 2 + K) float64 losses of a part's pixels at unit strengths."""
     columns = lost[part].astype(np.float64)
     columns[..., 2:] *= relative[part, None]
     return columns
@@ -141,24 +141,25 @@ def _columns(lost: np.ndarray, relative: np.ndarray, part: slice) -> np.ndarray:
 def _with_rows(
     triangle: np.ndarray, scaled: np.ndarray, darker: np.ndarray, weight: np.ndarray, part: slice
 ) -> np.ndarray:
-    """The triangle (n, 3 + K) of the least-squares problem with the equations of a part's pixels added; those of
-    pictures in which a pixel is unknown are left out.
+    """The triangle (n, 3 + K) of the least-squares problem with the equations of a part's pixels added, without unknown
+    ones.
 
-    Orthogonal, so that nothing is lost where neighbouring patches hide nearly the same.
+    The update is orthogonal, so that precision remains where neighbouring patches hide nearly the same pixels.
     """
     own = weight[part]
     share = own / np.maximum(own.sum(axis=1, keepdims=True), 1e-9)
     changes = scaled - np.einsum("pt,ptk->pk", share, scaled)[:, None]
     target = darker[part] - (share * darker[part]).sum(axis=1)[:, None]
     rows = np.concatenate([changes, target[..., None]], axis=-1)[own > 0] * np.sqrt(own[own > 0])[:, None]
-    # numpy's types name other modes' results too
+    # numpy's stubs include results of other modes
     return cast(np.ndarray, np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
 
 
 def own_levels(
     seen: Float[np.ndarray, "P T"], left: Float[np.ndarray, "P T"], weight: Shaped[np.ndarray, "P T"]
 ) -> Float[np.ndarray, " P"]:
-    """(P,) what pixels (P, T) would be as a ratio to their plate in the open, from ``left`` (P, T) of their light; 1
-    where unknown."""
+    """(P,) ratio of pixels (P, T) to their plate when unshaded, from ``left`` (P, T) of their light; 1 where
+    unknown.
+    """
     light = (weight * left).sum(axis=1)
     return np.where(light > 1e-9, (weight * seen).sum(axis=1) / np.maximum(light, 1e-9), 1.0)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``render.layers``: a film taken apart for compositing: colour, depth, mattes and truth of every picture as OpenEXR,
+"""``render.layers``: writes a film as layers for compositing: colour, depth, mattes and truth as OpenEXR,
 ``000000.exr`` ….
 
 Channels: R, G, B, A (half; the video's own tone curve, premultiplied, over nothing), Z (float; metres, 0 = nothing
 there), NX, NY, NZ (half; world normals), ``truth.measured``, ``truth.inferred``, ``truth.invented`` and ``matte.room``,
-``matte.<person>``, ``matte.<thing>`` (half; shares of the pixel, each group adds up to A).
+``matte.<person>``, ``matte.<object>`` (half; shares of the pixel, each group adds up to A).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _CLASSES = ("measured", "inferred", "invented")
 
 @dataclass(frozen=True)
 class Settings(Drawn):
-    """What is drawn."""
+    """Settings of drawing."""
 
 
 def channels(layers: Layers, people: Sequence[str]) -> dict[str, Float[np.ndarray, "H W"]]:

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``render.light``: the light of the room from the shadows that people throw on its floor, checked on pictures it was
-not fitted to.
+"""``render.light``: estimates the room's light from people's shadows on the floor, and checks it on held-out pictures.
 
-Only in the plan when the survey finds moving shadows, and somebody to throw them.
+Runs only when the survey detects moving shadows and there are people.
 """
 
 from __future__ import annotations
@@ -37,9 +36,9 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Levels of 255 between which a ratio means something; a change of colour beyond this is no shadow (log).
+# Levels of 255 between which a ratio is reliable; a larger change of colour (log) is no shadow.
 _DARKEST, _BRIGHTEST, _SAME_COLOUR = 12.0, 250.0, 0.08
-# Nobody's shadow reaches so far that fewer pixels than these say how bright a picture is.
+# The exposure of a picture is estimated from at least this many pixels out of reach of any shadow.
 _MIN_PX = 200
 # Masks are grown by this share of the picture's width: their seams hold mixed colours.
 _SEAM = 0.006
@@ -48,14 +47,14 @@ _HELD_OUT = 0.25
 
 @dataclass(frozen=True)
 class LightSettings:
-    """How the light is estimated.
+    """Settings of the estimate of light.
 
     Attributes:
-        pictures: of every camera that are looked at, evenly over the clip.
+        pictures: number per camera, spread over the clip.
         points: pixels of the floor in every camera.
-        reach_m: around people's ways within which the floor is looked at.
+        reach_m: distance from people's paths within which the floor is used.
         spacing_m: between the patches of ceiling and walls that may give light.
-        contact_m: reach of the darkening beside a body that hides light from everywhere.
+        contact_m: reach of the darkening near a body that hides diffuse light.
         min_gain: share by which the error on held-out pictures must fall.
     """
 
@@ -74,15 +73,16 @@ class Settings:
 
 @dataclass(frozen=True)
 class Observed:
-    """P pixels of the floor that one camera sees: points (P, 3), and ratio (P, T) of pictures to the plate, NaN where
-    unknown."""
+    """P pixels of the floor in one camera: points (P, 3), and ratio (P, T) of pictures to the plate, NaN
+    where unknown.
+    """
 
     points_m: Float[np.ndarray, "P 3"]
     ratio: Float[np.ndarray, "P T"]
 
 
 def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[Float[np.ndarray, "C 7"]]]:
-    """Per frame the capsules (C, 7) of every person; none of who was not measured there.
+    """Per frame the capsules (C, 7) of every person; none for a person who was not measured there.
 
     Raises UserError when a body was fitted with another body model.
     """
@@ -101,7 +101,9 @@ def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[Fl
 
 
 def standing(people: Sequence[Person], frame: int) -> tuple[Float[np.ndarray, "A 2"], Float[np.ndarray, "B 2"]]:
-    """(A, 2) where people stand at a frame who were measured there, and (B, 2) where others may; nobody who is away."""
+    """(A, 2) positions of people measured at a frame, and (B, 2) possible positions of unmeasured ones, without absent
+    people.
+    """
     sure = [person.trans[frame, :2] for person in people if person.valid[frame]]
     guessed = [person.trans[frame, :2] for person in people if person.present[frame] and not person.valid[frame]]
     return np.reshape(sure, (-1, 2)), np.reshape(guessed, (-1, 2))
@@ -119,8 +121,8 @@ def ratios(
     """(H, W) ratio of a ``picture`` (H, W, 3) uint8 to the ``plate`` (H, W, 3) in 0..1, NaN where not ``free`` or of
     another colour.
 
-    ``near_m`` (A, 2): where people stand who were measured; ``unsure_m`` (B, 2): where others may, whose surroundings
-    are unknown. What pixels far from everybody differ by, the picture's exposure, is taken off.
+    ``near_m`` (A, 2): positions of measured people; ``unsure_m`` (B, 2): possible positions of others, around which the
+    ratio is unknown. The picture's exposure, measured from pixels far from all people, is divided out.
     """
     levels, before = picture.astype(np.float32), plate.astype(np.float32) * 255
     usable = free & (before.min(-1) > _DARKEST) & (np.maximum(levels, before).max(-1) < _BRIGHTEST)
@@ -139,8 +141,10 @@ def estimate(
     room_box: RoomBox,
     settings: LightSettings,
 ) -> Light:
-    """The light that explains how the floor changes over ``frames`` (T); not kept where it does not explain the last
-    quarter of them."""
+    """The light that explains the changes of the floor over ``frames`` (T).
+
+    It is not kept where it does not explain the last quarter of them.
+    """
     nothing = Lamps(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     blank = Light(False, "", nothing, np.zeros(0), np.ones(0), 0.0, 0.0, settings.contact_m, room_box.standing_m)
     points, ratio = np.concatenate([o.points_m for o in observed]), np.concatenate([o.ratio for o in observed])
@@ -171,7 +175,7 @@ def estimate(
             f"{error:.2%} with them in pictures not fitted to"
         )
         return replace(blank, figures=figures, reason=f"{told}, so films are made without")
-    # What was found holds; now from all pictures.
+    # The light passed the check; now it is estimated from all pictures.
     found = _light(blank, strengths(lost, falloff / usual, ratio), lamps, usual)
     told = (
         f"{len(found.share)} patches give {found.share.sum():.0%} of the light; floor "
@@ -181,8 +185,9 @@ def estimate(
 
 
 def _error(ratio: np.ndarray, left: np.ndarray, later: np.ndarray) -> float:
-    """Root mean square of what ``left`` (P, T) of the light leaves unexplained ``later`` (T,), with levels of the
-    pictures before."""
+    """Root mean square residual of ``left`` (P, T) of the light in the ``later`` frames (T,), with levels from the
+    frames before.
+    """
     seen, weight = np.nan_to_num(ratio), np.isfinite(ratio)
     own = own_levels(seen[:, ~later], left[:, ~later], weight[:, ~later])
     return float(np.sqrt(np.mean((seen - own[:, None] * left)[weight & later] ** 2)))
@@ -206,7 +211,7 @@ def run(
     room_box: Path,
     light: Written,
 ) -> None:
-    """Look at the floor beside people and write what light explains its shadows."""
+    """Write the light that explains the shadows on the floor near people."""
     cameras, box, chosen = read_model(model.parent), read_room(room_box), settings.light
     one_each(cameras, videos=videos, masks=masks, plates=plates, depth_maps=depths)
     persons = [read_person(path) for path in fits]

@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DollyZoom:
-    """Settings of a ``dolly_zoom`` shot: the camera comes nearer as its lens widens, so that the subject keeps its
+    """Settings of a ``dolly_zoom`` shot: the camera approaches while its lens widens, so that the subject keeps its
     size.
 
     Attributes:
         frames: number of pictures.
-        target: whose size is kept.
+        target: the subject.
         camera: training camera on whose line to the target the camera moves; empty = the first.
         distances: shares of that camera's distance to the target, at the start and at the end.
         passes: 1 = there, 2 = there and back, and so on.
-        zoom: size of the subject as a multiple of what it is in that camera's own picture.
+        zoom: size of the subject as a multiple of that in the camera's own picture.
         time: how time advances, see ``render/shots.py``.
     """
 
@@ -50,11 +50,11 @@ class Oscillate:
 
     Attributes:
         frames: number of pictures.
-        target: what stays in the middle of the picture.
-        camera: training camera about whose place the camera swings; empty = the first.
+        target: the middle of the picture.
+        camera: training camera about whose position the camera swings; empty = the first.
         swing_deg: largest angle to either side, seen from the target.
         rise_m: largest rise and fall, a quarter of a period behind: 0 = level, else an ellipse.
-        periods: how often.
+        periods: number of periods.
         distance: share of that camera's distance to the target.
         zoom: focal length as a multiple of that camera's.
         time: how time advances, see ``render/shots.py``.
@@ -74,18 +74,18 @@ class Oscillate:
 
 @dataclass(frozen=True)
 class Follow:
-    """Settings of a ``follow`` shot: the camera keeps its place beside a person who walks.
+    """Settings of a ``follow`` shot: the camera moves along with a person who walks.
 
     Attributes:
         frames: number of pictures.
-        person: whom.
+        person: the person's id.
         distance_m: horizontal distance to the pelvis; the default shows head and feet at the training cameras' usual
             angle.
         rise_m: height above the pelvis.
-        azimuth_deg: where the camera stands: with ``beside: person`` 0 is in front and 180 behind, with ``beside:
+        azimuth_deg: direction of the camera: with ``beside: person`` 0 is in front and 180 behind, with ``beside:
             world`` from x.
         beside: ``person`` turns with the person, ``world`` keeps its direction.
-        smooth_s: the person's place and facing are smoothed over this time, seconds.
+        smooth_s: the person's position and facing are smoothed over this time, seconds.
         zoom: focal length as a multiple of the training cameras' mean.
         time: how time advances, see ``render/shots.py``.
     """
@@ -107,7 +107,7 @@ def dolly_zoom_steps(
 ) -> list[PathStep]:
     """The pictures of a dolly zoom: focal length over depth of the target is the same in all of them.
 
-    The rails are straight, from the camera towards where the target is in the first picture; when a person walks, the
+    The rails are straight, from the camera towards the target's position in the first picture; when a person walks, the
     lens follows their true depth. Raises UserError for an unknown camera, and where the rails reach the target.
     """
     start = camera_named(shot.camera, cameras, name)
@@ -136,8 +136,7 @@ def oscillate_steps(
     wh: tuple[int, int],
     shrink: Float[np.ndarray, " pictures"],
 ) -> list[PathStep]:
-    """The pictures of an oscillation; ``shrink`` (pictures,) scales the distance of each, to get clear of walls and
-    furniture.
+    """The pictures of an oscillation; ``shrink`` (pictures,) scales the distance of each, to avoid walls and furniture.
 
     Raises UserError for an unknown camera.
     """
@@ -146,7 +145,7 @@ def oscillate_steps(
     targets = subjects.at(shot.target, times, name)
     phase = 2 * np.pi * shot.periods * np.arange(shot.frames) / shot.frames
     turned = np.radians(shot.swing_deg) * np.sin(phase)
-    # A person who walks takes the camera with them.
+    # The camera moves along with a walking person.
     offset = start.centre_m - targets[0]
     cos, sin = np.cos(turned), np.sin(turned)
     beside = np.stack(
@@ -166,8 +165,7 @@ def follow_steps(
     wh: tuple[int, int],
     shrink: Float[np.ndarray, " pictures"],
 ) -> list[PathStep]:
-    """The pictures of a follow shot; ``shrink`` (pictures,) scales the distance of each, to get clear of walls and
-    furniture.
+    """The pictures of a follow shot; ``shrink`` (pictures,) scales the distance of each, to avoid walls and furniture.
 
     Raises UserError for an unknown person.
     """
@@ -185,8 +183,7 @@ def follow_steps(
 
 
 def camera_named(camera: str, cameras: Sequence[Camera], shot: str) -> Camera:
-    """The training camera of that name, the first one for an empty name; raises UserError for a name that is not
-    there."""
+    """The training camera of that name, the first one for an empty name; raises UserError for an unknown name."""
     found = [c for c in cameras if c.name == camera or not camera]
     if not found:
         raise UserError(

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much of a lamp bodies of capsules hide from points, and how near they come: soft, in closed form, without
-sampling a lamp.
+"""The share of a lamp that bodies of capsules hide from points, and the closeness of bodies: soft, in closed form,
+without sampling.
 
-Points are taken in groups of sixteen neighbours, and sixteen groups make a heap. Most capsules cannot stand between
-most groups and most lamps: a test of all groups of a heap at once says so. Only what remains is worked out, sixteen
-points at a time.
+Points are processed in groups of sixteen neighbours, and sixteen groups make a heap. Most capsules cannot be between
+most groups and most lamps; one test of all groups of a heap detects that. Only the remaining groups are computed,
+sixteen points at a time.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from studiorecon.splatting.cpu.simd_rows import load, lowest_bit, store
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
-# Directions that stand for light from everywhere above, spread by the cosine; each is seen this wide.
+# Directions that represent diffuse light from above, distributed by the cosine; the angular width of each.
 _SKY, _SKY_TAN = 24, 0.32
 _FAR_M = 50.0
-# A bell curve is nothing beyond so many of its reaches.
+# A bell curve counts as 0 beyond this multiple of its reach.
 _REACHES = 4.0
-# Edges of what is nearer than this are sharp, metres.
+# Edges of closer occluders are sharp, metres.
 _SHARP = float32(1e-4)
 
 
@@ -51,7 +51,7 @@ class Groups:
     """N points in G groups of sixteen neighbours.
 
     Attributes:
-        order: (N,) which point stands at each place.
+        order: (N,) index of the point at each position.
         count: G, whole heaps of sixteen groups.
         places: (G · 3 · 16,) float32 x, y and z of every group's points, metres; surplus places repeat a point.
         spheres: (G / 16 · 4 · 16,) float32 x, y, z and radius of the spheres around every heap's groups.
@@ -64,7 +64,7 @@ class Groups:
 
     @classmethod
     def of(cls, points_m: Num[np.ndarray, "N 3"]) -> Groups:
-        """Groups of points (N, 3). Raises ValueError for another shape."""
+        """Groups of points (N, 3); raises ValueError for another shape."""
         require("points_m", points_m, ("N", 3))
         order = morton_order(np.asarray(points_m))
         count = -(-len(order) // LANES**2) * LANES
@@ -77,7 +77,7 @@ class Groups:
         return cls(order, count, *lanes)
 
     def grouped(self, values: Num[np.ndarray, "N K"]) -> Float[np.ndarray, " V"]:
-        """(G · 16 · …,) float32, flat: values (N, K) of the points as kernels read them, (G, K, 16); padding is 0."""
+        """(G · 16 · …,) float32, flat: values (N, K) of the points in the kernels' layout, (G, K, 16); padding is 0."""
         out = np.zeros((len(self.spheres) * LANES, values.shape[1]), np.float32)
         out[: len(self.order)] = values[self.order]
         return np.ascontiguousarray(out.reshape(len(self.spheres), LANES, values.shape[1]).transpose(0, 2, 1)).reshape(
@@ -94,8 +94,8 @@ class Groups:
 def capsules_of(
     bodies: Sequence[Float[np.ndarray, "C 7"]],
 ) -> tuple[Float[np.ndarray, "C 7"], Float[np.ndarray, "B 7"], Integer[np.ndarray, " B+1"]]:
-    """Capsules (C, 7) of all bodies, a ball around each body (B, 7) as a capsule without length, and where each one's
-    capsules start (B + 1,).
+    """Capsules (C, 7) of all bodies, a ball around each body (B, 7) as a capsule of length 0, and the start index of
+    each one's capsules (B + 1,).
 
     Raises ValueError for other shapes.
     """
@@ -114,10 +114,10 @@ def capsules_of(
 
 
 def sky_discs() -> Num[np.ndarray, "D 4"]:
-    """(D, 4) discs, each as bright as the next on what faces up, that stand for the light from everywhere above.
+    """(D, 4) discs that represent diffuse light from above, all equally bright on a surface that faces up.
 
-    On the dome, uniform on the disc below it: that is the cosine of light on what faces up. So far away that every
-    point of a room sees each in the same direction.
+    On the dome, uniform on the disc below it, which gives the cosine of light on such a surface. They are so far away
+    that every point of a room sees each in the same direction.
     """
     k = np.arange(_SKY) + 0.5
     radius, angle = np.sqrt(k / _SKY), k * np.pi * (3 - np.sqrt(5))
@@ -131,8 +131,8 @@ def hidden(
     """(N, K) float32 share of every lamp that the bodies hide from points (N, 3).
 
     ``lamps`` (K, 4): position and radius in metres, seen as a disc; ``bodies``: capsules (C, 7) each, two ends and a
-    radius. Capsules hide parts of a lamp independently of each other: against sampled rays that errs by a third less
-    than letting the one count that hides most. Raises ValueError for other shapes.
+    radius. Capsules hide parts of a lamp independently of each other: against sampled rays, this error is a third
+    smaller than with only the capsule that hides most. Raises ValueError for other shapes.
     """
     groups = points_m if isinstance(points_m, Groups) else Groups.of(points_m)
     require("lamps", lamps, ("K", 4))
@@ -159,15 +159,16 @@ def lost(
 def sky_hidden(
     points_m: Float[np.ndarray, "N 3"] | Groups, bodies: Sequence[Float[np.ndarray, "C 7"]]
 ) -> Float[np.ndarray, " N"]:
-    """(N,) float32 share of the light from everywhere above that the bodies hide from points (N, 3) that face up."""
+    """(N,) float32 share of the diffuse light from above that the bodies hide from points (N, 3) that face up."""
     return hidden(points_m, sky_discs(), bodies).mean(axis=1)
 
 
 def nearness(
     points_m: Float[np.ndarray, "N 3"] | Groups, bodies: Sequence[Float[np.ndarray, "C 7"]], reach_m: float
 ) -> Float[np.ndarray, " N"]:
-    """(N,) float32: 1 where a body touches a point (N, 3), exp(-1) at ``reach_m`` from its surface, and so on as a bell
-    curve; 0 beyond four times that."""
+    """(N,) float32: 1 where a body touches a point (N, 3), exp(-1) at ``reach_m`` from its surface, falling as a bell
+    curve; 0 beyond four times that.
+    """
     groups = points_m if isinstance(points_m, Groups) else Groups.of(points_m)
     gaps = np.empty(groups.count * LANES, np.float32)
     _gaps(groups.places, groups.spheres, *capsules_of(bodies), float32(_REACHES * reach_m), gaps)
@@ -177,7 +178,7 @@ def nearness(
 
 @njit(**INLINE)
 def _near_ray(cx, cy, cz, radius, disc, capsule):
-    """A mask of sixteen spheres (middle, radius): whether a capsule may stand between any point of one and a disc."""
+    """A mask of sixteen spheres (middle, radius): whether a capsule may be between any point of one and a disc."""
     nothing, whole = zeros(), broadcast(float32(1))
     lx, ly, lz = disc[0] - cx, disc[1] - cy, disc[2] - cz
     away = most(root(lx * lx + ly * ly + lz * lz), broadcast(float32(1e-6)))
@@ -186,10 +187,11 @@ def _near_ray(cx, cy, cz, radius, disc, capsule):
     uu = ux * ux + uy * uy + uz * uz
     wx, wy, wz = cx - capsule[0], cy - capsule[1], cz - capsule[2]
     ul, uw, lw = ux * lx + uy * ly + uz * lz, ux * wx + uy * wy + uz * wz, lx * wx + ly * wy + lz * wz
-    # How far along the ray it reaches: behind all points, or how wide the light is there at most.
+    # Extent along the ray: behind all points, or at most the width of the light there.
     furthest = most(-lw, ul - lw) + radius + capsule[6]
     light = disc[3] * least(whole, most(furthest, nothing) / most(away - radius, broadcast(float32(1e-6))))
-    # The least distance of two segments: where the lines are nearest, cut to the ray, then to the axis, then again.
+    # The smallest distance of two segments: where the lines are nearest, clipped to the ray, then to the axis, then
+    # again.
     across = uu - ul * ul
     slanted = above(across, broadcast(float32(1e-6) * max(uu, float32(1e-9))))
     share = least(most(select(slanted, (uw - ul * lw) / across, nothing), nothing), whole)
@@ -203,7 +205,9 @@ def _near_ray(cx, cy, cz, radius, disc, capsule):
 
 @njit(**INLINE)
 def _uncovered(px, py, pz, lx, ly, lz, away, spread, capsule):
-    """Share of a disc that one capsule leaves, by how far the ray to the disc's middle passes from its axis."""
+    """Share of a disc that one capsule leaves visible, from the distance between its axis and the ray to the disc's
+    middle.
+    """
     ux, uy, uz = capsule[3] - capsule[0], capsule[4] - capsule[1], capsule[5] - capsule[2]
     uu, radius = ux * ux + uy * uy + uz * uz, capsule[6]
     wx, wy, wz = px - capsule[0], py - capsule[1], pz - capsule[2]
@@ -214,21 +218,21 @@ def _uncovered(px, py, pz, lx, ly, lz, away, spread, capsule):
     share = select(slanted, (uw - ul * lw) / across, broadcast(float32(0.5)))
     share = least(most(share, nothing), whole)
     along = least(most(share * ul - lw, nothing), away)
-    # The ray is cut to what lies between point and lamp, which moves the nearest place of the axis.
+    # The ray is clipped to the segment between point and lamp, which moves the nearest point of the axis.
     share = least(most((uw + along * ul) * (float32(1) / uu if uu > float32(1e-12) else float32(0)), nothing), whole)
     dx, dy, dz = wx + along * lx - share * ux, wy + along * ly - share * uy, wz + along * lz - share * uz
     distance = root(dx * dx + dy * dy + dz * dz)
     wide = most(spread * along, broadcast(_SHARP))
     edge = float32(0.5) + float32(0.5) * (radius - distance) / wide
     edge = least(most(edge, nothing), whole)
-    # What is narrower than the disc seen past it covers a strip of it.
+    # A capsule narrower than the disc covers a strip of it.
     strip = least(float32(4 / math.pi) * radius / wide, whole)
     return float32(1) - edge * edge * (float32(3) - float32(2) * edge) * strip
 
 
 @njit(**KERNEL)
 def _left(places, at, disc, capsule):
-    """Share of a disc that a capsule leaves to the sixteen points at ``at``."""
+    """Share of a disc that a capsule leaves visible to the sixteen points at ``at``."""
     px, py, pz = load(places, at), load(places, at + LANES), load(places, at + 2 * LANES)
     lx, ly, lz = disc[0] - px, disc[1] - py, disc[2] - pz
     away = most(root(lx * lx + ly * ly + lz * lz), broadcast(float32(1e-6)))
@@ -237,8 +241,10 @@ def _left(places, at, disc, capsule):
 
 @njit(**KERNEL)
 def _hide_heap(places, spheres, heap, disc, capsules, starts, near, left):
-    """Fills ``left`` (16 · 16) with the share of a disc that the bodies ``near`` leave to a heap's points; returns bits
-    of its groups in whose way anything may stand, the others' places are not filled."""
+    """Fills ``left`` (16 · 16) with the share of a disc that the bodies ``near`` leave visible to a heap's points.
+
+    Returns bits of the groups that anything may occlude; the entries of other groups are not filled.
+    """
     at = heap * 4 * LANES
     cx, cy, cz = load(spheres, at), load(spheres, at + LANES), load(spheres, at + 2 * LANES)
     radius, shaded = load(spheres, at + 3 * LANES), int64(0)
@@ -261,8 +267,10 @@ def _hide_heap(places, spheres, heap, disc, capsules, starts, near, left):
 
 @njit(parallel=True, nogil=True, **KERNEL)
 def _hide(places, spheres, discs, capsules, balls, starts, parts, shares, sums):
-    """Fills ``shares`` (G, K, 16) with the hidden share of every disc (K, 4); given ``parts`` (G, K, 16) adds their
-    product to ``sums`` (G, 16) instead."""
+    """Fills ``shares`` (G, K, 16) with the hidden share of every disc (K, 4).
+
+    Given ``parts`` (G, K, 16), it instead adds their product to ``sums`` (G, 16).
+    """
     lamps = len(discs)
     for heap in prange(len(spheres) // (4 * LANES)):
         left, near = np.empty(LANES * LANES, np.float32), np.empty(len(balls), np.bool_)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``orbit``: once around the scene inside the ring of training cameras.
 
-Where they cover only an arc, it swings along that arc and back, because beyond it nothing was filmed.
+If the cameras cover only an arc, the path swings along that arc and back, because nothing was filmed beyond it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Orbit:
 
     Attributes:
         frames: number of pictures.
-        target: what stays in the middle of the picture.
+        target: the middle of the picture.
         radius: distance to the centre as a share of the training cameras' at the same azimuth.
         rise_m: metres above the training cameras' mean height.
         zoom: focal length as a multiple of the training cameras' mean.
@@ -73,7 +73,7 @@ def orbit_steps(
     wh: tuple[int, int],
     shrink: Float[np.ndarray, " pictures"],
 ) -> list[PathStep]:
-    """The pictures of an orbit; ``shrink`` (pictures,) scales the radius of each once more, to get clear of walls and
+    """The pictures of an orbit; ``shrink`` (pictures,) scales the radius of each once more, to avoid walls and
     furniture.
 
     The radius follows the training cameras' own distances, interpolated over azimuth: a ring in an oblong room stays

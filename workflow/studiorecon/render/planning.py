@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a shot's settings to its pictures, clear of walls and furniture where the kind of shot leaves room for that."""
+"""The pictures of a shot from its settings, with a path that avoids walls and furniture where the kind of shot allows
+it.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ from studiorecon.scene.path import PathStep
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Where a path stands in something, its distance to the subject is tried with these factors, widest first.
+# Factors on the distance to the subject for paths that are blocked, widest first.
 _SHRINK = (1.0, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7)
 
 
@@ -79,10 +81,10 @@ def kept_clear(
     background: Gaussians,
     clearance_m: float,
 ) -> list[PathStep]:
-    """A path that comes closer to its subject where it would pass within ``clearance_m`` of solid background.
+    """A path that moves closer to its subject where it would pass within ``clearance_m`` of solid background.
 
-    ``path`` makes the steps from a factor on the distance of each picture. Where none of the factors tried is clear,
-    the path is left as wide as it was; the ledger of the shot says so (``render/statistics.py``).
+    ``path`` makes the steps from a factor on the distance of each picture. If no factor gives a clear path, the path
+    keeps its full distance; the ledger of the shot says so (``render/statistics.py``).
     """
     inside = np.array([_blocked(path(np.full(pictures, shrink)), background, clearance_m) for shrink in _SHRINK])
     clear = ~inside.all(axis=0)
@@ -97,10 +99,10 @@ def kept_clear(
 
 
 def smooth_dips(factors: Float[np.ndarray, " pictures"]) -> Float[np.ndarray, " pictures"]:
-    """A smooth closed curve that never exceeds ``factors`` (pictures,): how a path goes around what stands in its way.
+    """A smooth closed curve that never exceeds ``factors`` (pictures,), for a path around obstacles.
 
-    The least factor within a fourteenth of the film either side, then a Hann window of the same reach: a mean of values
-    that are each at most the factor here.
+    The smallest factor within a fourteenth of the film on either side, then a Hann window of the same reach: a mean of
+    values that are each at most the factor here.
     """
     count = len(factors)
     reach = max(count // 14, 1)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Somebody else in a person's place (paper: human replacement): their looks and build, this person's performance.
+"""Replaces a person by another (paper: human replacement): the donor's appearance and build, this person's motion.
 
 A shot's ``replace: {p0: p1}`` takes another person of the same capture, ``replace: {p0: FILE.ply}`` any person in the
-rest pose: LHM's, or ``humans/<person>.ply`` of another result, whose ``.npz`` beside it brings skeleton and weights
-along. ``{p0: FILE.png}`` takes whom LHM makes of that photo, and ``{p0: nobody}`` leaves p0 out.
+rest pose: LHM's, or ``humans/<person>.ply`` of another result with skeleton and weights in the ``.npz`` of the same
+name. ``{p0: FILE.png}`` takes the person that LHM makes from that photo, and ``{p0: nobody}`` leaves p0 out.
 """
 
 from __future__ import annotations
@@ -30,14 +30,16 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
 NOBODY = "nobody"
-"""In somebody's place: the room as it is without that person."""
-# Moments over which what the donor's colours do over time is averaged.
+"""In place of a person: the room without that person."""
+# Moments over which changes of the donor's colours are averaged.
 _MOMENTS = 8
 
 
 @dataclass(frozen=True)
 class Donor:
-    """Whose looks are taken: canonical Gaussians of shape ``betas`` (B,) with joints (N, K) and weights (N, K)."""
+    """The person whose appearance is taken: canonical Gaussians of shape ``betas`` (B,) with joints (N, K) and weights
+    (N, K).
+    """
 
     gaussians: Gaussians
     bones: Integer[np.ndarray, "N K"]
@@ -46,8 +48,10 @@ class Donor:
 
 
 def donor_of(person: Avatar) -> Donor:
-    """A trained person as a donor; colours that drift over their own performance take their mean, because its times are
-    not another's."""
+    """A trained person as a donor.
+
+    Colours that change over the donor's performance are averaged, because its times do not match another's.
+    """
     own = person.gaussians
     there = np.flatnonzero(person.present)
     moments = np.interp(np.linspace(0, len(there) - 1, _MOMENTS), np.arange(len(there)), there)
@@ -58,8 +62,9 @@ def donor_of(person: Avatar) -> Donor:
 
 
 def read_donor(path: Path, model: BodyModel) -> Donor:
-    """The person of a canonical ``.ply``; raises UserError that names the file when it holds no person in the rest
-    pose."""
+    """The person of a canonical ``.ply``; raises UserError with the file's name unless it holds a person in the rest
+    pose.
+    """
     beside = path.with_suffix(".npz")
     if beside.is_file():
         return donor_of(read_avatar(path, beside, model, brought=True))
@@ -72,11 +77,11 @@ def read_donor(path: Path, model: BodyModel) -> Donor:
 
 
 def performing(donor: Donor, performer: Avatar) -> Avatar:
-    """The donor doing what the performer did, as ``performer.person``.
+    """The donor with the performer's motion, as ``performer.person``.
 
-    Joint rotations are the performer's, bones keep the donor's length. The pelvis goes where the performer's was, but
-    as much higher or lower that the lowest point of the body stays at its height: shorter legs do not float. Nobody
-    filmed that: all of it is invented.
+    Joint rotations are the performer's, bones keep the donor's length. The pelvis follows the performer's, shifted in
+    height so that the lowest point of the body keeps its height: shorter legs do not float. No camera filmed that, so
+    all of it is invented.
     """
     model, poses = performer.model, performer.poses
     lowest = [
@@ -102,11 +107,12 @@ def performing(donor: Donor, performer: Avatar) -> Avatar:
 def replaced(
     people: Sequence[Avatar], wanted: Mapping[str, str], shot: str, stand_ins: Sequence[Path] = ()
 ) -> list[Avatar]:
-    """The people of a shot, with those that ``wanted`` names (person → person, path of a ``.ply`` or photo, or
-    ``NOBODY``) replaced or left out. ``stand_ins`` holds the canonical ``.ply`` of every photo's stranger.
+    """The people of a shot, with those in ``wanted`` (person → person, path of a ``.ply`` or photo, or ``NOBODY``)
+    replaced or left out.
 
-    Names always mean the people as they were captured, so ``{p0: p1, p1: p0}`` swaps two. Raises UserError for names of
-    nobody and for files that hold no person in the rest pose.
+    ``stand_ins`` holds the canonical ``.ply`` of every photo's stranger. Names always mean the people as they were
+    captured, so ``{p0: p1, p1: p0}`` swaps two. Raises UserError for unknown names and for files that hold no person in
+    the rest pose.
     """
     cast = {person.person: person for person in people}
     for name in [*wanted, *(source for source in wanted.values() if re.fullmatch(r"p\d+", source))]:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The light of a room, as far as people stand in its way: ``render/room.light.json``.
+"""The light of a room that people can shade: ``render/room.light.json``.
 
-Lamps are patches of the room's ceiling and walls, and of a far sky. What a surface that faces up loses is, as a share
-of all its light,
+Lamps are patches of the room's ceiling and walls, and of a far sky. A surface that faces up loses this share of its
+light:
 
     (sky · S + contact · C + Σ_k share_k · g_k · H_k) / (1 + Σ_k share_k · (g_k - 1))
 
-with H_k the hidden share of lamp k, g_k its fall-off relative to where it was measured, S the hidden share of the light
-from everywhere above and C how near a body is.
+with H_k the hidden share of lamp k, g_k its fall-off relative to where it was measured, S the hidden share of the
+diffuse light from above and C the closeness of a body.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ from studiorecon.scene.schema import Anything, Listed, Named, flag, metres, real
 if TYPE_CHECKING:
     from jaxtyping import Float, Shaped
 
-# However deep, a shadow leaves this much; the denominator stays above its own bound where lamps that are far off
-# dominate.
+# The smallest share of light in a shadow, and the lower bound of the denominator where distant lamps dominate.
 _MIN_FACTOR, _MIN_TOTAL = 0.05, 0.25
 _LAMP = {
     "position_m": metres("3"),
@@ -56,7 +55,7 @@ class Lamps:
     Attributes:
         positions_m: (K, 3).
         facing: (K, 3) unit normals into the room; zeros for the sky, which is equally bright everywhere.
-        radius_m: (K,) of the disc that stands for the patch.
+        radius_m: (K,) of the disc that represents the patch.
     """
 
     positions_m: Float[np.ndarray, "K 3"]
@@ -74,7 +73,8 @@ class Lamps:
 
     def falloff(self, points_m: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N K"]:
         """(N, K) light on points (N, 3) that face up from lamps of equal strength: both cosines over distance squared;
-        1 from the sky."""
+        1 from the sky.
+        """
         towards = self.positions_m[None] - np.asarray(points_m, np.float64)[:, None]
         distance = np.maximum(np.linalg.norm(towards, axis=-1), 0.1)
         cosines = (
@@ -85,17 +85,17 @@ class Lamps:
 
 @dataclass(frozen=True)
 class Light:
-    """What was estimated.
+    """The estimated light.
 
     Attributes:
-        kept: whether it predicts pictures that it was not fitted to; films leave it out otherwise.
+        kept: whether it predicts pictures that it was not fitted to; otherwise films leave it out.
         reason: one sentence.
         lamps: patches that give light.
-        share: (K,) of the light of a floor in the open, on average over where it was measured.
+        share: (K,) of the light of an unshaded floor, averaged over where it was measured.
         usual: (K,) mean fall-off there.
         sky, contact: strengths of the two other terms; ``contact_m``: reach of the latter.
         floor_m: height of the floor.
-        figures: what the fit was judged by.
+        figures: measures of the fit.
     """
 
     kept: bool
@@ -112,20 +112,19 @@ class Light:
     def factor(
         self, points_m: Float[np.ndarray, "N 3"], bodies: Sequence[Float[np.ndarray, "C 7"]]
     ) -> Float[np.ndarray, " N"]:
-        """(N,) float32 share of its light that is left to points (N, 3) that face up, beside bodies of capsules (C, 7)
-        each."""
+        """(N,) float32 remaining share of light on points (N, 3) that face up, near bodies of capsules (C, 7) each."""
         return LitPoints(self, points_m).left(bodies)
 
 
 class LitPoints:
-    """N points that face up under a light, for whatever bodies come by: what does not depend on these, once."""
+    """N points that face up under a light, with everything precomputed that does not depend on bodies."""
 
     def __init__(self, light: Light, points_m: Float[np.ndarray, "N 3"]) -> None:
         part = light.share * light.lamps.falloff(points_m) / light.usual
         self._light, self._groups = light, Groups.of(points_m)
         self._total = np.maximum(1 + part.sum(axis=1) - light.share.sum(), _MIN_TOTAL)
         self._discs = light.lamps.discs
-        # Most fits find that there is no light from everywhere; it would cost as much as the lamps.
+        # Most fits have no diffuse light, which would cost as much as the lamps.
         if light.sky:
             sky = sky_discs()
             self._discs = np.concatenate([self._discs, sky])
@@ -133,7 +132,7 @@ class LitPoints:
         self._parts = self._groups.grouped(part)
 
     def left(self, bodies: Sequence[Float[np.ndarray, "C 7"]]) -> Float[np.ndarray, " N"]:
-        """(N,) float32 share of their light that is left to the points beside bodies of capsules (C, 7) each."""
+        """(N,) float32 remaining share of light on the points, near bodies of capsules (C, 7) each."""
         if not any(len(body) for body in bodies):
             return np.ones(len(self._total), np.float32)
         gone = lost(self._groups, self._parts, self._discs, bodies)
@@ -143,7 +142,7 @@ class LitPoints:
 
 
 def write_light(path: Path, light: Light) -> None:
-    """Write the light; its lamps as a list of what each one is."""
+    """Write the light, with one entry per lamp."""
     lamps = [
         {"position_m": p, "facing": f, "radius_m": r, "share": s, "usual": u}
         for p, f, r, s, u in zip(
@@ -155,7 +154,7 @@ def write_light(path: Path, light: Light) -> None:
 
 
 def read_light(path: Path) -> Light:
-    """Read what ``write_light`` wrote; raises UserError as ``intermediate.read`` does."""
+    """The light in a file of ``write_light``; raises UserError as ``intermediate.read`` does."""
     return read(path, _LIGHT, _light)
 
 

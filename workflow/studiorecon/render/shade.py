@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``render.shade``: whom the room is shaded by when, as a file: for pictures that others draw."""
+"""``render.shade``: writes the room's shadows over time to a file, for other renderers."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ from studiorecon.scene.files import write_npz
 from studiorecon.signature import Written
 from studiorecon.splatting.scene_files import SceneFiles
 
-# Who plays the shades continues them in between; shadows have soft edges and move as slowly as people do.
+# Players interpolate between these moments; shadows have soft edges and move as slowly as people do.
 MOMENTS = 120
 
 
 def run(manifest: Path, files: SceneFiles, light: Path, shade: Written) -> None:
-    """Write ``at`` (M,) indices of the room's Gaussians that can be shaded, ``times`` (K,) frames, and ``factors``
-    (K, M) by which their colours are multiplied; all empty where the ``light`` was not kept."""
+    """Write ``at`` (M,) indices of the room's Gaussians that can be shaded, ``times`` (K,) frames, and ``factors`` (K,
+    M) on their colours.
+
+    All are empty if the ``light`` was not kept.
+    """
     (room, _), people = files.room(), files.people()
     found = shading(read_light(light), room, people, people, files.things())
     times = evenly_spread(read_manifest(manifest).frames, MOMENTS)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room in the shadow of people and things: its Gaussians that face up, dimmed by what posed bodies and capsules
-keep from them."""
+"""Shadows of people and objects on the room: dims its Gaussians that face up by the light that bodies and capsules
+hide.
+"""
 
 from __future__ import annotations
 
@@ -24,23 +25,24 @@ from studiorecon.splatting.rigid_object import RigidObject
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# The floor, whichever way its Gaussians are turned; above it up to low furniture what faces up.
+# The floor in any orientation of its Gaussians; above it, up to low furniture, those that face up.
 _FURNITURE_M = 1.0
 _MIN_FACING = 0.05
-# Moments at which the plates' own shade is looked at, and how far colours of one surface differ there, as a share.
+# Moments at which the plates' own shade is evaluated, and how far colours of one surface differ between them, as a
+# share.
 _MOMENTS, _SAME = 24, 0.06
 
 
 @dataclass(frozen=True)
 class Shading:
-    """Who shades what.
+    """Shadows of a scene's people and objects.
 
     Attributes:
         lit: the Gaussians that can be shaded, under the estimated light.
-        at: (M,) which of the room's those are, ascending; ``facing`` (M,) how far each faces up, 0..1.
+        at: (M,) their indices in the room, ascending; ``facing`` (M,) how far each faces up, 0..1.
         usual: (M,) share of its light that each had in the plates.
-        casters: people with their capsules: whoever a shot shows, stand-ins for themselves.
-        things: loose things.
+        casters: people with their capsules: those that a shot shows, including stand-ins.
+        things: objects.
     """
 
     lit: LitPoints
@@ -51,8 +53,7 @@ class Shading:
     things: Sequence[RigidObject] = ()
 
     def factor(self, frame: float) -> Float[np.ndarray, " M"]:
-        """(M,) float32: what the colours of the Gaussians ``at``, as the plates show them, are multiplied by at a
-        (fractional) frame; see ``dim``."""
+        """(M,) float32 factors on the plates' colours of the Gaussians ``at`` at a (fractional) frame; see ``dim``."""
         left = self.lit.left(_bodies(self.casters, self.things, frame)) / self.usual
         return (1 - self.facing * (1 - left)).astype(np.float32)
 
@@ -64,10 +65,11 @@ def shading(
     filmed: Sequence[Avatar],
     things: Sequence[RigidObject] = (),
 ) -> Shading | None:
-    """How ``people`` and ``things`` shade the room; None when the light was not kept or nothing is there.
+    """The shadows of ``people`` and ``things`` on the room; None when the light was not kept or nothing casts a shadow.
 
-    ``filmed`` are the people of the footage: where they, or things, shade the floor most of the time, a clean plate
-    shows that shade, and the room with it. What a plate would show is therefore found by its own rule and divided by.
+    ``filmed`` are the people of the footage: where they, or objects, shade the floor most of the time, a clean plate
+    contains that shade, and the room with it. The shade in a plate is therefore computed by the plate's own rule and
+    divided out.
     """
     if not light.kept or not (people or things):
         return None
@@ -89,8 +91,9 @@ def shading(
 
 
 def most_agreed(left: Float[np.ndarray, "T M"]) -> Float[np.ndarray, " M"]:
-    """(M,) mean of the values that most moments of ``left`` (T, M) agree on, as a plate's colours are found; ties go to
-    the brighter."""
+    """(M,) mean of the values that most moments of ``left`` (T, M) agree on, as for a plate's colours; ties go to the
+    brighter.
+    """
     votes = np.stack([(np.abs(left - own) <= _SAME).sum(axis=0) for own in left])
     best = (votes + 1e-3 * left).argmax(axis=0)
     agree = np.abs(left - np.take_along_axis(left, best[None], axis=0)) <= _SAME
@@ -108,8 +111,7 @@ def _bodies(
 def facing_up(room: Gaussians, floor_m: float) -> Float[np.ndarray, " N"]:
     """(N,) float32: 1 on the floor, on low furniture the squared vertical part of the shortest axis, else 0.
 
-    Shadows were measured on the floor: what does not face up as it does gets its light from elsewhere, and is left
-    alone.
+    Shadows were measured on the floor: surfaces with another direction get other light, and stay unchanged.
     """
     shortest = np.asarray(room.log_scales).argmin(axis=1)
     turned = rotations.from_quaternion(room.quaternions.astype(np.float64))
@@ -120,10 +122,10 @@ def facing_up(room: Gaussians, floor_m: float) -> Float[np.ndarray, " N"]:
 
 @numba.njit(nogil=True, **KERNEL)
 def dim(sh, at, factor, before, parameters):
-    """Puts harmonics (N, K, 3) of colours multiplied by ``factor`` (M,), from every side, into the blocks of the
-    Gaussians ``at`` (M,); those whose factor is as ``before`` are left alone.
+    """Writes harmonics (N, K, 3) of colours multiplied by ``factor`` (M,) into the blocks of the Gaussians ``at`` (M,).
 
-    A colour is 0.5 plus its harmonics, so the half is multiplied as well.
+    The factor applies to all directions of view. A colour is 0.5 plus its harmonics, so the half is multiplied as well.
+    Gaussians whose factor is as ``before`` are skipped.
     """
     for m in range(len(at)):
         if factor[m] == before[m]:

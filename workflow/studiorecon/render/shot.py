@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``render.shot``: one shot of the 4D scene: pictures, depth and truth map, from a single rasterisation of background
-and people."""
+"""``render.shot``: draws one shot of the 4D scene: pictures, depth and truth map, from a single rasterisation."""
 
 from __future__ import annotations
 
@@ -42,7 +41,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Settings(Drawn):
-    """How films are drawn."""
+    """Settings of drawing films."""
 
     width: int = setting(
         0,
@@ -55,12 +54,12 @@ class Settings(Drawn):
     background_rgb: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0), "Colour where nothing was reconstructed, RGB.", minimum=0, maximum=1
     )
-    # Orbits, oscillations and following cameras keep this distance to solid background by stepping inwards.
+    # Orbits, oscillations and following cameras keep this distance to solid background by moving inwards.
     clearance_m: float = 0.3
 
 
 def subjects_of(people: Sequence[Avatar], cameras: Sequence[Camera], frames: int, fps: float) -> Subjects:
-    """What the shots of a scene can look at."""
+    """The possible targets of a scene's shots."""
     pelvis = {person.person: np.asarray(person.trans, np.float64) for person in people}
     facing = {person.person: person.facing() for person in people}
     present = {person.person: person.present for person in people}
@@ -78,10 +77,10 @@ def picture(
 def read_composite(
     files: SceneFiles, shot: str, shots: Mapping, light: Sequence[Path] = (), stand_ins: Sequence[Path] = ()
 ) -> Composite:
-    """Background, people and things from their files, with whom the shot replaces; under the ``light``, if any, they
-    shade the room.
+    """Background, people and objects from their files, with the shot's replacements, and shadows if there is a
+    ``light``.
 
-    Raises UserError when the provenance is another background's.
+    Raises UserError when the provenance belongs to another background.
     """
     (static, classes), people, things = files.room(), files.people(), files.things()
     cast = replaced(people, shots.get(shot, {}).get("replace", {}), shot, stand_ins)
@@ -110,8 +109,9 @@ def run(
     stand_ins: list[Path] | None = None,
     device: str = "cpu",
 ) -> None:
-    """Render one shot; without people files the film shows the background alone, without ``light`` nobody and nothing
-    throws a shadow."""
+    """Render one shot; without people files the film shows the background alone, without ``light`` there are no
+    shadows.
+    """
     capture = read_manifest(manifest)
     training = read_model(model.parent)
     held_out = read_model(heldout_model.parent) if heldout_model is not None else []

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all shots share: a level camera that looks somewhere, its lens, and which time of the capture a picture
-shows."""
+"""Functions that all shots share: a level camera with a target, its lens, and the capture time of each picture."""
 
 from __future__ import annotations
 
@@ -18,16 +17,16 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 # How time advances over a film: ``stretch`` shows the capture once from start to end whatever the number of pictures,
-# ``loop`` shows it at its own speed and starts again, ``swing`` at its own speed there and back, ``hold`` its first
-# frame only, a number that frame only.
+# ``loop`` shows it at its own speed and repeats it, ``swing`` at its own speed there and back, ``hold`` its first frame
+# only, a number that frame only.
 Time = Literal["stretch", "loop", "swing", "hold"] | float
 
 
 def every_frame(cameras: Sequence[Camera], frames: int) -> list[PathStep]:
     """Each camera × each frame; the segment is the camera's name.
 
-    A film has one size, cameras may differ: all get the largest width and height, and their own picture is its top left
-    part.
+    All pictures of a film have one size: the largest width and height of the cameras. A camera's own picture is the top
+    left part.
     """
     wh = max(c.wh[0] for c in cameras), max(c.wh[1] for c in cameras)
     return [
@@ -43,8 +42,7 @@ def picture_size(cameras: Sequence[Camera], width: int) -> tuple[int, int]:
 
 
 def usual_focal(cameras: Sequence[Camera], width: int) -> float:
-    """Focal length in pixels of a picture ``width`` pixels wide that shows as wide an angle as the training cameras on
-    average."""
+    """Focal length in pixels at ``width`` pixels with the mean angle of view of the training cameras."""
     return width * float(np.mean([np.mean(camera.focal_px) / camera.wh[0] for camera in cameras]))
 
 

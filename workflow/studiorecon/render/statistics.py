@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a film is made of, picture by picture, and where its path leaves what was filmed: ``render/<shot>.tsv``."""
+"""Statistics of a film, picture by picture: its provenance, and where its path leaves the filmed space:
+``render/<shot>.tsv``.
+"""
 
 from __future__ import annotations
 
@@ -27,9 +29,9 @@ class PictureStatistics:
 
     Attributes:
         measured, inferred, invented: shares of the picture, together 1.
-        angle_deg: angle between the directions in which this camera and the nearest training camera stand, seen from
-            the scene's centre; where it is large, surfaces are shown from a side that nobody filmed.
-        near: what the camera stands in or touches: ``background``, a person's id, or empty.
+        angle_deg: angle at the scene's centre between this camera and the nearest training camera; if it is large,
+            surfaces are shown from a side that was not filmed.
+        near: the thing that the camera is in or touches: ``background``, a person's id, or empty.
     """
 
     picture: int
@@ -59,7 +61,7 @@ def angles_deg(
 
 
 def obstacles(steps: Sequence[PathStep], scene: Composite, clearance_m: float) -> list[str]:
-    """Per picture, who or what the camera comes closer to than ``clearance_m``: a person at that time, or the room."""
+    """Per picture, the obstacle closer to the camera than ``clearance_m``: a person at that time, or the room."""
     eyes = np.array([step.camera.centre_m for step in steps])
     in_room = blocked(eyes, scene.background, clearance_m)
     names = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a shot looks at: the people, one person wherever they go, the middle of the scene, or a point."""
+"""The targets of shots: the people, one moving person, the middle of the scene, or a point."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from studiorecon.errors import UserError
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Num
 
-# ``people`` (the middle of where anybody ever stands), ``scene`` (where the cameras look), a person's id, or a point in
-# metres.
+# ``people`` (the middle of all positions of people), ``scene`` (the common centre of the cameras' views), a person's
+# id, or a point in metres.
 Target = str | tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Subjects:
-    """Where a camera may look.
+    """Possible targets of a camera.
 
     Attributes:
         pelvis_m: person → (T, 3) world positions of the pelvis.
         facing: person → (T, 2) horizontal unit vectors in which the pelvis faces.
-        present: person → (T,) bool, frames in which they are there.
-        scene_m: (3,) point that the training cameras look at.
+        present: person → (T,) bool, frames in which they are present.
+        scene_m: (3,) common centre of the training cameras' views.
         frames: T.
         fps: frames per second of the capture.
     """
@@ -41,9 +41,9 @@ class Subjects:
     fps: float
 
     def still(self, target: Target, shot: str) -> Float[np.ndarray, " 3"]:
-        """(3,) one point for a whole film: of people the median over the frames in which they are there.
+        """(3,) one point for a whole film: of people the median over the frames in which they are present.
 
-        Without people ``people`` means ``scene``. Raises UserError for a person who is not there.
+        Without people ``people`` means ``scene``. Raises UserError for an unknown person.
         """
         if not isinstance(target, str):
             return np.asarray(target, np.float64)
@@ -57,11 +57,11 @@ class Subjects:
     def at(
         self, target: Target, times: Num[np.ndarray, " P"], shot: str, smooth_s: float = 0.5
     ) -> Float[np.ndarray, "P 3"]:
-        """(P, 3) where the target is at capture frames ``times`` (P,): a person wherever they go, smoothed over
+        """(P, 3) positions of the target at capture frames ``times`` (P,); those of a moving person are smoothed over
         ``smooth_s`` seconds.
 
         Unsmoothed, a camera that keeps a walking person's pelvis in the middle would nod with every step. All other
-        targets stand still.
+        targets are static.
         """
         if not isinstance(target, str) or target in ("scene", "people"):
             return np.tile(self.still(target, shot), (len(times), 1))
@@ -71,7 +71,8 @@ class Subjects:
         self, person: str, times: Num[np.ndarray, " P"], shot: str, smooth_s: float
     ) -> Float[np.ndarray, " P"]:
         """(P,) azimuth in radians that a person faces at capture frames ``times``; averaged as directions, never as
-        angles."""
+        angles.
+        """
         smooth = _sampled(_smooth(self._of(self.facing, person, shot), smooth_s * self.fps), times)
         return np.arctan2(smooth[:, 1], smooth[:, 0])
 
