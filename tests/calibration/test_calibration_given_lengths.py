@@ -197,7 +197,7 @@ def test_lengths_are_read_from_capture_yaml(tmp_path: Path) -> None:
     [
         ("height_m: {p0: 178}", "height_m of p0 is 178"),
         ("height_m: tall", "height_m is 'tall'"),
-        ("distance_m: 3.2", "must look like"),
+        ("distance_m: 3.2", "must have the form"),
         ("distance_m: [left, middle, 3.2]", "'middle'"),
         ("distance_m: [left, left, 3.2]", "itself"),
         ("distance_m: [left, right, -1]", "must be"),

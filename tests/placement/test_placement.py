@@ -215,17 +215,17 @@ def test_the_command_plans_a_room_the_same_every_time(
         (
             (0.15, 0.2, 2.5),
             (3.0, 3.0, 1.0),
-            "0.15 m from the left wall, 0.20 m from the near one, 2.50 m high; looks far right",
+            "0.15 m from the left wall, 0.20 m from the near one, 2.50 m high; faces far right",
         ),
         (
             (5.8, 4.9, 0.5),
             (3.0, 4.9, 1.0),
-            "5.80 m from the left wall, 4.90 m from the near one, 0.50 m high; looks left",
+            "5.80 m from the left wall, 4.90 m from the near one, 0.50 m high; faces left",
         ),
         (
             (3.0, 4.9, 1.0),
             (3.0, 1.0, 1.0),
-            "3.00 m from the left wall, 4.90 m from the near one, 1.00 m high; looks to the near",
+            "3.00 m from the left wall, 4.90 m from the near one, 1.00 m high; faces to the near",
         ),
     ],
 )
@@ -251,5 +251,5 @@ def test_a_finished_calibration_is_advised(
     assert found["advice"][0]["words"][1:] in capsys.readouterr().out
     assert found["advice"][0]["words"][1:] in " ".join(ElementTree.parse(tmp_path / "advice.svg").getroot().itertext())
     write_model(tmp_path / "one", [replace(rig[0], name="alone")])
-    with pytest.raises(UserError, match="1 camera, which cannot tell"):
+    with pytest.raises(UserError, match="1 camera, which cannot measure distance"):
         advise.run(tmp_path / "one/images.txt", tmp_path / "a.svg", tmp_path / "a.json")

@@ -80,7 +80,7 @@ def test_without_a_calibration_cameras_are_found_from_people(configured, capture
         make_plan(configured(calibration={"source": "files"}), home)
     (capture / "keypoints/back").rmdir()
     (capture / "capture.yaml").write_text("held_out: [back]\n")
-    with pytest.raises(UserError, match="its cameras are found from people, and camera back"):
+    with pytest.raises(UserError, match="people's keypoints must give the cameras, but camera back"):
         make_plan(configured(detect={"source": "keypoints"}), home)
 
 
@@ -145,7 +145,7 @@ def test_networks_bring_their_image_and_their_gpu(configured, home):
 
 def test_a_network_that_finds_cameras_takes_no_map_of_a_calibrations_pixels(configured, capture, home):
     (capture / "capture.yaml").write_text("pixel_maps: {left: {scale: 2.0, offset: [0, 0]}}\n")
-    with pytest.raises(UserError, match=r"calibration.source is pi3, which looks at the footage itself"):
+    with pytest.raises(UserError, match=r"calibration.source is pi3, which uses the footage as it is"):
         make_plan(configured(calibration={"source": "pi3"}), home)
 
 

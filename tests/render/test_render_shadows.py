@@ -345,7 +345,7 @@ def test_the_step_finds_the_lamp_in_files_and_refuses_what_does_not_fit(
     found = read_light(files["light"])
     assert found.kept
     assert found_lamp_deg(found) < 8
-    with pytest.raises(UserError, match="nobody is there"):
+    with pytest.raises(UserError, match="no person is there"):
         render_light.run(settings, **files | {"fits": []})
     with pytest.raises(UserError, match="1 masks"):
         render_light.run(settings, **files | {"masks": files["masks"][:1]})

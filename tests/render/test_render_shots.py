@@ -222,7 +222,7 @@ def test_a_broken_path_file_is_refused_by_name(tmp_path: Path, content: dict | N
 
 
 def test_who_is_not_there_cannot_be_looked_at(subjects: Subjects) -> None:
-    with pytest.raises(UserError, match=r"looks at 'p7'.*p0, p1"):
+    with pytest.raises(UserError, match=r"is aimed at 'p7'.*p0, p1"):
         subjects.at("p7", np.zeros(1), "shot")
     with pytest.raises(UserError, match=r"camera 'north'.*cam0, cam1"):
         dolly_zoom_steps(replace(DOLLY, camera="north"), "dolly", CAMERAS, subjects, WH)

@@ -97,7 +97,7 @@ def test_who_is_missing_in_half_of_the_film_is_found_in_the_other_half(recognise
 def test_photos_of_nobody_say_so(recognised: Callable[..., dict]) -> None:
     found = recognised(None, lambda _: 0.0)["raw"]
     assert found["pck_0.05"] is None
-    assert found["reason"] == "the detector finds nobody in the photos"
+    assert found["reason"] == "the detector finds no person in the photos"
 
 
 def test_without_a_film_of_a_cameras_own_view_nothing_is_measured(tmp_path: Path, root: Path) -> None:

@@ -368,7 +368,7 @@ def test_a_network_that_saw_the_held_out_cameras_is_declared(
         )
         told[calibrator] = read_json(tmp_path / "metrics.json")["protocol"]
     assert told["pi3"].startswith(told["none"])
-    assert "found by pi3, which saw the first picture of every camera, held-out ones too" in told["pi3"]
+    assert "pi3 estimated the cameras from the first picture of every camera, held-out ones included" in told["pi3"]
 
 
 def test_without_held_out_cameras_nothing_is_scored_and_the_reason_is_told(
@@ -620,7 +620,7 @@ def test_the_papers_rows_stand_beside_the_runs_and_are_marked(reported: Path, ro
     assert by_measure["PSNR ↑"][3:7] == ["20.44", "17.06", "16.68", "17.21"]
     assert by_measure["LPIPS ↓"][1:3] == [MISSING, MISSING]
     assert by_measure["PCK@0.05 ↑"][1:3] == ["0.750", MISSING]
-    assert "Beside the paper" in (reported / "report/index.html").read_text()
+    assert "Compared with the paper" in (reported / "report/index.html").read_text()
 
 
 def test_the_papers_means_are_the_means_of_its_scenes(root: Path) -> None:

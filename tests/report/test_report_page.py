@@ -259,7 +259,7 @@ def test_the_strip_shows_who_is_seen_when() -> None:
     assert timeline.runs(seen["cam1"][1]) == [(0, 3), (4, 5)]
     drawn = timeline.strip(seen, ["p0", "p1"])
     assert "<title>p1, frames 0 to 2</title>" in drawn
-    assert "<title>nobody kept, frames 4 to 4</title>" in drawn
+    assert "<title>no person, frames 4 to 4</title>" in drawn
     assert "p0, frames" not in drawn
     assert timeline.strip({}, []) == ""
 
@@ -316,7 +316,7 @@ def test_warnings_name_the_pictures_of_a_film(tmp_path: Path) -> None:
     write_table(tmp_path / "fly.tsv", columns, rows)
     assert [sentence for _, sentence in appendix.film_warnings([tmp_path / "fly.tsv"], 0.5, 60.0)] == [
         "shot fly shows less than 50 % measured surfaces in 3 of 8 pictures (5-7)",
-        "shot fly stands more than 60 degrees from every training camera in 2 of 8 pictures (1, 3)",
+        "shot fly is more than 60 degrees from every training camera in 2 of 8 pictures (1, 3)",
         "shot fly passes through p0 in 1 of 8 pictures (7)",
     ]
     assert appendix.film_warnings([tmp_path / "fly.tsv"], 0.2, 90.0) == [

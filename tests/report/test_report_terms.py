@@ -32,7 +32,9 @@ def test_the_strictest_terms_decide(configuration: dict, root: Path, source: str
     configuration["depth"]["source"] = source
     assert verdict(configuration) == expected
     page = licences(configuration, root / "resources/licences")
-    assert {"yes": "forbids", "unknown": "not known here", "no": "may not be used commercially"}[expected] in page
+    assert {"yes": "forbids", "unknown": "check whether their terms", "no": "may not be used commercially"}[
+        expected
+    ] in page
     assert ("files brought by the user" in page) == (source == "precomputed")
 
 

@@ -34,7 +34,7 @@ def test_without_information_nothing_is_decided(value: float | None, interval: t
 
 
 def test_a_value_outside_of_its_interval_is_refused() -> None:
-    with pytest.raises(ValueError, match="outside of its interval"):
+    with pytest.raises(ValueError, match="outside its interval"):
         INJECTION.decide(3.0, (0.0, 2.0), "why")
 
 

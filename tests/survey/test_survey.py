@@ -40,7 +40,7 @@ class TestPeople:
         two = decided(PEOPLE, settings, [], ["p0", "p1"])
         assert (two.verdict, two.value) == ("on", 2.0)
         assert decided(PEOPLE, settings, [], []).verdict == "off"
-        assert "dataset says" in decided(PEOPLE, settings, []).reason
+        assert "dataset states" in decided(PEOPLE, settings, []).reason
 
 
 class TestCoverage:

@@ -85,7 +85,7 @@ def draw(
     moving: dict[str, Avatar | RigidObject] = {one.person: one for one in scene.people}
     moving |= {one.person: one for one in scene.things}
     if unknown := sorted(set(without) - {"room", *moving}):
-        raise UserError(f"scene {scene.name} has no {unknown[0]}; it has room, {', '.join(moving) or 'and nobody'}")
+        raise UserError(f"scene {scene.name} has no {unknown[0]}; it has room, {', '.join(moving) or 'and no people'}")
     if not 0 <= frame <= scene.capture.frames - 1:
         raise UserError(f"scene {scene.name} has frames 0 to {scene.capture.frames - 1}, not {frame:g}")
     shown = [] if "room" in without else [scene.room]

@@ -96,7 +96,7 @@ class Photo:
 
 
 def painted_room(photos: Sequence[Photo], box: RoomBox, settings: Settings) -> list[hole_filling.Painted]:
-    """The room's faces as the photos show them, and going on alike where nobody sees them."""
+    """The room's faces as the photos show them, and going on alike where no camera sees them."""
     faces = box.rectangles
     step_m = hole_filling.node_step(faces, settings.fill_step_m, settings.fill_limit)
     cameras, plates, known, depths = zip(*((p.camera, p.rgb, p.known, p.depth_m) for p in photos))
@@ -144,7 +144,7 @@ def supported(settings: Settings, start: Gaussians, cameras: Sequence[Camera], v
     if not settings.sh_cap or degree >= settings.training.sh_degree:
         return settings
     why = (
-        f"{len(cameras)} cameras cannot tell more apart"
+        f"{len(cameras)} cameras cannot resolve more"
         if varied
         else "the survey finds no colour that changes with the view"
     )
@@ -276,8 +276,8 @@ def prepared(
         start, marks = seeds(photos, painted, settings)
         shares = [int((marks == kind).sum()) for kind in (MEASURED, INFERRED, INVENTED)]
         say(
-            f"{start.count} Gaussians to start from: {shares[0]} measured, {shares[1]} on "
-            f"default walls, {shares[2]} where nobody sees"
+            f"{start.count} Gaussians to start from: {shares[0]} measured, {shares[1]} on default walls, {shares[2]} "
+            "where no camera sees"
         )
     else:
         start = random_volume(

@@ -29,8 +29,8 @@ class Settings:
     measured_confidence: float = 0.2
     photos: Literal["plates", "first_frames"] = setting(
         "plates",
-        "What stands for a training camera: plates = its clean plate; first_frames = its first picture, without the "
-        "pixels of people and dilation_px about them.",
+        "Image that a training camera contributes: plates = its clean plate; first_frames = its first picture "
+        "without people and dilation_px around them.",
         paper="the first frames, (1 - M), Eq. 5",
         letter="first_frames",
     )
@@ -45,8 +45,8 @@ class Settings:
     )
     fill: bool = setting(
         True,
-        "Cover the parts of floor, walls and ceiling that no camera sees with discs painted from what lies "
-        "beside them (marked invented).",
+        "Cover the parts of floor, walls and ceiling that no camera sees with discs painted from their surroundings "
+        "(marked invented).",
         paper="none, appendix C",
         letter=False,
     )
@@ -78,7 +78,7 @@ class Settings:
     )
     sh_cap: bool = setting(
         True,
-        "Lower training.sh_degree to what the real cameras can tell apart: degree d needs (d + 1)² directions (G15).",
+        "Lower training.sh_degree to what the real cameras can resolve: degree d needs (d + 1)² directions (G15).",
         paper="no limit",
         letter=False,
     )

@@ -85,7 +85,7 @@ def checked_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera
     if not (np.isfinite(camera.distortion).all() and (np.abs(camera.distortion) < _MAX_COEFFICIENT).all()):
         raise UserError(f"{where}: its distortion {camera.distortion.tolist()} is no lens's; calibrate it again")
     if not (np.isfinite(camera.camera_from_world).all() and (np.abs(camera.camera_from_world) < _MAX_LENGTH).all()):
-        raise UserError(f"{where}: it stands at no finite place; calibrate this camera again")
+        raise UserError(f"{where}: its position is not finite; calibrate this camera again")
     return replace(camera, intrinsics=intrinsics), notes
 
 

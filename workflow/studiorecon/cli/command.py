@@ -57,8 +57,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="studiorecon",
         description="From the videos of a few static, far-apart cameras to a 4D scene. Results "
         "go to results/ in the current folder.",
-        epilog="What stands behind -- goes to Snakemake: studiorecon run DIR -- "
-        "--dry-run --config capture='{width: 960}'",
+        epilog="Arguments after -- go to Snakemake: studiorecon run DIR -- --dry-run --config capture='{width: 960}'",
     )
     parser.set_defaults(word=None)
     parser.add_argument("--version", action="version", version=f"studiorecon {_version()}")
@@ -74,8 +73,8 @@ def _parser() -> argparse.ArgumentParser:
         return made
 
     demo = word("demo", _demo, "film a synthetic studio and reconstruct it: minutes, and needs no data")
-    doctor = word("doctor", _doctor, "look at calibration, clocks, exposures and coverage before anything expensive")
-    look = word("look", _look, "a first look at a capture: one small film, and nothing else")
+    doctor = word("doctor", _doctor, "check calibration, clocks, exposures and coverage before anything expensive")
+    look = word("look", _look, "preview a capture: one small film, nothing else")
     run = word("run", _run, "reconstruct a capture: films, page and files for other tools")
     plan = word("plan", _plan, "say where to put cameras in a room, or which of a capture's to move, with a picture")
     view = word("view", _view, "show a finished scene's page in the browser", runs=False)
@@ -161,7 +160,7 @@ def first_findings(folder: Path) -> Iterator[str]:
     calibration = ", ".join(
         str(file.relative_to(folder)) if file.is_relative_to(folder) else str(file) for file in capture.calibration
     )
-    yield f"calibration: {calibration or 'none, so cameras are found from the people'}"
+    yield f"calibration: {calibration or 'none, so the keypoints of people give the cameras'}"
     about = []
     for camera, source in capture.footage.items():
         start = capture.first_frame
@@ -174,9 +173,8 @@ def first_findings(folder: Path) -> Iterator[str]:
             continue
         has = camera in capture.keypoints
         yield (
-            f"camera {camera}: {seen.wh[0]}×{seen.wh[1]}, {seen.fps:g} fps, {frames} "
-            f"frames, mean grey {light['brightness']:.2f}, "
-            f"{'keypoints' if has else 'no keypoints: the detector looks for people'}"
+            f"camera {camera}: {seen.wh[0]}×{seen.wh[1]}, {seen.fps:g} fps, {frames} frames, mean grey "
+            f"{light['brightness']:.2f}, {'keypoints' if has else 'no keypoints: the detector finds people'}"
         )
         yield from (f"camera {camera}: {note}" for note in seen.notes)
         about.append({"camera": camera, **light, "fps": seen.fps, "rotation_deg": seen.rotation_deg})

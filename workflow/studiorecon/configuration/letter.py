@@ -23,7 +23,7 @@ PRESETS = ("paper.yaml", "networks.yaml")
 PAGE: Path = CONFIGURATION.parents[1] / "docs" / "paper.md"
 
 WITHOUT: Mapping[str, str] = {
-    "people.association.gate_m": "bounds rays; the pelvises of the letter have their gate of 0.3 m beside the code",
+    "people.association.gate_m": "bounds rays; the paper's gate of 0.3 m on pelvises is a constant in the code",
     "depth.sweep_width": "planes say where floor, walls and ceiling are, which nothing of the letter reads but "
     "background.fill",
     "render.shots": "which cameras are held out is the dataset's to say (held_out in capture.yaml)",

@@ -25,9 +25,7 @@ class General:
         "first.",
     )
     scene: str | int = setting("", "Name of the results folder; empty = the name of the dataset.")
-    capture_yaml: str = setting(
-        "", "A capture.yaml that lies outside the dataset directory; empty = the one inside it, if any."
-    )
+    capture_yaml: str = setting("", "A capture.yaml outside the dataset directory; empty = the one inside it, if any.")
     body: str = setting(
         "resources/body.npz",
         "The body model: the bundled one, or an SMPL .npz or .pkl of your own (same joints, its own shape space).",
@@ -39,14 +37,14 @@ class General:
     )
     budget_min: float = setting(
         0.0,
-        "What a run may take: of the presets that are predicted to end in time here, the one that scored best; "
-        "settings of yours stay. 0 = the settings as they stand.",
+        "Time that a run may take: chooses the best-scoring preset that should finish in time; your own settings "
+        "take precedence. 0 = no limit.",
         unit="min",
         minimum=0,
     )
     strict: bool = setting(
         False,
-        "A run that warned of something ends with an error once everything is made: for runs that nobody watches.",
+        "End with an error, after all results are made, if any step warned: for unattended runs.",
     )
     sweep: str = setting(
         "config/sweeps/one_at_a_time.tsv", "Table of the configurations that `snakemake sweep` runs and scores."
@@ -70,13 +68,12 @@ class Detect:
 
     detector: Literal["blazepose_heavy", "blazepose"] = setting(
         "blazepose_heavy",
-        "What looks for people in the pictures; blazepose is three times as fast, and its landmarks a quarter further "
-        "off.",
+        "Detector of people; blazepose is three times as fast, with landmark errors a quarter larger.",
     )
     network: str = setting(
         "",
-        "Network that says where the points are of whom the detector finds: rtmpose, vitpose or rtmo, which snakemake "
-        "weights fetches, or an ONNX file of your own.",
+        "Network that places the keypoints of detected people: rtmpose, vitpose or rtmo (fetched by snakemake "
+        "weights), or your own ONNX file.",
     )
     network_layout: NetworkLayout = setting(
         "auto", "What the points of detect.network are; auto = as their number says."
@@ -94,8 +91,8 @@ class People:
 
     identities: str = setting(
         "",
-        "A corrected copy of people/identities.tsv, taken as it stands; empty = the dataset's identities.tsv, if it "
-        "has one.",
+        "A corrected copy of people/identities.tsv, used unchanged; empty = the dataset's identities.tsv, if it has "
+        "one.",
     )
 
 
@@ -111,7 +108,8 @@ class Masks:
     """Where masks of others lie."""
 
     precomputed: str = setting(
-        "", "Folder with <camera>.mkv, <camera>.mp4 or <camera>/ (pictures): 0 nobody, else a number per person."
+        "",
+        "Folder with <camera>.mkv, <camera>.mp4 or <camera>/ (pictures): 0 = background, else one number per person.",
     )
 
 

@@ -36,7 +36,7 @@ class Section:
 SECTIONS: tuple[Section, ...] = (
     Section(
         "detect",
-        "Who is where in each camera's pictures, before any calibration.",
+        "People in each camera's pictures, before any calibration.",
         (
             "tracks.bodies:Settings",
             "configuration.planned:Detect",
@@ -62,7 +62,7 @@ SECTIONS: tuple[Section, ...] = (
     Section("cameras", "Refinement of the cameras on people's keypoints.", ("cameras.refine:Settings",)),
     Section(
         "people",
-        "Who is who, and everybody's body over time.",
+        "Identities, and each person's body over time.",
         (
             "configuration.planned:People",
             "people.fit_settings:Triangulated",
@@ -94,7 +94,7 @@ SECTIONS: tuple[Section, ...] = (
     Section("objects", "Loose and held things.", ("objects.find:Settings",)),
     Section(
         "masks",
-        "Who is where in the training pictures.",
+        "Masks of people in the training pictures.",
         (
             "masks.network:Settings",
             "configuration.planned:Masks",

@@ -23,9 +23,9 @@ _COLUMNS = 120
 _HEAD = """\
 # Every setting, once, with its default: a first run on the synthetic studio takes minutes on two CPU cores.
 # Written by python -m studiorecon.configuration.written from the steps' Settings: change it there, not here.
-# The comments give the paper's value and where it stands there; U-numbers are readings of ambiguous passages.
+# Comments give the paper's value and its section; U-numbers are readings of ambiguous passages.
 # Overlays in config/presets/ only set what they change: snakemake --configfile config/presets/standard.yaml
-# What each setting buys and costs stands in config/README.md.
+# config/README.md says what each setting buys and costs.
 """
 # Innermost mappings and lists on one line.
 _COMPACT: Mapping[str, Any] = {"default_flow_style": None}

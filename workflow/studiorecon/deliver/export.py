@@ -36,8 +36,8 @@ class Settings:
 
     pictures: Literal["first", "all", "none"] = setting(
         "first",
-        "Undistorted pictures beside the cameras of COLMAP and nerfstudio: those of the first frame; all frames, which "
-        "takes about 1 MB per camera and frame at 960 pixels; or none, and these programs stop at the first file.",
+        "Undistorted pictures for COLMAP and nerfstudio: of the first frame; of all frames (about 1 MB per camera "
+        "and frame at 960 pixels); or none, and these programs stop at the first file.",
     )
     bvh_unit: Literal["m", "cm"] = setting(
         "m",
@@ -62,7 +62,7 @@ pixel centres at +0.5 (EasyMocap's and Pose2Sim's files have them at 0, as those
 OpenGL's). Time is counted from 0, {frames} frames at {fps:g} per second. Gaussians hold log scales, logit opacities
 and spherical harmonics; quaternions are (w, x, y, z).
 
-What is not here: the Gaussians are what the cameras' pictures support. Surfaces that no camera saw were inferred or
+Limits: the Gaussians show what the cameras' pictures support. Surfaces that no camera saw were inferred or
 invented (the report shows where), and a PLY cannot say which. The people's PLY files show one frame; their motion is
 in bodies/.
 """

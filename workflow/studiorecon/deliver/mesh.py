@@ -60,7 +60,7 @@ def write_room(path: Path, surfaces: list[Plane], standing: FusedSurface, left_o
             "generator": "studiorecon",
             "extras": {
                 "_PROVENANCE": "0 measured, 2 invented (colour of its neighbours)",
-                "left out, not found in the photos": left_out,
+                "left out: not in the photos": left_out,
             },
         },
         # The colours are light that was filmed: a viewer's lamps would light the room twice.
@@ -97,9 +97,8 @@ def run(model: Path, background: Path, provenance: Path, room_box: Path, path: P
         1, sum(len(p.rgb) for p in flat)
     )
     say(
-        f"room.glb: {', '.join(p.name for p in flat)} as planes ({100 * unseen:.0f} % "
-        f"unseen, marked) and {len(standing.triangles)} "
-        f"triangles of what stands in the room, {mesh.stat().st_size / 1e6:.1f} MB"
+        f"room.glb: {', '.join(p.name for p in flat)} as planes ({100 * unseen:.0f} % unseen, marked) and "
+        f"{len(standing.triangles)} triangles of furniture, {mesh.stat().st_size / 1e6:.1f} MB"
     )
     if left_out:
-        say(f"room.glb is open where the photos do not tell a wall: {', '.join(left_out)}")
+        say(f"room.glb is open where the photos show no wall: {', '.join(left_out)}")

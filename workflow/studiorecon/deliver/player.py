@@ -48,7 +48,7 @@ _FILM = Codec(
 _POSTER_WIDTH = 960
 QUALITY = 82
 """Of the pictures in the page, as JPEG files."""
-_ALWAYS = ("colours are those of the render before enhancement: the films beside this page have what enhancement adds",)
+_ALWAYS = ("colours are those before enhancement; only the films show what enhancement adds",)
 
 
 def filmed(
@@ -140,7 +140,7 @@ def run(
     told, sentences = described(finished, held, factors, shaded)
     if shaded is None and finished.people:
         sentences.append(
-            "nobody throws a shadow here: the survey did not find that shadows move, or what light throws them"
+            "people cast no shadows here: the survey measured no moving shadows, or no light that explains them"
         )
     sentences += filmed(held, told["cameras"], videos, finished.capture.frames, finished.capture.fps)
     picture = jpeg(poster_of(finished), QUALITY)

@@ -53,7 +53,7 @@ def described(
     times = moments(frames, max(2, MOTION_BYTES // (bodies * _POSE_BYTES)))
     if len(times) < frames and (scene.people or scene.things):
         told.append(
-            f"motion is told at {len(times)} moments of {frames} frames, between which it is continued "
+            f"motion is sampled at {len(times)} moments of {frames} frames, between which it is continued "
             f"({(frames - 1) / (len(times) - 1):.1f} frames)"
         )
     room, order = gaussians(held, scene.room, scene.provenance)
@@ -68,8 +68,8 @@ def described(
             few = moments(frames, max(2, CHANGES_BYTES // max(len(scene.people), 1) // (8 * places)))
             own["changes"], off = changes(held, person, order, few)
             told.append(
-                f"colours of {person.person} that change over time are told at {len(few)} moments and "
-                f"{places} places, within {100 * off:.1f} %"
+                f"colours of {person.person} that change over time are sampled at {len(few)} moments and {places} "
+                f"places, within {100 * off:.1f} %"
             )
         sets.append({"name": person.person, "kind": "person", **own})
     for thing in scene.things:
@@ -131,7 +131,7 @@ def shades(held: Bytes, shade: Shade, order: Integer[np.ndarray, " N"], told: li
     sorting = np.argsort(place, kind="stable")
     kept = moments(len(shade.times), max(2, SHADE_BYTES // max(len(place), 1))).round().astype(int)
     if len(kept) < len(shade.times):
-        told.append(f"shadows are told at {len(kept)} of {len(shade.times)} moments")
+        told.append(f"shadows are sampled at {len(kept)} of {len(shade.times)} moments")
     factors = shade.factors[kept][:, some][:, sorting]
     return {
         "at": held.whole(place[sorting], 24),

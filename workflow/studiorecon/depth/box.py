@@ -48,7 +48,7 @@ class Settings(Matching, FirstLook):
     wall_votes: float = 0.004
     ceiling_default_m: float = 3.2
     candidates: int = setting(
-        60, "Planes inside the room that the second look tries, at most.", minimum=0, maximum=1000
+        60, "Maximum number of planes inside the room that the second pass tries.", minimum=0, maximum=1000
     )
 
 
@@ -149,11 +149,11 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
         if fitted.fitted[index]:
             why = f" (correlation {fitted.score[index]:.2f})"
         elif uprights_at.get(index) == 0:
-            why = ": a default, no further behind the cameras than the walls that were found"
+            why = ": a default, no further behind the cameras than the measured walls"
         elif index in uprights_at:
             why = f": nothing matches there, but {uprights_at[index]} upright edges end on the floor before it"
         else:
-            why = ": a default, no such surface was found"
+            why = ": a default, because the photos show no such surface"
         say(f"{name} at {face[3]:.3f} m{why}")
     votes = swept.votes.inside(pictures, fitted)
     planes = room.candidates(

@@ -73,7 +73,7 @@ def run(settings: Settings, camera: str, model: Path, source: Path, depth: Writt
     say(f"depth of {camera} was given: {known.mean():.0%} known, median {np.median(depth_m[known]):.2f} m")
     if abs(lowest_m) > 0.5:
         warn(
-            f"its lowest points lie at z = {lowest_m:.2f} m, not near the floor at 0: "
-            "is it z-depth in metres of this camera?"
+            f"its lowest points are at z = {lowest_m:.2f} m, not near the floor at 0: is it z-depth in metres of this "
+            "camera?"
         )
     write_depth(depth, depth_m, certain)

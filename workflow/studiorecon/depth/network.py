@@ -43,8 +43,8 @@ class Settings:
 
     source: DepthSource = setting(
         "embedded",
-        "What the last look at depth is: embedded (planes), a network put to the planes' scale, or "
-        "precomputed files of a network's depth in any unit.",
+        "Source of the final depth: embedded (planes), a network aligned to the planes' scale, or precomputed files "
+        "of a network's depth in any unit.",
         paper="Pi3, then MoGe; U21",
         letter="moge",
     )

@@ -93,4 +93,4 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     depths_m = swept.votes.inside(pictures, fitted).depths_m(pictures, fitted)
     room, path = room_of(pictures, depths_m), path_of([p.camera for p in pictures])
     write_watchable(film, drawn(room, path), _FPS)
-    say(f"a first look at the room without people: {film} ({len(path)} pictures of {room.count} Gaussians, untrained)")
+    say(f"preview of the room without people: {film} ({len(path)} pictures of {room.count} Gaussians, untrained)")

@@ -48,7 +48,7 @@ class Settings(PassSettings, Assumed):
     """The size of the last look."""
 
     refine_width: int = setting(
-        320, "Width of the last look at the chosen planes, at most the working width.", minimum=32, maximum=4096
+        320, "Width at which the chosen planes are evaluated last, at most the working width.", minimum=32, maximum=4096
     )
 
 
@@ -216,8 +216,8 @@ def run(
     others = [(c.resized(a.shape[::-1]), a) for i, (c, a) in enumerate(zip(cameras, agreed)) if i != index]
     labelled, floating = back_to_room_box(labelled, pictures[index].camera, room, others)
     say(
-        f"{floating:.1%} of {camera} would float: other cameras look through it, or none agrees; put on the walls and "
-        "floor instead"
+        f"{floating:.1%} of {camera} would float: other cameras see through it, or none agrees; moved to the walls and "
+        "floor"
     )
     rgb, _ = read_plate(plates[index], cameras[index].wh)
     depth_m, source = at_full_size(

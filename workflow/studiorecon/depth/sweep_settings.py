@@ -30,8 +30,7 @@ class Matching(Near):
 
     far_m: float = setting(
         14.0,
-        "z-depth beyond which no surface is looked for; default walls of an open place stand this far beyond the "
-        "cameras.",
+        "Maximum z-depth of a surface; default walls of an open place are this far beyond the cameras.",
         unit="m",
         above=0,
     )
@@ -45,7 +44,7 @@ class FirstLook:
 
     sweep_width: int = setting(
         240,
-        "Width of the first look at every plane; planes are then evaluated at the working size.",
+        "Width at which every plane is tried first; planes are then evaluated at the working size.",
         unit="px",
         minimum=32,
         maximum=4096,

@@ -90,7 +90,7 @@ def run(
         )
     if settings.enhancer == "precomputed":
         raise UserError(
-            "the enhancer precomputed stands for films of a scene's shots; set enhance.enhancer to none or to a network"
+            "the enhancer precomputed is for films of a scene's shots; set enhance.enhancer to none or to a network"
         )
     total = sum(1 for _ in pictures_of(pictures))
     wanted = min(count or total, total - first)
@@ -107,7 +107,7 @@ def run(
     unknown = Camera(pictures.name, (1, 1), np.eye(3), np.eye(4))
     steps = [PathStep(unknown, float(index), "00") for index in range(total)]
     if injection.history and stands_still(steps, pictures_of(pictures)):
-        say(f"{pictures} stands still, so there is nothing to steady: no earlier outputs are injected")
+        say(f"{pictures} does not move, so there is nothing to steady: no earlier outputs are injected")
         injection = replace(injection, history=0)
     overlap = min(injection.history, first)
     before = list(

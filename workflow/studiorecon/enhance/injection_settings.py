@@ -19,8 +19,8 @@ class Enhancing:
 
     enhancer: EnhancerName = setting(
         "residual",
-        "What improves a picture: residual = what the renders miss at the training cameras is carried over; difix, "
-        "fixer = networks with weights; precomputed = films made elsewhere; none.",
+        "Enhancer of pictures: residual = adds detail that renders miss at the training cameras; difix, fixer = "
+        "networks with weights; precomputed = films made by another program; none.",
         paper="difix, one step at 199; U07",
         letter="difix",
     )

@@ -204,7 +204,7 @@ def chosen_injection(
     elif isinstance(enhancer, Unchanged):
         decision = settled(INJECTION, False, "nothing is enhanced, so nothing flickers that did not before")
     elif stands_still(drawn.steps, drawn.pictures()):
-        decision = settled(INJECTION, False, "the film stands still, so there is nothing to steady")
+        decision = settled(INJECTION, False, "the camera does not move, so there is nothing to steady")
     else:
         change = flicker(drawn.steps, drawn.render, drawn.depth, reference, enhancer, search)
         decision = called_for(change, settings.threshold(INJECTION.name))

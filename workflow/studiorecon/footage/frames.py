@@ -50,7 +50,7 @@ def decode(
     if first >= source.frames or stop > source.frames:
         wanted = f"{first} to {stop - 1}" if count else f"{first} and after"
         raise UserError(
-            f"{source.path} has {source.frames} frames, but frames {wanted} were asked for; change frames: in "
+            f"{source.path} has {source.frames} frames, but frames {wanted} were requested; change frames: in "
             "capture.yaml"
         )
     if source.pictures:

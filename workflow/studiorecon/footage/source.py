@@ -225,8 +225,8 @@ def _open_folder(path: Path, picture_fps: float) -> FootageSource:
         raise UserError(f"{path} holds no pictures; put the camera's frames there ({', '.join(PICTURE_SUFFIXES)})")
     if missing := gaps_named(pictures):
         raise UserError(
-            f"{path} lacks the pictures {missing}, and every later one would stand at another moment than in the other "
-            "cameras; copy them again, or number the pictures without a gap"
+            f"{path} lacks the pictures {missing}, so every later frame would be at another time than in the other "
+            "cameras; copy the pictures again, or number them without a gap"
         )
     first = decoded(pictures[0], cv2.IMREAD_COLOR)
     note = f"a folder of pictures has no frame rate: {picture_fps:g} per second, as capture.picture_fps says"

@@ -114,8 +114,8 @@ def timing_of(path: Path) -> Timing:
     regular = _repaired(times[:count])
     if regular is None and not rate:
         raise UserError(
-            f"{path} tells neither its frame rate nor when its frames are shown; bring its frames as pictures in "
-            "images/<camera>/, whose rate is the setting capture.picture_fps"
+            f"{path} has neither a frame rate nor timestamps; bring its frames as pictures in images/<camera>/, whose "
+            "rate is the setting capture.picture_fps"
         )
     if regular is None:
         notes.append(f"its frames have no usable times: {rate:g} per second are assumed, as its header says")

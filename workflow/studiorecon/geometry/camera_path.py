@@ -199,8 +199,8 @@ def between(
     if rotations == "slerp":
         if half_turn(turned_a, turned_b):
             say(
-                f"cameras {start.name} and {end.name} look exactly half a turn apart; the path "
-                "turns counter-clockwise about the vertical"
+                f"cameras {start.name} and {end.name} face exactly opposite directions; the path turns "
+                "counter-clockwise about the vertical"
             )
         turned = slerp(turned_a, turned_b, shares)
     else:

@@ -15,15 +15,15 @@ class Additions:
 
     behind: Literal["random", "black"] = setting(
         "random",
-        "What stands for the room behind the person: random = another colour at every step, so that no colour passes "
+        "Background behind the person in training: random = another colour at every step, so that no colour passes "
         "for transparent; black.",
         paper="not said: the masked picture over black, as in the work it follows; U52",
         letter="black",
     )
     unseen: Literal["filled", "trained"] = setting(
         "filled",
-        "Gaussians that no camera saw: filled = coloured as what lies around them on the body, and constant over time; "
-        "trained = as training leaves them, with the temporal network's residuals.",
+        "Gaussians that no camera saw: filled = coloured like the surrounding body, constant over time; trained = as "
+        "training leaves them, with the temporal network's residuals.",
         paper="trained, appendix D",
         letter="trained",
     )
@@ -34,7 +34,7 @@ class Additions:
         letter="all",
     )
     edge_px: int = setting(
-        1, "Pixels on both sides of a mask's outline that count for nobody.", unit="px", minimum=0, paper="0", letter=0
+        1, "Pixels on both sides of a mask's outline that training ignores.", unit="px", minimum=0, paper="0", letter=0
     )
     scales_held: bool = setting(
         True,

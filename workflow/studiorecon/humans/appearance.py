@@ -27,8 +27,8 @@ class OverTime:
 
     use: Literal["auto", "always", "never"] = setting(
         "auto",
-        "Colour and opacity that change over time beside the pose; auto = when the colours of a tenth of the "
-        "body drift over time once the poses are refined.",
+        "Colour and opacity that change over time independently of the pose; auto = when the colours of a tenth of "
+        "the body drift over time once the poses are refined.",
         paper="always, appendix D; U47 to U49",
         letter="always",
     )

@@ -86,8 +86,7 @@ def read_crops(
     inset_px = mask_inset_px(looks, label)
     if inset_px:
         say(
-            f"{fitted.name}: the masks end {inset_px} px inside the fitted body; what "
-            "lies between is taken for the person"
+            f"{fitted.name}: the masks end {inset_px} px inside the fitted body; pixels between are taken as the person"
         )
     crops: list[Crop] = []
     verdicts = judged(looks, label, settings.additions.edge_px, settings.occluder_px, inset_px)

@@ -23,7 +23,7 @@ from studiorecon.humans.crops import Crop
 from studiorecon.scene.files import complete
 from studiorecon.splatting.train.checkpoint import fingerprint
 
-STANDS = "the result stands as it is"
+STANDS = "the existing result is kept"
 """How a log says that nothing was trained."""
 
 

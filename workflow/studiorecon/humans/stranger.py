@@ -75,7 +75,7 @@ def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
         rgb, own = read_plate(photo)
         picture = np.rint(255 * rgb).astype(np.uint8)
         if own.all() or not own.any():
-            raise UserError(f"{photo} has alpha, but it cuts nobody out; {_ASK}")
+            raise UserError(f"{photo} has an alpha channel without a person; {_ASK}")
         say(f"{stranger}: cut out as the photo's alpha says")
     else:
         # Decoded again, because this way the photo's orientation tag is applied.
@@ -84,7 +84,7 @@ def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
         found = newcomers(BlazePose(networks[0], networks[1]), picture, grid(wh), [])
         found = sorted(found, key=lambda seen: -seen.region.side)
         if not found:
-            raise UserError(f"{photo} shows nobody to the embedded detector; {_ASK}")
+            raise UserError(f"{photo} shows no person that the embedded detector finds; {_ASK}")
         if len(found) > 1:
             if found[1].region.side * _MEANT > found[0].region.side:
                 raise UserError(f"{photo} shows several people of like size to the embedded detector; {_ASK}")

@@ -29,7 +29,7 @@ class Trained(Started):
     )
     sh_cap: bool = setting(
         True,
-        "Lower sh_degree to what the directions tell apart from which the turning body is seen.",
+        "Lower sh_degree to what the viewing directions of the turning body can resolve.",
         paper="no limit",
         letter=False,
     )
@@ -53,7 +53,7 @@ class Trained(Started):
     losses: Losses = setting(Losses(), "Weights of the loss.")
     rates: Rates = setting(Rates(), "Learning rates (Adam).")
     densify: Growing = setting(Growing(), "How the number of Gaussians grows.")
-    additions: Additions = setting(Additions(), "What the training has beside the paper's.")
+    additions: Additions = setting(Additions(), "Additions to the paper's training.")
     limits: GaussianLimits = GaussianLimits()
 
 

@@ -55,11 +55,11 @@ class Losses:
         0.0, "Pull of the rendered alpha to 0 or 1.", minimum=0, paper="0.1, appendix D; U13", letter=0.1
     )
     surface: float = setting(
-        0.01, "Pull of Gaussians to where they started on the body.", minimum=0, paper="none, appendix D", letter=0.0
+        0.01, "Pull of Gaussians to their start on the body.", minimum=0, paper="none, appendix D", letter=0.0
     )
     pose: float = setting(
         0.05,
-        "Smoothness of refined poses over time, at 30 frames per second; scaled to keep speeds alike at others.",
+        "Smoothness of refined poses over time, at 30 frames per second; scaled to give equal speeds at other rates.",
         minimum=0,
         paper="50, appendix D; U51",
         letter=50.0,

@@ -8,7 +8,7 @@ import re
 import resource
 from pathlib import Path
 
-_KEPT = "what is finished is kept"
+_KEPT = "finished results are kept"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 _FAILING = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.ENODEV, errno.ENOTCONN)

@@ -106,10 +106,10 @@ def identified(
     values = [int(v) for v in np.flatnonzero(sizes) if v > 0]
     if not values or not people:
         unknown = (np.where(label > 0, np.uint8(_UNASSIGNED), np.uint8(0)) for label in labels)
-        return unknown, "they show nobody who was fitted"
+        return unknown, "they show none of the fitted people"
     if len(values) == 1:
         by_body = (_by_body(label > 0, depth, gate_m, camera) for label, depth in zip(labels, depths_m, strict=True))
-        return by_body, "bodies tell who is who"
+        return by_body, "bodies decide the identities"
     overlap = overlaps(labels, depths_m, people)[values, 1:].astype(np.float64)
     table = np.zeros(256, np.uint8)
     table[values] = _UNASSIGNED

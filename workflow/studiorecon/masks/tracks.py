@@ -41,7 +41,7 @@ def assigned(
     strangers = int(np.sum(table == UNASSIGNED))
     told = "numbers were matched by overlap with the bodies: " + (", ".join(matched) or "none")
     masks = (table[label] for label in labels)
-    return masks, told + (f"; {strangers} lie on nobody who was fitted" if strangers else "")
+    return masks, told + (f"; {strangers} overlap no fitted person" if strangers else "")
 
 
 def overlaps(

@@ -24,7 +24,7 @@ def described(file: WeightFile, folder: Path) -> str:
     """One line: size, gate, checksum, source, place."""
     size = f"{file.size_gb:g} GB" if file.size_gb else "size not stated"
     gate = (
-        "access must be asked for"
+        "request access"
         if file.gated
         else "free to fetch"
         if file.how != "hand"

@@ -125,10 +125,7 @@ def objects_in(
         if isinstance(result, ObjectTrack) and looks:
             made_objects.append(_made(f"o{len(made_objects)}", result, looks, cameras, fps, settings, threads))
         elif len(track) > 2:
-            say(
-                f"a thing in {where} is left out: "
-                f"{result if isinstance(result, str) else 'no look shows the whole of it'}"
-            )
+            say(f"a thing in {where} is left out: {result if isinstance(result, str) else 'no crop shows all of it'}")
     if not made_objects:
         say(
             f"no thing is seen by two cameras for {settings.follow.min_s:g} s: films "
@@ -214,7 +211,7 @@ def _turning(
     thing = RigidObject(
         still.person, gaussians, seen, centres, motion.measured, present, still.radius_m, turns, MEASURED_TURNS
     )
-    return thing, f"it turns, which explains those looks {gain_db:.1f} dB better, outlines included"
+    return thing, f"it turns, which explains the validation crops {gain_db:.1f} dB better, outlines included"
 
 
 def rested(views: Sequence[ObjectView], moments: Moments, settings: LooseSettings) -> list[ObjectView]:

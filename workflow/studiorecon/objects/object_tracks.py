@@ -102,8 +102,8 @@ def followed(
     least = max(2.0, settings.min_s * fps)
     if len(track) < least or 2 * len(free) < least:
         return (
-            f"two cameras see it for {len(track) / fps:.2f} s, with nobody before it for {len(free) / fps:.2f} s; "
-            f"{settings.min_s:g} s and half as much are needed"
+            f"two cameras see it for {len(track) / fps:.2f} s, with no person in front of it for {len(free) / fps:.2f} "
+            f"s; {settings.min_s:g} s and half as much are needed"
         )
     radius_m, centres, is_round = _spheres(track, free, cameras, frames)
     if not is_round:
@@ -119,7 +119,7 @@ def followed(
         return f"less than {settings.min_s / 2:g} s that agree show the whole of it"
     reach = np.ptp(centres[valid], axis=0)
     if np.linalg.norm(reach) <= radius_m:
-        return "it stands still: what the plate lacks belongs on the plate"
+        return "it does not move: it belongs on the plate"
     present = held(valid, fps, settings)
     filled = np.where(present[:, None], fill_vectors(np.nan_to_num(centres), valid), np.nan)
     return ObjectTrack(filled, valid, present, radius_m, tuple(track), is_round)

@@ -54,8 +54,8 @@ class TurnSettings:
     rad_s2: float = 60.0
     gain_db: float = setting(
         1.0,
-        "A thing turns if that explains looks kept apart so much better; 100 = its turning is not sought, "
-        "which saves most of the time.",
+        "Minimum gain on validation crops for an object to turn; 100 = no rotation is estimated, which saves most of "
+        "the time.",
         unit="dB",
         minimum=0,
         maximum=100,

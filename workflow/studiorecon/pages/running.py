@@ -14,10 +14,10 @@ RELOAD_S = 4
 _EARLY = (
     ("calibration/doctor.html", "the cameras"),
     ("plates/*.png", "the room without people"),
-    ("depth/preview.mp4", "a first look at the room, without people and untrained"),
+    ("depth/preview.mp4", "preview of the room, without people and before training"),
     ("cameras/refinement.png", "joints projected back into the cameras"),
-    ("people/review.html", "who is who"),
-    ("depth/primitives.png", "furniture that was found"),
+    ("people/review.html", "identities"),
+    ("depth/primitives.png", "detected furniture"),
     ("people/overlay/*.mp4", "skeletons over the footage"),
     ("render/*.mkv", "films, raw"),
     ("enhance/*.mp4", "films"),
@@ -29,13 +29,13 @@ _BODY = """
 {{ bar }}
 <p class="soft">{{ note }}</p>
 {% if failed %}
-<p class="undetermined">Failed: {{ failed | join(", ") }}. The terminal and the logs say why.</p>
+<p class="undetermined">Failed: {{ failed | join(", ") }}. See the terminal and the logs.</p>
 {% endif %}
 {% if running %}
 <h2>Running</h2><ul>{% for job in running %}<li>{{ job }}</li>{% endfor %}</ul>
 {% endif %}
 <h2>Stages</h2>{{ stages }}
-{% if pictures or links %}<h2>What is there already</h2>{{ pictures }}
+{% if pictures or links %}<h2>Results so far</h2>{{ pictures }}
 <ul>{% for address, about in links %}<li><a href="{{ address }}">{{ address }}</a>: {{ about }}</li>{% endfor %}</ul>
 {% endif %}
 """

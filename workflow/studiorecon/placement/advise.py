@@ -22,9 +22,7 @@ def run(model: Path, picture: Written, plan: Written) -> None:
     0."""
     cameras = read_model(model.parent)
     if len(cameras) < 2:
-        raise UserError(
-            f"{model} has {len(cameras)} camera, which cannot tell how far away anything is: nothing can be advised"
-        )
+        raise UserError(f"{model} has {len(cameras)} camera, which cannot measure distance: no advice is possible")
     room = room_about(cameras)
     judge = Judge(room)
     figures, moves = judge.figures(cameras), advice(cameras, room)
@@ -37,5 +35,5 @@ def run(model: Path, picture: Written, plan: Written) -> None:
     for line in (title, *placed, *lines_of(figures), *(advised(move) for move in moves)):
         say(line)
     if not moves:
-        say("no camera would see 3 % better from within 1.5 m of where it stands")
+        say("no camera would see 3 % better from within 1.5 m of its place")
     say(f"the picture is {picture}")

@@ -81,7 +81,7 @@ def lines_of(figures: Figures) -> list[str]:
         for words, value in (("median", figures.error_m), ("90 % within", figures.worst_error_m))
         if np.isfinite(value)
     ]
-    error = ", ".join(f"{words} {1000 * value:.0f} mm" for words, value in known) or "not to be told for most"
+    error = ", ".join(f"{words} {1000 * value:.0f} mm" for words, value in known) or "undetermined for most"
     unseen = ", ".join(f"{name} {share(figures.unseen[name])}" for name in ("floor", "walls", "ceiling"))
     return [
         *(
@@ -110,7 +110,7 @@ def stands(camera: Camera, room: Room) -> str:
     tilt = np.degrees(np.arcsin(np.clip(camera.forward[2], -1, 1)))
     way = _WAYS[round(heading / 45) % 8]
     return (
-        f"{camera.name}: {x:.2f} m from the left wall, {y:.2f} m from the near one, {z:.2f} m high; looks {way} "
+        f"{camera.name}: {x:.2f} m from the left wall, {y:.2f} m from the near one, {z:.2f} m high; faces {way} "
         f"({heading:.0f}°), {abs(tilt):.0f}° {'down' if tilt < 0 else 'up'}"
     )
 

@@ -33,9 +33,7 @@ def run(room: str, cameras: int, hfov_deg: list[float], resolution: str, picture
     those of upright pictures, so phones held upright say 1080x1920 with the field of view across their short side."""
     box, wh = read_room(room), read_resolution(resolution)
     if not 2 <= cameras <= _MAX:
-        raise UserError(
-            f"{cameras} cameras were asked for; plan for 2 to {_MAX}: one cannot tell how far away anything is"
-        )
+        raise UserError(f"{cameras} cameras were requested; plan for 2 to {_MAX}: one camera cannot measure distance")
     if len(hfov_deg) not in (1, cameras) or not all(5 <= angle <= 150 for angle in hfov_deg):
         raise UserError(
             f"the fields of view are {hfov_deg}; give one for all or one for each of "

@@ -70,7 +70,7 @@ def placed(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
     UserError for fewer than two lenses.
     """
     if len(lenses) < 2:
-        raise UserError(f"{len(lenses)} camera cannot tell how far away anything is; plan for two or more")
+        raise UserError(f"{len(lenses)} camera cannot measure distance; plan for two or more")
     judge = Judge(room)
     top = room.size_m[2] - _FROM_CEILING_M
     heights = [height for height in _HEIGHTS_M if height < top] + [top]

@@ -120,7 +120,7 @@ def bought(
     if plan.networks.selected:
         raise UserError(
             f"budget_min knows what our own methods cost, not {', '.join(plan.networks.selected)}; choose a preset by "
-            "hand where networks are asked for"
+            "hand when you use networks"
         )
     prices = read_prices()
     footage = footage_of(plan, config["capture"]["picture_fps"])

@@ -152,7 +152,7 @@ def _idle_keys(description: dict[str, Any], dataset: Dataset) -> list[str]:
     """A sentence for every key of capture.yaml that describes something missing."""
     calibration = ", ".join(file.name for file in dataset.calibration)
     idle = [
-        f"capture.yaml: {key} counts only where cameras are found from people, and {calibration} says where they are "
+        f"capture.yaml: {key} applies only when people's keypoints give the cameras, and {calibration} gives them "
         "unless calibration.source is people"
         for key in WITHOUT_CALIBRATION
         if calibration and description.get(key) is not None

@@ -97,7 +97,7 @@ def _film_per_folder(place: Path, folder: Path, chapters: Mapping[str, Sequence[
         if len(several.films) > 1:
             listed = ", ".join(path.relative_to(folder).as_posix() for path in films)
             raise UserError(
-                f"{place / camera} holds {len(several.films)} films; names and sizes do not tell whether they are one "
+                f"{place / camera} holds {len(several.films)} films; names and sizes do not show whether they are one "
                 f"recording; keep one of them, or write into capture.yaml: chapters: {{{camera}: [{listed}]}}"
             )
         found[camera] = next(iter(several.films.values()))

@@ -41,9 +41,9 @@ def refuse(plan: Plan, config: Mapping[str, Any]) -> None:
         _lifting(plan)
     if plan.from_people and (unseen := [c for c in plan.cameras if c not in plan.sight.watched]):
         raise UserError(
-            f"dataset {plan.dataset.folder} has no calibration, so its cameras are found from people, and camera "
-            f"{unseen[0]} has no keypoints: add {unseen[0]}/*.json, set detect.source to auto, leave the camera out "
-            "with train: [...] in capture.yaml, or bring a calibration"
+            f"dataset {plan.dataset.folder} has no calibration, so people's keypoints must give the cameras, but "
+            f"camera {unseen[0]} has no keypoints: add {unseen[0]}/*.json, set detect.source to auto, leave the camera "
+            "out with train: [...] in capture.yaml, or bring a calibration"
         )
 
 
@@ -71,8 +71,8 @@ def _named_files(plan: Plan, config: Mapping[str, Any]) -> None:
 def _calibration(plan: Plan) -> None:
     if plan.networks.cameras and plan.dataset.pixel_maps:
         raise UserError(
-            f"calibration.source is {plan.networks.cameras}, which looks at the footage itself, but capture.yaml has "
-            "pixel_maps, which belong to a calibration: take them out, or set calibration.source to files"
+            f"calibration.source is {plan.networks.cameras}, which uses the footage as it is, but capture.yaml has "
+            "pixel_maps, which belong to a calibration: delete them, or set calibration.source to files"
         )
     if not plan.from_people and not plan.networks.cameras and not plan.dataset.calibration:
         raise UserError(
@@ -116,9 +116,8 @@ def _lifting(plan: Plan) -> None:
         )
     if plan.sight.detected:
         raise UserError(
-            f"{asked} lifts people whom a network's bodies or keypoint files show, and the embedded detector looks "
-            f"for them in camera {plan.sight.detected[0]}: set detect.source to comotion or keypoints, or the position "
-            "to rays"
+            f"{asked} needs people from a network's bodies or keypoint files, but the embedded detector finds them in "
+            f"camera {plan.sight.detected[0]}: set detect.source to comotion or keypoints, or the position to rays"
         )
 
 

@@ -117,7 +117,7 @@ def enhanced(
                 )
             mixed = blend(picture, history, injection, search, pool)
             if history and not mixed.flows:
-                say(f"picture {number} of segment {segment} follows a cut: injection starts anew")
+                say(f"picture {number} of segment {segment} follows a cut: injection restarts")
                 history.clear()
             output = _finite(
                 enhancer.enhance(mixed.blended, photo, Moment(step.camera, step.frame, depth_m, mixed.injected)),

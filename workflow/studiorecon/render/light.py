@@ -151,7 +151,7 @@ def estimate(
     later = np.arange(len(frames)) >= len(frames) - max(1, round(_HELD_OUT * len(frames)))
     some = (np.isfinite(ratio[:, ~later]).sum(axis=1) >= 2) & np.isfinite(ratio[:, later]).any(axis=1)
     if some.sum() < _MIN_PX:
-        return replace(blank, reason="too little floor is seen over time near anybody to tell the light from")
+        return replace(blank, reason="too little floor is visible near people over time to estimate the light")
     points, ratio = points[some], ratio[some]
     lamps, groups = patches(room_box, settings.spacing_m, points.mean(axis=0)), Groups.of(points)
     lost = np.empty((len(points), len(frames), 2 + len(lamps.radius_m)), np.float32)
@@ -216,7 +216,7 @@ def run(
     one_each(cameras, videos=videos, masks=masks, plates=plates, depth_maps=depths)
     persons = [read_person(path) for path in fits]
     if not persons:
-        raise UserError("nobody is there to throw a shadow: leave moving_shadows out of survey.force")
+        raise UserError("no person is there to cast a shadow: delete moving_shadows from survey.force")
     bodies = bodies_over_time(persons, BodyModel.load(body))
     frames = evenly_spread(len(bodies), chosen.pictures)
     at = np.array([person.trans[frames, :2] for person in persons])

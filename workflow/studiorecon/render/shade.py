@@ -30,7 +30,7 @@ def run(manifest: Path, files: SceneFiles, light: Path, shade: Written) -> None:
     found = shading(read_light(light), room, people, people, files.things())
     times = evenly_spread(read_manifest(manifest).frames, MOMENTS)
     if found is None:
-        say("shade: no light explains the shadows, so nobody throws any")
+        say("shade: no light explains the shadows, so people cast none")
         write_npz(shade, {"at": np.zeros(0, np.int64), "times": times, "factors": np.zeros((len(times), 0))})
         return
     factors = np.stack([found.factor(float(time)) for time in progress(times, "moments with shadows")])

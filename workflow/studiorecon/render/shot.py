@@ -133,8 +133,8 @@ def run(
     for thing in scene.objects:
         absent = sum(not np.isfinite(thing.joints_m(step.frame)).all() for step in steps)
         say(
-            f"shot {shot} shows {thing.person} in {len(steps) - absent} pictures; in {absent} "
-            "nobody knows where it is, and it is left out"
+            f"shot {shot} shows {thing.person} in {len(steps) - absent} pictures; in {absent} its position is unknown, "
+            "and it is left out"
         )
     canvas = Canvas(scene, settings.near_m, resolve(device))
     around = zip(angles_deg(steps, training, subjects.scene_m), obstacles(steps, scene, settings.clearance_m))

@@ -80,7 +80,8 @@ class Subjects:
         if person not in tracks:
             known = ", ".join(tracks) or "nobody"
             raise UserError(
-                f"shot {shot} looks at {person!r}, but people, scene, a point [x, y, z] and {known} are what there is"
+                f"shot {shot} is aimed at {person!r}, but people, scene, a point [x, y, z] and {known} are what there "
+                "is"
             )
         return tracks[person]
 

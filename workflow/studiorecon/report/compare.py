@@ -60,14 +60,14 @@ def check_comparable(results: Mapping[Path, Mapping[str, Any]]) -> None:
                 mine, theirs = ({key: side[key] for key in mine if key in theirs} for side in (mine, theirs))
             if mine != theirs:
                 raise UserError(
-                    f"{first} and {path} were measured with different {name} "
-                    f"({_brief(mine, theirs)}); score both again alike"
+                    f"{first} and {path} were measured with different {name} ({_brief(mine, theirs)}); score both "
+                    "again with the same settings"
                 )
         mine, theirs = (r.get("inputs", {}).get("masks") or {} for r in (reference, result))
         if differing := [camera for camera in mine if camera in theirs and mine[camera] != theirs[camera]]:
             raise UserError(
-                f"{first} and {path} were measured with different masks of camera "
-                f"{differing[0]}; score both again alike"
+                f"{first} and {path} were measured with different masks of camera {differing[0]}; score both again "
+                "with the same settings"
             )
 
 

@@ -169,7 +169,13 @@ def score_bodies(people: Sequence[Person], truth: Path | None, first_frame: int)
     true = {name: joints[first_frame:] for name, joints in true_joints(truth).items()}
     fitted = {person.name: (person.joints, person.valid) for person in people}
     if not true:
-        return {**nothing, "people": {}, "missed": [], "invented": sorted(fitted), "reason": "nobody is in the scene"}
+        return {
+            **nothing,
+            "people": {},
+            "missed": [],
+            "invented": sorted(fitted),
+            "reason": "no person is in the scene",
+        }
     return compare_bodies(fitted, true, {person.name: person.sigma for person in people})
 
 
@@ -284,7 +290,7 @@ def _bodies_in_pictures(
         return {**empty, "reason": _NO_HELD_OUT if views else _NO_TRUTH}
     fitted = {person.name: (person.joints, person.valid) for person in people}
     found = score_bodies_in_pictures(views, cameras, fitted, joints, first, frames)
-    return found | {"reason": None if found["people"] else "nobody is in the held-out pictures"}
+    return found | {"reason": None if found["people"] else "no person is in the held-out pictures"}
 
 
 def _identities(
@@ -303,7 +309,7 @@ def _identities(
             "accuracy": None,
             "precision": None,
             "idf1": None,
-            "reason": "nobody was detected" if joints else _NO_TRUTH,
+            "reason": "no person was detected" if joints else _NO_TRUTH,
         }
     found = [read_detections(path) for path in detections]
     return score_identities(found, read_identities(identities[0]), {camera.name: camera for camera in training}, joints)

@@ -98,7 +98,7 @@ def player(poster: Path, page: Path) -> str:
     address = html.text(Path(os.path.relpath(poster.with_suffix(".html"), page.parent)).as_posix())
     picture_bgr = cv2.imread(str(poster))
     assert picture_bgr is not None
-    told = "The scene to move through: orbit, stand at a camera, stop time, see what is measured and what is invented."
+    told = "The scene in 3D: orbit, jump to a camera, stop time, show which pixels are measured or invented."
     figure = html.figure(html.jpeg(picture_bgr[..., ::-1], 1600), told)
     return f'<a class="open" href="{address}"><b>▶ Open the scene</b>{figure}</a>'
 
@@ -262,7 +262,7 @@ def run(
     ledgers = made.each("render/{}.tsv", made.shots)
     enhanced = len(sections.versions_of(measured)) > 1
     shown, rows = films_section(made, capture.frames, enhanced, settings)
-    what = "Blue: seen by a camera. Yellow: inferred from its surroundings. Red: invented, nobody saw it."
+    what = "Blue: seen by a camera. Yellow: inferred from its surroundings. Red: invented, seen by no camera."
     renders, paths, maps = (made.each(f"render/{{}}.{ending}", made.shots) for ending in ("mkv", "json", "truth.mkv"))
     truth = truth_pictures(renders, paths, maps, measured, width)
     before, of_films = (
@@ -279,7 +279,7 @@ def run(
         sections.measures(measured),
         sections.paper(measured, read_json(recognition[0]) if recognition else {}, paper),
         *people_section(made, capture.frames, measured, fits, detections, identities, association, masks, width),
-        html.heading("What is measured", what),
+        html.heading("Measured, inferred, invented", what),
         *truth,
         *room_section(made, width),
         *cameras_section(made, measured, decided),

@@ -88,7 +88,7 @@ def run(
 
 def with_reason(scored: dict[str, Any]) -> dict[str, Any]:
     """The scores, with the reason when nobody counted."""
-    return scored | {"reason": None if scored["people"] else "the detector finds nobody in the photos"}
+    return scored | {"reason": None if scored["people"] else "the detector finds no person in the photos"}
 
 
 def found_in(

@@ -117,7 +117,8 @@ def score(renders: Path, truth: Path, masks: Path | None, lpips: Path | None = N
     common = [camera for camera in left if camera in right]
     if not common:
         raise UserError(
-            f"no camera of {renders} ({', '.join(left)}) is in {truth} ({', '.join(right)}); name the files alike"
+            f"no camera of {renders} ({', '.join(left)}) is in {truth} ({', '.join(right)}); give the files the same "
+            "names"
         )
     if masks is not None and (bare := [camera for camera in common if camera not in covers]):
         raise UserError(f"{masks} has no masks of camera {bare[0]}; add them, or leave --masks out")

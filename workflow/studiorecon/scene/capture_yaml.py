@@ -122,7 +122,7 @@ def frames_used(description: dict[str, Any]) -> tuple[int, int]:
     """First frame and number of frames (0 = to the end), from ``frames``."""
     frames = mapping(description.get("frames"), "capture.yaml: frames", "{first: 0, count: 60}")
     if set(frames) - {"first", "count"}:
-        raise UserError("capture.yaml: frames must look like {first: 0, count: 60}")
+        raise UserError("capture.yaml: frames must have the form {first: 0, count: 60}")
     first = whole(frames.get("first", 0), "capture.yaml: frames.first", 0, _MAX_FRAMES)
     count = whole(frames.get("count", 0), "capture.yaml: frames.count", 0, _MAX_FRAMES)
     if count == 1:
@@ -202,7 +202,7 @@ def measured_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -
         what = "[cam01, cam02, 3.21]: metres from lens to lens of two cameras"
         listed = distance if isinstance(distance, list) and len(distance) == 3 else None
         if listed is None:
-            raise UserError(f"{where} is {shown(distance)}; it must look like {what}")
+            raise UserError(f"{where} is {shown(distance)}; it must have the form {what}")
         metres = number(listed[2], where, 1e-3, MAX_DISTANCE_M, f"{what}, of at most {MAX_DISTANCE_M:g} m")
         pair = [_check_named(camera, "distance_m", footage) for camera in listed[:2]]
         if pair[0] == pair[1]:

@@ -73,12 +73,12 @@ class Effect:
         else:
             value, interval = float(value), (float(interval[0]), float(interval[1]))
             if not interval[0] <= value <= interval[1]:
-                raise ValueError(f"{self.name}: the value {value} lies outside of its interval {interval}")
+                raise ValueError(f"{self.name}: the value {value} is outside its interval {interval}")
             nearest, furthest = interval if self.on_above else (-interval[1], -interval[0])
             line = limit if self.on_above else -limit
             verdict = "on" if nearest > line else "off" if furthest <= line else "undetermined"
             if verdict == "undetermined":
-                reason += "; the threshold lies within what the measurement leaves open, so the cheaper branch is taken"
+                reason += "; the interval includes the threshold, so the cheaper choice is made"
         return Decision(
             self.name,
             self.statistic,

@@ -137,5 +137,5 @@ def _bands(names: list[str]) -> int:
     if missing:
         raise ValueError(f"has no property {missing[0]!r}; it is not a Gaussian PLY of the 3DGS layout")
     if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
-        raise ValueError(f"has the property {twice[0]!r} twice; nobody can tell which one is meant")
+        raise ValueError(f"has the property {twice[0]!r} twice; delete one of them")
     return bands

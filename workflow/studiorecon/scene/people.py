@@ -178,7 +178,7 @@ def people_rows(path: Path) -> list[dict[str, Any]]:
     """The scene's people, column → value; raises UserError as ``intermediate.read`` does."""
 
     def made(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-        expect(len({row["person"] for row in rows}) == len(rows), "a person stands there twice")
+        expect(len({row["person"] for row in rows}) == len(rows), "a person is listed twice")
         return [row for row in rows if row["status"] == "person"]
 
     return read(path, _PEOPLE, made)
@@ -199,7 +199,7 @@ def read_identities(path: Path) -> dict[tuple[str, int], str]:
 
     def made(rows: list[dict[str, Any]]) -> dict[tuple[str, int], str]:
         found = {(row["camera"], row["track"]): row["person"] for row in rows}
-        expect(len(found) == len(rows), "a track stands there twice")
+        expect(len(found) == len(rows), "a track is listed twice")
         return found
 
     return read(path, _IDENTITIES, made)

@@ -26,8 +26,8 @@ def stranger(photo: str) -> str:
     stem = Path(photo).stem
     if not _PLAIN.fullmatch(stem):
         raise UserError(
-            f"replace names {photo}, whose name becomes part of files: rename it so that only letters, digits, _ and - "
-            "stand before its ending"
+            f"replace names {photo}, whose name becomes part of file names: rename it so that only letters, digits, _ "
+            "and - come before its suffix"
         )
     return f"stranger_{stem}"
 

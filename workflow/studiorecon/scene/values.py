@@ -38,7 +38,7 @@ def mapping(value: Any, where: str, example: str) -> Mapping[Any, Any]:
     if value is None:
         return {}
     if not isinstance(value, Mapping):
-        raise UserError(f"{where} is {shown(value)}; it must look like {example}")
+        raise UserError(f"{where} is {shown(value)}; it must have the form {example}")
     return value
 
 

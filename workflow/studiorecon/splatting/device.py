@@ -60,4 +60,6 @@ def _missing_for_cuda() -> str:
     claim()
     import torch
 
-    return "" if torch.cuda.is_available() else "an NVIDIA GPU and its driver, and torch finds none (nvidia-smi tells)"
+    return (
+        "" if torch.cuda.is_available() else "an NVIDIA GPU and its driver, but torch finds none; check with nvidia-smi"
+    )

@@ -230,7 +230,7 @@ def _check_ranges(d: Description, path: Path) -> None:
     ]
     for name, value, low, high in between:
         if not low <= value <= high:
-            raise UserError(f"{path}: {name} is {value}; it must lie between {low} and {high}")
+            raise UserError(f"{path}: {name} is {value}; it must be between {low} and {high}")
     if d.size[0] % 2 or d.size[1] % 2 or min(d.size) < 32:
         raise UserError(
             f"{path}: size is {list(d.size)}; width and height must be even and at least 32, as H.264 needs"

@@ -67,7 +67,7 @@ def backdrop(lens: Lens, solids: list[Mesh], supersampling: int) -> Backdrop:
     for s, subset in enumerate(rays):
         hits = tracer.cast(centre_m(lens), subset)
         if not hits.met.all():
-            raise ValueError(f"camera {lens.name} looks out of the room")
+            raise ValueError(f"camera {lens.name} faces out of the room")
         depth[s], seen[s] = hits.distance, hits.solid
         origins = np.broadcast_to(centre_m(lens).astype(np.float32), subset.shape)
         colour[s] = radiance(solids, tracer, hits, origins, subset, lamps[s])

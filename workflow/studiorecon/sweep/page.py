@@ -153,7 +153,9 @@ def _effects(base: Record, done: Sequence[Record]) -> str:
         effect = "?" if interval is None else "no" if interval[0] <= 0 <= interval[1] else "yes"
         rows.append([record["parameter"], record["name"], f"{gain_db:+.2f} dB", span, effect, f"{step_s:+.0f} s"])
     header = ["parameter", "value", "PSNR", "95 % interval", "measurable", "time"]
-    return f"<h3>Parameters, one at a time beside {html.text(base['name'])}</h3>" + html.table(header, rows, (2, 3, 5))
+    return f"<h3>Parameters, one at a time compared with {html.text(base['name'])}</h3>" + html.table(
+        header, rows, (2, 3, 5)
+    )
 
 
 def _all(done: Sequence[Record]) -> str:

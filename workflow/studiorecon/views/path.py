@@ -40,14 +40,14 @@ class Settings:
     )
     rotations: Literal["slerp", "look_at"] = setting(
         "slerp",
-        "slerp = as the paper writes; look_at = every view looks at the scene centre.",
+        "slerp = as in the paper; look_at = every view faces the scene centre.",
         paper="slerp, section on trajectories",
         letter="slerp",
     )
     clearance: float = setting(
         1.0,
-        "Horizontal distance to the scene centre, as a share of the smaller of the two cameras' own distances; where "
-        "the straight line comes nearer, views stand on an arc: 1 = always.",
+        "Minimum horizontal distance to the scene centre, as a share of the smaller of the two cameras' distances; "
+        "views use an arc where the straight line comes nearer: 1 = always.",
         minimum=0,
         maximum=1,
         paper="0; U19",

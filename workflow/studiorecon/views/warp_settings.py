@@ -16,14 +16,14 @@ class Made:
 
     synthesizer: Synthesizer = setting(
         "warp",
-        "What makes new views: warp (photos through their depth), gen3c, or precomputed films that it made elsewhere.",
+        "Source of new views: warp (photos through their depth), gen3c, or precomputed films of gen3c.",
         paper="gen3c",
         letter="gen3c",
     )
     key_frames: Literal["plates", "first_frames"] = setting(
         "plates",
-        "What a network is given of every training camera: its clean plate, or its first picture with the people in "
-        "it, who then stand in its views and are left out of the room's training.",
+        "Input of a network per training camera: its clean plate, or its first picture with people, who then appear "
+        "in its views and are masked in the room's training.",
         paper="first frames; humans in synthesized views are masked",
         letter="first_frames",
     )
@@ -35,8 +35,8 @@ class Shown:
 
     people: Literal["bodies", "network"] = setting(
         "bodies",
-        "With first_frames, what says where people stand in the views: bodies = where the fitted ones do; "
-        "network = the network of masks.source, which looks at every view.",
+        "With first_frames, source of people's masks in the views: bodies = the fitted bodies; network = the network "
+        "of masks.source on every view.",
         paper="SAM 3 on every synthesized view, section on novel view synthesis",
         letter="network",
     )

@@ -134,7 +134,7 @@ class TemporalNetwork:
     def at_points(self, frame: float) -> Num[np.ndarray, "M 4"]:
         """(M, 4) colour and logit residuals of the control points at a frame; ValueError without any."""
         if self.control is None:
-            raise ValueError("this network has no control points: it is asked at every Gaussian")
+            raise ValueError("this network has no control points: it is evaluated at every Gaussian")
         if self._place is None:
             self._place = self._place_code(self.control.points_m)
         return self._asked(self._place, frame)

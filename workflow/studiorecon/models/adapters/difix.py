@@ -61,7 +61,7 @@ CARD = Card(
     ),
     memory=Memory(10.0, "1280×704 in half precision; our estimate"),
     tried="random weights",
-    unchecked="its weights and the VAE's code beside them, for which the hub alone vouches; bfloat16 on a GPU",
+    unchecked="its weights and the VAE's code with them, which only the hub verifies; bfloat16 on a GPU",
 )
 CARDS = (CARD,)
 

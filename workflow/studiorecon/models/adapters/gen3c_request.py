@@ -135,7 +135,7 @@ def check_form(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
         raise UserError("the GEN3C request holds values that are no numbers; infinite depth must be 0 with mask 0")
     if images.min() < -1 or images.max() > 1 or images.min() >= 0:
         raise UserError(
-            f"colours of the GEN3C request lie in [{images.min():.2f}, {images.max():.2f}], expected [−1, 1]"
+            f"colours of the GEN3C request are in [{images.min():.2f}, {images.max():.2f}], expected [−1, 1]"
         )
     frames = len(request["w2cs_all"])
     if frames < CHUNK or frames % (CHUNK - 1) != 1:
@@ -150,7 +150,7 @@ def check_form(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
         raise UserError("the GEN3C request starts with other intrinsics than its first key frame has")
     if depth[mask > 0].min(initial=1.0) <= 0 or depth.max() > 100 or not (mask > 0).any():
         raise UserError(
-            "depth of the GEN3C request must lie in (0, 100] wherever the mask is 1, and somewhere it must be 1"
+            "depth of the GEN3C request must be in (0, 100] where the mask is 1, and the mask must not be empty"
         )
 
 

@@ -94,7 +94,7 @@ def preprocess(photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"
         )
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
-        raise UserError("the mask shows nobody; choose another frame")
+        raise UserError("the mask is empty; choose another frame")
     top, bottom, left, right = int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
     height, width = bottom - top, right - left
     if top == 0 or left == 0 or bottom == mask.shape[0] or right == mask.shape[1]:
@@ -106,9 +106,7 @@ def preprocess(photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"
             f"the person is {height} px high and LHM needs {MIN_PX}; raise capture.width, or choose another frame"
         )
     if width >= height:
-        raise UserError(
-            f"the person is {width}×{height} px: LHM needs somebody who stands upright; choose another frame"
-        )
+        raise UserError(f"the person is {width}×{height} px: LHM needs an upright person; choose another frame")
     full_h = round(height * (1 + 2 * _MARGIN))
     full_w = max(round(full_h / 1.25) - 1, width + 2)
     full_h = max(full_h, round(full_w * 1.25))

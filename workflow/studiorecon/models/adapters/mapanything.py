@@ -51,7 +51,7 @@ CARD = Card(
     runtime=Runtime(
         image="mapanything", python=">=3.10", torch=">=2.4", pins=("safetensors", "huggingface_hub"), commit="f7ebafb"
     ),
-    memory=Memory(12.0, "four to sixteen views; our estimate, nobody states it"),
+    memory=Memory(12.0, "four to sixteen views; our estimate, not a published figure"),
     tried="never",
     unchecked="its real weights on a GPU; its encoder is built of a checkout that only the image fetches",
 )

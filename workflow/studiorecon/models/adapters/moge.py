@@ -98,7 +98,7 @@ def postprocess(
     known = np.isfinite(depth) & (depth > 0) & mask
     if not known.any():
         raise UserError(
-            f"{card.title} sees no surface in the whole picture; look at it, or set depth.source to embedded"
+            f"{card.title} sees no surface in the whole picture; check the picture, or set depth.source to embedded"
         )
     return np.where(known, depth, 0).astype(np.float32)
 

@@ -45,7 +45,7 @@ def fetch(file: WeightFile, folder: Path) -> str:
     except Exception as error:  # every client has exceptions of its own: of access, of the network, of the disk
         gate = "; agree to its terms there, and log in with the hub's client (hf auth login)" if file.gated else ""
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            gate = f"; make room in {folder}, or set weights to a folder with room: what is there is kept"
+            gate = f"; make room in {folder}, or set weights to a folder with enough space: fetched files are kept"
         raise UserError(
             f"{file.path} could not be fetched from {file.source} {file.repository} "
             f"({type(error).__name__}: {_first_line(error)}){gate}"

@@ -38,7 +38,7 @@ def staged(card: Card, folder: Path) -> Path:
     for file in card.weights:
         if not (folder / file.path).is_file():
             where = f"{file.source} {file.repository}".strip()
-            gate = "; access must be asked for there" if file.gated else ""
+            gate = "; request access there" if file.gated else ""
             raise UserError(
                 f"{card.title} needs {folder / file.path}, which is missing: get it from "
                 f"{where}{gate} (snakemake weights does what a "

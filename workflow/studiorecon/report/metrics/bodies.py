@@ -117,7 +117,7 @@ def compare_bodies(
     names = ("mpjpe_world_mm", "mpjpe_pelvis_mm", "mpjpe_similarity_mm")
     means = {n: float(np.mean([p[n] for p in people.values()])) if people else None for n in names}
     missed, invented = sorted(set(true) - set(pairs.values())), sorted(set(fitted) - set(pairs))
-    reason = None if people else "no fitted person lies within 0.5 m of a true one"
+    reason = None if people else "no fitted person is within 0.5 m of a true one"
     return {**means, "people": people, "missed": missed, "invented": invented, "reason": reason}
 
 

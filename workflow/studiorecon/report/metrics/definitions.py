@@ -25,8 +25,8 @@ PROTOCOL = (
     "bootstrap over blocks of frames"
 )
 SEEN_BY = (
-    "; the cameras were found by {}, which saw the first picture of every camera, held-out ones too, "
-    "for nothing else tells where those stand"
+    "; {} estimated the cameras from the first picture of every camera, held-out ones included, "
+    "because nothing else gives their poses"
 )
 NO_LPIPS = "report.lpips is none: the weights of its network are not part of this project"
 _NETS = {"none": "AlexNet", "alex": "AlexNet", "vgg": "VGG16"}

@@ -113,7 +113,7 @@ def _told(rows: Sequence[tuple[int, int, int, int]], detections: Sequence[Detect
     values = asdict(identity_scores(*np.array(rows).T))
     values["idf1_per_view"] = {detections[view].camera: value for view, value in values["idf1_per_view"].items()}
     plain = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in values.items()}
-    return plain | {"reason": None if plain["accuracy"] is not None else "nobody was seen by two cameras at once"}
+    return plain | {"reason": None if plain["accuracy"] is not None else "no person was seen by two cameras at once"}
 
 
 def true_people(

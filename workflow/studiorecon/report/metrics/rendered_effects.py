@@ -23,7 +23,7 @@ def appearance(found: Mapping[str, Decision | None], threshold: float) -> Decisi
     asked = {name: (d.value, d) for name, d in found.items() if d is not None and d.value is not None}
     if not asked:
         why = (
-            "nobody was trained"
+            "no person was trained"
             if not found
             else f"human training did not ask, or followed too little of {', '.join(found)}"
         )

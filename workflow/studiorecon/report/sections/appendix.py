@@ -18,7 +18,7 @@ _FILES = {
     "survey/decisions.json": "effects decided before training",
     "report/audit.json": "effects decided on the trained scene",
     "cameras/refinement.json": "reprojection before and after refinement",
-    "people/identities.tsv": "which track of which camera is whom; edit a copy to correct it",
+    "people/identities.tsv": "person of each track of each camera; edit a copy to correct it",
     "people/review.html": "everybody's pictures per camera and time",
     "depth/room.json": "the fitted room",
     "deliver/manifest.json": "everything delivered, with checksums",
@@ -38,7 +38,7 @@ def film_warnings(ledgers: Sequence[Path], min_measured: float, max_angle_deg: f
             f"shows less than {100 * min_measured:.0f} % measured surfaces": [
                 float(r["measured"]) < min_measured for r in rows
             ],
-            f"stands more than {max_angle_deg:.0f} degrees from every training camera": [
+            f"is more than {max_angle_deg:.0f} degrees from every training camera": [
                 float(r["angle_deg"]) > max_angle_deg for r in rows
             ],
         }
@@ -100,7 +100,7 @@ def delivered(folder: Path, page: Path) -> str:
         ]
         more = [f"{len(names) - len(opened)} more files"] if len(names) > len(opened) else []
         items.append(f"<li>{html.text(f'{group}/: ' if group else '')}{', '.join([*linked, *more])}</li>")
-    lead = "Beside this page, in deliver/; README.txt there says what is what."
+    lead = "In deliver/; README.txt there explains each file."
     return html.heading("Files for other programs", lead) + f"<ul>{''.join(items)}</ul>"
 
 
@@ -112,6 +112,4 @@ def links(results: Path, page: Path, files: Sequence[Path], ledgers: Sequence[Pa
     for path, what in told:
         address, name = Path(os.path.relpath(path, page.parent)).as_posix(), path.relative_to(results).as_posix()
         items.append(f'<li><a href="{html.text(address)}">{html.text(name)}</a>: {html.text(what)}</li>')
-    return (
-        html.heading("The numbers as files", "Beside this page, in the results folder.") + f"<ul>{''.join(items)}</ul>"
-    )
+    return html.heading("The numbers as files", "In the results folder.") + f"<ul>{''.join(items)}</ul>"

@@ -63,7 +63,7 @@ def slider(moments: Sequence[tuple[str, Mapping[str, str]]], left: str, right: s
         f"<script>{_SCRIPT}</script>"
         f'<figure class="comparison"><div class="wipe">{shown}<i></i></div>'
         f'<div class="controls">{versions(left, "left of the line")}'
-        '<input type="range" min="0" max="100" value="50" aria-label="where the line stands" oninput="wipe(this)">'
+        '<input type="range" min="0" max="100" value="50" aria-label="position of the line" oninput="wipe(this)">'
         f"{versions(right, 'right of the line')}{moment}</div>"
         f'<script type="application/json">{held}</script></figure>'
     )

@@ -50,7 +50,7 @@ def cost(folder: Path) -> dict[str, Any]:
         rules = {step: {**_total(list(entries.values())), "jobs": entries} for step, entries in steps.items()}
         stages[stage] = {**_total([job for entries in steps.values() for job in entries.values()]), "rules": rules}
     everything = _total([job for steps in jobs.values() for entries in steps.values() for job in entries.values()])
-    return {"stages": stages, "total": everything, "reason": None if stages else "no benchmark files were found"}
+    return {"stages": stages, "total": everything, "reason": None if stages else "there are no benchmark files"}
 
 
 def pareto_front(costs: Sequence[float], qualities: Sequence[float]) -> list[int]:

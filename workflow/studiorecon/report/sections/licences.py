@@ -16,8 +16,7 @@ _ORDER = ("yes", "with conditions", "unknown", "no")
 _VERDICTS = {
     "yes": "Nothing that this run used forbids commercial use.",
     "with conditions": "Commercial use is allowed under the conditions named below.",
-    "unknown": "Files of a network were brought from elsewhere; whether their terms "
-    "allow commercial use is not known here.",
+    "unknown": "Some files of a network are your own; check whether their terms allow commercial use.",
     "no": "At least one network that this run used may not be used commercially, nor what was made with it.",
 }
 

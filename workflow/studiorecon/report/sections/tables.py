@@ -147,13 +147,10 @@ def measures(metrics: Mapping[str, Any]) -> str:
 
 def paper(metrics: Mapping[str, Any], recognised: Mapping[str, Any], rows: Path) -> str:
     """This run as a row of the paper's tables, with a plain note that the paper's methods ran on other captures."""
-    lead = (
-        "The paper's methods were measured on other data, so that no column says which "
-        "is better here; it shows what is usual."
-    )
+    lead = "The paper measured its methods on other data: the columns show usual values and do not rank the methods."
     header, lines = paper_table(metrics, recognised, rows, versions_of(metrics))
     table = html.table(header, lines, numeric=range(1, len(header) - 1))
-    return f"<details><summary>Beside the paper's tables</summary><p>{html.text(lead)}</p>{table}</details>"
+    return f"<details><summary>Compared with the paper's tables</summary><p>{html.text(lead)}</p>{table}</details>"
 
 
 def people(metrics: Mapping[str, Any]) -> str:
@@ -176,7 +173,7 @@ def people(metrics: Mapping[str, Any]) -> str:
         )
     else:
         parts.append(f"<p>Joint errors are {MISSING}: {html.text(bodies['reason'])}.</p>")
-    for key, sentence in (("missed", "True people without a fit"), ("invented", "Fitted people who are nobody")):
+    for key, sentence in (("missed", "True people without a fit"), ("invented", "Fitted people who are not real")):
         if bodies[key]:
             parts.append(f"<p>{sentence}: {html.text(', '.join(bodies[key]))}.</p>")
     return "".join(parts)

@@ -50,7 +50,7 @@ def strip(seen: Mapping[str, Bool[np.ndarray, "P F"]], people: Sequence[str]) ->
             f'fill="currentColor">{html.text(camera)}</text>'
         )
         for lane, row in enumerate(rows):
-            name = people[lane] if lane < len(people) else "nobody kept"
+            name = people[lane] if lane < len(people) else "no person"
             colour = "rgb({},{},{})".format(*(person_colour(lane) if lane < len(people) else NOBODY))
             for first, last in runs(row):
                 x, y, width = _LEFT + first * step, top + lane * _BAR, (last - first) * step
@@ -64,7 +64,7 @@ def strip(seen: Mapping[str, Bool[np.ndarray, "P F"]], people: Sequence[str]) ->
                         f'fill="#000">{html.text(name)}</text>'
                     )
         top += lanes * _BAR + _GAP
-    words = f"who is seen by which camera in {frames} frames"
+    words = f"people seen by each camera in {frames} frames"
     return (
         f'<svg viewBox="0 0 {_WIDTH} {top:.0f}" role="img" aria-label="{words}" style="width:100%;height:auto">'
         + "".join(parts)

@@ -73,11 +73,11 @@ class Checkpoint:
             with open(self.path, "rb") as file, np.load(file, allow_pickle=False) as stored:
                 facts = json.loads(str(stored[_FACTS]))
                 if facts.pop("mark") != self._mark:
-                    say(f"{self.path} belongs to other settings, inputs or code and is not used; training starts anew")
+                    say(f"{self.path} belongs to other settings, inputs or code and is not used; training restarts")
                     return None
                 return {name: stored[name] for name in stored.files if name != _FACTS}, facts
         except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            say(f"{self.path} cannot be read ({error}) and is not used; training starts anew")
+            say(f"{self.path} cannot be read ({error}) and is not used; training restarts")
             return None
 
     def remove(self) -> None:

@@ -51,8 +51,9 @@ class TrainingSettings:
     )
     weighing: Literal["picture", "photometric"] = setting(
         "picture",
-        "What the weights of pixels and views multiply: picture = L1, SSIM and the pull of alpha, LPIPS on the masked "
-        "picture alone; photometric = L1, SSIM and LPIPS, and the pull of alpha counts everywhere alike.",
+        "What the weights of pixels and views multiply: picture = L1, SSIM and the pull of alpha, LPIPS on the "
+        "masked picture alone; photometric = L1, SSIM and LPIPS, and the pull of alpha has the same weight "
+        "everywhere.",
         paper="(1 - M) (L1 + SSIM + LPIPS) + L_den, Eq. 5; U15",
         letter="photometric",
     )

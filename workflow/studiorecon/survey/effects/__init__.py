@@ -65,5 +65,7 @@ def table() -> str:
     rows = ["| effect | statistic | on | who acts |", "|---|---|---|---|"]
     for effect in EFFECTS:
         limit = f"{'above' if effect.on_above else 'below'} {effect.threshold:g} {effect.unit}".strip()
-        rows.append(f"| `{effect.name}` | {effect.statistic} | {limit} | {effect.obeyed_by or 'nobody: a finding'} |")
+        rows.append(
+            f"| `{effect.name}` | {effect.statistic} | {limit} | {effect.obeyed_by or 'nothing: for information'} |"
+        )
     return "\n".join(rows)

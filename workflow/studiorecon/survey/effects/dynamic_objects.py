@@ -16,7 +16,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
     ]
     value, interval, name = most(evidence.names, found)
     if value is None:
-        reason = "too little of the room is seen without people to look for things that move"
+        reason = "too little of the room is visible without people to detect objects that move"
     elif value:
         reason = (
             f"a thing of {value:.2%} of the picture moves in {name}; followed as a rigid thing where two cameras see it"

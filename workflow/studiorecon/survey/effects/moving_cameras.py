@@ -27,9 +27,8 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
     reason = "the room has too little texture to see whether cameras move"
     if estimate.value is not None:
         reason = (
-            f"{films[estimate.which].camera.name}'s room shifts by up to {estimate.value:.2f} px against its "
-            "first picture; cameras must stand still, "
-            "and everything after this rests on it"
+            f"{films[estimate.which].camera.name}'s room shifts by up to {estimate.value:.2f} px against its first "
+            "picture; all later steps assume that cameras do not move"
         )
     return Measured(estimate.value, estimate.interval, reason)
 

@@ -27,8 +27,8 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
         "no floor near anybody's feet is seen"
         if value is None
         else (
-            f"{value:.1%} of the floor near feet darkens in {name}; the clean plate leaves "
-            "shadows out, so people must throw them anew"
+            f"{value:.1%} of the floor near feet darkens in {name}; the clean plate has no shadows, so people must "
+            "cast new ones"
         )
     )
     return Measured(value, interval, reason)

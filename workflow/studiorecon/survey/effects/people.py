@@ -12,9 +12,9 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
     found = evidence.material.people
     count = len(found or ())
     if found is None:
-        reason = "the dataset says that nobody is there; the film shows the room alone"
+        reason = "the dataset states that there are no people; the film shows the empty room"
     elif not found:
-        reason = "nobody was seen by enough cameras; the film shows the room alone"
+        reason = "no person was seen by enough cameras; the film shows the empty room"
     else:
         reason = f"{', '.join(found)} will be reconstructed, each on its own"
     return Measured(float(count), (float(count),) * 2, reason)

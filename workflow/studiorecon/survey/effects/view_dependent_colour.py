@@ -35,9 +35,8 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
     reason = "too few surface points are seen by two cameras to compare their colours"
     if estimate.value is not None:
         reason = (
-            f"{estimate.value:.1%} of the surface that cameras share looks different from "
-            "different sides; the real views carry "
-            f"harmonics of degree {degree} at most"
+            f"{estimate.value:.1%} of the surface that cameras share changes colour with direction; the real views "
+            f"support harmonics of degree {degree} at most"
         )
     return Measured(estimate.value, estimate.interval, reason, {"degree": degree})
 

@@ -25,7 +25,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
     cameras, sampling = evidence.material.cameras, evidence.sampling
     points = stage_points(cameras, sampling.grid_m, sampling.height_m)
     if not len(points):
-        reason = "the cameras stand on the spot they look at, so there is no stage between them"
+        reason = "the cameras are at the point they face, so there is no space between them"
         return Measured(None, None, reason)
     depths_m = [view.depth_m for view in evidence.material.views]
     seen = seen_by(points, cameras, depths_m, sampling.depth_tolerance)
@@ -57,6 +57,6 @@ EFFECT = SurveyedEffect(
     f"{COVERED_DEG:.0f} degrees",
     threshold=0.1,
     paper="always",
-    obeyed_by="the plan: views are made between those neighbours alone for whom it is on",
+    obeyed_by="the plan: views are made only between neighbours for which it is on",
     measure=measure,
 )
