@@ -220,7 +220,7 @@ def pixel_maps(description: dict[str, Any], footage: Mapping[str, Path]) -> dict
     for camera, entry in maps.items():
         camera_name = _check_named(camera, "pixel_maps", footage)
         where = f"capture.yaml: pixel_maps of {camera}"
-        example = f"{where} must look like {{scale: 0.99, offset: [0.0, 7.2]}}"
+        example = f"{where} must have the form {{scale: 0.99, offset: [0.0, 7.2]}}"
         if not isinstance(entry, dict) or set(entry) != {"scale", "offset"}:
             raise UserError(example)
         if not isinstance(entry["offset"], list) or len(entry["offset"]) != 2:
