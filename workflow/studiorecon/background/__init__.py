@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room as static Gaussians. In come plates, synthesized views and depth; out comes ``background.ply`` with the
-provenance of every Gaussian.
+"""The room as static Gaussians: reads plates, synthesized views and depth, writes ``background.ply`` and its
+provenance.
 
-``train`` is the step: ``preparation`` (first Gaussians; ``targets``, what they are trained against;
-``hole_filling``, what no camera sees), ``fitting`` (the iterations), ``refinement`` (enhanced renders become targets).
-Where a network enhances them, ``half`` and ``refined`` are steps before it, and ``halves`` the files between.
-``kernels`` compiles ahead what it and the people's training run on. ``train_settings`` is what it is told.
+``train`` is the step: ``preparation`` (first Gaussians; ``targets``, the pictures to fit; ``hole_filling``, surfaces
+that no camera sees), ``fitting`` (the iterations), ``refinement`` (enhanced renders become targets). If a network
+enhances them, ``half`` and ``refined`` are steps before it, and ``halves`` the files between. ``kernels`` compiles the
+code of this training and the people's in advance. ``train_settings`` holds the settings.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room's training over a span of its iterations, and views of the room as it is then."""
+"""The room's training over a span of its iterations, and views of the room in its current state."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Training:
-    """What stays the same over all iterations."""
+    """The parts of the training that are the same in all iterations."""
 
     settings: Settings
     cameras: Sequence[Camera]
@@ -51,7 +51,7 @@ class Training:
         checkpoint: Checkpoint,
         span: tuple[int, int],
     ) -> TrainedGaussians:
-        """The iterations of ``span`` on plates and views, drawn as ``views_share`` says."""
+        """Run the iterations of ``span`` on plates and views, drawn with the share ``views_share``."""
         shares = draw_shares(len(real), len(synthesized), self.settings.views_share)
         targets = [replace(target, share=float(share)) for target, share in zip(real + synthesized, shares)]
         return train_still(
@@ -70,28 +70,28 @@ class Training:
         )
 
     def first_half(self, given: Prepared, checkpoint: Checkpoint) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
-        """The room half-way, and the provenance of its Gaussians."""
+        """The half-trained room, and the provenance of its Gaussians."""
         first = self.fit(given.start, given.real, given.synthesized, checkpoint, (0, self.split))
         return first.gaussians, given.marks[first.source]
 
     @property
     def split(self) -> int:
-        """Iterations before the room is looked at; 0 = it never is."""
+        """Number of iterations before the half-trained room is rendered; 0 = never."""
         refinement = self.settings.refinement
         return round(refinement.at * self.settings.training.iterations) if refinement.views else 0
 
     def drawing(self) -> Rasteriser | GsplatRasteriser:
-        """What draws the room as it is trained."""
+        """The rasteriser that draws the room as in training."""
         return rasteriser(self.device, near_m=self.settings.training.near_m, threads=self.threads)
 
     def looks(self, path: Path) -> list[Camera]:
-        """Where the half-trained room is looked at from; ``path`` is that of the synthesized views."""
+        """The cameras that render the half-trained room; ``path`` is that of the synthesized views."""
         views = [step.camera for step in read_path(path)[0]]
         return looked_at_from(self.cameras, views, self.settings.refinement)
 
 
 def _network(settings: Settings, lpips: Path, threads: int, device: str) -> Perceptual | None:
-    """The network of the perceptual term where Gaussians are drawn; None when its weight is 0."""
+    """The network of the perceptual term on the drawing device; None when its weight is 0."""
     if settings.training.lpips.weight == 0:
         say("LPIPS is off (background.training.lpips.weight is 0)")
         return None

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``background.half``: the first half of the room's training, and views of the room as it is then, for a network that
-runs in an image of its own to enhance (paper, appendix C)."""
+"""``background.half``: the first half of the room's training, and renders of the half-trained room.
+
+A network that runs in a container image of its own enhances the renders (paper, appendix C).
+"""
 
 from __future__ import annotations
 
@@ -34,8 +36,10 @@ def run(
     specularity: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
 ) -> None:
-    """Write the room half-way (``half``, ``provenance``) and a film of it (``renders``, ``renders_path``); inputs as in
-    ``background.train``, which goes on from here."""
+    """Write the half-trained room (``half``, ``provenance``) and a film of it (``renders``, ``renders_path``).
+
+    Inputs are as in ``background.train``, which continues from here.
+    """
     device = resolve(device)
     cameras = read_model(sources.model.parent)
     rng = np.random.default_rng(settings.seed)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room half-way as files, where a network enhances views of it between the halves of its training."""
+"""Files of the half-trained room, for a network that enhances views of it between the halves of the training."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from studiorecon.splatting.train.targets import Target
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# The views are looked at one by one; a film of them runs at this rate.
+# The views are single pictures; a film of them runs at this rate.
 _FPS = 30.0
 
 
 def write_room(half: Path, provenance: Path, room: Gaussians, marks: Integer[np.ndarray, " N"]) -> None:
-    """The Gaussians (PLY) and the provenance (N,), ``marks``, of each (npz)."""
+    """Write the Gaussians (PLY) and the provenance (N,), ``marks``, of each (npz)."""
     write_ply(half, room)
     write_provenance(provenance, marks)
 
@@ -33,17 +33,16 @@ def write_room(half: Path, provenance: Path, room: Gaussians, marks: Integer[np.
 def write_renders(
     renders: Path, renders_path: Path, cameras: list[Camera], pictures: list[Float[np.ndarray, "H W 3"]]
 ) -> None:
-    """Views (H, W, 3) in [0, 1] of the room from ``cameras``, as a lossless film and its path."""
+    """Write views (H, W, 3) in [0, 1] of the room from ``cameras`` as a lossless film, with its path."""
     write_lossless(renders, (to_bytes(picture) for picture in pictures), _FPS)
     write_path(renders_path, [PathStep(camera, 0, "refinement") for camera in cameras], _FPS)
 
 
 def read_half(files: list[Path], weight: float) -> tuple[Gaussians, Integer[np.ndarray, " N"], list[Target]]:
-    """The room half-way, the provenance of its Gaussians, and enhanced views of it as targets whose every pixel weighs
-    ``weight`` (paper, appendix C).
+    """The half-trained room, its Gaussians' provenance, and enhanced views of it as targets (paper, appendix C).
 
-    ``files``: the room, its provenance, the path of the views, and the film of them. Raises UserError for files that do
-    not belong together.
+    Every pixel of the targets has ``weight``. ``files``: the room, its provenance, the path of the views, and the film
+    of them. Raises UserError for files that do not belong together.
     """
     room_file, marks_file, path_file, film = files
     room = read_ply(room_file)

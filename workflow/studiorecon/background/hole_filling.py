@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closing the room: floor, walls and ceiling where no training camera sees them.
+"""Completes the room: floor, walls and ceiling where no training camera sees them.
 
-Six per cent of black pixels cost more decibels than anything else in a background, so what nobody saw goes on as the
-rest of the same wall does, and is marked invented. The painted room gives discs where nobody looks, and the colours of
-what synthesized views do not see.
+Six per cent of black pixels cost more decibels than anything else in a background. So the unseen part of a wall
+continues its seen part and is marked invented. The painted room gives discs for unseen surfaces, and colours for unseen
+pixels of synthesized views.
 """
 
 from __future__ import annotations
@@ -25,22 +25,21 @@ if TYPE_CHECKING:
 
 # A face point counts as seen when the depth map agrees within this share of the distance plus this many metres.
 _AGREE_SHARE, _AGREE_M = 0.03, 0.03
-# Beside something this much nearer (share, metres) the plate's colours are mixed; such pixels do not paint walls.
+# Next to an object this much nearer (share, metres) the plate's colours are mixed; such pixels do not paint walls.
 _NEARER_SHARE, _NEARER_M = 0.9, 0.05
-# A wall of which less is seen is one of which nothing is: a strip at its edge does not say how it goes on.
+# With a smaller seen share a wall counts as unseen: a strip at its edge does not determine the rest.
 _MIN_SEEN = 0.02
-# Over how far light is even, how large a piece of wallpaper is copied, and from where on it is another one.
+# Width over which light is even, size of a copied patch, and least shift between repeats of a pattern.
 _LIGHT_M, _PATCH_M, _SHIFT_M = 0.35, 0.27, 0.12
-# What nobody sees anything of is painted on so coarse a grid, and blurred so far: it has no detail.
+# Unseen faces are painted on a grid coarser by this factor, and blurred by this many nodes: they have no detail.
 _COARSE, _BLUR_NODES = 2, 4.0
-# This far from what is seen of it a wall goes over to what walls look like at that height: copied further, what stands
-# before a wall once would stand along all of it. Heights alike within this.
+# At this distance from its seen part a wall fades to the walls' mean colour at that height: copied further, one object
+# in front of the wall would repeat along all of it. Sigma of heights.
 _COPIED_M, _HEIGHT_M = 2.0, 0.3
 
 
 def node_step(faces: Sequence[Face], step_m: float, limit: int) -> float:
-    """``step_m``, or the coarser step with which all faces together have about ``limit`` nodes: default walls may stand
-    far away."""
+    """``step_m``, or a coarser step with which all faces have about ``limit`` nodes: default walls may be far away."""
     area = sum(float(np.linalg.norm(np.cross(f.along_u, f.along_v))) for f in faces)
     return max(step_m, float(np.sqrt(area / limit)))
 
@@ -63,7 +62,7 @@ class Painted:
 
     @property
     def step_m(self) -> float:
-        """From node to node, along the edge where it is longer."""
+        """Distance between nodes, along the edge where it is longer."""
         rows, columns = self.seen.shape
         return max(
             float(np.linalg.norm(edge)) / count
@@ -79,10 +78,10 @@ def paint(
     depths_m: Sequence[Float[np.ndarray, "H W"]],
     step_m: float,
 ) -> list[Painted]:
-    """The atlas of every face: photographed where a camera sees it, going on alike beside that, borrowed where nothing
-    of it was seen: for a wall from walls, at the same height.
+    """The atlas of every face: photographed where a camera sees it, continued next to that, otherwise borrowed.
 
-    ``plates`` (H, W, 3) float, ``known`` (H, W) bool where a plate is measured, ``depths_m`` (H, W), 0 unknown.
+    A wall without seen parts borrows from other walls, at the same height. ``plates`` (H, W, 3) float, ``known`` (H, W)
+    bool where a plate is measured, ``depths_m`` (H, W), 0 unknown.
     """
     looked = [(face, face.nodes(step_m)) for face in faces]
     gathered = [_gather(face, nodes, cameras, plates, known, depths_m) for face, nodes in looked]
@@ -116,7 +115,7 @@ def paint(
 
 @dataclass(frozen=True)
 class _Walls:
-    """What the walls look like at every height: ``heights_m`` (B,) and their mean colours (B, 3)."""
+    """The walls' mean colours (B, 3) at heights ``heights_m`` (B,)."""
 
     heights_m: np.ndarray
     rgb: np.ndarray
@@ -125,7 +124,7 @@ class _Walls:
     def of(
         cls, looked: Sequence[tuple[Face, np.ndarray]], gathered: Sequence[tuple[np.ndarray, np.ndarray]]
     ) -> _Walls | None:
-        """From the nodes of all walls that are seen; None where none is."""
+        """The mean colours of the seen nodes of all walls; None where none is seen."""
         upright = [(nodes[seen], rgb[seen]) for (f, nodes), (rgb, seen) in zip(looked, gathered) if _upright(f)]
         height_m = np.concatenate([points[:, 2] for points, _ in upright]) if upright else np.zeros(0)
         if not len(height_m):
@@ -148,7 +147,7 @@ def _upright(face: Face) -> bool:
 
 
 def seen_from(camera: Camera, painted: Sequence[Painted]) -> Float[np.ndarray, "H W 3"]:
-    """(H, W, 3) float64: the painted room without anything in it, from a camera; black where no face is in view."""
+    """(H, W, 3) float64: the painted, empty room from a camera; black where no face is in view."""
     rays = camera.unproject(camera.pixel_centres(), np.ones(camera.hw)) - camera.centre_m
     nearest, rgb = np.full(camera.hw, np.inf), np.zeros((*camera.hw, 3))
     for own in painted:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kernels that room and people are trained with, compiled while cameras and people are still being looked for.
+"""Compiles the training kernels of room and people while cameras and people are still being estimated.
 
-That takes half a minute of one core on a machine that has never run them, and the trainings that need them stand side
-by side: each would compile all of it by itself. Where they are compiled already this takes some seconds and changes
-nothing.
+That takes half a minute of one core on a new machine. The trainings run in parallel, and each would compile all of it
+separately. Where they are compiled already this takes some seconds and changes nothing.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ _NEAR_M = 0.1
 
 
 def run(threads: int, kernels: Written) -> None:
-    """Trains a handful of Gaussians for two steps, as a room is trained and as a person is, and throws them away;
-    ``kernels`` says that it is done."""
+    """Train a handful of Gaussians for two steps, as a room and as a person, and discard them; write ``kernels`` when
+    done."""
     _as_a_room(threads)
     _as_a_person(threads)
     say("the kernels of training are compiled")
@@ -38,7 +37,7 @@ def run(threads: int, kernels: Written) -> None:
 
 
 def _cloud(rng: np.random.Generator, degree: int = 1) -> Gaussians:
-    """Gaussians a metre before the camera of ``_picture``."""
+    """Gaussians a metre in front of the camera of ``_picture``."""
     means, quaternions = rng.normal([0, 0, 1], 0.1, (_COUNT, 3)), np.tile([1.0, 0, 0, 0], (_COUNT, 1))
     scales, sh = np.full((_COUNT, 3), -4.0), rng.normal(0, 0.1, (_COUNT, (degree + 1) ** 2, 3))
     return Gaussians(*(np.asarray(a, np.float32) for a in (means, quaternions, scales, np.zeros(_COUNT), sh)))

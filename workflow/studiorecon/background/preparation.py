@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the room's training starts from: photos without people, first Gaussians, and the targets."""
+"""The initial state of the room's training: photos without people, first Gaussians, and the targets."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ if TYPE_CHECKING:
 _FLATNESS = 0.15  # of a wall's discs
 _WIDTH_SHARE = 0.75  # of the grid step: neighbours overlap enough to be opaque together
 _FILL_OPACITY = 0.9
-# How far into a hole its rim is believed, of the picture's width.
+# How far into a hole its rim is trusted, as a share of the picture's width.
 _RIM_SHARE = 0.01
 _SAME_PLACE_M, _SAME_ANGLE_RAD = 0.01, 0.01
 
 
 @dataclass(frozen=True)
 class Sources:
-    """The files that the room is trained on; names as the steps' inputs."""
+    """The input files of the room's training, named as the steps' inputs."""
 
     model: Path
     plates: list[Path]
@@ -60,17 +60,17 @@ class Sources:
     masks: list[Path] = field(default_factory=list)
 
     def files(self) -> list[Path]:
-        """All of them, in an order that does not change."""
+        """All files in a fixed order."""
         images = [self.model.parent / "cameras.txt", self.model, *self.plates, *self.depths, self.room_box, self.path]
         return [*images, *self.views, *self.supports, *self.gains, *self.videos, *self.masks]
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """What the first iteration needs.
+    """Inputs of the first iteration.
 
     Attributes:
-        settings: with no more harmonics than the cameras tell apart.
+        settings: with no more harmonics than the cameras can distinguish.
         photos: of the training cameras. start: first Gaussians; marks: (N,) uint8, their provenance.
         real, synthesized: targets.
     """
@@ -106,8 +106,8 @@ def painted_room(photos: Sequence[Photo], box: RoomBox, settings: Settings) -> l
 def seeds(
     photos: Sequence[Photo], painted: Sequence[hole_filling.Painted], settings: Settings
 ) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
-    """First Gaussians and their provenance (N,) uint8: discs on measured depth, and on the ``painted`` room where
-    nobody sees it."""
+    """First Gaussians and their provenance (N,) uint8: discs on measured depth, and on unseen parts of the ``painted``
+    room."""
     degree = settings.training.sh_degree
     sets, marks = [], []
     wanted = finest([p.camera for p in photos], [p.depth_m for p in photos], [p.known for p in photos])
@@ -134,7 +134,8 @@ def seeds(
 
 
 def supported(settings: Settings, start: Gaussians, cameras: Sequence[Camera], varied: bool = True) -> Settings:
-    """The settings, with ``sh_cap`` with no more harmonics than the real cameras tell apart at the middle of the room.
+    """The settings, with ``sh_cap`` limited to the harmonics that the real cameras distinguish at the middle of the
+    room.
 
     None at all unless colours are ``varied`` with the direction of view. Synthesized views are made of the photos and
     have no highlights of their own to add (G15).
@@ -153,8 +154,8 @@ def supported(settings: Settings, start: Gaussians, cameras: Sequence[Camera], v
 
 
 def plate_targets(photos: Sequence[Photo], boost: float) -> list[Target]:
-    """Every plate as a target, with its depth; a photo stands at distance 0 of itself, so its pixels weigh 1 +
-    ``boost`` (U15, U16)."""
+    """Every plate as a target, with its depth; a photo has distance 0 from itself, so its pixels weigh 1 + ``boost``
+    (U15, U16)."""
     weight = view_weight(0.0, cutoff_angle([p.camera for p in photos]), boost)
     return [Target(p.camera, p.rgb, p.known * np.float32(weight)) for p in photos]
 
@@ -168,10 +169,11 @@ def view_targets(
     settings: Settings,
 ) -> list[Target]:
     """Every synthesized view as a target; its weight falls with the angle to the nearest real camera (paper, appendix
-    C). Where it has no support it goes over from what it was painted with, which goes on as the hole's rim does, to the
-    ``painted`` room, if there is one: a rim is furniture as often as not.
+    C).
 
-    Views that stand where a photo does are left out: the photo is there already (U16).
+    Its painted pixels without support continue the hole's rim, which is often furniture. There the target fades to the
+    ``painted`` room, if there is one. Views at a photo's pose are left out, because the photo is a target already
+    (U16).
     """
     cutoff = cutoff_angle(cameras)
     targets = []
@@ -193,8 +195,10 @@ def view_targets(
 def without_people(
     photos: Sequence[Photo], videos: Sequence[Path], masks: Sequence[Path], dilation_px: int, gains: Factors
 ) -> list[Photo]:
-    """The first pictures in the plates' place (paper, Eq. 5): unknown where a mask has anybody, or somebody is within
-    the square of ``dilation_px``; without ``masks`` nobody is there."""
+    """The first pictures instead of the plates (paper, Eq. 5), without people.
+
+    Pixels are unknown where a mask has a person within the square of ``dilation_px``; without ``masks`` all are known.
+    """
     one_each([p.camera for p in photos], videos=list(videos))
     if masks:
         one_each([p.camera for p in photos], masks=list(masks))
@@ -243,7 +247,7 @@ def read_views(
     painted: Sequence[hole_filling.Painted],
     settings: Settings,
 ) -> list[Target]:
-    """All synthesized views; none when their share of the draws is 0, or there are none."""
+    """All synthesized views as targets; none when their share of the draws is 0, or there are none."""
     if settings.views_share == 0 or not views:
         return []
     steps, _ = read_path(path)
@@ -252,7 +256,7 @@ def read_views(
         raise UserError(f"there are {len(views)} view videos and {len(supports)} masks of {path}; make views again")
     targets = []
     for video, mask in zip(views, supports):
-        # Gaps that need none have no video.
+        # Gaps without synthesized views have no video.
         segment = video.name.partition(".")[0]
         if segment not in segments:
             raise UserError(f"{video} is of no segment of {path}; make views again")
@@ -265,7 +269,7 @@ def read_views(
 def prepared(
     settings: Settings, sources: Sources, cameras: Sequence[Camera], varied: bool, rng: np.random.Generator
 ) -> Prepared:
-    """Read everything and start; ``varied``: colours change with the direction of view."""
+    """Read all inputs and build the initial state; ``varied``: colours change with the direction of view."""
     box = read_room(sources.room_box)
     factors = read_factors(sources.gains)
     photos = read_photos(cameras, sources.plates, sources.depths, factors)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``background.refined``: views of the half-trained room, repaired by the recursive module around a network that is
-shown the nearest photo (paper, section Iterative Refinement and appendix C)."""
+"""``background.refined``: views of the half-trained room, repaired by the recursive module around a network.
+
+The network is shown the nearest photo (paper, section Iterative Refinement and appendix C).
+"""
 
 from __future__ import annotations
 
@@ -40,11 +42,11 @@ def run(
     device: str,
     refined: Written,
 ) -> None:
-    """Write the film ``renders``, whose cameras are those of ``renders_path``, as the network ``enhancer`` repairs it;
-    ``plates`` are the rooms without people of ``model``'s cameras, divided by their ``gains``.
+    """Write the film ``renders``, repaired by the network ``enhancer``; ``renders_path`` holds its cameras.
 
-    ``injection`` are the settings of ``enhance.injection`` as JSON, with which views enter those after them along
-    ``flow``."""
+    ``plates`` are the rooms without people of ``model``'s cameras, divided by their ``gains``. ``injection`` are the
+    settings of ``enhance.injection`` as JSON, by which views enter later ones along ``flow``.
+    """
     steps, fps = read_path(renders_path)
     cameras = read_model(model.parent)
     one_each(cameras, plates=plates)
@@ -55,7 +57,7 @@ def run(
     def reference(step: PathStep) -> np.ndarray:
         return photos[int(np.argmin([angle_between_axes(step.camera, camera) for camera in cameras]))]
 
-    # Of the room nobody has asked for depth: it is for enhancers that carry photos over.
+    # Zeros: only enhancers that carry photos over use depth.
     depths_mm = (np.zeros(step.camera.hw, np.uint16) for step in steps)
     how = load_settings(Injection, json.loads(injection), "enhance.injection")
     search = flow_of(flow, "medium", weights, device)

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Iterative refinement (paper, appendix C): half-way, views of the room as it is now are repaired by a network and
-become targets themselves.
+"""Iterative refinement (paper, appendix C): half-way, a network repairs views of the room, which then become targets.
 
-The camera rises and falls twice on its way along the synthesized views, which shows what none of those shows: floors
-and ceilings at other angles. The room is drawn without people, so nothing has to be masked.
+The camera rises and falls twice on its way along the synthesized views, which shows floors and ceilings at new angles.
+The room is drawn without people, so nothing has to be masked.
 """
 
 from __future__ import annotations
@@ -25,18 +24,18 @@ if TYPE_CHECKING:
     pass
 
 _PERIODS = 2
-# A pixel that is less than this covered shows a hole, and a hole is nothing to learn from.
+# Pixels with less coverage show a hole, which must not be learned.
 _SOLID = 0.95
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """How the room is looked at half-way.
+    """Views of the half-trained room.
 
     Attributes:
         at: share of the iterations after which they are drawn.
         height: how far the camera rises and falls, as a share of its distance from the middle of the scene.
-        weight: of these views' pixels beside the photos'.
+        weight: of these views' pixels relative to the photos'.
     """
 
     views: int = setting(
@@ -54,9 +53,11 @@ class Refinement:
 
 
 def looked_at_from(cameras: Sequence[Camera], views: Sequence[Camera], settings: Refinement) -> list[Camera]:
-    """Cameras evenly along the synthesized ``views``: turned by slerp and moved straight between neighbours, rising and
-    falling by ``height`` of the radius of the scene's ``cameras``, and pitched by −atan(rise / radius) to make up for
-    it (U53). UserError when there are no two views."""
+    """Cameras evenly along the synthesized ``views``: rotated by slerp and moved straight between neighbours.
+
+    They rise and fall by ``height`` of the radius of the scene's ``cameras``, and are pitched by −atan(rise / radius)
+    in compensation (U53). Raises UserError with fewer than two views.
+    """
     if len(views) < 2:
         raise UserError(
             f"background.refinement.views looks between the synthesized views, and there are {len(views)} of them: "
@@ -73,7 +74,7 @@ def looked_at_from(cameras: Sequence[Camera], views: Sequence[Camera], settings:
         turned = slerp(one.world_from_camera[:3, :3], other.world_from_camera[:3, :3], np.array([share]))
         rise_m = settings.height * radius_m * np.sin(2 * np.pi * _PERIODS * at / (len(distinct) - 1))
         down = np.arctan2(rise_m, radius_m)
-        # About the camera's own x, to the right: what has risen looks down.
+        # About the camera's own x, to the right: raised cameras pitch down.
         pitch = np.array([[1, 0, 0], [0, np.cos(down), np.sin(down)], [0, -np.sin(down), np.cos(down)]])
         eye_m = (1 - share) * one.centre_m + share * other.centre_m + [0, 0, rise_m]
         lens = (1 - share) * one.intrinsics + share * other.resized(one.wh).intrinsics

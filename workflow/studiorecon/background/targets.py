@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the background is trained against: clean plates and synthesized views, with weights that say how far to trust
-them."""
+"""Targets of the background: clean plates and synthesized views, with weights for their reliability."""
 
 from __future__ import annotations
 
@@ -36,11 +35,10 @@ def cutoff_angle(cameras: Sequence[Camera]) -> float:
 
 
 def view_weight(angle: float, cutoff: float, boost: float) -> float:
-    """w = 1 + boost · ½(1 + cos(π d / d_max)): up to 1 + boost at a real camera, 1 from the cut-off on (paper, appendix
-    C).
+    """w = 1 + boost · ½(1 + cos(π d / d_max)): 1 + boost at a real camera, 1 from the cut-off on (paper, appendix C).
 
-    The angle is clamped to the cut-off, or the cosine would rise again (I12); with cut-off 0 only d = 0 is
-    boosted (I11).
+    The angle is clamped to the cut-off, or the cosine would rise again (I12); with cut-off 0 only d = 0 is boosted
+    (I11).
     """
     if cutoff <= 0:
         return 1.0 + boost * (angle == 0)
@@ -48,8 +46,7 @@ def view_weight(angle: float, cutoff: float, boost: float) -> float:
 
 
 def draw_shares(plates: int, views: int, views_share: float) -> Float[np.ndarray, " D"]:
-    """Probability of drawing each plate, then each synthesized view: ``views_share`` of all draws go to views, whatever
-    their number."""
+    """Probability of drawing each plate, then each synthesized view; all views together have ``views_share``."""
     if views == 0:
         return np.full(plates, 1 / plates)
     return np.concatenate([np.full(plates, (1 - views_share) / plates), np.full(views, views_share / views)])

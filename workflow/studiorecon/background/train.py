@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Static Gaussians of the room, trained on clean plates and synthesized views.
+"""Trains static Gaussians of the room on clean plates and synthesized views.
 
 Writes ``background/scene.ply`` and ``background/provenance.npz`` (``provenance``: per Gaussian, in PLY order, measured
 / inferred / invented as in ``scene/provenance.py``).
@@ -42,15 +42,11 @@ def run(
 ) -> None:
     """Train the background and write it with its provenance; plates are divided by their gains, if any.
 
-    With ``photos`` "first_frames" the first pictures of the videos are trained on, without those whom masks show.
-    Without a file in ``specularity`` the survey does not call for colours that change with the view; None: it was not
-    asked.
-
-    ``half``: the room half-way, the provenance of its Gaussians, and views of it with the path they lie on, which a
-    network has enhanced (``background.half``, ``background.refined``), where ``refinement`` asks for views.
-
-    ``working`` is a folder of its own: pictures of how it goes, and what a killed run goes on from; ``lpips`` holds the
-    weights of the perceptual term.
+    With ``photos`` "first_frames" the first pictures of the videos are used, without the people in the masks. Without a
+    file in ``specularity`` the survey decided against colours that change with the view; None: no decision was made.
+    ``half``: the half-trained room, the provenance of its Gaussians, and views of it with their path, which a network
+    has enhanced (``background.half``, ``background.refined``), where ``refinement`` is on. ``working`` is a folder of
+    its own: preview pictures, and the checkpoint of a killed run; ``lpips`` holds the weights of the perceptual term.
     """
     device = resolve(device)
     cameras = read_model(sources.model.parent)

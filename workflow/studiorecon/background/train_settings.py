@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the training of the room is told."""
+"""Settings of the training of the room."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from studiorecon.splatting.train.schedule import TrainingSettings
 
 @dataclass(frozen=True)
 class Settings:
-    """How the background is started and trained."""
+    """How the background is initialised and trained."""
 
     start: Literal["depth", "random"] = setting(
         "depth",
