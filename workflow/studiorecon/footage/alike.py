@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two cameras that show the same picture are one film given twice, however it was named, cut or encoded again."""
+"""Detects two cameras with the same picture: one film given twice, whatever its name, cut or encoding."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
 _WIDTH, _COARSE = 96, 4.0
-# Correlation of what stands still, without its coarse brightness. Cameras of one room, 45 to 120° apart: 0.14 at most;
-# one film encoded again, or cut to another part of it: 0.99.
+# Correlation of the static content, without its coarse brightness. Cameras of one room, 45 to 120° apart: 0.14 at most;
+# one film encoded again, or another part of it: 0.99.
 _SAME = 0.95
-# Grey levels of detail below which there is nothing to compare.
+# With less detail, grey levels, there is nothing to compare.
 _MIN_DETAIL = 1.0
 
 
 def one_film_twice(sources: Mapping[str, FootageSource]) -> str:
-    """The sentence about two cameras (name → footage) that show the same view, of which three pictures are read; empty
-    where all differ."""
+    """A sentence about two cameras (name → footage) with the same view, from three pictures each; empty if all
+    differ."""
     still: dict[str, np.ndarray] = {}
     for camera, source in sources.items():
         try:
             frames = source.frames
             still[camera] = standing(glimpses(source, [frames // 6, frames // 2, 5 * frames // 6]))
-        except UserError as refusal:  # the step that decodes it stops at that; the others are compared all the same
+        except UserError as refusal:  # the step that decodes it stops at that; the others are still compared
             warn(str(refusal))
     for one, two in combinations(still, 2):
         if same_view(still[one], still[two]):
@@ -46,7 +46,7 @@ def one_film_twice(sources: Mapping[str, FootageSource]) -> str:
 
 
 def standing(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Num[np.ndarray, "h 96"]:
-    """What stands still in pictures (H, W, 3) uint8 of one camera: (h, 96) grey without its coarse brightness."""
+    """(h, 96) grey static content of one camera's pictures (H, W, 3) uint8, without its coarse brightness."""
     height, width = pictures[0].shape[:2]
     size = (_WIDTH, max(round(_WIDTH * height / width), 1))
     grey = [cv2.resize(cv2.cvtColor(p, cv2.COLOR_RGB2GRAY), size, interpolation=cv2.INTER_AREA) for p in pictures]

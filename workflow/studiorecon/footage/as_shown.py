@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a film's frames as they are stored to its pictures as they are meant to be shown: one moment, BT.709 colours,
-square pixels, the right way up."""
+"""Converts a film's stored frames to pictures as shown: one moment, BT.709 colours, square pixels, upright."""
 
 from __future__ import annotations
 
@@ -18,9 +17,9 @@ if TYPE_CHECKING:
     from jaxtyping import Integer
 
 _UPRIGHT = ((1, 0), (0, 1))
-# No camera's pixels are so many times as wide as high, or the other way round; anamorphic lenses reach 2.
+# No camera's pixels have a larger aspect; anamorphic lenses reach 2.
 _MAX_ASPECT = 4
-# What differs from BT.709 by less than what cameras of one kind differ in: SDR transfers, and primaries of television.
+# Differ from BT.709 by less than cameras of one kind differ: SDR transfers, and primaries of television.
 _SDR = {ColorTrc.BT709, ColorTrc.UNSPECIFIED, ColorTrc.GAMMA22, ColorTrc.GAMMA28, ColorTrc.SMPTE170M}
 _SDR |= {ColorTrc.SMPTE240M, ColorTrc.IEC61966_2_4, ColorTrc.BT1361_ECG, ColorTrc.IEC61966_2_1}
 _SDR |= {ColorTrc.BT2020_10, ColorTrc.BT2020_12}
@@ -53,18 +52,18 @@ class Form:
 
     @property
     def stored_wh(self) -> tuple[int, int]:
-        """Width and height the right way up, with pixels as stored: what programs see that do not read the aspect."""
+        """Width and height upright, with pixels as stored: the size in programs that ignore the aspect."""
         return self._turned(self.wh)
 
     @property
     def rotation_deg(self) -> int:
-        """Counter-clockwise turn: 0, 90, 180 or 270; of a mirrored film after its mirroring."""
+        """Counter-clockwise turn: 0, 90, 180 or 270; for a mirrored film, after mirroring."""
         (a, b), (c, d) = self.turn
         mirrored = a * d - b * c < 0
         return {(1, 0): 0, (0, -1): 90, (-1, 0): 180, (0, 1): 270}[(-a, -b) if mirrored else (a, b)]
 
     def picture(self, frame: av.VideoFrame) -> Integer[np.ndarray, "H W 3"]:
-        """(H, W, 3) uint8 RGB as shown, of a frame that has been through the filters."""
+        """(H, W, 3) uint8 RGB as shown, from a frame that has passed the filters."""
         if self.square_wh == self.wh:
             picture = frame.to_ndarray(format="rgb24")
         else:
@@ -73,13 +72,13 @@ class Form:
         return self.upright(picture)
 
     def upright(self, picture: Integer[np.ndarray, "H W ..."]) -> Integer[np.ndarray, "h w ..."]:
-        """A stored picture the right way up."""
+        """A stored picture turned upright."""
         (a, b), (c, d) = self.turn
         turned = picture if a else np.swapaxes(picture, 0, 1)
         return np.ascontiguousarray(turned[:: b + d, :: a + c]) if self.turn != _UPRIGHT else picture
 
     def filtered(self, frames: Iterable[av.VideoFrame]) -> Iterator[av.VideoFrame]:
-        """Frames (all of the stored size), each with its own time, through the filters."""
+        """Yields frames (all of the stored size), each with its own time, through the filters."""
         if not self.filters:
             yield from frames
             return
@@ -105,8 +104,8 @@ class Form:
 
 
 def form_of(stream: av.VideoStream, first: av.VideoFrame) -> tuple[Form, tuple[str, ...]]:
-    """How the frames of ``stream`` are stored, by its header and its ``first`` one, and the sentences about what is
-    done to them."""
+    """How the frames of ``stream`` are stored, by its header and ``first`` frame, and sentences about their
+    conversion."""
     wh, notes, filters = (first.width, first.height), [], []
     square_wh, about = _square(wh, stream.sample_aspect_ratio)
     notes += about
@@ -120,7 +119,7 @@ def form_of(stream: av.VideoStream, first: av.VideoFrame) -> tuple[Form, tuple[s
 
 
 def _square(wh: tuple[int, int], aspect: Fraction | None) -> tuple[tuple[int, int], list[str]]:
-    """The size with square pixels of ``wh`` pixels of that aspect, as players show it: as high as stored."""
+    """The size with square pixels of ``wh`` pixels of that aspect, as players show it: with the stored height."""
     if not aspect or aspect <= 0:
         return wh, []
     named = f"{aspect.numerator}:{aspect.denominator}"
@@ -151,7 +150,7 @@ def _colours(frame: av.VideoFrame) -> tuple[list[tuple[str, str]], list[str]]:
     named = f"{_HDR.get(transfer) or _named(ColorTrc, transfer)} with primaries {_named(ColorPrimaries, primaries)}"
     if transfer not in _CONVERTED or primaries not in list(ColorPrimaries):
         return [], [f"its colours are {named}, which are not converted: it will differ in colour from other cameras"]
-    # libswscale's own colour management: white of 203 cd/m² (BT.2408) becomes white, what is brighter is clipped.
+    # libswscale's own colour management: white of 203 cd/m² (BT.2408) becomes white, brighter values are clipped.
     clipped = "; what is brighter than a white surface is clipped" * (transfer in _HDR)
     return [("scale", "out_primaries=bt709:out_transfer=bt709:out_range=pc"), ("format", "pix_fmts=rgb24")], [
         f"its colours are {named} and become BT.709{clipped}"

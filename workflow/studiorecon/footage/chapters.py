@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording in several files, one after the other, as one film: a list in FFmpeg's concat format that stands for
-them."""
+"""Joins the files of one recording as one film: a list in FFmpeg's concat format."""
 
 from __future__ import annotations
 
@@ -14,10 +13,10 @@ from studiorecon.scene.files import write_text
 
 
 def write_chapters(path: Path, films: Sequence[Path]) -> tuple[int, ...]:
-    """Write the list of ``films`` to ``path``; how many frames each has.
+    """Write the list of ``films`` to ``path``; returns the number of frames of each.
 
-    Every chapter begins one frame time after the last picture of the one before, whatever its sound lasts. Raises
-    UserError naming the film that cannot be read, or whose size, rate or rotation is not that of the first.
+    Every chapter begins one frame time after the last picture of the one before, whatever the length of its sound.
+    Raises UserError naming the film that cannot be read, or whose size, rate or rotation is not that of the first.
     """
     sources = [open_source(film, 0.0) for film in films]
     lines, counts = ["ffconcat version 1.0"], []

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A film's container, opened for reading, whichever PyAV is installed and whatever bytes its tags are of; and the one
-video stream of it that is the film."""
+"""Opens a film's container with any PyAV version and tag encoding, and selects the video stream that is the film."""
 
 from __future__ import annotations
 
@@ -13,8 +12,8 @@ from av.stream import Disposition
 
 from studiorecon.scene.outside import read_text
 
-# Until PyAV 19 a tag that is not UTF-8 fails the opening unless it is told what to do instead; from there on such bytes
-# come as lone surrogates, and the argument is gone.
+# Until PyAV 19 a tag that is not UTF-8 makes opening fail without this argument; from 19 on such bytes become lone
+# surrogates, and the argument is gone.
 _TAGS: dict[str, Any] = {} if int(av.__version__.partition(".")[0]) >= 19 else {"metadata_errors": "replace"}
 _COVERS = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
 
@@ -23,9 +22,9 @@ CHAPTERS = ".ffconcat"
 
 
 def opened(path: Path | str) -> av.container.InputContainer:
-    """The container at ``path``, to be used in a ``with``; raises av.FFmpegError when it is none."""
+    """The container at ``path``, for use in a ``with``; raises av.FFmpegError when it is none."""
     if Path(path).suffix == CHAPTERS:
-        # safe: its films lie elsewhere, and the list is our own.
+        # safe: its films are in other folders, and the list is our own.
         return av.open(str(path), "r", format="concat", options={"safe": "0"}, **_TAGS)
     return av.open(str(path), "r", **_TAGS)
 
@@ -47,29 +46,29 @@ def parts_of(path: Path) -> tuple[tuple[Path, float], ...]:
 
 
 def film_streams(container: av.container.InputContainer) -> list[av.VideoStream]:
-    """The video streams that a decoder is there for, the film first: more than one picture, then the largest ones.
+    """The video streams with a decoder, the film first: more than one picture, then the largest ones.
 
-    Cover pictures and thumbnails are none.
+    Cover pictures and thumbnails are left out.
     """
     found = [s for s in container.streams.video if s.codec_context is not None and not s.disposition & _COVERS]
     return sorted(found, key=lambda s: (s.frames != 1, s.width * s.height), reverse=True)
 
 
 def film_of(container: av.container.InputContainer) -> av.VideoStream:
-    """The film of a container that has one, to be decoded by several threads; raises IndexError when it has none."""
+    """The film stream of a container that has one, decoded by several threads; raises IndexError when it has none."""
     stream = film_streams(container)[0]
     stream.thread_type = "AUTO"
     return stream
 
 
 def keeps_every_pixel(film: Path) -> bool:
-    """Whether a film is stored without loss."""
+    """Whether a film is stored losslessly."""
     try:
         with opened(film) as container:
             context = film_of(container).codec_context
     except (av.FFmpegError, IndexError):
         return False
-    # H.264 can be both: our lossless films are H.264 of RGB, films to watch are of YUV.
+    # H.264 can be both: our lossless films are H.264 of RGB, watchable films are YUV.
     kinds: list[Any] = [context.codec.properties, Properties.LOSSLESS, Properties.LOSSY]
     has, lossless, lossy = (int(getattr(kind, "value", kind)) for kind in kinds)
     always = bool(has & lossless) and not has & lossy

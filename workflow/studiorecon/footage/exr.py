@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""OpenEXR depth maps: channel Z in metres (0 = unknown), channel A = confidence 0..1."""
+"""Reads and writes OpenEXR depth maps: channel Z in metres (0 = unknown), channel A = confidence 0..1."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _write(path: Path, channels: Mapping[str, np.ndarray]) -> None:
     ):
         try:
             file.write(str(partial))
-        except RuntimeError as error:  # the binding keeps the system's words and loses its number
+        except RuntimeError as error:  # the binding keeps the system's message but not its number
             for number in _SYSTEM:
                 if os.strerror(number) in str(error):
                     raise OSError(number, os.strerror(number), str(path)) from None
@@ -63,10 +63,10 @@ def _write(path: Path, channels: Mapping[str, np.ndarray]) -> None:
 def read_depth(
     path: Path, wh: tuple[int, int] | None = None
 ) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
-    """(H, W) float32 depth in metres and confidence (1 where known when the file has no A); what is no depth becomes 0.
+    """(H, W) float32 depth in metres and confidence (1 where known when the file has no A); invalid depth becomes 0.
 
-    Depths that are negative or not finite are unknown, and confidences that are not numbers are 0; how many there were
-    is said. Accepts a depth channel named Z, Y, R or depth. A map that a step made has ``wh``, Z and A, and depths and
+    Depths that are negative or not finite are unknown, and confidences that are not finite are 0; a message counts
+    them. Accepts a depth channel named Z, Y, R or depth. A map that a step made has ``wh``, Z and A, and depths and
     confidences in their ranges. Raises UserError naming the file.
     """
     import OpenEXR

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures of a camera's footage as they are shown: one after the other, some of them, or small and grey."""
+"""Reads the pictures of a camera's footage as shown: in order, some of them, or small and grey."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from studiorecon.progress import warn
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
-# Times are sums of ticks of a container's clock, the finest of which is far longer than this.
+# Times are sums of ticks of a container's clock; its finest tick is far longer than this.
 _TICK_S = 1e-6
-# Ways to read a picture grey: whole, at a half, a quarter, an eighth.
+# Ways to read a picture in grey: whole, at a half, a quarter, an eighth.
 _HALVED = (
     cv2.IMREAD_GRAYSCALE,
     cv2.IMREAD_REDUCED_GRAYSCALE_2,
@@ -42,8 +42,8 @@ def decode(
 ) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """Frames ``first`` … ``first`` + ``count`` − 1 (``count`` 0 = to the end), (H, W, 3) uint8 RGB, as shown.
 
-    For a damaged frame of a video the one before it is given; its number is appended to ``damaged``, or, without such a
-    list, the user is warned at the end. Raises UserError naming file and frame when a picture of a folder is damaged,
+    A damaged frame of a video is replaced by the one before; its number is appended to ``damaged``, or, without such a
+    list, a warning follows at the end. Raises UserError naming file and frame when a picture of a folder is damaged,
     when a frame is of another size, and when the footage has no such frames.
     """
     stop = first + count if count else source.frames
@@ -77,8 +77,7 @@ def about_damage(damaged: Sequence[int], count: int) -> str:
 
 
 def stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-    """The frames numbered ``wanted`` (ascending, maybe twice), as ``decode`` gives them; numbers past the end are left
-    out.
+    """The frames numbered ``wanted`` (ascending, maybe twice) as from ``decode``; numbers past the end are left out.
 
     Raises UserError as ``decode`` does.
     """
@@ -94,9 +93,9 @@ def stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[Integer[np.
 
 
 def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.ndarray, "H W 3"]]:
-    """The frames numbered ``wanted`` (ascending; beyond the end: the last one), as ``decode`` gives them.
+    """The frames numbered ``wanted`` (ascending; beyond the end: the last one), as from ``decode``.
 
-    A video is sought to the key frame before each, unless the last one lies behind that, so a frame costs at most one
+    A video is sought to the key frame before each, unless the last one is after that, so a frame costs at most one
     group of pictures. Raises UserError when nothing can be read.
     """
     wanted = [min(number, source.frames - 1) for number in wanted]
@@ -113,7 +112,7 @@ def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.nd
         if without_thread(error):
             raise
         found = [None]
-    if None in found:  # a container that cannot be sought, or a damaged frame
+    if None in found:  # a container that does not seek, or a damaged frame
         return list(stills(source, wanted))
     return [form.picture(frame) for frame in found if frame is not None]
 
@@ -128,18 +127,20 @@ def _glimpses_of_parts(parts: Sequence[FootageSource], wanted: Sequence[int]) ->
 
 
 def small_grey(source: FootageSource, width: int, count: int) -> Iterator[Integer[np.ndarray, "h w"]]:
-    """The first ``count`` frames, at most ``width`` pixels along the longer side and grey, (h, w) uint8, up to the
-    first that cannot be read: decoding for good names it. Turned as stored: it is meant for what changes."""
+    """The first ``count`` frames in grey, (h, w) uint8, at most ``width`` pixels along the longer side.
+
+    Ends at the first unreadable frame, which proper decoding reports. Not turned upright, because only changes matter.
+    """
     shrink = max(1.0, max(source.wh) / width)
     small = _small(source.form.square_wh if source.form else source.wh, shrink)
     with suppress(UserError):
         if source.pictures:
-            # A JPEG that is read grey and small takes a fraction of the time.
+            # A JPEG read grey and small takes a fraction of the time.
             halved = min(int(np.log2(shrink)), len(_HALVED) - 1)
             for path in source.pictures[:count]:
                 yield cv2.resize(decoded(path, _HALVED[halved]), small, interpolation=cv2.INTER_AREA)
             return
-        # One for all frames: what it makes ready takes several times as long as a frame.
+        # One for all frames: its setup takes several times as long as a frame.
         shrinking = VideoReformatter()
         for frame in islice(_video_frames(source), count):
             grey = shrinking.reformat(frame, width=small[0], height=small[1], format="gray", interpolation="AREA")
@@ -175,8 +176,10 @@ def _frames_at(
 
 
 def _key_frame_between(stream: av.VideoStream, after_s: float, target_s: float) -> bool:
-    """Whether decoding on from ``after_s`` takes longer than from the key frame before ``target_s``; also where the
-    file's index does not reach that far."""
+    """Whether decoding on from ``after_s`` takes longer than from the key frame before ``target_s``.
+
+    Also True where the file's index does not reach that far.
+    """
     assert stream.time_base is not None
     index, after, target = stream.index_entries, after_s / stream.time_base, target_s / stream.time_base
     if not len(index) or index[-1].timestamp < target:
@@ -185,8 +188,11 @@ def _key_frame_between(stream: av.VideoStream, after_s: float, target_s: float) 
 
 
 def _video_frames(source: FootageSource, damaged: list[int] | None = None) -> Iterator[av.VideoFrame]:
-    """All frames that ``source`` counts, through its filters: for one that does not come at its time, whose number goes
-    into ``damaged``, the one before, and before the first the first."""
+    """All frames that ``source`` counts, through its filters.
+
+    A frame missing at its time is replaced by the one before (at the start, by the first); its number goes into
+    ``damaged``.
+    """
     assert source.form is not None
     damaged = [] if damaged is None else damaged
     if source.parts:
@@ -228,10 +234,10 @@ def _or_the_part_before(frames: int) -> str:
 
 
 def _of_one_size(source: FootageSource, frames: Iterator[av.VideoFrame]) -> Iterator[av.VideoFrame]:
-    """``frames`` up to the last one that ``source`` counts, none of them of another size than its first one."""
+    """``frames`` up to the last one that ``source`` counts; raises UserError for a frame of another size."""
     assert source.form is not None
     for number, frame in enumerate(frames):
-        if source.carried and frame.pts is None:  # concealed, of no known moment
+        if source.carried and frame.pts is None:  # concealed, at an unknown time
             continue
         # After a jump the number is that of the frame's time.
         at = int(np.searchsorted(source.times_s, frame.time - _TICK_S)) if source.carried else number

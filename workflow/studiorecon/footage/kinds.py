@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which files are films: the container library knows, and nothing else lists suffixes."""
+"""Decides which files are films by the container library; no other module lists suffixes."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from av.format import ContainerFormat
 
 from studiorecon.footage.container import film_streams, opened
 
-# The library's names of the containers that films are recorded in; it knows their suffixes. Its other ones hold single
-# pictures, text, sound, or pictures without a size.
+# The library's names of the containers of recorded films, with their suffixes. Its other ones hold single pictures,
+# text, sound, or pictures without a size.
 _CONTAINERS = frozenset(
     {
         "mov",
@@ -34,12 +34,12 @@ _CONTAINERS = frozenset(
     | {"mpegvideo", "mpeg1video", "mpeg2video", "dvd", "vob", "svcd", "asf", "mxf", "flv", "ogv", "ogg", "dv", "gxf"}
     | {"nut", "rm", "wtv", "ivf", "dhav", "h264", "hevc", "m4v", "mjpeg", "yuv4mpegpipe"}
 )
-# Suffixes that those share with sound.
+# Suffixes of theirs that are for sound.
 _SOUND = frozenset({".m4a", ".m4b", ".isma", ".wma", ".ogg", ".ra"})
 
 
 def is_film(path: Path) -> bool:
-    """Whether a file is a film: by its suffix, so that a damaged one is named, else by what it holds."""
+    """Whether a file is a film: by its suffix, so that a damaged one is reported, else by its content."""
     if path.suffix.lower() in film_suffixes():
         return True
     if path.suffix.lower() in _SOUND or not path.is_file():
@@ -53,8 +53,10 @@ def is_film(path: Path) -> bool:
 
 @cache
 def film_suffixes() -> frozenset[str]:
-    """Lower-case suffixes of films, ``.mp4`` and so on: those of the containers' writers, for readers claim those of
-    single pictures too."""
+    """Lower-case suffixes of films, such as ``.mp4``.
+
+    They are those of the containers' writers, because readers claim single pictures' too.
+    """
     writers = (ContainerFormat(name, "w") for name in _CONTAINERS & av.formats_available if _is_written(name))
     return frozenset(f".{suffix}" for writer in writers for suffix in writer.extensions) - _SOUND
 

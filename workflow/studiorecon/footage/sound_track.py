@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sound that a film's file holds, on the time line of its frames."""
+"""Reads the sound of a film's file, on the time line of its frames."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ RATE_HZ = 8000
 
 
 def sound_of(path: Path) -> Float[np.ndarray, " N"] | None:
-    """(N,) float32 mono samples at ``RATE_HZ`` from time 0 of the file's own time line on: of the first sound track
-    that can be decoded, up to its first damaged place; None where there is none."""
+    """(N,) float32 mono samples at ``RATE_HZ`` from time 0 of the file's own time line; None without sound.
+
+    From the first sound track that can be decoded, up to its first damaged place.
+    """
     if path.is_dir():
         return None
     try:
@@ -42,7 +44,7 @@ def _samples(path: Path, track: int) -> np.ndarray | None:
                 pieces += [piece.to_ndarray().reshape(-1) for piece in resampler.resample(frame)]
             pieces += [piece.to_ndarray().reshape(-1) for piece in resampler.resample(None)]
     except (av.FFmpegError, ValueError, IndexError):
-        pass  # what can be heard up to a damaged place is as good as all of it
+        pass  # sound up to a damaged place is as good as all of it
     samples = np.concatenate(pieces) if pieces else np.zeros(0, np.float32)
     if not len(samples):
         return None

@@ -25,35 +25,35 @@ from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.numbered import gaps_named, pictures_in
 
 _READ_BYTES = 1 << 20
-# Cameras film 80 megapixels at most (12K); a decoder makes room for what a header announces, several times over.
+# Cameras film 80 megapixels at most (12K); a decoder allocates several times the size in the header.
 _MAX_PIXELS = 100_000_000
-# A gap of this many frame times between two pictures means that the recorder skipped some.
+# A gap of this many frame times between two pictures means that the recorder dropped some.
 _GAP_FRAMES = 1.5
 
 
 @dataclass(frozen=True)
 class PictureRate:
-    """What a folder of pictures cannot say itself; every step that opens footage is told."""
+    """The frame rate of a folder of pictures, which has none itself; a setting of every step that opens footage."""
 
     picture_fps: float = setting(30.0, "Frame rate of footage that is a folder of pictures.", above=0, maximum=1000)
 
 
 @dataclass(frozen=True)
 class FootageSource:
-    """What a decoder shows of a video, or a folder's listing holds.
+    """The frames that a decoder shows of a video, or the pictures in a folder.
 
     Attributes:
         path: the video file or folder.
-        wh: size as shown: the right way up, with square pixels.
+        wh: size as shown: upright, with square pixels.
         fps: frames per second.
-        frames: how many there are.
-        announced: how many the video's header promises; more than ``frames`` where its end cannot be used.
-        times_s: when each is shown, on the video's own time line; empty for a folder.
+        frames: number of frames.
+        announced: number of frames in the video's header; more than ``frames`` where its end cannot be used.
+        times_s: time of each on the video's own time line; empty for a folder.
         carried: whether decoded frames carry these times, so that each can be sought.
         form: how a video's frames are stored; None for a folder.
         parts: the chapters of a recording in several files, in order; else empty.
         pictures: the files of a folder in order; empty for a video.
-        notes: sentences about what is unusual.
+        notes: sentences about unusual properties.
     """
 
     path: Path
@@ -70,17 +70,17 @@ class FootageSource:
 
     @property
     def rotation_deg(self) -> int:
-        """Counter-clockwise turn that the rotation tag asks for: 0, 90, 180 or 270."""
+        """Counter-clockwise turn by the rotation tag: 0, 90, 180 or 270."""
         return self.form.rotation_deg if self.form else 0
 
     @property
     def stored_wh(self) -> tuple[int, int]:
-        """Size the right way up, with pixels as stored: other programs often know no other."""
+        """Size upright, with pixels as stored: often the only one that other programs know."""
         return self.form.stored_wh if self.form else self.wh
 
 
 def open_source(path: Path, picture_fps: float) -> FootageSource:
-    """The footage at ``path``; ``picture_fps`` is the rate of a folder of pictures, which cannot say so itself.
+    """The footage at ``path``; ``picture_fps`` is the rate of a folder of pictures, which has none itself.
 
     Raises UserError naming the file or folder and the remedy when it is missing, unreadable, empty or without a frame
     rate.
@@ -93,8 +93,10 @@ def open_source(path: Path, picture_fps: float) -> FootageSource:
 
 
 def check_readable(path: Path) -> None:
-    """Raises UserError as ``open_source`` does where not even the first picture of the footage at ``path`` can be
-    decoded; nothing else of it is read."""
+    """Raise UserError as ``open_source`` does if the first picture of the footage at ``path`` cannot be decoded.
+
+    Only this picture is read.
+    """
     if path.is_dir():
         _open_folder(path, 1.0)
     else:
@@ -102,7 +104,7 @@ def check_readable(path: Path) -> None:
 
 
 def _stamp(path: Path) -> tuple[int, int]:
-    """When a film was last written (ns), and its size in bytes; raises UserError where there is none."""
+    """A film's modification time (ns) and its size in bytes; raises UserError where there is none."""
     if not path.is_file():
         raise UserError(
             f"footage {path} is missing; put the video back, or leave its camera out with train: [...] in capture.yaml"
@@ -114,7 +116,7 @@ def _stamp(path: Path) -> tuple[int, int]:
 
 
 def _joined(path: Path, parts: Sequence[FootageSource]) -> FootageSource:
-    """The film of a list of chapters: each begins one frame time after the last frame of the one before."""
+    """The film of a list of chapters, each of which begins one frame time after the last frame of the one before."""
     times_s: list[float] = []
     for part in parts:
         begin_s = times_s[-1] + 1 / parts[0].fps if times_s else part.times_s[0]
@@ -132,7 +134,7 @@ def _joined(path: Path, parts: Sequence[FootageSource]) -> FootageSource:
 
 @lru_cache(maxsize=64)
 def _open_film(path: Path, stamp: tuple[int, int]) -> FootageSource:
-    """The film at ``path``; every packet is looked at, once as long as the file stays as it is."""
+    """The film at ``path``; every packet is examined, once per version of the file."""
     form, notes = _first_look(path, stamp)
     with _as_film(path):
         timing = timing_of(path)
@@ -178,7 +180,7 @@ def _first_look(path: Path, _: tuple[int, int]) -> tuple[Form, tuple[str, ...]]:
 
 @contextmanager
 def _as_film(path: Path) -> Iterator[None]:
-    """Around what reads a film: what the library refuses becomes a UserError that names it."""
+    """A context in which errors of the film library become a UserError that names the film."""
     try:
         yield
     except (av.FFmpegError, IndexError, ValueError) as error:
@@ -191,8 +193,10 @@ def _as_film(path: Path) -> Iterator[None]:
 
 
 def uneven(times_s: Sequence[float], first: int) -> str | None:
-    """What is odd about the times (seconds) of successive frames from ``first`` on: a dropped frame puts all that
-    follow out of step."""
+    """A sentence about uneven times (seconds) of successive frames from ``first`` on; None if they are even.
+
+    A dropped frame shifts all that follow.
+    """
     gaps = np.diff(np.asarray(times_s, dtype=float))
     usual = float(np.median(gaps)) if len(gaps) else 0.0
     if usual <= 0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Still pictures: clean plates with the alpha that says which pixels were measured."""
+"""Reads still pictures: clean plates with an alpha that marks the measured pixels."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def decoded(path: Path, flags: int, cure: str = "replace it") -> Shaped[np.ndarray, "H W ..."]:
-    """The picture of a file as OpenCV has it (BGR); raises UserError, which ends in ``cure``, when it is missing or
-    none."""
+    """The picture of a file as decoded by OpenCV (BGR); raises UserError, which ends in ``cure``, when missing or
+    unreadable."""
     data = read_bytes(path)
     try:
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if _whole(data) else None
-    except cv2.error:  # more pixels than it will make room for
+    except cv2.error:  # more pixels than it allocates
         picture = None
     if picture is None:
         raise UserError(f"{path} is not a readable picture; {cure}")
@@ -35,8 +35,10 @@ def decoded(path: Path, flags: int, cure: str = "replace it") -> Shaped[np.ndarr
 
 
 def _whole(data: bytes) -> bool:
-    """Whether there is anything, and of a PNG every part that it announces: the decoder makes room for what a damaged
-    one promises, gigabytes of it, before it looks."""
+    """Whether the file is not empty, and a PNG has every chunk that it announces.
+
+    For a damaged PNG the decoder allocates the announced size first, which may be gigabytes.
+    """
     if not data.startswith(_PNG):
         return len(data) > 0
     at = len(_PNG)
@@ -51,10 +53,10 @@ def _whole(data: bytes) -> bool:
 def read_plate(
     path: Path, wh: tuple[int, int] | None = None
 ) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
-    """(H, W, 3) float32 RGB in [0, 1] of a picture file and (H, W) bool: measured (alpha above one half; all, without
-    alpha).
+    """(H, W, 3) float32 RGB in [0, 1] of a picture file and (H, W) bool: measured (alpha above one half).
 
-    8- and 16-bit files are read. ``wh``: the size of a plate that a step made. Raises UserError naming the file.
+    Without alpha all pixels are measured. 8- and 16-bit files are read. ``wh``: the size of a plate that a step made.
+    Raises UserError naming the file.
     """
     stored = decoded(path, cv2.IMREAD_UNCHANGED, "replace it" if wh is None else CURE)
     if stored.dtype not in (np.uint8, np.uint16):
@@ -72,8 +74,7 @@ def read_plate(
 def shrink(
     rgb: Num[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H W"], wh: tuple[int, int]
 ) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
-    """A plate at another size: area-averaged over its measured pixels only; measured where more than half of the area
-    was.
+    """A plate at another size, averaged over its measured pixels only; measured where more than half of the area was.
 
     Raises ValueError for a mask of another size.
     """

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several videos written side by side while their frames are being made, with memory that does not grow with the
-clip."""
+"""Writes several videos in parallel while their frames are produced, with memory independent of the clip's length."""
 
 from __future__ import annotations
 
@@ -11,7 +10,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-# Frames that may wait for a slow encoder; the maker pauses beyond that.
+# Frames that may wait for a slow encoder; the producer pauses beyond that.
 _WAITING = 8
 
 Writer = Callable[[Iterator[np.ndarray]], object]
@@ -19,7 +18,7 @@ Writer = Callable[[Iterator[np.ndarray]], object]
 
 @contextmanager
 def writing(writers: Sequence[Writer]) -> Iterator[Callable[..., None]]:
-    """A function ``put(frame_0, frame_1, …)`` that hands one frame to each writer; every writer consumes an iterator of
+    """A function ``put(frame_0, frame_1, …)`` that hands one frame to each writer, which consumes an iterator of
     frames.
 
     The files are complete when the block ends. When the block, or any writer, fails, every writer is stopped by an
@@ -39,10 +38,10 @@ def writing(writers: Sequence[Writer]) -> Iterator[Callable[..., None]]:
     def work(writer: Writer, waiting: queue.Queue) -> None:
         try:
             writer(frames_of(waiting))
-        except BaseException as error:  # handed to the caller's thread below
+        except BaseException as error:  # passed to the caller's thread below
             failures.append(error)
-            # Keep draining, or the maker would block for ever. After the last frame, as a file is closed on a full
-            # disk, nothing more comes.
+            # Keep draining, or the producer would block for ever. After the last frame, when closing a file fails on a
+            # full disk, no more frames come.
             while id(waiting) not in ended and waiting.get() is not None:
                 pass
 
@@ -72,4 +71,4 @@ def writing(writers: Sequence[Writer]) -> Iterator[Callable[..., None]]:
 
 
 class _Stopped(Exception):
-    """Ends a writer's iterator when the frames' maker has failed."""
+    """Ends a writer's iterator when the producer of frames has failed."""

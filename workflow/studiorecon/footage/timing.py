@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When each frame of a film is shown, and how many there are: what a decoder shows, whatever the header announces."""
+"""Number and times of a film's frames as a decoder shows them, whatever the header says."""
 
 from __future__ import annotations
 
@@ -20,16 +20,15 @@ from studiorecon.machine.refusals import without_thread
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Times in a file are rounded to its time base, a millisecond in Matroska: within this, frames that should come evenly
-# do.
+# Times in a file are rounded to its time base, a millisecond in Matroska: steps within this tolerance are even.
 EVEN_S = 2e-3
-# A header's rate that is nearer than this is meant: what differs is jitter.
+# The header's rate is used if it is nearer than this share: the difference is jitter.
 _RATE_SHARE = 0.02
-# So many frames are decoded to see whether a decoder shows what the packets promise: more than open groups of pictures
-# lead with, or codecs reorder.
+# Number of frames decoded to check a decoder against the packets: more than open groups of pictures lead with, or
+# codecs reorder.
 _HEAD_FRAMES = 20
-# Nobody films people at more than 1,000 frames per second (the most that ``capture.picture_fps`` takes): times that are
-# nearer are counted, not measured.
+# People are never filmed at more than 1,000 frames per second (the maximum of ``capture.picture_fps``): smaller steps
+# are frame counts, not times.
 _MIN_STEP_S = 1e-3
 
 
@@ -40,10 +39,10 @@ class Timing:
     Attributes:
         times_s: of every frame on the file's own time line, which its sound shares; strictly ascending.
         fps: frames per second; the header's where the times agree with it.
-        announced: how many the header promises beside those that an edit list hides; ``times_s`` has fewer where the
-            end cannot be used.
+        announced: number of frames in the header, without those that an edit list hides; ``times_s`` has fewer where
+            the end cannot be used.
         carried: whether frames carry these times when they are decoded, so that each can be sought.
-        notes: sentences about what the header says otherwise.
+        notes: sentences about contradictions in the header.
     """
 
     times_s: tuple[float, ...]
@@ -55,12 +54,12 @@ class Timing:
 
 @dataclass(frozen=True)
 class _Packets:
-    """What a file holds of a film without being decoded.
+    """The frames of a film in its file, without decoding.
 
     Attributes:
-        shown_s: (T,) times of what is shown, in order, NaN where there are none.
-        decoded_s: (T,) times at which the same are decoded, in order, NaN where there are none.
-        hidden: how many are not shown: an edit list leaves them out, or they repeat the one before.
+        shown_s: (T,) presentation times, in order, NaN where there are none.
+        decoded_s: (T,) decoding times of the same frames, in order, NaN where there are none.
+        hidden: number of frames that are not shown: an edit list leaves them out, or they repeat the one before.
         whole: whether none is damaged and all come in order.
     """
 
@@ -79,15 +78,15 @@ class _Decoded:
 
 
 def timing_of(path: Path) -> Timing:
-    """The timing of the film in ``path``: from its packets where its first and last frames come as those promise; else
-    of the frames that are undamaged when all of it is decoded.
+    """The timing of the film in ``path``: from its packets if its first and last frames agree with them.
 
-    Raises UserError naming the file when nothing can be decoded, or neither its times nor its header tell a rate.
+    Else it is that of the undamaged frames after decoding all of it. Raises UserError naming the file when nothing can
+    be decoded, or neither its times nor its header give a rate.
     """
     with opened(path) as container:
         stream = film_of(container)
         rate = float(stream.average_rate or stream.guessed_rate or 0)
-        # QuickTime's index is without what its edit list leaves out at the ends, its count is not.
+        # QuickTime's index excludes frames that its edit list hides at the ends, its count includes them.
         stated = min(stream.frames, len(stream.index_entries)) if "mov" in container.format.name else stream.frames
         announced = stated or _frames_by_duration(container, rate)
     packets = _packets(path)
@@ -98,7 +97,7 @@ def timing_of(path: Path) -> Timing:
     else:
         decoded = _decoded(path)
         count, other = len(decoded.times_s), decoded.other_wh
-        # Where decoded frames carry no times, or others' (AVI with reordered frames), their packets' are as good.
+        # Where decoded frames carry no times, or wrong ones (AVI with reordered frames), their packets' are as good.
         found = [t for t in (decoded.times_s, packets.shown_s, packets.decoded_s) if len(t) == count and _ascending(t)]
         carried, times = _ascending(decoded.times_s), found[0] if found else decoded.times_s
     if not count:
@@ -130,7 +129,7 @@ def timing_of(path: Path) -> Timing:
 def film_frames(path: Path) -> Iterator[av.VideoFrame]:
     """All undamaged frames of the film in ``path``; none where the file no longer holds one.
 
-    From a damaged one on it is decoded by one thread: of several, which ones are lost with it is chance.
+    From a damaged frame on it is decoded by one thread: with several, the frames lost with it vary by chance.
     """
     done = 0
     for threads in ("AUTO", "SLICE"):
@@ -155,8 +154,11 @@ class _DamagedError(Exception):
 def shown_frames(
     container: av.container.InputContainer, stream: av.VideoStream, to_damage: bool = False
 ) -> Iterator[av.VideoFrame]:
-    """The undamaged frames from where ``container`` stands on; ``to_damage``: raises _DamagedError where one is damaged
-    or lost, but for the first ones, whose reference was cut off."""
+    """The undamaged frames from the current position of ``container``.
+
+    ``to_damage``: raises _DamagedError for a damaged or lost frame, except for the first ones, whose reference was cut
+    off.
+    """
     begun, missing = False, 0
     for packet in _readable(container, stream):
         if begun and to_damage and packet.is_corrupt:
@@ -192,7 +194,10 @@ def _readable(container: av.container.InputContainer, stream: av.VideoStream) ->
 
 
 def _frames_by_duration(container: av.container.InputContainer, rate: float) -> int:
-    """0 where it is unknown: a container lasts as long as its longest stream, which may be the sound."""
+    """Number of frames by the container's duration and ``rate``; 0 where unknown.
+
+    A container lasts as long as its longest stream, which may be the sound.
+    """
     if len(container.streams) > 1 or container.duration is None:
         return 0
     return round((container.duration - (container.start_time or 0)) / av.time_base * rate)
@@ -210,21 +215,23 @@ def _packets(path: Path) -> _Packets:
                 if packet.size and not packet.is_discard:
                     shown.append(_time_s(packet.pts, packet.time_base))
                     decoded.append(_time_s(packet.dts, packet.time_base))
-                else:  # the last packet of all only says that there are no more
+                else:  # the last packet only marks the end
                     hidden += bool(packet.size) or packet.dts is not None
     except av.FFmpegError as error:
         if without_thread(error):
             raise
         whole = False
     ordered, order = np.sort(np.array(shown, dtype=np.float64)), np.array(decoded, dtype=np.float64)
-    # Raw streams and some containers only say when frames are shown.
+    # Raw streams and some containers only store presentation times.
     known = order[np.isfinite(order)]
     return _Packets(ordered, order, hidden, whole and _ascending(ordered) and bool((np.diff(known) > 0).all()))
 
 
 def _decoded(path: Path, from_s: float | None = None, most: int | None = None) -> _Decoded:
-    """At ``most`` so many undamaged frames from the key frame before ``from_s`` (None: from the first) on, up to the
-    first of another size."""
+    """At most ``most`` undamaged frames from the key frame before ``from_s`` (None: from the first) on.
+
+    They end at the first of another size.
+    """
     if from_s is None:
         return _timed(islice(film_frames(path), most))
     with opened(path) as container:
@@ -250,16 +257,15 @@ def _promised(head: _Decoded, times_s: np.ndarray, most: int) -> bool:
 
 
 def _ends(path: Path, times_s: np.ndarray) -> bool:
-    """Whether what is decoded from the last key frame on ends as the packets promise."""
+    """Whether decoding from the last key frame on ends as the packets state."""
     tail = _decoded(path, from_s=times_s[-1]).times_s
     return len(tail) > 0 and np.array_equal(tail, times_s[-len(tail) :])
 
 
 def _of_one_size(path: Path, times_s: np.ndarray) -> tuple[int, tuple[int, int] | None]:
-    """How many frames are as large as the first one, and how large the next one is, if there is one.
+    """How many frames have the size of the first one, and the size of the next one, if there is one.
 
-    A film changes its size at key frames only, and rarely back: where the last one's differs, they are halved until one
-    is left.
+    A film changes its size at key frames only, and rarely back: where the last one's differs, they are bisected.
     """
     with opened(path) as container:
         stream = film_of(container)
@@ -290,8 +296,10 @@ def _ascending(times_s: np.ndarray) -> bool:
 
 
 def _repaired(times_s: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"] | None:
-    """The times, those that are missing or stand still put between their neighbours; None where most do, or where they
-    are nearer than any film's."""
+    """The times, with missing or repeated ones interpolated between neighbours; None where most are.
+
+    None also where steps are smaller than any film's.
+    """
     highest = np.maximum.accumulate(np.nan_to_num(times_s, nan=-np.inf))
     good = np.isfinite(times_s) & np.concatenate([[True], highest[1:] > highest[:-1]])
     if 2 * good.sum() < len(times_s) or not (good[0] and good[-1]):
@@ -301,7 +309,7 @@ def _repaired(times_s: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"] | Non
 
 
 def _rate(times_s: Float[np.ndarray, " T"], header: float) -> float:
-    """Frames per second: the header's where it is about right, else that of even steps, else of the usual one."""
+    """Frames per second: the header's where it roughly agrees, else that of even steps, else of the median one."""
     own, count = times_s - times_s[0], np.arange(len(times_s))
     if len(own) < 2 or (header and np.abs(own - count / header).max() <= EVEN_S):
         return header or 1.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a file says about the lens that took it: the focal length that phones and cameras write beside their pictures.
+"""The lens's focal length in a file's metadata, as phones and cameras write it.
 
 QuickTime: the key ``com.apple.quicktime.camera.focal_length.35mm_equivalent`` among the film's or the picture track's
 metadata (Apple, QuickTime File Format, Metadata: atoms ``keys`` and ``ilst``). Photos: EXIF 2.32's tag
@@ -21,20 +21,19 @@ from studiorecon.footage.container import films_of, opened
 
 _KEY = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 _FILM_DIAGONAL_MM = float(np.hypot(36.0, 24.0))
-# Shorter and longer than any lens that films people: a tag that somebody left at 0, or in another unit.
+# Outside of these no lens films people: a tag that was left at 0, or in another unit.
 _SHORTEST_MM, _LONGEST_MM = 8.0, 600.0
 _HOLDERS = (b"moov", b"trak")
-# EXIF: where the picture's own tags begin, and the tag.
+# EXIF: the pointer to the picture's own tags, and the tag.
 _EXIF_TAGS, _FOCAL_IN_35MM = 0x8769, 0xA405
-# An index of more than this belongs to no film of this project's length.
+# A larger index belongs to no film of this project's length.
 _MAX_BYTES = 1 << 28
 
 
 def told_focal_px(path: Path, wh: tuple[int, int]) -> float | None:
-    """Focal length in pixels of footage of size ``wh`` (width, height) as the file itself tells it; None where it does
-    not.
+    """Focal length in pixels of footage of size ``wh`` (width, height) from the file's metadata; None without it.
 
-    A start, not a calibration: it is the lens's nominal length, and a phone that steadies its film cuts off up to a
+    An initial value, not a calibration: it is the lens's nominal length, and a phone's stabilisation crops up to a
     tenth of the picture.
     """
     path = films_of(path)[0]
@@ -56,7 +55,7 @@ def _of_film(path: Path) -> float | None:
 
 
 def _number(text: str | None) -> float | None:
-    """27, 27.0 and 50.00mm are all written."""
+    """The number in forms such as 27, 27.0 and 50.00mm; None for other text."""
     found = re.match(r"\s*(\d+(?:\.\d+)?)", text or "")
     return float(found.group(1)) if found else None
 
@@ -101,7 +100,8 @@ def _value_in(data: bytes) -> str | None:
 
 
 def _value_of(meta: dict[bytes, bytes]) -> str | None:
-    """``keys`` lists names from 1 on; an atom of ``ilst`` is named by such a number and holds the value in ``data``."""
+    """The value of the key: ``keys`` lists names from 1 on; an atom of ``ilst`` is named by such a number and holds
+    ``data``."""
     names = [value for _, value in _atoms(meta.get(b"keys", b"")[8:])]
     if _KEY.encode() not in names:
         return None
@@ -124,7 +124,7 @@ def _of_photo(path: Path) -> float | None:
 
 
 def _in_exif(block: bytes) -> float | None:
-    """The tag in a TIFF block (TIFF 6.0: byte order, then directories of entries of twelve bytes)."""
+    """The value of the tag in a TIFF block (TIFF 6.0: byte order, then directories of entries of twelve bytes)."""
     block = block[6:] if block.startswith(b"Exif\0\0") else block
     order = {b"II": "<", b"MM": ">"}.get(block[:2])
     if order is None or len(block) < 8:
@@ -135,7 +135,7 @@ def _in_exif(block: bytes) -> float | None:
 
 
 def _directory(block: bytes, order: str, at: int) -> dict[int, tuple[int, int]]:
-    """Tag → its value read as a short, and as a long."""
+    """Tag → its value as a short, and as a long."""
     if at + 2 > len(block):
         return {}
     (count,) = struct.unpack(order + "H", block[at : at + 2])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Working video, lossless (H.264 in RGB, grey as FFV1, in Matroska), and the H.264 files people watch: written, and
-read from the first frame on, from any other, or frame by frame at any time.
+"""Working video, lossless (H.264 in RGB, grey as FFV1, in Matroska), and watchable H.264: written and read.
 
-Colour was FFV1 too. H.264 without quantiser and without a colour matrix keeps every bit as well and predicts from the
-picture before: takes and renders are written and read in a half to a fifth of the time (``benchmarks/codecs.py``).
+Reading starts at the first frame, at any other, or is frame by frame at any time. Colour was FFV1 too. H.264 without
+quantiser and without a colour matrix keeps every bit as well and predicts from the picture before: takes and renders
+are written and read in a half to a fifth of the time (``benchmarks/codecs.py``).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Codec:
-    """What a film is written with: the frames' own format, the one the encoder stores, and where both go."""
+    """How a film is encoded: the pixel formats of the frames and of the encoder, and the containers."""
 
     name: str
     given: str
@@ -44,10 +44,10 @@ class Codec:
 
 # Matroska keeps the length of a frame in whole nanoseconds, others in ticks of their clock.
 _SAME_RATE = 1e-3
-# Users bring films of masks, too.
+# Users provide films of masks, too.
 _CURE = "delete it, and the next run makes it again, or copy it again if it is yours"
 _FFV1 = {"level": "3", "slices": "4", "slicecrc": "1"}
-# A key frame every twelve, so that one frame is soon read.
+# A key frame every twelve, so that a single frame is read quickly.
 _LOSSLESS = {
     (3, np.dtype(np.uint8)): Codec("libx264rgb", "rgb24", "rgb24", {"qp": "0", "preset": "ultrafast", "g": "12"}),
     (1, np.dtype(np.uint8)): Codec("ffv1", "gray", "gray", _FFV1),
@@ -66,7 +66,7 @@ def to_float(image: Integer[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
 
 
 def write_lossless(path: Path, frames: Iterable[Integer[np.ndarray, "H W ..."]], fps: float, title: str = "") -> int:
-    """Write frames and keep every bit: (H, W, 3) uint8, (H, W) uint8 or (H, W) uint16; returns how many.
+    """Write frames losslessly: (H, W, 3) uint8, (H, W) uint8 or (H, W) uint16; returns how many.
 
     ``title``: kept in the file (``title_of``). Raises ValueError for frames of two sizes or none at all.
     """
@@ -74,7 +74,7 @@ def write_lossless(path: Path, frames: Iterable[Integer[np.ndarray, "H W ..."]],
 
 
 def title_of(camera: str, source_sha256: str) -> str:
-    """The title of a camera's working video, which another camera's or recording's does not have."""
+    """The title of a camera's working video, different for every camera and recording."""
     return f"{camera} {source_sha256}"
 
 
@@ -84,7 +84,8 @@ def write_watchable(path: Path, frames: Iterable[Integer[np.ndarray, "H W 3"]], 
     Raises ValueError for frames of two sizes or none at all.
     """
     even = (frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2] for frame in frames)
-    # x264's macroblock tree gives other bytes from run to run where it uses AVX-512; films are no larger without it.
+    # x264's macroblock tree gives different bytes from run to run where it uses AVX-512; films are no larger without
+    # it.
     options = {"crf": str(crf), "preset": "medium", "x264-params": "mbtree=0"}
     return write_film(path, even, fps, Codec("libx264", "rgb24", "yuv420p", options, "mp4", {"movflags": "+faststart"}))
 
@@ -92,8 +93,7 @@ def write_watchable(path: Path, frames: Iterable[Integer[np.ndarray, "H W 3"]], 
 def write_film(
     path: Path, frames: Iterable[Integer[np.ndarray, "H W ..."]], fps: float, codec: Codec | None, title: str = ""
 ) -> int:
-    """Write frames with ``codec``, or without one so that every bit of the first frame's kind is kept; returns how
-    many.
+    """Write frames with ``codec``, or losslessly without one; returns how many.
 
     Raises ValueError for frames of two sizes or none at all.
     """
@@ -131,9 +131,7 @@ def write_film(
 def pixels(frame: av.VideoFrame) -> Integer[np.ndarray, "H W ..."]:
     """(H, W, 3) uint8 colours of a decoded frame, or (H, W) as stored for a grey one."""
     name = frame.format.name
-    if (
-        name == "gbrp"
-    ):  # as working videos are decoded; the converter takes two to three times as long for the same bytes
+    if name == "gbrp":  # as working videos are; the converter takes two to three times as long for the same bytes
         green, blue, red = (
             np.frombuffer(memoryview(p), np.uint8).reshape(-1, p.line_size)[: p.height, : p.width] for p in frame.planes
         )
@@ -171,11 +169,11 @@ def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator
 
 
 def read_frames_from(path: Path, start: int, stop: int) -> Iterator[Integer[np.ndarray, "H W ..."]]:
-    """Frames ``start`` … ``stop`` - 1 of a working video, as ``read_frames`` gives them, after a jump to the last key
-    frame before.
+    """Frames ``start`` … ``stop`` - 1 of a working video as from ``read_frames``, after seeking to the key frame
+    before.
 
-    Only for videos this package wrote: their frames lie on a regular grid of times, which is what makes a frame's
-    number known after a jump. Raises UserError naming the file when it is missing, unreadable or ends early.
+    Only for videos that this package wrote: their frames are on a regular grid of times, which gives a frame's number
+    after seeking. Raises UserError naming the file when it is missing, unreadable or ends early.
     """
     if not path.is_file():
         raise UserError(f"{path} is missing")
@@ -208,9 +206,9 @@ def read_frames_from(path: Path, start: int, stop: int) -> Iterator[Integer[np.n
 
 
 def _as_captured(path: Path, container: av.container.InputContainer, stream: av.VideoStream) -> int | None:
-    """How many frames a camera's working video has, by the file of its name beside it; None for any other video.
+    """Number of frames of a camera's working video, by the sidecar file of its name; None for any other video.
 
-    Raises UserError naming the video when it is of another camera or recording, length, size or rate than that says.
+    Raises UserError naming the video when its camera or recording, length, size or rate differs from the sidecar's.
     """
     about = path.with_suffix(".json")
     if path.parent.name != "capture" or not about.is_file():
