@@ -27,7 +27,7 @@ report: "workflow/report/workflow.rst"
 
 wildcard_constraints:
     scene="[^/]+",
-    camera=one_of(PLAN.cameras),
+    camera=one_of_pattern(PLAN.cameras),
     person=r"p\d+",
     segment=r"\d+",
     picture=r"\d+",

@@ -29,9 +29,9 @@ from typing import Any
 
 import numpy as np
 from studiorecon.clocks import offsets as clocks
-from studiorecon.clocks.all_cameras import Late, late_against_others
+from studiorecon.clocks.all_cameras import RigOffsets, offsets_vs_rig
 from studiorecon.clocks.people_clock import people_pair
-from studiorecon.clocks.people_lag import lag_of
+from studiorecon.clocks.people_lag import track_lag
 from studiorecon.clocks.timeline import Timeline
 from studiorecon.keypoints.correspondence import stable_indices
 from studiorecon.keypoints.readers import read_keypoints
@@ -129,7 +129,7 @@ def by_people(films: list[Silent], fps: float, uneven: bool, draw: int) -> list[
         paths = [Path(folder) / f"{name}.npz" for name in names]
         for film, path in zip(films, paths, strict=True):
             write_detections(path, sighted(film, (10 * draw, 10 * draw + 1), rng))
-        found, _, reference = clocks.found_clocks(names, [None] * 3, lines, paths, paths, {})
+        found, _, reference = clocks.estimate_clocks(names, [None] * 3, lines, paths, paths, {})
     rows = []
     for k, verdict in enumerate(found):
         if k != reference:
@@ -223,7 +223,7 @@ def demo_case(take: Filmed, every: int, later: int, calibrated: bool) -> dict[st
     }
 
 
-def together(cases: Iterable[tuple[Late | None, np.ndarray]]) -> dict[str, Any]:
+def together(cases: Iterable[tuple[RigOffsets | None, np.ndarray]]) -> dict[str, Any]:
     """What cameras together make of films, each with the true starts against the first."""
     off_s, half_s, silent = [], [], 0
     for late, true_s in cases:
@@ -249,7 +249,7 @@ def rough_case(**about: Any) -> dict[str, Any]:
     """All draws of rings of cameras that were moved since they were calibrated."""
     takes = [rough(seed, **about) for seed in range(_ROUGH_DRAWS)]
     begin = time.process_time()
-    told = together((late_against_others(t.clocks, t.seen, t.lenses), t.start_s - t.start_s[0]) for t in takes)
+    told = together((offsets_vs_rig(t.clocks, t.seen, t.lenses), t.start_s - t.start_s[0]) for t in takes)
     return told | {"processor_s": round((time.process_time() - begin) / len(takes), 1)}
 
 
@@ -260,7 +260,7 @@ def demo_together(take: Filmed) -> dict[str, Any]:
     for _ in range(_ROUGH_DRAWS):
         wrong_s = rng.uniform(-0.2, 0.2, len(take.seen))
         told = [Clock(d.camera, _FPS, 60, offset_s=wrong) for d, wrong in zip(take.seen, wrong_s, strict=True)]
-        cases.append((late_against_others(told, take.seen, lenses), wrong_s[0] - wrong_s))
+        cases.append((offsets_vs_rig(told, take.seen, lenses), wrong_s[0] - wrong_s))
     return together(cases)
 
 
@@ -283,7 +283,7 @@ def real_case(data: Path, every: int, cut: int) -> dict[str, Any]:
     tracks = {c: the_man(data, c)[::every] for c in _MAN}
     errors, undetermined = [], 0
     for a, b in itertools.combinations(_MAN, 2):
-        as_filmed, late = (lag_of(tracks[a], tracks[b][n:], 60 / every) for n in (0, cut))
+        as_filmed, late = (track_lag(tracks[a], tracks[b][n:], 60 / every) for n in (0, cut))
         if as_filmed is None or late is None:
             undetermined += 1
         else:

@@ -38,7 +38,7 @@ from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.video import read_frames, write_lossless
 from studiorecon.geometry import rotations
 from studiorecon.humans import train
-from studiorecon.humans.filmed import read_crops
+from studiorecon.humans.crop_reader import read_crops
 from studiorecon.people import fit
 from studiorecon.scene.gaussians import concatenate
 from studiorecon.scene.gaussians_ply import read_ply

@@ -27,7 +27,7 @@ from studiorecon.humans.result_cache import STANDS
 from studiorecon.plan.budget import Stated, laid_over, preset
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.prices import PRICES, Point, Price, PriceList, predict, probe_s, spent
-from studiorecon.plan.workload import ON_DEMAND, Work, footage_of, segments_with_views, workload
+from studiorecon.plan.workload import ON_DEMAND, Work, measure_footage, segments_with_views, workload
 from studiorecon.report.sections.cost import cost
 from studiorecon.scene.decisions import read_decisions
 from studiorecon.scene.files import read_json, write_json
@@ -65,7 +65,7 @@ def run_of(folder: Path, scene: str, name: str, dataset: str, capture_yaml: str 
     verdicts = {effect: made[effect].verdict for effect in ("view_synthesis", *ON_DEMAND.values())}
     known = replace(plan, forced={**{e: "on" if v == "on" else "off" for e, v in verdicts.items()}, **plan.forced})
     log, wall_s = _log(folder, scene)
-    footage = footage_of(plan, config["capture"]["picture_fps"])
+    footage = measure_footage(plan, config["capture"]["picture_fps"])
     footage = replace(footage, made="(Rule: studio_capture)" in log)
     work = workload(footage, config, segments_with_views(known, config), known.forced)
     for told in sorted((folder / "logs" / scene / "humans/train").glob("*.log")):

@@ -173,7 +173,7 @@ def test_unseen_wall_is_painted_like_the_wall_beside_it(cameras: list[Camera]) -
     assert np.abs(floor.rgb[~floor.seen].mean(axis=0) - floor.rgb[floor.seen].mean(axis=0)).max() < 0.2
     assert np.allclose(floor.points_m[..., 2], 0)
     # The room as painted, from the camera that it was painted from.
-    again = room.seen_from(cameras[0], list(painted.values()))
+    again = room.draw_faces(cameras[0], list(painted.values()))
     assert np.abs(again - pictures[0])[depths[0] > 0].mean() < 0.06
     # This camera sees nothing of the ceiling: it borrows, and stays a colour.
     assert not painted["ceiling"].seen.any()

@@ -188,8 +188,8 @@ def test_of_two_arrangements_the_likelier_is_used_and_the_interval_covers_the_ot
         return [best[0], replace(best[0], cameras=turned, support=round(0.95 * best[0].support))]
 
     before = from_people.pose_cameras(detections, *given)[1]
-    arrangement_rigs = pose_consensus.rigs
-    monkeypatch.setattr(pose_consensus, "rigs", with_rival)
+    arrangement_rigs = pose_consensus.propose_rigs
+    monkeypatch.setattr(pose_consensus, "propose_rigs", with_rival)
     found, report = from_people.pose_cameras(detections, *given)
     assert not any("two arrangements" in sentence for sentence in before["uncertain"])
     assert any("two arrangements of the cameras fit" in sentence for sentence in report["uncertain"])

@@ -14,7 +14,7 @@ import pytest
 from studiorecon.body.model import BodyModel
 from studiorecon.calibration import from_people
 from studiorecon.errors import UserError
-from studiorecon.footage.told_lens import told_focal_px
+from studiorecon.footage.lens_metadata import focal_px_from_metadata
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.rig.metric_scale import GivenLengths, stature_m
 from studiorecon.scene.camera import Camera
@@ -157,20 +157,20 @@ def photo(path: Path, film_mm: int) -> Path:
 @pytest.mark.parametrize(("value", "film_mm"), [(b"27", 27.0), (b"50.00mm", 50.0)])
 def test_a_film_tells_its_focal_length(tmp_path: Path, of_track: bool, value: bytes, film_mm: float) -> None:
     path = film(tmp_path / "a.mov", value, of_track)
-    assert told_focal_px(path, (1920, 1080)) == pytest.approx(film_mm * np.hypot(1920, 1080) / DIAGONAL_MM)
+    assert focal_px_from_metadata(path, (1920, 1080)) == pytest.approx(film_mm * np.hypot(1920, 1080) / DIAGONAL_MM)
 
 
 def test_a_photo_tells_its_focal_length(tmp_path: Path) -> None:
-    assert told_focal_px(photo(tmp_path / "a.jpg", 26), (64, 48)) == pytest.approx(26 * 80 / DIAGONAL_MM)
+    assert focal_px_from_metadata(photo(tmp_path / "a.jpg", 26), (64, 48)) == pytest.approx(26 * 80 / DIAGONAL_MM)
 
 
 def test_files_that_tell_nothing_or_nonsense_tell_nothing(tmp_path: Path) -> None:
-    assert told_focal_px(film(tmp_path / "a.mov", None), (64, 48)) is None
-    assert told_focal_px(film(tmp_path / "b.mov", b"0"), (64, 48)) is None
-    assert told_focal_px(film(tmp_path / "c.mov", b"unknown", True), (64, 48)) is None
-    assert told_focal_px(photo(tmp_path / "a.jpg", 0), (64, 48)) is None
+    assert focal_px_from_metadata(film(tmp_path / "a.mov", None), (64, 48)) is None
+    assert focal_px_from_metadata(film(tmp_path / "b.mov", b"0"), (64, 48)) is None
+    assert focal_px_from_metadata(film(tmp_path / "c.mov", b"unknown", True), (64, 48)) is None
+    assert focal_px_from_metadata(photo(tmp_path / "a.jpg", 0), (64, 48)) is None
     (tmp_path / "e.mp4").write_bytes(b"no film")
-    assert told_focal_px(tmp_path / "e.mp4", (64, 48)) is None
+    assert focal_px_from_metadata(tmp_path / "e.mp4", (64, 48)) is None
 
 
 # ---- what capture.yaml says ----

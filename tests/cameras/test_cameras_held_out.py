@@ -16,7 +16,7 @@ from studiorecon.camera_files.colmap import read_model, write_model
 from studiorecon.cameras import held_out, refine
 from studiorecon.cameras.held_out import Bodies, describe
 from studiorecon.capture import frames, manifest
-from studiorecon.clocks.timeline import clock_of, common_moments, timeline_of
+from studiorecon.clocks.timeline import clock_as_filmed, common_moments, read_timeline
 from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.source import open_source
 from studiorecon.geometry.bundle import BundleSettings, moved
@@ -120,7 +120,9 @@ def test_a_real_held_out_camera_is_put_right_by_a_real_man(
     files.run(calibrated, list(data.calibration), names, tmp_path / "read.json")
     footage, maps = [data.footage[n] for n in names], json.dumps(dict(data.pixel_maps))
     choose.run(calibrated, tmp_path / "read.json", names, footage, [], maps, 30.0, lenses)
-    clocks = common_moments([clock_of(n, timeline_of(open_source(data.footage[n], 30.0))) for n in names], 0, 0)
+    clocks = common_moments(
+        [clock_as_filmed(n, read_timeline(open_source(data.footage[n], 30.0))) for n in names], 0, 0
+    )
     write_clocks(tmp_path / "clocks.json", clocks)
     for name in names:
         out = tmp_path / f"{name}.mkv", tmp_path / f"{name}.json"

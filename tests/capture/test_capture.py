@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from studiorecon.capture import frames as frames_step
 from studiorecon.capture import manifest as manifest_step
-from studiorecon.clocks.timeline import clock_of, common_moments, timeline_of
+from studiorecon.clocks.timeline import clock_as_filmed, common_moments, read_timeline
 from studiorecon.configuration.settings import load
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import decode
@@ -32,7 +32,7 @@ def run_frames(default_settings, tmp_path: Path):
         out = tmp_path / "out"
         calibration = calibration or calibrated(tmp_path)
         try:
-            clocks = common_moments([clock_of(camera, timeline_of(open_source(source, 30.0)))], first, count)
+            clocks = common_moments([clock_as_filmed(camera, read_timeline(open_source(source, 30.0)))], first, count)
         except UserError:
             clocks = as_counted(camera, 30.0, first, count or 1)
         write_clocks(out / "clocks.json", clocks)
@@ -200,7 +200,7 @@ class TestBetweenSteps:
         for camera, shift in (("a", 0), ("b", 5)):
             source = tmp_path / f"{camera}.mkv"
             write_lossless(source, iter(smooth_pictures(25)[shift : shift + 20]), 24)
-            clock = clock_of(camera, timeline_of(open_source(source, 30.0)))
+            clock = clock_as_filmed(camera, read_timeline(open_source(source, 30.0)))
             write_clocks(tmp_path / "clocks.json", common_moments([clock], 0, 0))
             frames_step.run(
                 options,

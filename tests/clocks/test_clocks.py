@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from studiorecon.clocks import offsets as clocks_step
 from studiorecon.clocks import people_clock
-from studiorecon.clocks.agreement import Pair, Proposal, judged, solved
+from studiorecon.clocks.agreement import Pair, Proposal, combine_proposals, solve_offsets
 from studiorecon.clocks.motion_clock import compare
-from studiorecon.clocks.people_lag import PeopleLag, lag_of
+from studiorecon.clocks.people_lag import PeopleLag, track_lag
 from studiorecon.clocks.timeline import common_moments
 from studiorecon.configuration.settings import load
 from studiorecon.keypoints.retiming import on_common_clock
@@ -153,9 +153,9 @@ class TestOthers:
         assert [told[c.name]["kind"] for c in cameras] == ["reference", "found", "undetermined"]
 
     def test_what_contradicts_itself_is_undetermined_with_all_that_was_said(self) -> None:
-        verdict = judged([Proposal("sound", 2.0, 0.01, 0, 1), Proposal("people", 3.0, 0.01, 0, 1)], FPS, 10)
+        verdict = combine_proposals([Proposal("sound", 2.0, 0.01, 0, 1), Proposal("people", 3.0, 0.01, 0, 1)], FPS, 10)
         assert verdict.kind == "undetermined"
-        told = clocks_step.described(
+        told = clocks_step.clock_sentence(
             "b", verdict, [Proposal("sound", 2.0, 0.01, 0, 1), Proposal("people", 3.0, 0.01, 0, 1)], {}, "a", FPS
         )
         assert "sound +2.000" in told
@@ -163,7 +163,7 @@ class TestOthers:
 
     @pytest.mark.parametrize(("frames", "applied"), [(11.04, 11), (11.4, 11.4), (0.05, 0), (-2.93, -3)])
     def test_nothing_is_resampled_for_a_fraction_that_does_not_matter(self, frames: float, applied: float) -> None:
-        verdict = judged([Proposal("people", frames / FPS, 0.1 / FPS, 0.0, 1.0)], FPS, 10)
+        verdict = combine_proposals([Proposal("people", frames / FPS, 0.1 / FPS, 0.0, 1.0)], FPS, 10)
         assert verdict.offset_s * FPS == pytest.approx(applied)
 
     def test_one_wrong_pair_of_many_is_left_out(self) -> None:
@@ -173,7 +173,7 @@ class TestOthers:
             for a in range(4)
             for b in range(a + 1, 4)
         ]
-        found = solved("sound", pairs, 4, 0, 0.0)
+        found = solve_offsets("sound", pairs, 4, 0, 0.0)
         assert [p.offset_s for p in found] == pytest.approx(true, abs=1e-9)
 
 
@@ -292,11 +292,11 @@ def test_two_people_who_have_nothing_to_do_with_each_other_have_no_lag() -> None
         walks = [walking(0, 150), walking(0, 150, 2.0 + trial)]
         one = detect(cameras[:1], [walks[0]], 2.0, np.random.default_rng(trial))[0]
         other = detect(cameras[1:2], [walks[1]], 2.0, np.random.default_rng(trial))[0]
-        valid += lag_of(*(homogeneous(d) for d in (one, other)), FPS) is not None
+        valid += track_lag(*(homogeneous(d) for d in (one, other)), FPS) is not None
     assert valid <= 1
     same = [homogeneous(detect([c], [walking(0, 150)], 2.0, np.random.default_rng(5))[0]) for c in cameras[:2]]
     for start in (0, 17, 60):
-        lag = lag_of(same[0], same[1][start:], FPS)
+        lag = track_lag(same[0], same[1][start:], FPS)
         assert lag is not None
         assert abs(lag.rows + start) < 0.3
 
@@ -362,7 +362,7 @@ def test_a_real_take_whose_frames_were_cut_off_is_put_together_again(real_data: 
     lacks."""
     tracks = [the_man(real_data, camera) for camera in ("cam01", "cam02", "cam03", "cam04")]
     for a, b in itertools.combinations(range(4), 2):
-        as_filmed, late = lag_of(tracks[a], tracks[b], 60.0), lag_of(tracks[a], tracks[b][7:], 60.0)
+        as_filmed, late = track_lag(tracks[a], tracks[b], 60.0), track_lag(tracks[a], tracks[b][7:], 60.0)
         assert as_filmed is not None
         assert late is not None
         assert abs(as_filmed.rows) < 1, "the take is synchronous to a frame"
@@ -381,7 +381,7 @@ def test_a_second_of_two_who_walk_alike_is_no_evidence_without_a_calibration(
         for camera in ("left", "right")
     ]
     clocks = [Clock(camera, 15.0, 60) for camera in ("left", "right")]
-    monkeypatch.setattr(people_clock, "lag_of", lambda *_: PeopleLag(-18.3, 0.44, 11.0, points))
-    monkeypatch.setattr(people_clock, "lag_of_all", lambda *_: None)
+    monkeypatch.setattr(people_clock, "track_lag", lambda *_: PeopleLag(-18.3, 0.44, 11.0, points))
+    monkeypatch.setattr(people_clock, "joint_lag", lambda *_: None)
     pairs, _ = people_clock.people_pair(seen, clocks, 15.0)
     assert len(pairs) == told

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from studiorecon.clocks import offsets
 from studiorecon.clocks.agreement import Proposal
-from studiorecon.clocks.all_cameras import late_against_others
-from studiorecon.clocks.offsets import once_all_are_asked
+from studiorecon.clocks.all_cameras import offsets_vs_rig
+from studiorecon.clocks.offsets import joint_refinement
 from studiorecon.clocks.timeline import Timeline
 from studiorecon.footage.source import FootageSource
 from studiorecon.scene.people import write_detections
@@ -29,7 +29,7 @@ def errors_s(seconds: np.ndarray, take: Rough) -> np.ndarray:
 def test_clocks_come_out_though_every_camera_stands_elsewhere(fps: float, cameras: int, seed: int) -> None:
     take = rough(seed, cameras, fps)
     assert np.ptp(take.start_s) > 0.1
-    late = late_against_others(take.clocks, take.seen, take.lenses)
+    late = offsets_vs_rig(take.clocks, take.seen, take.lenses)
     assert late is not None
     off_s, half_s = errors_s(late.seconds, take), 1.96 * np.hypot(late.sigma_s, late.sigma_s[0])
     assert np.abs(off_s).max() < 0.02, off_s
@@ -40,7 +40,7 @@ def test_clocks_come_out_though_every_camera_stands_elsewhere(fps: float, camera
 def test_clocks_that_are_right_are_confirmed_as_they_are() -> None:
     for seed in range(2):
         take = rough(seed, spread_s=0.0)
-        late = late_against_others(take.clocks, take.seen, take.lenses)
+        late = offsets_vs_rig(take.clocks, take.seen, take.lenses)
         assert late is not None, seed
         told = np.isfinite(late.seconds)
         assert told.sum() >= 3, seed
@@ -51,16 +51,16 @@ def test_clocks_that_are_right_are_confirmed_as_they_are() -> None:
 def test_people_who_stand_still_tell_nothing() -> None:
     take = rough(1)
     still = [replace(d, keypoints=d.keypoints[:1].repeat(len(d.frame), axis=0)) for d in take.seen]
-    late = late_against_others(take.clocks, still, take.lenses)
+    late = offsets_vs_rig(take.clocks, still, take.lenses)
     assert late is None or np.isnan(late.seconds).all()
 
 
 def test_two_cameras_tell_nothing_together_and_one_without_a_lens_is_not_told() -> None:
     take = rough(2)
     two = {name: take.lenses[name] for name in ("c0", "c1")}
-    assert late_against_others(take.clocks, take.seen, two) is None
+    assert offsets_vs_rig(take.clocks, take.seen, two) is None
     three = {name: take.lenses[name] for name in ("c0", "c1", "c2")}
-    late = late_against_others(take.clocks, take.seen, three)
+    late = offsets_vs_rig(take.clocks, take.seen, three)
     assert late is not None
     assert np.isnan([late.seconds[3], late.sigma_s[3]]).all()
     assert np.abs(errors_s(late.seconds, take)[:3]).max() < 0.025
@@ -68,7 +68,7 @@ def test_two_cameras_tell_nothing_together_and_one_without_a_lens_is_not_told() 
 
 def test_a_camera_of_another_take_is_not_told_and_does_not_shift_the_others() -> None:
     take, other = rough(1, 5), rough(7, 5)
-    late = late_against_others(take.clocks, [*take.seen[:4], other.seen[4]], take.lenses)
+    late = offsets_vs_rig(take.clocks, [*take.seen[:4], other.seen[4]], take.lenses)
     assert late is not None
     assert np.isnan(late.seconds[4])
     assert np.abs(errors_s(late.seconds, take)[:4]).max() < 0.025
@@ -82,7 +82,7 @@ def test_it_stands_in_place_of_what_people_told_two_by_two_but_not_of_sound_nor_
     take = rough(2)
     vague, sound = said("people", 1, 0.1, 0.16, take), said("sound", 2, 0.09, 0.12, take)
     sharp = said("people", 3, 0.0, 0.01, take)
-    asked = once_all_are_asked([[], [vague], [sound], [sharp]], 0, take.clocks, take.seen, take.lenses)
+    asked = joint_refinement([[], [vague], [sound], [sharp]], 0, take.clocks, take.seen, take.lenses)
     assert [[p.method for p in own] for own in asked] == [[], ["all cameras"], ["sound", "all cameras"], ["people"]]
     together = np.array([0.0, *(own[-1].offset_s for own in asked[1:])])
     assert np.abs(errors_s(together, take)).max() < 0.02
@@ -92,7 +92,7 @@ def test_clocks_that_are_known_are_not_asked_about_again(monkeypatch: pytest.Mon
     take = rough(1)
     sharp = [[]] + [[Proposal("sound", 0.1, 0.004, 0.0, np.inf)]] * 3
     monkeypatch.setattr("studiorecon.clocks.offsets.late_against_others", lambda *_: pytest.fail("asked"))
-    assert once_all_are_asked(sharp, 0, take.clocks, take.seen, take.lenses) == sharp
+    assert joint_refinement(sharp, 0, take.clocks, take.seen, take.lenses) == sharp
 
 
 def test_the_step_asks_all_cameras(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_the_step_asks_all_cameras(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     sources = [FootageSource(path, (640, 360), 30.0, 120, 0, (), ()) for path in paths]
     lines = [Timeline(30.0, 120, 0.0)] * 4
     lenses = {name: lens for name, (lens, _) in take.lenses.items()}
-    verdicts, told, reference = offsets.found_clocks(names, sources, lines, paths, paths, lenses)
+    verdicts, told, reference = offsets.estimate_clocks(names, sources, lines, paths, paths, lenses)
     assert reference == 0
     assert [v.method for v in verdicts[1:]] == ["all cameras"] * 3
     assert np.abs(errors_s(np.array([v.offset_s for v in verdicts]), take)).max() < 0.02

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 from studiorecon.clocks import offsets
-from studiorecon.clocks.agreement import ClockVerdict, Pair, Proposal, contradicted
+from studiorecon.clocks.agreement import ClockVerdict, Pair, Proposal, count_contradictions
 from studiorecon.clocks.timeline import Timeline
 
 FPS, SECONDS, CAMERAS = 30.0, 10.0, 9
@@ -39,7 +39,7 @@ def verdicts(monkeypatch: pytest.MonkeyPatch, late_s: Mapping[int, float], told_
     source = type("Source", (), {"wh": (640, 360)})()
     lines = [Timeline(FPS, round(SECONDS * FPS), 0.0)] * CAMERAS
     names = [f"cam{c}" for c in range(CAMERAS)]
-    return offsets.found_clocks(names, [source] * CAMERAS, lines, [None] * CAMERAS, [], {})[0]  # type: ignore[list-item]
+    return offsets.estimate_clocks(names, [source] * CAMERAS, lines, [None] * CAMERAS, [], {})[0]  # type: ignore[list-item]
 
 
 def test_who_walks_in_a_circle_does_not_shift_the_cameras_that_see_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,6 +59,6 @@ def test_motion_that_is_proved_wrong_of_one_camera_only_is_not_discarded() -> No
     def said(*offsets_s: float | None) -> list[Proposal | None]:
         return [None if o is None else Proposal("m", o, 0.1, 0.0, np.inf) for o in offsets_s]
 
-    assert contradicted(said(0.0, 1.0, 2.0, None), [said(0.0, 1.05, 5.0, 3.0)]) == (1, 3)
-    assert contradicted(said(4.0, 1.0, 2.0), [said(0.0, None, 5.0), said(None, 3.0, None)]) == (3, 3)
-    assert contradicted([], [said(0.0)]) == (0, 0)
+    assert count_contradictions(said(0.0, 1.0, 2.0, None), [said(0.0, 1.05, 5.0, 3.0)]) == (1, 3)
+    assert count_contradictions(said(4.0, 1.0, 2.0), [said(0.0, None, 5.0), said(None, 3.0, None)]) == (3, 3)
+    assert count_contradictions([], [said(0.0)]) == (0, 0)

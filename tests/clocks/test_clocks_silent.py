@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.clocks.agreement import Proposal, judged
+from studiorecon.clocks.agreement import Proposal, combine_proposals
 from studiorecon.clocks.people_clock import people_pair
 from studiorecon.scene.clocks import Clock
 
@@ -47,9 +47,9 @@ def test_two_strangers_have_no_lag_at_ten_frames_per_second() -> None:
 
 def test_the_interval_covers_what_was_found_whatever_is_applied() -> None:
     """A camera that is kept as filmed although 0.6 ± 0.68 frames were found may be off by 1.28."""
-    verdict = judged([Proposal("people", 0.6 / 30, 0.68 / 30, 0.0, np.inf)], 30.0, 8.0)
+    verdict = combine_proposals([Proposal("people", 0.6 / 30, 0.68 / 30, 0.0, np.inf)], 30.0, 8.0)
     assert verdict.kind == "in step"
     assert verdict.half_s * 30 == pytest.approx(1.28)
-    apart = judged([Proposal("people", 0.4 / 30, 0.5 / 30, 0.0, np.inf)], 30.0, 8.0, triggered=False)
+    apart = combine_proposals([Proposal("people", 0.4 / 30, 0.5 / 30, 0.0, np.inf)], 30.0, 8.0, triggered=False)
     assert apart.kind == "found"
     assert apart.offset_s * 30 == pytest.approx(0.4)

@@ -17,10 +17,10 @@ from studiorecon.configuration.schema import mistakes
 from studiorecon.deliver.player_data import Shade
 from studiorecon.footage.video import to_bytes
 from studiorecon.render import kinds
-from studiorecon.render.canvas import Canvas
 from studiorecon.render.composite import Composite, truth_levels
+from studiorecon.render.composite_renderer import CompositeRenderer
+from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.planning import plan
-from studiorecon.render.subjects import Subjects
 from studiorecon.scene.factors import Factors
 
 from tests.made.browser import (
@@ -142,7 +142,7 @@ def test_the_same_moment_gives_the_same_picture(browser: Browser, page: Path) ->
 
 def test_the_truth_map_is_the_one_of_films(browser: Browser, page: Path) -> None:
     scene = scene_of(people=2, frames=FRAMES)
-    canvas = Canvas(Composite(scene.room, scene.provenance, scene.people, None, scene.things), 0.2)
+    canvas = CompositeRenderer(Composite(scene.room, scene.provenance, scene.people, None, scene.things), 0.2)
     opened(browser, page)
     tints = {255: (70, 130, 180), 128: (240, 200, 80), 0: (200, 80, 70)}
     for number, frame in ((0, 1.0), (1, FRAMES - 1.0)):
@@ -252,7 +252,7 @@ def test_a_path_of_keys_is_a_film_that_validates(browser: Browser, page: Path, r
     schema = yaml.safe_load((root / "workflow/schemas/config.schema.yaml").read_text())
     assert mistakes(config, schema) == []
     assert kinds.film(shots["mine"], "mine").kind == "spline"
-    subjects = Subjects({}, {}, {}, np.zeros(3), FRAMES, scene.capture.fps)
+    subjects = LookAtTargets({}, {}, {}, np.zeros(3), FRAMES, scene.capture.fps)
     steps = plan("mine", shots, 160, 0.0, scene.cameras, [], subjects, scene.room)
     at = [key["picture"] for key in shots["mine"]["keys"]]
     assert at == [0, 4, 4 + round(scene.capture.fps)], "where time stands still the camera takes a second"

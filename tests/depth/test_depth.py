@@ -16,9 +16,9 @@ from studiorecon.depth import box as walls
 from studiorecon.depth import given, refine, sweep
 from studiorecon.depth import room as room_box
 from studiorecon.depth.layout.box import strong_offsets
-from studiorecon.depth.layout.furniture import around
+from studiorecon.depth.layout.primitive_fitting import contains_any
 from studiorecon.depth.layout.primitives import read_primitives
-from studiorecon.depth.layout.visibility import kept_from
+from studiorecon.depth.layout.visibility import with_distance
 from studiorecon.depth.layout.votes import Votes
 from studiorecon.depth.layout.yaw import matched_yaw
 from studiorecon.depth.stereo.matching import plane_depth
@@ -302,7 +302,7 @@ def test_a_camera_inside_furniture_and_a_plate_never_measured_rest_on_the_defaul
     # The others still measure what they share.
     assert any((c > 0.5).mean() > 0.05 for c in found.confidence[:2])
     primitives = [primitive.numbers for primitive in read_primitives(tmp_path / "primitives.json")]
-    assert not primitives or not around(np.stack(primitives), kept_from(inside[None], 0.0)).any()
+    assert not primitives or not contains_any(np.stack(primitives), with_distance(inside[None], 0.0)).any()
 
 
 def test_plates_never_measured_at_all_are_undetermined(tmp_path: Path, default_settings: Callable) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.depth.stereo.free_space import back_to_room_box, looked_through
+from studiorecon.depth.stereo.free_space import is_looked_through, snap_to_room_box
 from studiorecon.depth.stereo.passes import Labelled
 from studiorecon.geometry.camera_path import look_at
 from studiorecon.scene.camera import Camera
@@ -35,7 +35,7 @@ def test_a_patch_in_mid_air_is_looked_through(rig: tuple[Camera, Camera]) -> Non
     a, b = rig
     depth_m = walls(a)
     depth_m[25:35, 35:45] = 2.5
-    found = looked_through(a, depth_m, [(b, walls(b))])
+    found = is_looked_through(a, depth_m, [(b, walls(b))])
     assert found[27:33, 37:43].all()
     found[25:35, 35:45] = False
     assert not found.any()
@@ -46,13 +46,13 @@ def test_a_confirmed_surface_stays(rig: tuple[Camera, Camera]) -> None:
     depth_m = walls(a)
     depth_m[25:35, 35:45] = 2.5
     witness = (camera("c", [3.0, 0, 1.5]), depth_m)
-    assert looked_through(a, depth_m, [(b, walls(b))]).any()
-    assert not looked_through(a, depth_m, [(b, walls(b)), witness]).any()
+    assert is_looked_through(a, depth_m, [(b, walls(b))]).any()
+    assert not is_looked_through(a, depth_m, [(b, walls(b)), witness]).any()
 
 
 def test_unknown_depth_has_no_vote(rig: tuple[Camera, Camera]) -> None:
     a, b = rig
-    assert not looked_through(a, np.full((60, 80), 2.5), [(b, np.zeros((60, 80)))]).any()
+    assert not is_looked_through(a, np.full((60, 80), 2.5), [(b, np.zeros((60, 80)))]).any()
 
 
 def test_floating_pixels_go_to_the_room_box_unjudged(rig: tuple[Camera, Camera]) -> None:
@@ -61,7 +61,7 @@ def test_floating_pixels_go_to_the_room_box_unjudged(rig: tuple[Camera, Camera])
     plane = ROOM_BOX.intersect(*a.rays())[1]
     depth_m[25:35, 35:45], plane[25:35, 35:45] = 2.5, 7
     labelled = Labelled(plane, depth_m.astype(np.float32), np.zeros((60, 80), np.float32), np.ones((60, 80), bool))
-    back, share = back_to_room_box(labelled, a, ROOM_BOX, [(b, walls(b))])
+    back, share = snap_to_room_box(labelled, a, ROOM_BOX, [(b, walls(b))])
     assert share > 0.01
     changed = back.plane != plane
     np.testing.assert_allclose(back.depth_m[changed], walls(a)[changed], rtol=1e-6)
@@ -77,7 +77,7 @@ def test_a_plane_inside_the_room_stays_only_where_somebody_s_match_speaks_for_it
     cost, judged = np.full((60, 80), 0.2, np.float32), np.ones((60, 80), bool)
     cost[25:35, 35:40] = 0.8
     judged[30:35, 40:45] = False
-    back, share = back_to_room_box(Labelled(plane, depth_m.astype(np.float32), cost, judged), a, ROOM_BOX, [])
+    back, share = snap_to_room_box(Labelled(plane, depth_m.astype(np.float32), cost, judged), a, ROOM_BOX, [])
     assert (back.plane[25:30, 40:45] == 7).all(), "matched"
     assert (back.plane[25:35, 35:40] < 6).all(), "matched badly"
     assert (back.plane[30:35, 40:45] < 6).all(), "judged by nobody"

@@ -13,8 +13,8 @@ import pytest
 from studiorecon.configuration.settings import load
 from studiorecon.depth import box, sweep
 from studiorecon.depth.layout.box import Matching
-from studiorecon.depth.layout.furniture import furnish
-from studiorecon.depth.layout.platform import platform_of
+from studiorecon.depth.layout.platform import fit_platform
+from studiorecon.depth.layout.primitive_fitting import fit_primitives
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.geometry import rotations
 from studiorecon.geometry.camera_path import with_pose
@@ -50,7 +50,7 @@ def on_a_platform() -> list[Picture]:
 
 
 def test_floor_is_found_below_what_people_stand_on(on_a_platform: list[Picture]) -> None:
-    found = platform_of(on_a_platform, raised().room_box.axes, 0.0, HOW)
+    found = fit_platform(on_a_platform, raised().room_box.axes, 0.0, HOW)
     assert found is not None
     assert abs(found.floor_m - FLOOR_M) < 0.06
     assert found.score > 0.8
@@ -76,7 +76,7 @@ def test_mats_lie_on_the_floor(on_a_platform: list[Picture]) -> None:
         near = photograph(replace(room, table=mat), with_mat.camera, samples=1)[1]
         nearer = near < photograph(room, without.camera, samples=1)[1]
         pictures.append(replace(without, rgb=np.where(nearer[..., None], with_mat.rgb, without.rgb)))
-    found = platform_of(pictures, room.room_box.axes, 0.0, HOW)
+    found = fit_platform(pictures, room.room_box.axes, 0.0, HOW)
     assert found is not None
     assert abs(found.floor_m - FLOOR_M) < 0.06
     assert min(abs(level - (FLOOR_M + 0.17)) for level in found.levels_m) < 0.05
@@ -85,7 +85,7 @@ def test_mats_lie_on_the_floor(on_a_platform: list[Picture]) -> None:
 @pytest.mark.parametrize("table", [False, True], ids=["bare", "furnished"])
 def test_floor_that_people_stand_on_is_no_platform(table: bool) -> None:
     room = made_room(table=table)
-    assert platform_of(seen(room), room.room_box.axes, 0.0, HOW) is None
+    assert fit_platform(seen(room), room.room_box.axes, 0.0, HOW) is None
 
 
 @pytest.mark.parametrize("seed", [0, 3])
@@ -98,7 +98,7 @@ def test_cameras_that_are_off_see_no_platform(seed: int) -> None:
         centre_m = picture.camera.centre_m + rng.normal(0, 0.015, 3)
         moved = with_pose(picture.camera, picture.camera.rotation_camera_from_world.T @ turn, centre_m)
         pictures.append(replace(picture, camera=moved))
-    assert platform_of(pictures, room.room_box.axes, 0.0, HOW) is None
+    assert fit_platform(pictures, room.room_box.axes, 0.0, HOW) is None
 
 
 def test_mirrored_things_do_not_lie_below_a_polished_floor() -> None:
@@ -118,11 +118,11 @@ def test_mirrored_things_do_not_lie_below_a_polished_floor() -> None:
         floor = (face == 4) & (np.abs(origin[2] + rays[..., 2] * depth_m) < 1e-6)
         rgb = np.where(floor[..., None], 0.4 * picture.rgb + 0.6 * mirrored, picture.rgb)
         pictures.append(replace(picture, rgb=rgb.astype(np.float32)))
-    assert platform_of(pictures, room.room_box.axes, 0.0, HOW) is None
+    assert fit_platform(pictures, room.room_box.axes, 0.0, HOW) is None
 
 
 def test_one_camera_tells_nothing() -> None:
-    assert platform_of(seen(raised())[:1], raised().room_box.axes, 0.0, HOW) is None
+    assert fit_platform(seen(raised())[:1], raised().room_box.axes, 0.0, HOW) is None
 
 
 @pytest.mark.parametrize("high_m", [0.9, 0.1], ids=["whole", "half of it"])
@@ -131,7 +131,7 @@ def test_platform_is_the_first_of_the_furniture_and_whole(on_a_platform: list[Pi
     room_box = replace(raised().room_box, fitted=np.ones(6, bool), platform=platform)
     small = [_at_width(picture, 96) for picture in on_a_platform]
     feet = np.array([[0.0, 0.0, 0.0, 0.05], [0.2, 0.2, 0.0, 0.05]])
-    found = furnish(small, small.__getitem__, room_box, feet, window=5, mean_weight=0.3, least_gain=20.0, most=1)
+    found = fit_primitives(small, small.__getitem__, room_box, feet, window=5, mean_weight=0.3, least_gain=20.0, most=1)
     assert found[0].kind == "box"
     assert (found[0].low_m, found[0].high_m) == (FLOOR_M, 0.0)
     assert np.abs(np.array(found[0].size_m) - (1.8, 1.4)).max() < 0.15

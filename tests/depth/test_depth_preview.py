@@ -27,7 +27,7 @@ def azimuths(cameras: list[Camera]) -> np.ndarray:
 
 def test_the_film_goes_once_around_through_every_camera() -> None:
     cameras = ring(4, wh=(96, 54))
-    way = preview.path_of(cameras)
+    way = preview.preview_path(cameras)
     assert all(min(np.linalg.norm(c.centre_m - own.centre_m) for c in way) < 1e-9 for own in cameras)
     turned = np.diff(np.unwrap(azimuths(way)))
     assert (turned > 0).all()
@@ -36,7 +36,7 @@ def test_the_film_goes_once_around_through_every_camera() -> None:
 
 def test_the_film_turns_back_where_nobody_filmed() -> None:
     two = ring(4, wh=(96, 54))[:2]
-    way = preview.path_of(two)
+    way = preview.preview_path(two)
     assert np.ptp(np.unwrap(azimuths(way))) <= np.ptp(np.unwrap(azimuths(two))) + 1e-3
     assert all(min(np.linalg.norm(c.centre_m - own.centre_m) for c in way) < 1e-9 for own in two)
     steps = [np.linalg.norm(a.centre_m - b.centre_m) for a, b in zip(way, [*way[1:], way[0]])]
@@ -46,13 +46,13 @@ def test_the_film_turns_back_where_nobody_filmed() -> None:
 def test_pictures_of_all_cameras_have_one_size_and_lens() -> None:
     upright, *others = ring(4, wh=(54, 96))
     mixed = [upright, *(replace(c, wh=wide.wh, intrinsics=wide.intrinsics) for c, wide in zip(others, ring(4)[1:]))]
-    way = preview.path_of(mixed)
+    way = preview.preview_path(mixed)
     assert {c.wh for c in way} == {upright.wh}
     assert all(np.allclose(c.intrinsics, way[0].intrinsics) for c in way)
 
 
 def test_one_camera_stays_where_it_is() -> None:
-    way = preview.path_of(ring(4, wh=(96, 54))[:1])
+    way = preview.preview_path(ring(4, wh=(96, 54))[:1])
     assert len(way) > 1
     assert all(np.array_equal(c.camera_from_world, way[0].camera_from_world) for c in way)
 
@@ -79,7 +79,11 @@ def test_what_no_camera_sees_is_grey() -> None:
     rgb, depth_m = np.ones((54, 96, 3), np.float32), np.full((54, 96), 3.0, np.float32)
     depth_m[:, 48:] = 0.0
     picture = next(
-        iter(preview.drawn(preview.room_of([Picture(camera, rgb, np.ones((54, 96), bool))], [depth_m]), [camera]))
+        iter(
+            preview.drawn(
+                preview.discs_from_depths([Picture(camera, rgb, np.ones((54, 96), bool))], [depth_m]), [camera]
+            )
+        )
     )
     assert (picture[10:44, 60:90] == 128).all()
     assert (picture[10:44, 8:36] > 230).all()

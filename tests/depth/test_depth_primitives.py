@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.depth.layout import visibility
-from studiorecon.depth.layout.furniture import allowed, around, furnish
+from studiorecon.depth.layout.primitive_fitting import contains_any, fit_primitives, is_allowed
 from studiorecon.depth.layout.primitives import Primitive, in_front, read_primitives, write_primitives
 from studiorecon.depth.layout.primitives_picture import sheet
-from studiorecon.depth.layout.proposals import posts
-from studiorecon.depth.layout.visibility import kept_from, seen_through, walked
-from studiorecon.depth.stereo.kernels import draw, judged_by
-from studiorecon.depth.stereo.photo_cost import Explained
+from studiorecon.depth.layout.proposals import leg_candidates
+from studiorecon.depth.layout.visibility import free_ray_points, joint_places, with_distance
+from studiorecon.depth.stereo.kernels import draw, invert_visibility
+from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, Person
@@ -43,7 +43,7 @@ def looks(room: Room, width: int = 96) -> list[Picture]:
 
 def put_up(pictures: list[Picture], room_box: RoomBox, least_gain: float = 20.0, most: int = 3) -> list[Primitive]:
     gates = {"window": 5, "mean_weight": 1.5, "least_gain": least_gain, "most": most}
-    return furnish(pictures, pictures.__getitem__, room_box, NOBODY, **gates)
+    return fit_primitives(pictures, pictures.__getitem__, room_box, NOBODY, **gates)
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def test_primitives_are_written_and_read(tmp_path: Path) -> None:
 
 def test_the_true_primitive_is_worth_most_and_gains_are_what_adding_brings() -> None:
     room = made_room()
-    seen = Explained.by_room_box(looks(room), room.room_box, 5, 1.5)
+    seen = PhotoCostVolume.by_room_box(looks(room), room.room_box, 5, 1.5)
     true = cupboard(room).numbers
     beside, larger, thin_air = true.copy(), true.copy(), true.copy()
     beside[1] += 0.4
@@ -136,10 +136,10 @@ def test_what_reaches_behind_a_camera_is_drawn_where_rays_meet_it() -> None:
 
 def test_every_pixel_knows_which_pixels_it_judges() -> None:
     room = made_room()
-    seen = Explained.by_room_box(looks(room), room.room_box, 5, 1.5)
+    seen = PhotoCostVolume.by_room_box(looks(room), room.room_box, 5, 1.5)
     seen.add(cupboard(room).numbers)
     views, height, width = seen.known.shape
-    begin, judged = judged_by(seen.known, seen.depth, seen.pair, seen.at, seen.z)
+    begin, judged = invert_visibility(seen.known, seen.depth, seen.pair, seen.at, seen.z)
     told = {
         (other, flat, int(place))
         for other in range(views)
@@ -159,7 +159,7 @@ def test_every_pixel_knows_which_pixels_it_judges() -> None:
 
 def test_what_is_shown_is_counted_in_every_view() -> None:
     room = made_room(table=False)
-    seen = Explained.by_room_box(looks(room), room.room_box, 5, 1.5)
+    seen = PhotoCostVolume.by_room_box(looks(room), room.room_box, 5, 1.5)
     seen.add(cupboard(made_room()).numbers)
     expected = [
         np.count_nonzero((depth_m > 0) & (depth_m < seen.depth[v]))
@@ -174,7 +174,7 @@ def test_what_only_hides_a_floor_in_the_wrong_place_is_contradicted() -> None:
     photos better."""
     room = made_room(table=False)
     too_high = replace(room.room_box, low_m=room.room_box.low_m + np.array([0, 0, 0.4]))
-    seen = Explained.by_room_box(looks(room), too_high, 5, 1.5)
+    seen = PhotoCostVolume.by_room_box(looks(room), too_high, 5, 1.5)
     rng = np.random.default_rng(0)
     upright = np.array([[0, *rng.uniform(-1, 1, 2), 0, 1.2, 0.1, 0.5, 0.9] for _ in range(40)])
     hiding = upright[seen.gains(upright, looks=False) > 100]
@@ -184,7 +184,7 @@ def test_what_only_hides_a_floor_in_the_wrong_place_is_contradicted() -> None:
 
 def test_what_is_there_is_not_contradicted() -> None:
     room = made_room()
-    seen = Explained.by_room_box(looks(room), room.room_box, 5, 1.5)
+    seen = PhotoCostVolume.by_room_box(looks(room), room.room_box, 5, 1.5)
     moved = cupboard(room).numbers + np.array([0, 0.08, -0.08, 0, 0, 0, 0, 0])
     assert not seen.contradicted(cupboard(room).numbers)
     assert not seen.contradicted(moved), "nor when it is some centimetres beside"
@@ -233,15 +233,17 @@ def solid(room: Room, middle_m: np.ndarray, half_m: tuple[float, float], low_m: 
 
 def test_nothing_that_stands_on_the_floor_has_legs() -> None:
     hanging = np.array([0, 0.3, -0.2, 0.5, 1.2, 0.8, 0.7, 0.75])
-    legs = posts(hanging, 0.0)
+    legs = leg_candidates(hanging, 0.0)
     assert len(legs)
     assert (legs[:, 6] == 0.0).all()
     assert (legs[:, 7] == 0.7).all()
     c, s = np.cos(0.5), np.sin(0.5)
     under = np.abs((legs[:, 1:3] - hanging[1:3]) @ np.array([[c, -s], [s, c]])) + legs[:, 4:6] / 2
     assert (under <= np.array([0.6, 0.4]) + 1e-9).all(), "not beside the top"
-    assert not len(posts(np.array([0, 0.3, -0.2, 0.5, 1.2, 0.8, 0.1, 0.75]), 0.0)), "it stands nearly on the floor"
-    assert not len(posts(np.array([1, 0.3, -0.2, 0.0, 0.8, 0.8, 0.7, 0.75]), 0.0)), "a cylinder"
+    assert not len(leg_candidates(np.array([0, 0.3, -0.2, 0.5, 1.2, 0.8, 0.1, 0.75]), 0.0)), (
+        "it stands nearly on the floor"
+    )
+    assert not len(leg_candidates(np.array([1, 0.3, -0.2, 0.0, 0.8, 0.8, 0.7, 0.75]), 0.0)), "a cylinder"
 
 
 def test_what_is_contradicted_is_not_put_up(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -249,7 +251,7 @@ def test_what_is_contradicted_is_not_put_up(monkeypatch: pytest.MonkeyPatch) -> 
     room = made_room()
     pictures = looks(room, 64)
     assert len(put_up(pictures, room.room_box, least_gain=400.0)) == 1
-    monkeypatch.setattr(Explained, "contradicted", lambda self, primitive: True)
+    monkeypatch.setattr(PhotoCostVolume, "contradicted", lambda self, primitive: True)
     assert put_up(pictures, room.room_box, least_gain=400.0) == []
 
 
@@ -264,9 +266,9 @@ def test_nothing_is_put_where_somebody_walked_or_a_camera_is(
     room, pictures, found = furnished
     numbers = np.stack([primitive.numbers for primitive in found])
     place = np.array([*found[0].centre_m, (found[0].low_m + found[0].high_m) / 2])
-    assert allowed(numbers, room.room_box, NOBODY)[0]
-    assert not allowed(numbers, room.room_box, kept_from(place[None], 0.0))[0]
-    assert not around(numbers, kept_from(np.stack([p.camera.centre_m for p in pictures]), 0.0)).any()
+    assert is_allowed(numbers, room.room_box, NOBODY)[0]
+    assert not is_allowed(numbers, room.room_box, with_distance(place[None], 0.0))[0]
+    assert not contains_any(numbers, with_distance(np.stack([p.camera.centre_m for p in pictures]), 0.0)).any()
     joints = np.tile(place, (3, 24, 1))
     joints[1], joints[2, 0] = 9.0, np.nan
     person = Person(
@@ -281,10 +283,10 @@ def test_nothing_is_put_where_somebody_walked_or_a_camera_is(
         np.zeros((3, 24)),
         True,
     )
-    places = walked([person])
+    places = joint_places([person])
     assert len(places) == 1
     assert np.abs(places[0, :3] - place).max() <= 0.1 + 1e-9
-    assert walked([]).shape == (0, 4)
+    assert joint_places([]).shape == (0, 4)
 
 
 def seen_person(camera: Camera, joints_m: np.ndarray, frames: int = 4) -> tuple[Person, Detections]:
@@ -314,7 +316,7 @@ def test_nothing_stands_between_a_camera_and_what_it_saw_of_somebody() -> None:
     # The last joint stands apart, and its keypoint is not sure.
     joints[-1] += 0.8 * camera.rotation_camera_from_world[0]
     person, seen = seen_person(camera, joints)
-    free = seen_through([camera], [person], [seen], {(camera.name, 0): "p0"})
+    free = free_ray_points([camera], [person], [seen], {(camera.name, 0): "p0"})
     halfway = 0.5 * (camera.centre_m + joints[10])
     assert np.linalg.norm(free[:, :3] - halfway, axis=1).min() < 0.2
     assert np.linalg.norm(free[:, :3] - joints[10], axis=1).min() > 0.1, (
@@ -323,11 +325,11 @@ def test_nothing_stands_between_a_camera_and_what_it_saw_of_somebody() -> None:
     unsure = 0.4 * camera.centre_m + 0.6 * joints[-1]
     assert np.linalg.norm(free[:, :3] - unsure, axis=1).min() > 0.25
     box = np.array([[0, *halfway[:2], 0.0, 0.3, 0.3, halfway[2] - 0.3, halfway[2] + 0.3]])
-    assert allowed(box, room.room_box, NOBODY)[0]
-    assert not allowed(box, room.room_box, free)[0]
+    assert is_allowed(box, room.room_box, NOBODY)[0]
+    assert not is_allowed(box, room.room_box, free)[0]
     beyond = camera.centre_m + 1.4 * (joints[10] - camera.centre_m)
     behind = np.array([[0, *beyond[:2], 0.0, 0.2, 0.2, room.room_box.low_m[2], room.room_box.low_m[2] + 1.0]])
-    assert allowed(behind, room.room_box, free)[0] == allowed(behind, room.room_box, NOBODY)[0], (
+    assert is_allowed(behind, room.room_box, free)[0] == is_allowed(behind, room.room_box, NOBODY)[0], (
         "what stands behind somebody stays possible"
     )
 
@@ -337,9 +339,9 @@ def test_lines_of_sight_counted_in_parts_are_those_counted_at_once(monkeypatch: 
     cameras = [looked.camera for looked in looks(room)[:2]]
     joints = cameras[0].centre_m + 2.5 * cameras[0].forward + np.array([0.0, 0.0, 0.02]) * np.arange(24)[:, None]
     person, seen = seen_person(cameras[0], joints, 7)
-    at_once = seen_through(cameras, [person], [seen], {(cameras[0].name, 0): "p0"})
+    at_once = free_ray_points(cameras, [person], [seen], {(cameras[0].name, 0): "p0"})
     monkeypatch.setattr(visibility, "_LINES_AT_ONCE", 5)
-    in_parts = seen_through(cameras, [person], [seen], {(cameras[0].name, 0): "p0"})
+    in_parts = free_ray_points(cameras, [person], [seen], {(cameras[0].name, 0): "p0"})
     assert len(at_once)
     assert np.array_equal(at_once, in_parts)
 
@@ -358,12 +360,12 @@ def test_what_nobody_was_surely_seen_through_is_not_kept_free(case: str) -> None
         person = replace(person, valid=np.zeros(4, bool))
     if case == "elsewhere in the picture":
         seen = replace(seen, keypoints=seen.keypoints + np.array([0.2 * camera.wh[0], 0, 0]))
-    assert seen_through([camera], [person], [seen], whose).shape == (0, 4)
+    assert free_ray_points([camera], [person], [seen], whose).shape == (0, 4)
 
 
 def test_the_sheet_shows_every_photo_and_the_plan(furnished: tuple[Room, list[Picture], list[Primitive]]) -> None:
     room, pictures, found = furnished
-    depths = [p.depth_of(np.broadcast_to([0, 0, 1.0, 0], (*p.camera.hw, 4))) for p in pictures]
+    depths = [p.plane_depths_of_pixels(np.broadcast_to([0, 0, 1.0, 0], (*p.camera.hw, 4))) for p in pictures]
     with_them, without = (
         sheet(pictures, room.room_box, [*found, POST], depths),
         sheet(pictures, room.room_box, [], depths),

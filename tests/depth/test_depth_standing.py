@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from studiorecon.depth.layout.contact_localisation import localise_by_contact
 from studiorecon.depth.layout.primitives import Primitive, in_front
-from studiorecon.depth.layout.standing import stood
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.room import RoomBox
 
@@ -41,7 +41,7 @@ def apart_m(found: np.ndarray) -> float:
 @pytest.mark.parametrize("stands", [(SHAFT,), (SHAFT, BASE)], ids=["plain", "on a wider base"])
 def test_it_moves_to_where_its_foot_is_seen(stands: tuple[Primitive, ...]) -> None:
     assert apart_m(GUESS) > 0.2
-    found = stood(GUESS, photo(*stands), REACH_PX)
+    found = localise_by_contact(GUESS, photo(*stands), REACH_PX)
     assert apart_m(found) < 0.03
     assert found[4] == found[5] == pytest.approx(SHAFT.size_m[0], abs=0.03)
     assert (found[[0, 3, 6, 7]] == GUESS[[0, 3, 6, 7]]).all(), "only moved, and as wide as it is seen to be"
@@ -51,19 +51,19 @@ def test_what_hides_half_of_it_does_not_matter() -> None:
     picture = photo(SHAFT, BASE)
     foot_px = picture.camera.project(np.array([*PLACE_M, 0.0]))[0]
     picture.known[int(foot_px[1]) - 60 :, : int(foot_px[0]) - 3] = False
-    assert apart_m(stood(GUESS, picture, REACH_PX)) < 0.06
+    assert apart_m(localise_by_contact(GUESS, picture, REACH_PX)) < 0.06
 
 
 def test_it_stays_where_its_foot_is_not_seen() -> None:
     hidden = photo(SHAFT)
     hidden.known[int(hidden.camera.project(np.array([*PLACE_M, 0.0]))[0][1]) - 12 :] = False
     for picture in (hidden, photo(SHAFT, contrast=0.02)):
-        assert (stood(GUESS, picture, REACH_PX) == GUESS).all()
+        assert (localise_by_contact(GUESS, picture, REACH_PX) == GUESS).all()
 
 
 def test_it_moves_no_further_than_it_may() -> None:
     """What is further off is another thing's foot."""
-    assert apart_m(stood(GUESS, photo(SHAFT), 1.0)) > 0.1
+    assert apart_m(localise_by_contact(GUESS, photo(SHAFT), 1.0)) > 0.1
 
 
 @pytest.mark.parametrize("case", ["around the camera", "above it", "at its feet", "behind it"])
@@ -79,9 +79,11 @@ def test_what_no_camera_can_tell_stays(case: str) -> None:
         start[1:3], start[4:6] = centre_m[:2] + 0.24, 0.6
     else:
         start[1:3] = 2 * centre_m[:2]
-    assert (stood(start, picture, REACH_PX) == start).all()
+    assert (localise_by_contact(start, picture, REACH_PX) == start).all()
 
 
 def test_a_larger_picture_says_the_same() -> None:
     for width in (240, 960):
-        assert apart_m(stood(GUESS, photo(SHAFT, BASE, width=width), REACH_PX * width / 480)) < 0.06, width
+        assert apart_m(localise_by_contact(GUESS, photo(SHAFT, BASE, width=width), REACH_PX * width / 480)) < 0.06, (
+            width
+        )

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from studiorecon.depth.layout.furniture import furnish
+from studiorecon.depth.layout.primitive_fitting import fit_primitives
 from studiorecon.depth.layout.primitives import Primitive
 from studiorecon.depth.stereo.plates import Picture
-from studiorecon.depth.stereo.unlikeness import surface_odds
+from studiorecon.depth.stereo.self_dissimilarity import foreground_log_odds
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
 
@@ -88,7 +88,7 @@ def photos(
 
 def put_up(pictures: Sequence[Picture], full: Sequence[Picture] | None = None) -> list[Primitive]:
     gates = {"window": 5, "mean_weight": 1.5, "least_gain": 40.0, "most": 5}
-    return furnish(pictures, (full or pictures).__getitem__, ROOM_BOX, NOBODY, **gates)
+    return fit_primitives(pictures, (full or pictures).__getitem__, ROOM_BOX, NOBODY, **gates)
 
 
 def test_a_pillar_is_unlike_the_wallpaper_behind_it() -> None:
@@ -96,7 +96,7 @@ def test_a_pillar_is_unlike_the_wallpaper_behind_it() -> None:
     shown = [stands.depth(c) > 0 for c in cameras()]
     assert shown[0].sum() > 100, "the first camera sees it"
     assert not any(s.any() for s in shown[1:]), "and no other"
-    odds = surface_odds(photos(stands), ROOM_BOX)
+    odds = foreground_log_odds(photos(stands), ROOM_BOX)
     assert odds[0][shown[0]].mean() > 0.4
     assert all((own[~s] > 0).mean() < 0.12 for own, s in zip(odds, shown))
     assert all(own.min() >= -1 and own.max() <= 1 and own.dtype == np.float32 for own in odds)
@@ -134,4 +134,4 @@ def test_too_little_of_a_face_says_nothing() -> None:
     nearly_nothing = [
         Picture(p.camera, p.rgb, p.known & (np.arange(p.known.size).reshape(p.known.shape) < 40)) for p in pictures
     ]
-    assert not any(own.any() for own in surface_odds(nearly_nothing, ROOM_BOX))
+    assert not any(own.any() for own in foreground_log_odds(nearly_nothing, ROOM_BOX))

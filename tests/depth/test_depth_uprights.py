@@ -9,7 +9,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from studiorecon.depth.layout import uprights
+from studiorecon.depth.layout import ground_contacts
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
@@ -54,7 +54,7 @@ def open_place(cameras: Sequence[Camera]) -> RoomBox:
 
 def placed(cameras: Sequence[Camera], pictures: Sequence[np.ndarray], box: RoomBox) -> tuple[RoomBox, dict[int, int]]:
     rooms = [RoomPicture(p, np.ones(p.shape, bool)) for p in pictures]
-    return uprights.with_walls(box, uprights.feet(cameras, rooms, 0.0), cameras)
+    return ground_contacts.place_default_walls(box, ground_contacts.find_ground_contacts(cameras, rooms, 0.0), cameras)
 
 
 CAMERAS = [camera(-3.0, -1.0), camera(2.8, -1.5)]
@@ -129,7 +129,9 @@ def test_a_camera_that_stands_beside_cupboards_is_inside_the_room() -> None:
 
 def test_a_camera_below_the_floor_sees_no_feet() -> None:
     one = [camera(0.0, -3.0)]
-    found = uprights.feet(one, [RoomPicture(drawn(one[0], WALL, 0), np.ones(WH[::-1], bool))], 2.0)
+    found = ground_contacts.find_ground_contacts(
+        one, [RoomPicture(drawn(one[0], WALL, 0), np.ones(WH[::-1], bool))], 2.0
+    )
     assert len(found.span_deg) == 0
 
 
@@ -166,8 +168,10 @@ def test_a_line_that_few_of_the_feet_stand_on_is_no_wall(beside: int, told: bool
     about = np.stack([np.linspace(0.2, 2.5, beside), rng.uniform(-1.5, 1.5, beside)], 1)
     place_m = np.concatenate([row, about])
     count, towards = len(place_m), place_m / np.linalg.norm(place_m, axis=1)[:, None]
-    seen = uprights.Feet(place_m, towards, np.full(count, 0.02), np.full(count, 3.0), np.zeros(count, int))
-    line = uprights.foot_of(seen, np.array([1.0, 0.0]), 0.0, 5.0)
+    seen = ground_contacts.GroundContacts(
+        place_m, towards, np.full(count, 0.02), np.full(count, 3.0), np.zeros(count, int)
+    )
+    line = ground_contacts.wall_line(seen, np.array([1.0, 0.0]), 0.0, 5.0)
     assert (line is not None) == told
     if line is not None:
         assert line[0] == pytest.approx(3.0, abs=0.05)

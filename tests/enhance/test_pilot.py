@@ -12,7 +12,7 @@ import pytest
 from studiorecon.configuration import settings as settings_module
 from studiorecon.enhance import shot as enhance_shot
 from studiorecon.enhance.photos import Training
-from studiorecon.enhance.pilot import called_for, flicker, worth
+from studiorecon.enhance.trial import decide_injection, flicker, transfer_strength
 from studiorecon.footage.video import read_stack, write_lossless
 from studiorecon.geometry.statistics import NOTHING
 from studiorecon.images.transfer import Transfer
@@ -57,7 +57,7 @@ def test_what_all_photos_show_and_renders_miss_is_worth_adding() -> None:
     pattern = 20 * np.sign(np.sin(np.arange(HW[1]) / 4))[None, :, None].repeat(HW[0], 0).repeat(3, 2)
     for seed in range(10):
         rng = np.random.default_rng(seed)
-        strength, decision = worth(
+        strength, decision = transfer_strength(
             training([pattern + rng.normal(0, 4, pattern.shape) for _ in range(4)]), 2, TRANSFER, 0.1
         )
         assert decision.verdict == "on"
@@ -70,12 +70,12 @@ def test_what_all_photos_show_and_renders_miss_is_worth_adding() -> None:
 def test_noise_of_every_photo_of_its_own_is_not() -> None:
     for seed in range(10):
         rng = np.random.default_rng(seed)
-        _, decision = worth(training([rng.normal(0, 12, (*HW, 3)) for _ in range(4)]), 2, TRANSFER, 0.1)
+        _, decision = transfer_strength(training([rng.normal(0, 12, (*HW, 3)) for _ in range(4)]), 2, TRANSFER, 0.1)
         assert decision.verdict == "off", decision.reason
 
 
 def test_cameras_that_share_nothing_cannot_tell() -> None:
-    strength, decision = worth(training([np.full((*HW, 3), 20)] * 3, shared=False), 2, TRANSFER, 0.1)
+    strength, decision = transfer_strength(training([np.full((*HW, 3), 20)] * 3, shared=False), 2, TRANSFER, 0.1)
     assert (strength, decision.verdict) == (0.0, "undetermined")
     assert "seen by a second training camera" in decision.reason
 
@@ -107,14 +107,14 @@ def test_flicker_that_enhancement_adds_is_told_from_what_was_there(
 ) -> None:
     steps, render, depth = film(tmp_path, 12, film_noise)
     change = flicker(steps, render, depth, lambda _: np.zeros((*HW, 3), np.uint8), Noisy(levels), SEARCH)
-    assert called_for(change, 0.2).verdict == verdict
+    assert decide_injection(change, 0.2).verdict == verdict
 
 
 def test_a_film_of_two_pictures_says_nothing(tmp_path: Path) -> None:
     steps, render, depth = film(tmp_path, 2, 0.0)
     change = flicker(steps, render, depth, lambda _: np.zeros((*HW, 3), np.uint8), Noisy(9.0), SEARCH)
     assert change is NOTHING
-    assert called_for(change, 0.2).verdict == "undetermined"
+    assert decide_injection(change, 0.2).verdict == "undetermined"
 
 
 @pytest.fixture(scope="module")

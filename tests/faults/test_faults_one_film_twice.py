@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from studiorecon.clocks import offsets
 from studiorecon.errors import UserError
-from studiorecon.footage.alike import one_film_twice, same_view, standing
+from studiorecon.footage.duplicate_films import duplicate_film_note, same_view, static_image
 from studiorecon.footage.source import open_source
 from studiorecon.footage.video import write_watchable
 from studiorecon.plan.discovery import open_dataset
@@ -61,19 +61,19 @@ def test_the_same_pictures_in_another_file_await_the_footage(tmp_path: Path, fir
 
 def test_cameras_of_one_room_are_not_one_film(tmp_path: Path) -> None:
     sources = {c: open_source(film(tmp_path / f"{c}.mp4", seed), 0.0) for seed, c in enumerate("abcd")}
-    assert one_film_twice(sources) == ""
+    assert duplicate_film_note(sources) == ""
 
 
 def test_a_phone_taped_to_another_is_another_camera() -> None:
     """The wall a fiftieth of the picture to the side, as from 10 cm beside at 5 m."""
     wall = room(0)
-    assert same_view(standing([wall]), standing([np.clip(wall * 0.8 + 20, 0, 255).astype(np.uint8)]))
-    assert not same_view(standing([wall]), standing([np.roll(wall, 3, axis=1)]))
+    assert same_view(static_image([wall]), static_image([np.clip(wall * 0.8 + 20, 0, 255).astype(np.uint8)]))
+    assert not same_view(static_image([wall]), static_image([np.roll(wall, 3, axis=1)]))
 
 
 def test_pictures_without_anything_in_them_say_nothing() -> None:
     black = np.zeros((120, 160, 3), np.uint8)
-    assert not same_view(standing([black]), standing([black]))
+    assert not same_view(static_image([black]), static_image([black]))
 
 
 def test_a_film_that_cannot_be_read_is_told_and_the_others_are_compared(
@@ -82,5 +82,5 @@ def test_a_film_that_cannot_be_read_is_told_and_the_others_are_compared(
     sources = {c: open_source(film(tmp_path / f"{c}.mp4", 0, 3 * k), 0.0) for k, c in enumerate("abc")}
     whole = (tmp_path / "a.mp4").read_bytes()
     (tmp_path / "a.mp4").write_bytes(whole[:200])
-    assert one_film_twice(sources).startswith("cameras b and c show the same picture")
+    assert duplicate_film_note(sources).startswith("cameras b and c show the same picture")
     assert "a.mp4" in capsys.readouterr().out

@@ -21,12 +21,12 @@ from studiorecon.calibration.files import Settings, lenses_of, read_calibration
 from studiorecon.depth.aligned import read_estimate
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.footage.frames import decode
+from studiorecon.footage.lens_metadata import focal_px_from_metadata
 from studiorecon.footage.source import open_source
 from studiorecon.footage.stills import read_plate
-from studiorecon.footage.told_lens import told_focal_px
 from studiorecon.footage.video import write_watchable
 from studiorecon.keypoints.readers import read_keypoints
-from studiorecon.masks.given import pictures_of
+from studiorecon.masks.given import mask_pictures
 from studiorecon.models.adapters.comotion import Comotion
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.gaussians import Gaussians
@@ -240,7 +240,7 @@ def depth_right(path: Path) -> Any:
 
 
 def masks_right(path: Path) -> Any:
-    found = list(pictures_of(path.parent))
+    found = list(mask_pictures(path.parent))
     assert all(picture.dtype == np.uint8 and picture.ndim == 2 for picture in found)
     return found
 
@@ -259,7 +259,7 @@ def film_right(path: Path) -> Any:
     assert source.fps > 0
     pictures = list(decode(source, 0, 0))
     assert all(picture.shape == (source.wh[1], source.wh[0], 3) for picture in pictures)
-    return pictures, source.fps, told_focal_px(path, source.wh)
+    return pictures, source.fps, focal_px_from_metadata(path, source.wh)
 
 
 def body_right(path: Path) -> Any:

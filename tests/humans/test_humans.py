@@ -30,9 +30,9 @@ from studiorecon.humans.crops import (
     PERSON,
     TrainingCrop,
     box_around,
+    classify_crops,
+    classify_pixels,
     cut,
-    judge,
-    judged,
     mask_inset_px,
     silhouette,
 )
@@ -165,7 +165,7 @@ def test_verdicts() -> None:
     labels[18:22, 18:22] = 0  # a lamp before the chest
     body = np.zeros((40, 40), bool)
     body[8:32, 8:32] = True
-    verdict = judge(labels, body, 1, edge_px=1, occluder_px=6)
+    verdict = classify_pixels(labels, body, 1, edge_px=1, occluder_px=6)
     assert verdict[15, 15] == PERSON
     assert verdict[20, 20] == IGNORED  # furniture before the person is not a hole in them
     assert verdict[20, 32] == IGNORED  # somebody else
@@ -178,7 +178,7 @@ def test_verdicts() -> None:
 def test_a_mask_cut_by_the_frame_has_no_seam_there() -> None:
     labels = np.zeros((20, 20), np.uint8)
     labels[10:, 5:15] = 1
-    assert judge(labels, labels > 0, 1, 1, 3)[19, 10] == PERSON
+    assert classify_pixels(labels, labels > 0, 1, 1, 3)[19, 10] == PERSON
 
 
 def test_crops_keep_pixels_in_place(body: BodyModel) -> None:
@@ -312,7 +312,7 @@ def test_masks_cut_too_small_are_measured_and_teach_no_hole(cut_px: int, expecte
         )
     inset = mask_inset_px(looks, 1)
     assert expected[0] <= inset <= expected[1]
-    crop = list(judged(looks, 1, 1, 12, inset))[-1]
+    crop = list(classify_crops(looks, 1, 1, 12, inset))[-1]
     hidden = (away < 25) & (away >= 25 - cut_px)
     if inset:
         assert (crop.verdict[hidden] != OUTSIDE).all()  # taken for background it would be carved away
@@ -330,13 +330,13 @@ def test_a_limb_that_a_cut_took_away_wholly_is_the_person_and_one_behind_furnitu
     body |= arm
     small = cv2.erode(body.astype(np.uint8), np.ones((11, 11), np.uint8))
     assert not small[arm].any()
-    verdict = judge(small, body, 1, 1, 12, 5)
+    verdict = classify_pixels(small, body, 1, 1, 12, 5)
     assert (verdict[32:36, 52:73] == PERSON).all()
     assert (verdict[~cv2.dilate(body.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)] == OUTSIDE).all()
     furniture = (body & ~arm).astype(np.uint8)
-    assert not (judge(furniture, body, 1, 1, 12, 0)[arm] == PERSON).any()
+    assert not (classify_pixels(furniture, body, 1, 1, 12, 0)[arm] == PERSON).any()
     other = small + 2 * arm.astype(np.uint8)
-    assert (judge(other, body, 1, 1, 12, 5)[32:36, 52:73] == IGNORED).all(), "somebody else stands there"
+    assert (classify_pixels(other, body, 1, 1, 12, 5)[32:36, 52:73] == IGNORED).all(), "somebody else stands there"
 
 
 @pytest.mark.parametrize(("what", "worse_db"), [("gains", 1.5), ("light", 3.0)])

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from studiorecon.body.avatar.avatar_files import Avatar, write_avatar
 from studiorecon.body.model import BodyModel
-from studiorecon.humans.crops import IGNORED, HeldCrop, judged, looks_of
-from studiorecon.humans.result_cache import keep, mark_of, still_stands
+from studiorecon.humans.crops import IGNORED, HeldCrop, classify_crops, person_crops
+from studiorecon.humans.result_cache import cache_key, is_up_to_date, store
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 
@@ -42,8 +42,8 @@ def crops(body: BodyModel, neighbour_at: int) -> list[HeldCrop]:
     labels[low[1] : high[1], low[0] : high[0]] = 1
     labels[:, neighbour_at : neighbour_at + 4] = 2
     picture = np.full((*CAMERA.hw, 3), 90, np.uint8)
-    looks = looks_of(0, CAMERA, iter([picture]), iter([labels]), vertices, np.array([True]), 1, 4, 5)
-    return list(judged(looks, 1, 1, 3, 0))
+    looks = person_crops(0, CAMERA, iter([picture]), iter([labels]), vertices, np.array([True]), 1, 4, 5)
+    return list(classify_crops(looks, 1, 1, 3, 0))
 
 
 def test_only_what_happens_within_the_crop_counts(body: BodyModel, tmp_path: Path) -> None:
@@ -51,7 +51,7 @@ def test_only_what_happens_within_the_crop_counts(body: BodyModel, tmp_path: Pat
     fit.write_bytes(b"fit")
 
     def mark(found: list[HeldCrop], options: Options = Options(), code: str = "code", person: str = "p0") -> str:
-        return mark_of(options, found, [fit], code, person)
+        return cache_key(options, found, [fit], code, person)
 
     far, moved = crops(body, 2), crops(body, 8)
     (crop,) = far
@@ -83,7 +83,7 @@ def _nearer(camera: Camera) -> Camera:
 
 def test_files_stand_only_together_and_become_new(body: BodyModel, tmp_path: Path) -> None:
     ply, npz, working = tmp_path / "p0.ply", tmp_path / "p0.npz", tmp_path / "working"
-    assert not still_stands("m", ply, npz, working), "nothing was trained yet"
+    assert not is_up_to_date("m", ply, npz, working), "nothing was trained yet"
     rows = np.zeros((4, 3), np.float32)
     gaussians = Gaussians(
         rows, np.tile(np.float32([1, 0, 0, 0]), (4, 1)), rows, np.zeros(4, np.float32), np.zeros((4, 1, 3), np.float32)
@@ -103,20 +103,20 @@ def test_files_stand_only_together_and_become_new(body: BodyModel, tmp_path: Pat
         metric=True,
     )
     write_avatar(ply, npz, avatar, "m")
-    assert not still_stands("m", ply, npz, working), "nobody asked for it to be kept"
-    keep(ply, npz, working)
+    assert not is_up_to_date("m", ply, npz, working), "nobody asked for it to be kept"
+    store(ply, npz, working)
     written = [path.read_bytes() for path in (ply, npz)]
     for path in (ply, npz):
         os.utime(path, (1, 1))
         path.unlink()  # as the workflow does before it runs the step again
-    assert not still_stands("other", ply, npz, working)
+    assert not is_up_to_date("other", ply, npz, working)
     assert not ply.exists()
-    assert still_stands("m", ply, npz, working)
+    assert is_up_to_date("m", ply, npz, working)
     assert [path.read_bytes() for path in (ply, npz)] == written
     assert min(ply.stat().st_mtime, npz.stat().st_mtime) > 1, "the workflow compares times"
     last = working / "last.ply"
     last.write_bytes(written[0][:-1] + b"x")
-    assert not still_stands("m", ply, npz, working), "half of it was replaced"
+    assert not is_up_to_date("m", ply, npz, working), "half of it was replaced"
     last.write_bytes(written[0])
     (working / "last.npz").write_bytes(written[1][:100])
-    assert not still_stands("m", ply, npz, working)
+    assert not is_up_to_date("m", ply, npz, working)

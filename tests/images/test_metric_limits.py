@@ -251,7 +251,7 @@ def test_jitter_of_known_noise_and_of_free_fall_is_what_it_should_be(case: str) 
 )
 def test_statistics_of_nothing_are_undetermined(values: list[float | None]) -> None:
     # Naive: NaN and a warning, or an exception for a maximum.
-    assert metrics.mean_of(values) is None
+    assert metrics.mean_of_measured(values) is None
     assert measures.summary({"a": values}, "nothing there") == {
         "value": None,
         "interval": None,
@@ -263,4 +263,4 @@ def test_statistics_of_nothing_are_undetermined(values: list[float | None]) -> N
 @pytest.mark.parametrize("case", [pytest.param("", id="V06-one-nan")])
 def test_one_value_that_is_none_does_not_take_the_others_along(case: str) -> None:
     # Naive: the mean of values with one NaN is NaN.
-    assert metrics.mean_of([1.0, np.nan, 3.0, None]) == 2.0
+    assert metrics.mean_of_measured([1.0, np.nan, 3.0, None]) == 2.0

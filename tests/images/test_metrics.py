@@ -10,7 +10,7 @@ import torch
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from studiorecon.images import metrics
 from studiorecon.images.flow import consistent
-from studiorecon.images.temporal import leads_back
+from studiorecon.images.temporal import forward_backward_consistent
 from studiorecon.images.warp import warp
 
 SCORE_SIZES = [(61, 83), (11, 11), (12, 300), (200, 13)]
@@ -167,7 +167,7 @@ def test_where_a_flow_leads_back_is_the_published_rule() -> None:
     safe = np.where(inside[..., None], flow, 0)
     motion = (safe**2).sum(axis=-1) + (back**2).sum(axis=-1)
     expected = inside & (((safe + back) ** 2).sum(axis=-1) < 0.01 * motion + 0.5)
-    ours = leads_back(flow, reverse)
+    ours = forward_backward_consistent(flow, reverse)
     np.testing.assert_array_equal(ours, consistent(flow, reverse))
     assert 0.2 < ours.mean() < 0.95
     assert (ours != expected).mean() < 0.01, "OpenCV reads the reverse flow at 1/32 of a pixel"

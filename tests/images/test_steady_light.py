@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.images.steady_light import STEADY, in_one_light, light_factors
+from studiorecon.images.photometric_normalisation import STEADY, light_factors, normalise_light
 
 from tests.made.footage import smooth_pictures
 
@@ -28,7 +28,7 @@ def test_a_swinging_light_is_measured_and_divided_out() -> None:
     frames, free = filmed(swing)
     factors = light_factors(frames, free)
     np.testing.assert_allclose(factors, swing / np.median(swing, axis=0), rtol=0.01)
-    even = in_one_light(frames, factors).astype(np.float64)
+    even = normalise_light(frames, factors).astype(np.float64)
     corner = np.s_[:, 52:60, :10]
     assert np.ptp(frames[corner].mean(axis=(1, 2)), axis=0).max() > 15
     assert np.ptp(even[corner].mean(axis=(1, 2)), axis=0).max() < 2
@@ -44,7 +44,7 @@ def test_in_a_steady_light_nothing_is_touched() -> None:
     frames, free = filmed(np.ones((30, 3)))
     factors = light_factors(frames, free)
     assert np.abs(np.log(factors)).max() < STEADY / 4
-    assert in_one_light(frames, factors) is frames
+    assert normalise_light(frames, factors) is frames
 
 
 @pytest.mark.parametrize("case", ["nobody free", "black", "burnt out"])

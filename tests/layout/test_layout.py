@@ -316,7 +316,7 @@ def test_what_trains_on_cuda_is_imported_only_when_it_is_asked_for() -> None:
 ASKED_BEFORE = {"detect_people": {"clocks"}, "clocks_offsets": {"calibration"}}
 # What rules ask by name: constants of common.smk, methods of ``files``.
 COMMON = (ROOT / "workflow/rules/common.smk").read_text()
-ASKED = "".join((PACKAGE / "plan" / name).read_text() for name in ("rule_files.py", "brought.py"))
+ASKED = "".join((PACKAGE / "plan" / name).read_text() for name in ("rule_files.py", "user_inputs.py"))
 
 
 def folders_named(text: str, known: frozenset[str] = frozenset()) -> set[str]:

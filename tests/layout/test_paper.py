@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 import yaml
-from studiorecon.configuration import letter
+from studiorecon.configuration import paper_settings
 from studiorecon.configuration.schema import mistakes
 from studiorecon.home import SCHEMA
 
@@ -13,32 +13,36 @@ from tests.hard import table
 
 
 def test_the_page_is_up_to_date() -> None:
-    assert letter.PAGE.read_text(encoding="utf-8") == letter.page(), "run: python -m studiorecon.configuration.letter"
+    assert paper_settings.PAGE.read_text(encoding="utf-8") == paper_settings.page(), (
+        "run: python -m studiorecon.configuration.paper_settings"
+    )
 
 
 def test_every_setting_of_which_the_paper_speaks_has_its_word_or_a_reason() -> None:
-    named = dict(letter.spoken_of())
-    without = {name for name, setting in named.items() if setting.described.letter is None}
-    assert without == set(letter.WITHOUT), "configuration.letter.WITHOUT says why a setting has no letter"
+    named = dict(paper_settings.paper_values())
+    without = {name for name, setting in named.items() if setting.described.paper_value is None}
+    assert without == set(paper_settings.WITHOUT), (
+        "configuration.paper_settings.WITHOUT says why a setting has no letter"
+    )
 
 
-@pytest.mark.parametrize(("name", "setting"), list(letter.spoken_of()), ids=str)
+@pytest.mark.parametrize(("name", "setting"), list(paper_settings.paper_values()), ids=str)
 def test_the_presets_take_every_word(name, setting) -> None:
-    assert letter.state(name, setting, letter.merged()) != "not taken"
+    assert paper_settings.state(name, setting, paper_settings.merged()) != "not taken"
 
 
-@pytest.mark.parametrize(("place", "name", "value"), [c[:3] for c in letter.CONSTANTS], ids=str)
+@pytest.mark.parametrize(("place", "name", "value"), [c[:3] for c in paper_settings.CONSTANTS], ids=str)
 def test_a_number_that_nobody_turns_is_the_papers(place: str, name: str, value: float) -> None:
-    assert letter.constant(place, name) == value
+    assert paper_settings.constant(place, name) == value
 
 
 @pytest.mark.parametrize("reading", [r for r in table.readings() if r.literal], ids=lambda r: r.id)
 def test_the_presets_read_the_paper_literally(reading: table.Reading) -> None:
-    config = letter.merged()
+    config = paper_settings.merged()
     for pair in table.pairs(reading.literal):
         name, _, value = pair.partition("=")
-        assert letter.value_at(config, name) == yaml.safe_load(value), f"{reading.id}: {name}"
+        assert paper_settings.value_at(config, name) == yaml.safe_load(value), f"{reading.id}: {name}"
 
 
 def test_the_whole_preset_is_a_configuration() -> None:
-    assert mistakes(letter.merged(), yaml.safe_load(SCHEMA.read_text(encoding="utf-8"))) == []
+    assert mistakes(paper_settings.merged(), yaml.safe_load(SCHEMA.read_text(encoding="utf-8"))) == []

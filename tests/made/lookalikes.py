@@ -19,8 +19,8 @@ from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.reading import detections_of_found
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import TrackVerdict, identities_from_keypoints
-from studiorecon.people.association.confirmation import Witness
-from studiorecon.people.association.left_out import LeftOut
+from studiorecon.people.association.image_evidence import CameraEvidence
+from studiorecon.people.association.rejected_people import RejectedPerson
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections
@@ -64,7 +64,7 @@ class Looked:
 
     detections: list[Detections]
     verdicts: dict[tuple[str, int], TrackVerdict]
-    left_out: list[LeftOut]
+    left_out: list[RejectedPerson]
     owners: dict[tuple[str, int], int]
 
     @property
@@ -121,7 +121,7 @@ def looked_at(
             *(0, 0.0, []),
         )
         found.append(detections_of_found(raw, lens, footage, loaded(tracks_keypoints.Settings)))
-        witnesses.append(Witness(lens, footage, folder / f"{camera.name}.npz"))
+        witnesses.append(CameraEvidence(lens, footage, folder / f"{camera.name}.npz"))
     options = loaded(associate.Settings)
     limits = options.association, options.triangulation, options.evidence
     table, _, left = identities_from_keypoints(*limits, cameras, found, videos, about.frames, FPS, witnesses)

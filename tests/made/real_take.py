@@ -11,7 +11,7 @@ from typing import Any
 from studiorecon.calibration import files as calibration
 from studiorecon.cameras import refine
 from studiorecon.capture import frames, manifest
-from studiorecon.clocks.timeline import clock_of, common_moments, timeline_of
+from studiorecon.clocks.timeline import clock_as_filmed, common_moments, read_timeline
 from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.source import open_source
 from studiorecon.people import associate, fit
@@ -50,7 +50,7 @@ def front_end_of(
     imported(load(calibration), list(data.calibration), names, json.dumps(dict(data.pixel_maps)), lenses)
     for name in names:
         # Filmed in step; no rate is asked of pictures in a folder.
-        clock = clock_of(name, timeline_of(open_source(data.footage[name], 30.0)))
+        clock = clock_as_filmed(name, read_timeline(open_source(data.footage[name], 30.0)))
         write_clocks(out / f"{name}.clocks.json", common_moments([clock], 0, 0))
         files = out / f"{name}.mkv", out / f"{name}.json"
         frames.run(load(frames), data.footage[name], lenses, out / f"{name}.clocks.json", name, 0, 0, *files)

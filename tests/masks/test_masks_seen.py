@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
-from studiorecon.masks.detector_masks import DetectorMasks, seen_in
+from studiorecon.masks.detector_masks import DetectorMasks, masks_by_frame
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections
@@ -40,7 +40,7 @@ def scene() -> DetectorMasks:
     detections = Detections(
         "left", "blazepose33", np.array([1, 1, 1]), np.array([0, 1, 2]), keypoints, row=np.array([0, 1, 1])
     )
-    return seen_in(found, detections, {("left", 0): "p0", ("left", 1): "p1", ("left", 2): "p0"}, LENS, FOOTAGE)
+    return masks_by_frame(found, detections, {("left", 0): "p0", ("left", 1): "p1", ("left", 2): "p0"}, LENS, FOOTAGE)
 
 
 def test_a_mask_speaks_where_it_was_looked_and_nowhere_else() -> None:

@@ -13,8 +13,8 @@ import pytest
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.video import write_lossless
-from studiorecon.objects.find import ObjectView, Settings, objects_in, rested, run
-from studiorecon.objects.residual import LOOSE, ROOM, UNKNOWN, difference, regions, states, unrest
+from studiorecon.objects.find import ObjectView, Settings, objects_in, run, with_usual_difference
+from studiorecon.objects.residual import LOOSE, ROOM, UNKNOWN, difference, regions, states, usual_difference
 from studiorecon.objects.rotation import NEVER_DB
 from studiorecon.objects.sightings import sightings
 from studiorecon.scene.camera import Camera
@@ -68,7 +68,7 @@ def found(
 ) -> list[RigidObject]:
     views = [ObjectView(c, Path(), plate_of(c), np.ones(c.hw, bool), np.zeros(c.hw, np.float32)) for c in CAMERAS]
     seen = list(moments(balls, hidden, showing))
-    return objects_in(iter(seen), rested(views, iter(seen), settings.loose), FRAMES, FPS, settings, 1)
+    return objects_in(iter(seen), with_usual_difference(views, iter(seen), settings.loose), FRAMES, FPS, settings, 1)
 
 
 @pytest.fixture(scope="module")
@@ -185,13 +185,13 @@ def test_what_always_differs_is_the_plates_fault(settings: Settings) -> None:
     patterned[5:10] = 1.4 * loose.difference
     ball[5:15, 5:15] = 5 * loose.difference
     nobody_there, somebody = np.zeros((20, 20), bool), np.ones((20, 20), bool)
-    usual = unrest([patterned, patterned, ball], [nobody_there] * 3)
+    usual = usual_difference([patterned, patterned, ball], [nobody_there] * 3)
     assert (usual == patterned).all(), "a thing is there for a moment only"
     state = states(patterned + ball, usual, ~nobody_there, nobody_there, loose)
     assert (state[:, :5] == ROOM).all()
     assert (state[6:14, 6:14] == LOOSE).all()
-    assert (unrest([ball], [somebody]) == 0).all()
-    stands = states(ball, unrest([ball, ball], [nobody_there] * 2), ~nobody_there, nobody_there, loose)
+    assert (usual_difference([ball], [somebody]) == 0).all()
+    stands = states(ball, usual_difference([ball, ball], [nobody_there] * 2), ~nobody_there, nobody_there, loose)
     assert (stands[7:13, 7:13] == LOOSE).all(), "what differs by far stood there"
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
-from studiorecon.masks.loose_objects import without_things
+from studiorecon.masks.loose_objects import subtract_objects
 from studiorecon.objects.find import Settings
 from studiorecon.objects.rotation import NEVER_DB
 from studiorecon.splatting.cpu.rasterise import Rasteriser
@@ -79,7 +79,7 @@ def test_a_turned_things_own_outline_is_nobodys(tumbled: RigidObject) -> None:
         outline = tumbled.outline(camera, frame, 1.15) > 0
         assert outline[truth].mean() > 0.95
         assert truth[outline].mean() > 0.55, "it is no sphere of that reach"
-        labels = without_things(
+        labels = subtract_objects(
             np.ones(camera.hw, np.uint8), [tumbled], np.zeros((1, *camera.hw), np.float32), camera, frame
         )
         assert ((labels == 255) == outline).all()

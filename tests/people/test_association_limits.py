@@ -17,7 +17,7 @@ from studiorecon.people.association.acceptance import judge
 from studiorecon.people.association.affinity import affinities, window_distances
 from studiorecon.people.association.grouping import Group, group_tracks, track_margins
 from studiorecon.people.association.postures import joint_differences_rad, parameter_differences_rad
-from studiorecon.people.association.track_pairs import TrackPairs, margins, postures_apart, sights
+from studiorecon.people.association.track_pairs import TrackPairs, margins, posture_angle_rad, sights
 from studiorecon.rig.correspondences import observe
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -196,7 +196,7 @@ def test_the_papers_norm_of_pose_parameters_takes_them_as_they_are_given(options
     for distance, expected in (("angle", 0.0), ("axis_angles", 2 * np.pi)):
         limits = replace(options.association, affinity="pose", pose_distance=distance)
         one, two = sights(seen[:2], seen[:2], cameras[:2], limits)
-        assert postures_apart(one, np.array([0]), two, np.array([0]))[0] == pytest.approx(expected, abs=1e-6)
+        assert posture_angle_rad(one, np.array([0]), two, np.array([0]))[0] == pytest.approx(expected, abs=1e-6)
 
 
 def test_a08_a_little_noise_on_all_joints_keeps_a_graded_affinity(

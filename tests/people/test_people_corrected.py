@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.people.association.corrected import read_corrected, rows_of
+from studiorecon.people.association.corrected import people_table_rows, read_corrected
 from studiorecon.scene.people import Detections
 
 
@@ -32,7 +32,7 @@ def test_corrections_are_taken_and_what_is_left_out_belongs_to_nobody(tmp_path: 
         write(tmp_path, ("a", 0, "p1"), ("b", 0, "p1"), ("a", 1, "p0"), ("c", 2, "p0"), ("b", 4, "")), FOUND
     )
     assert table == {("a", 0): "p1", ("a", 1): "p0", ("b", 0): "p1", ("b", 4): "", ("c", 2): "p0"}
-    assert rows_of(table, FOUND) == [("p0", 3, "a,c", 1.0, "corrected"), ("p1", 4, "a,b", 1.0, "corrected")]
+    assert people_table_rows(table, FOUND) == [("p0", 3, "a,c", 1.0, "corrected"), ("p1", 4, "a,b", 1.0, "corrected")]
     short = read_corrected(write(tmp_path, ("a", 0, "p0"), ("b", 0, "p0")), FOUND)
     assert {key for key, person in short.items() if not person} == {("a", 1), ("b", 4), ("c", 2)}
 

@@ -349,7 +349,7 @@ def test_who_walks_in_or_comes_back_is_there_while_measured_and_told_when_not(
     moved_m = np.linalg.norm(np.diff(person.trans, axis=0), axis=1)
     assert moved_m[[8, 20]].max() < 0.03
     assert np.isfinite(person.joints).all()
-    fit.say_filled(person)
+    fit.report_filled_frames(person)
     told = capsys.readouterr().out
     assert "p0: frames 8–9, 20–21, 33–34 are filled from their neighbours" in told
     assert "p0: frames 0–7, 22–32: cameras do not say where p0 is, who counts as away and is not drawn there" in told
@@ -357,7 +357,7 @@ def test_who_walks_in_or_comes_back_is_there_while_measured_and_told_when_not(
     between = np.zeros(FRAMES, bool)
     between[20:35:5] = True
     assert fit.frame_ranges(fitted(between).present) == "8–39"
-    fit.say_filled(solve(body, made, detect(body, made, 1), default_settings("people")))
+    fit.report_filled_frames(solve(body, made, detect(body, made, 1), default_settings("people")))
     assert capsys.readouterr().out == ""
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from studiorecon.detector.blazepose import LAYOUT
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.people.expected import agreement, exchanged, planned
-from studiorecon.people.guessed import across, guessed, laid, turned_round
+from studiorecon.people.expected import agreement, planned, swap_left_right
+from studiorecon.people.monocular_guess import guess_in_world, is_left_right_swapped, project_guess, right_to_left
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -58,21 +58,21 @@ def seen(camera: Camera, frames: range, noise_px: float = 2.0, noise_m: float = 
 def with_sides_exchanged(found: Detections, which: np.ndarray) -> Detections:
     """Landmarks and guess as a network has them that takes front for back."""
     keypoints, guess = found.keypoints.copy(), np.array(found.points_m)
-    keypoints[which], guess[which] = exchanged(LAYOUT, keypoints[which]), exchanged(LAYOUT, guess[which])
+    keypoints[which], guess[which] = swap_left_right(LAYOUT, keypoints[which]), swap_left_right(LAYOUT, guess[which])
     return replace(found, keypoints=keypoints, points_m=guess)
 
 
 def test_a_guess_lies_on_its_landmarks_and_left_is_left() -> None:
     for camera in ring():
         found = seen(camera, range(FRAMES))
-        points = laid(found, camera)
+        points = guess_in_world(found, camera)
         pixels, depth = camera.project(points)
         assert np.abs(pixels - found.keypoints[..., :2]).max() < 60
         assert np.median(np.linalg.norm(pixels - found.keypoints[..., :2], axis=-1)) < 15
         # Somebody who is taller than usual seems as much nearer.
         assert np.median(depth) == pytest.approx(4.0 / SIZE, rel=0.06)
         truth = np.array([[-np.sin(0.02 * t), np.cos(0.02 * t), 0] for t in range(FRAMES)])
-        assert ((across(found, camera) * truth).sum(1) > 0.9).all()
+        assert ((right_to_left(found, camera) * truth).sum(1) > 0.9).all()
 
 
 def test_of_two_cameras_one_knows_where_somebody_is_whom_the_other_missed() -> None:
@@ -80,7 +80,7 @@ def test_of_two_cameras_one_knows_where_somebody_is_whom_the_other_missed() -> N
     missed = [t for t in range(FRAMES) if not 8 <= t < 12]
     pair = [seen(cameras[0], range(FRAMES)), seen(cameras[1], range(FRAMES)).only(np.array(missed))]
     who = {(c.name, 0): "p0" for c in cameras}
-    expected = guessed("p0", 1, cameras, pair, who, FRAMES)
+    expected = project_guess("p0", 1, cameras, pair, who, FRAMES)
     whole = seen(cameras[1], range(FRAMES))
     shares = [agreement(whole.keypoints[t], expected.pixels[t], expected.near_share) for t in range(FRAMES)]
     assert min(shares) > 0.8
@@ -95,10 +95,10 @@ def test_of_two_cameras_that_disagree_the_one_that_contradicts_itself_is_put_rig
     pair = [with_sides_exchanged(seen(cameras[0], range(FRAMES)), wrong), seen(cameras[1], range(FRAMES))]
     who = {(c.name, 0): "p0" for c in cameras}
     for view, expected in ((0, wrong), (1, np.zeros(FRAMES, bool))):
-        other = guessed("p0", view, cameras, pair, who, FRAMES)
+        other = project_guess("p0", view, cameras, pair, who, FRAMES)
         plan = planned(pair[view], [other], who, FRAMES)
         assert (plan.swapped == wrong).all(), "each takes the other for wrong"
-        itself = turned_round(pair[view], cameras[view], ["p0"] * FRAMES, FPS)
+        itself = is_left_right_swapped(pair[view], cameras[view], ["p0"] * FRAMES, FPS)
         assert (plan.swapped & itself == expected).all()
 
 
@@ -106,7 +106,7 @@ def test_without_a_guess_nothing_is_known() -> None:
     cameras = arc(80)
     pair = [replace(seen(c, range(FRAMES)), points_m=None) for c in cameras]
     who = {(c.name, 0): "p0" for c in cameras}
-    assert np.isnan(guessed("p0", 0, cameras, pair, who, FRAMES).pixels).all()
-    assert not turned_round(pair[0], cameras[0], ["p0"] * FRAMES, FPS).any()
+    assert np.isnan(project_guess("p0", 0, cameras, pair, who, FRAMES).pixels).all()
+    assert not is_left_right_swapped(pair[0], cameras[0], ["p0"] * FRAMES, FPS).any()
     apart = [seen(cameras[0], range(10)), seen(cameras[1], range(10, FRAMES))]
-    assert np.isnan(guessed("p0", 0, cameras, apart, who, FRAMES).pixels).all(), "nothing tells the person's size"
+    assert np.isnan(project_guess("p0", 0, cameras, apart, who, FRAMES).pixels).all(), "nothing tells the person's size"

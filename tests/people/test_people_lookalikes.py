@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
-from studiorecon.people.association.proportions import lengths_m, shares, why_no_person
+from studiorecon.people.association.proportions import lengths_m, proportion_fault, shares
 from studiorecon.studio.meshes import Mesh
 
 from tests.made.cameras import STANDING
@@ -76,11 +76,11 @@ def test_somebody_who_sits_on_a_stool_is_a_person(root: Path, tmp_path: Path) ->
 
 def test_people_of_all_sizes_have_a_person_s_proportions_and_what_has_not_is_told() -> None:
     for size in (0.5, 1.0, 1.3):
-        assert why_no_person(size * STANDING[None] + np.zeros((5, 1, 1))) == ""
+        assert proportion_fault(size * STANDING[None] + np.zeros((5, 1, 1))) == ""
     narrow = STANDING.copy()
     for joint in ("shoulder", "hip"):
         narrow[[STABLE_KEYPOINTS.index(f"{side}_{joint}") for side in ("left", "right")], 1] *= 0.5
-    told = why_no_person(np.repeat(narrow[None], 5, axis=0))
+    told = proportion_fault(np.repeat(narrow[None], 5, axis=0))
     assert told.startswith(
         "its proportions are not a person's, an animal's rather: shoulders 0.36 of its trunk, hips 0.20 of its trunk"
     )
@@ -89,11 +89,11 @@ def test_people_of_all_sizes_have_a_person_s_proportions_and_what_has_not_is_tol
 def test_bones_that_change_their_length_count_as_one_thing_that_is_off() -> None:
     rng = np.random.default_rng(0)
     noisy = STANDING + rng.normal(0, 0.01, (20, 12, 3))
-    assert why_no_person(noisy) == ""
+    assert proportion_fault(noisy) == ""
     wavering = STANDING + rng.normal(0, 0.06, (20, 12, 3))
-    assert why_no_person(wavering) == "", "bad keypoints of somebody"
+    assert proportion_fault(wavering) == "", "bad keypoints of somebody"
     wavering[:, [STABLE_KEYPOINTS.index(f"{side}_shoulder") for side in ("left", "right")], 1] *= 0.4
-    assert "bones that change their length by" in why_no_person(wavering)
+    assert "bones that change their length by" in proportion_fault(wavering)
 
 
 def test_what_is_not_known_counts_neither_way() -> None:
@@ -101,5 +101,5 @@ def test_what_is_not_known_counts_neither_way() -> None:
     hidden[:, [STABLE_KEYPOINTS.index(f"{side}_ankle") for side in ("left", "right")]] = np.nan
     hidden[:4, STABLE_KEYPOINTS.index("left_knee")] = np.nan
     assert set(shares(lengths_m(hidden))) == {"shoulders", "hips", "upper arms", "forearms", "thighs"}
-    assert why_no_person(hidden) == ""
+    assert proportion_fault(hidden) == ""
     assert shares(lengths_m(np.full((6, 12, 3), np.nan))) == {}

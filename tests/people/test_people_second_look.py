@@ -11,7 +11,7 @@ from studiorecon.detector.blazepose import LAYOUT, MASK_PX, Landmarks, Region
 from studiorecon.detector.windows import region_of_body
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people import second_look
-from studiorecon.people.expected import Expected, agreement, exchanged, planned
+from studiorecon.people.expected import Expected, agreement, planned, swap_left_right
 from studiorecon.people.second_look import SecondLook, improved_by
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.clocks import Clock, Clocks
@@ -56,7 +56,7 @@ def test_agreement_is_a_share_of_the_body_and_not_of_the_picture() -> None:
     assert agreement(noisy, somebody(100)) > 0.95
     assert agreement(noisy * [8, 8, 1], somebody(100) * 8) == agreement(noisy, somebody(100))
     assert agreement(noisy, somebody(180)) < 0.2
-    assert agreement(exchanged(LAYOUT, noisy), somebody(100)) < 0.4
+    assert agreement(swap_left_right(LAYOUT, noisy), somebody(100)) < 0.4
     assert agreement(noisy * [1, 1, 0.1], somebody(100)) == 0.0, "unsure landmarks confirm nothing"
 
 
@@ -69,7 +69,7 @@ def test_somebody_missing_is_looked_for_and_somebody_found_is_left_alone() -> No
 
 
 def test_sides_that_were_exchanged_are_put_right() -> None:
-    rows = [(t, 0, exchanged(LAYOUT, somebody(100)) if t == 2 else somebody(100)) for t in range(FRAMES)]
+    rows = [(t, 0, swap_left_right(LAYOUT, somebody(100)) if t == 2 else somebody(100)) for t in range(FRAMES)]
     plan = planned(detections(*rows), [everywhere("p0", 100)], {("left", 0): "p0"}, FRAMES)
     assert plan.swapped.tolist() == [t == 2 for t in range(FRAMES)]
     result = improved_by(detections(*rows), plan, [], [everywhere("p0", 100)], ["p0"] * FRAMES, 0)

@@ -15,7 +15,7 @@ from studiorecon.geometry import rotations
 from studiorecon.models import smpl
 from studiorecon.people import fit
 from studiorecon.people.fitting import surface_points
-from studiorecon.people.fitting.surface_points import skin_px, surface_of
+from studiorecon.people.fitting.surface_points import skin_px, triangulate_surface
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, read_detections, write_detections
 
@@ -72,7 +72,7 @@ def joints_off_m(body: BodyModel, truth, cameras, found, settings: fit.Settings)
     """Mean error of the joints after the step's own arithmetic."""
     names, keypoints = fit.observations("p0", found, whose(found), body, FRAMES)
     points = fit.lift(names, keypoints, cameras, settings.triangulation, settings.fit.unverified_sigma_m)
-    skin = surface_of(
+    skin = triangulate_surface(
         "p0",
         found,
         whose(found),
@@ -125,11 +125,11 @@ def test_with_smpls_file_every_vertex_counts_where_the_paper_has_it(
     body = BodyModel.load(tmp_path / "b.npz")
     found = seen_by_a_network(body, truth, cameras)
     about = (FRAMES, settings.triangulation, settings.fit.unverified_sigma_m)
-    some, every = (surface_of("p0", found, whose(found), cameras, body, *about, count) for count in (100, 0))
+    some, every = (triangulate_surface("p0", found, whose(found), cameras, body, *about, count) for count in (100, 0))
     assert len(every.vertices) == body.vertex_count == 6890
     np.testing.assert_allclose(every.points_m[:, some.vertices], some.points_m, atol=1e-6)
     monkeypatch.setattr(surface_points, "_AT_ONCE", 2 * 6890)
-    parts = surface_of("p0", found, whose(found), cameras, body, *about, 0)
+    parts = triangulate_surface("p0", found, whose(found), cameras, body, *about, 0)
     np.testing.assert_allclose(parts.points_m, every.points_m, atol=1e-6)
     papers = replace(settings.fit, solver="paper", beta_weight=10.0, vertices=0, vertex_weight=1.0, iterations=5)
     without = replace(papers, vertex_weight=0.0)
@@ -146,13 +146,13 @@ def test_without_bodies_and_in_another_shape_space_there_is_no_surface(
 ) -> None:
     about = (FRAMES, settings.triangulation, settings.fit.unverified_sigma_m, 100)
     keypoints = [replace(d, body_pose=None, pelvis=None, body_root=None, body_shape=None) for d in found]
-    assert surface_of("p0", keypoints, whose(found), cameras, body, *about) is None
+    assert triangulate_surface("p0", keypoints, whose(found), cameras, body, *about) is None
     assert capsys.readouterr().out == ""
     bundled = replace(body, identity="somebody else")
-    assert surface_of("p0", found, whose(found), cameras, bundled, *about) is None
+    assert triangulate_surface("p0", found, whose(found), cameras, bundled, *about) is None
     assert "SMPL's, this scene's are somebody else" in capsys.readouterr().out
     # Whom the identities do not name has no surface either.
-    nobody = surface_of("p7", found, whose(found), cameras, body, *about)
+    nobody = triangulate_surface("p7", found, whose(found), cameras, body, *about)
     assert np.isnan(nobody.points_m).all()
 
 

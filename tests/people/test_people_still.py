@@ -13,7 +13,7 @@ from studiorecon.footage.video import write_lossless
 from studiorecon.images.plate import write_plate
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import identities_from_keypoints
-from studiorecon.people.association.confirmation import Witness
+from studiorecon.people.association.image_evidence import CameraEvidence
 from studiorecon.people.association.picture_change import EvidenceLimits, absent, limb_counts, steps_m
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
@@ -65,7 +65,7 @@ class Room:
     videos: list[Path]
     folder: Path
 
-    def people(self, witnesses: list[Witness | None]) -> tuple[set[int], str]:
+    def people(self, witnesses: list[CameraEvidence | None]) -> tuple[set[int], str]:
         """Who of them is a person, and the reasons against the others."""
         options = loaded(associate.Settings)
         limits = options.association, options.triangulation, options.evidence
@@ -77,7 +77,7 @@ class Room:
         named = {owners[v, t] for (v, t) in owners if table[self.cameras[v].name, t].person}
         return named, "; ".join(one.reason for one in left)
 
-    def witness(self, view: int, masked: bool, plate: Path | None = None, on: float = 1.0) -> Witness:
+    def witness(self, view: int, masked: bool, plate: Path | None = None, on: float = 1.0) -> CameraEvidence:
         """What a camera has beside its film: masks over everybody it sees, ``on`` (1) or beside (0) them, or a
         plate."""
         camera = self.cameras[view]
@@ -103,7 +103,7 @@ class Room:
             write_raw_detections(
                 file, RawDetections.of(camera.name, "coco17", 17, rows, (0, len(self.true[0])), "made")
             )
-        return Witness(lens, about, file, plate)
+        return CameraEvidence(lens, about, file, plate)
 
 
 @pytest.fixture(params=[10, 120])

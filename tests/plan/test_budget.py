@@ -19,7 +19,7 @@ from studiorecon.plan import prices as price_list
 from studiorecon.plan.budget import Stated, bought, choose, laid_over, preset
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.prices import Point, Price, PriceList, pace_here, predict, read_prices
-from studiorecon.plan.workload import ON_DEMAND, Footage, Work, footage_of, segments_with_views, workload
+from studiorecon.plan.workload import ON_DEMAND, Footage, Work, measure_footage, segments_with_views, workload
 
 from tests.made.footage import smooth_pictures, write_video
 
@@ -231,7 +231,7 @@ def test_the_probe_takes_a_moment_of_real_work() -> None:
 
 def test_a_studio_is_planned_from_its_description_and_made_first(configured: Callable[..., dict], home: Path) -> None:
     config = configured(dataset="resources/studio/demo.yaml")
-    footage = footage_of(make_plan(config, home), 30.0)
+    footage = measure_footage(make_plan(config, home), 30.0)
     assert footage == replace(DEMO, made=True)
     assert workload(footage, DEFAULTS, USUAL)["studio_capture"].jobs == 1
     assert "studio_capture" not in workload(DEMO, DEFAULTS, USUAL)
@@ -255,13 +255,13 @@ def test_keypoints_say_how_many_people_two_cameras_see(
         person = {"pose_keypoints_2d": [10.0, 20.0, 0.9] * 25}
         for frame in range(6):
             (folder / f"{frame:06d}_keypoints.json").write_text(json.dumps({"people": [person] * count}))
-    footage = footage_of(make_plan(configured(), home), 30.0)
+    footage = measure_footage(make_plan(configured(), home), 30.0)
     assert (footage.people, footage.counted, footage.frames) == (people, counted, 6)
 
 
 def test_footage_that_cannot_be_read_is_named(configured: Callable[..., dict], home: Path) -> None:
     with pytest.raises(UserError, match=r"left\.mp4|right\.mp4|back\.mp4"):
-        footage_of(make_plan(configured(), home), 30.0)
+        measure_footage(make_plan(configured(), home), 30.0)
 
 
 def test_networks_have_no_price(configured: Callable[..., dict], home: Path) -> None:

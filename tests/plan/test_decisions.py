@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.plan.decisions import one_of
+from studiorecon.plan.decisions import one_of_pattern
 from studiorecon.plan.make import make_plan
-from studiorecon.plan.networks import images_of
+from studiorecon.plan.networks import read_images
 
 CAMERAS = ["back", "left", "right"]
 
@@ -24,8 +24,8 @@ def plates(capture: Path, cameras: list[str]) -> None:
 def test_a_capture_with_everything_needs_no_detector_and_no_network(configured, home):
     plan = make_plan(configured(), home)
     assert (plan.scene, plan.studio, plan.description) == ("capture", "", "")
-    assert plan.cameras == plan.training == plan.sight.watched == plan.sight.timed == CAMERAS
-    assert not plan.sight.detected
+    assert plan.cameras == plan.training == plan.person_sources.watched == plan.person_sources.timed == CAMERAS
+    assert not plan.person_sources.detected
     assert not plan.held_out
     assert not plan.from_people
     assert [Path(f).name for f in plan.calibration] == ["intri.yml", "extri.yml"]
@@ -53,24 +53,24 @@ def test_held_out_cameras_are_not_trained_on(configured, capture, home):
 
 def test_the_detector_looks_where_no_keypoints_are_or_everywhere(configured, capture, home):
     (capture / "keypoints/back").rmdir()
-    assert make_plan(configured(), home).sight.detected == ["back"]
-    assert make_plan(configured(detect={"source": "detector"}), home).sight.detected == CAMERAS
+    assert make_plan(configured(), home).person_sources.detected == ["back"]
+    assert make_plan(configured(detect={"source": "detector"}), home).person_sources.detected == CAMERAS
     with pytest.raises(UserError, match=r"camera back of dataset .* has no keypoints"):
         make_plan(configured(detect={"source": "keypoints"}), home)
 
 
 def test_nobody_is_looked_for_in_held_out_pictures_for_the_doctors_sake(configured, capture, home):
     (capture / "capture.yaml").write_text("held_out: [back]\n")
-    assert make_plan(configured(), home).sight.checked == CAMERAS, "recorded keypoints cost nothing"
-    assert make_plan(configured(detect={"source": "detector"}), home).sight.checked == ["left", "right"]
+    assert make_plan(configured(), home).person_sources.checked == CAMERAS, "recorded keypoints cost nothing"
+    assert make_plan(configured(detect={"source": "detector"}), home).person_sources.checked == ["left", "right"]
 
 
 def test_people_do_not_time_what_the_detector_sees_only_after_the_clocks(configured, capture, home):
     (capture / "keypoints/back").rmdir()
-    assert make_plan(configured(), home).sight.timed == CAMERAS
+    assert make_plan(configured(), home).person_sources.timed == CAMERAS
     (capture / "capture.yaml").write_text("frames: {first: 4, count: 20}\n")
-    assert make_plan(configured(), home).sight.timed == ["left", "right"]
-    assert make_plan(configured(clocks={"sync": "never"}), home).sight.timed == []
+    assert make_plan(configured(), home).person_sources.timed == ["left", "right"]
+    assert make_plan(configured(clocks={"sync": "never"}), home).person_sources.timed == []
 
 
 def test_without_a_calibration_cameras_are_found_from_people(configured, capture, home):
@@ -90,7 +90,7 @@ def test_clean_plates_alone_show_nobody(configured, capture, home):
     plates(capture, CAMERAS)
     with pytest.raises(UserError, match=r"no 2D keypoints .* set it to auto"):
         make_plan(configured(detect={"source": "keypoints"}), home)
-    assert make_plan(configured(), home).sight.detected == CAMERAS
+    assert make_plan(configured(), home).person_sources.detected == CAMERAS
 
 
 @pytest.mark.parametrize(
@@ -110,8 +110,8 @@ def test_what_is_forced_on_must_have_something_to_do(configured, home, effect, e
 def test_forced_away_people_are_not_looked_for(configured, home):
     plan = make_plan(configured(survey={"force": {"people": "off"}}, detect={"source": "detector"}), home)
     assert not plan.people
-    assert not plan.sight.detected
-    assert not plan.sight.timed
+    assert not plan.person_sources.detected
+    assert not plan.person_sources.timed
 
 
 def test_people_who_are_forced_are_looked_for_in_a_room_that_is_said_to_be_empty(configured, capture, home):
@@ -133,14 +133,14 @@ def test_a_correction_in_the_configuration_counts_before_the_datasets(configured
 
 def test_networks_bring_their_image_and_their_gpu(configured, home):
     asked = {"depth": {"source": "moge"}, "calibration": {"source": "pi3"}}
-    plan, images = make_plan(configured(**asked), home), images_of(configured(**asked), home)
+    plan, images = make_plan(configured(**asked), home), read_images(configured(**asked), home)
     assert (plan.networks.depth, plan.networks.cameras, plan.networks.masks) == ("moge", "pi3", "")
     assert plan.calibration == [f"results/capture/calibration/network/{n}.txt" for n in ("cameras", "images")]
     assert set(plan.networks.images) == {"core", "moge", "pi3", "vision"}
     assert images.of_network("moge") == "docker://studiorecon/moge:0.1.0"
     assert images.of_network("precomputed") == images.of_network("") == images.named("core")
     assert (images.gpus("moge"), images.gpus("precomputed")) == (1, 0)
-    assert images_of(configured(device="cpu"), home).gpus("moge") == 0
+    assert read_images(configured(device="cpu"), home).gpus("moge") == 0
 
 
 def test_a_network_that_finds_cameras_takes_no_map_of_a_calibrations_pixels(configured, capture, home):
@@ -155,7 +155,7 @@ def test_a_licence_that_is_not_allowed_is_refused(configured, home):
 
 
 def test_an_image_is_named_by_digest_or_by_what_was_built(configured, home, tmp_path):
-    made = images_of(configured(images=str(tmp_path)), home)
+    made = read_images(configured(images=str(tmp_path)), home)
     (tmp_path / "core-0.1.0.sif").touch()
     assert made.named("core") == str(tmp_path / "core-0.1.0.sif")
     assert made.to_build(["core"]) == ["core=studiorecon/core:0.1.0"]
@@ -172,6 +172,6 @@ def test_smpls_own_pickle_becomes_arrays_first(configured, home, tmp_path):
 
 
 def test_a_constraint_matches_these_names_and_none_where_there_are_none():
-    assert [bool(re.fullmatch(one_of(["a.b", "c"]), name)) for name in ("a.b", "c", "axb", "")] == [1, 1, 0, 0]
-    assert not re.fullmatch(one_of([]), "")
-    assert not re.fullmatch(one_of([]), "a")
+    assert [bool(re.fullmatch(one_of_pattern(["a.b", "c"]), name)) for name in ("a.b", "c", "axb", "")] == [1, 1, 0, 0]
+    assert not re.fullmatch(one_of_pattern([]), "")
+    assert not re.fullmatch(one_of_pattern([]), "a")

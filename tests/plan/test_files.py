@@ -13,7 +13,7 @@ from studiorecon.errors import UserError
 from studiorecon.models.catalogue.selection import selected
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.rule_files import Files
-from studiorecon.plan.told import section, settings, shot_settings, shown_settings
+from studiorecon.plan.step_config import report_settings, shot_settings, step_section, step_settings
 from studiorecon.scene.people import write_people
 
 SCENE = Wildcards(scene="capture")
@@ -203,7 +203,7 @@ def test_a_shot_names_its_path_its_stand_ins_and_its_reference(configured, home,
     far, swapped = (Wildcards(scene="capture", shot=shot) for shot in shots)
     assert (files.shot_path(far), files.shot_path(swapped)) == (["local:path.json"], [])
     assert files.edited_reference(far) == ["local:edited.png"]
-    assert files.stand_ins(swapped) == [str(tmp_path / name) for name in ("her.ply", "her.npz")]
+    assert files.replacement_people(swapped) == [str(tmp_path / name) for name in ("her.ply", "her.npz")]
     assert files.truth_of_replaced(swapped) == ["results/capture/render/swapped.truth.mkv"]
     assert files.truth_of_replaced(far) == []
 
@@ -233,7 +233,7 @@ def test_a_photo_of_a_stranger_is_made_into_a_person_and_asks_for_its_network(co
     config = configured(render={"shots": films})
     files = files_of(config, home)
     for shot in films:
-        assert files.stand_ins(Wildcards(scene="capture", shot=shot)) == [
+        assert files.replacement_people(Wildcards(scene="capture", shot=shot)) == [
             "results/capture/humans/stranger_anna.canonical.ply"
         ]
     assert files.photo_of_stranger(Wildcards(scene="capture", stranger="stranger_anna")) == "local:photos/anna.JPG"
@@ -252,12 +252,12 @@ def test_a_photo_of_a_stranger_is_made_into_a_person_and_asks_for_its_network(co
 
 def test_a_step_is_told_what_it_reads_and_what_the_survey_is_forced_to(configured):
     config = configured(survey={"force": {"temporal_appearance": "on", "enhancement": "off", "injection": "off"}})
-    assert section("humans.train", config)["temporal"]["use"] == "always"
-    assert section("enhance.shot", config)["enhancer"] == "none"
-    assert section("enhance.shot", config)["injection"]["history"] == 0
-    assert "association" not in json.loads(settings("people.fit", config))
+    assert step_section("humans.train", config)["temporal"]["use"] == "always"
+    assert step_section("enhance.shot", config)["enhancer"] == "none"
+    assert step_section("enhance.shot", config)["injection"]["history"] == 0
+    assert "association" not in json.loads(step_settings("people.fit", config))
     moved = configured(survey={"thresholds": {"temporal_appearance": 0.3, "exposure": 0.2}})
-    assert json.loads(settings("humans.train", moved))["thresholds"] == {"temporal_appearance": 0.3}
+    assert json.loads(step_settings("humans.train", moved))["thresholds"] == {"temporal_appearance": 0.3}
 
 
 def test_readouts_move_keypoints_unless_they_are_switched_off(configured, home, tmp_path, found):
@@ -278,6 +278,6 @@ def test_a_films_settings_are_of_that_film_and_a_reference_renders_nothing_again
 
 
 def test_the_page_shows_what_makes_the_result(configured):
-    shown = json.loads(shown_settings(configured()))
+    shown = json.loads(report_settings(configured()))
     assert not {"sweep", "sweep_minutes", "images"} & set(shown)
     assert "dataset" in shown

@@ -18,15 +18,15 @@ from studiorecon.footage.streams import writing
 from studiorecon.footage.video import read_frame, read_stack, write_lossless
 from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.render import shot as render_shot
-from studiorecon.render.canvas import Canvas
-from studiorecon.render.composite import Composite, blocked, classes_of, millimetres, truth_levels
+from studiorecon.render.composite import Composite, blocked, millimetres, provenance_classes, truth_levels
+from studiorecon.render.composite_renderer import CompositeRenderer
+from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.orbit import Orbit, azimuths, orbit_steps
 from studiorecon.render.planning import smooth_dips
 from studiorecon.render.room_light import Lamps, Light
 from studiorecon.render.shading import shading
 from studiorecon.render.shots import every_frame, film_times, looking_at
 from studiorecon.render.statistics import LEDGER_COLUMNS
-from studiorecon.render.subjects import Subjects
 from studiorecon.report.sections.appendix import film_warnings
 from studiorecon.scene.files import read_table
 from studiorecon.scene.gaussians import Gaussians, concatenate, sh_from_rgb
@@ -50,8 +50,8 @@ ORBIT = Orbit(
 )
 
 
-def subjects(target_m: np.ndarray) -> Subjects:
-    return Subjects({}, {}, {}, target_m, FRAMES, 15.0)
+def subjects(target_m: np.ndarray) -> LookAtTargets:
+    return LookAtTargets({}, {}, {}, target_m, FRAMES, 15.0)
 
 
 @pytest.fixture(scope="module")
@@ -220,7 +220,7 @@ def test_the_truth_map_follows_what_is_in_front() -> None:
     camera = ring([0], "cam")[0]
     gaussians = flat(np.array([[0.0, 0, 1.0], [-1.5, 0, 1.0]]), np.full((2, 3), 0.5))
     scene = Composite(gaussians, np.array([0, 2], np.uint8), [])
-    truth = truth_levels(Canvas(scene, 0.2).draw(camera, 0.0, (0, 0, 0))[1])
+    truth = truth_levels(CompositeRenderer(scene, 0.2).draw(camera, 0.0, (0, 0, 0))[1])
     assert truth[WH[1] // 2, WH[0] // 2] == 255
     assert truth[0, 0] == 0
 
@@ -228,7 +228,7 @@ def test_the_truth_map_follows_what_is_in_front() -> None:
 def test_nothing_reconstructed_shows_the_background_colour_and_counts_as_invented() -> None:
     camera = ring([0], "cam")[0]
     scene = Composite(flat(np.array([[0.0, 0, 1.0]]), np.full((1, 3), 0.5)), np.zeros(1, np.uint8), [])
-    rgb, truth, depth = render_shot.picture(Canvas(scene, 0.2), PathStep(camera, 0.0, "00"), (1.0, 0.0, 0.0))
+    rgb, truth, depth = render_shot.picture(CompositeRenderer(scene, 0.2), PathStep(camera, 0.0, "00"), (1.0, 0.0, 0.0))
     assert rgb[0, 0].tolist() == [255, 0, 0]
     assert (truth[0, 0], depth[0, 0]) == (0, 0)
     assert truth[WH[1] // 2, WH[0] // 2] == 255
@@ -241,10 +241,10 @@ def test_the_canvas_draws_what_rasterising_everything_together_draws(root: Path)
     scene = Composite(
         static, rng.integers(0, 3, static.count).astype(np.uint8), [avatar(body, rng, "p0"), avatar(body, rng, "p1")]
     )
-    canvas, camera = Canvas(scene, 0.2), ring([30], "cam")[0]
+    canvas, camera = CompositeRenderer(scene, 0.2), ring([30], "cam")[0]
     for frame in (0.0, 3.5, FRAMES - 1.0):
         gaussians = concatenate([static, *(person.posed(frame) for person in scene.people)])
-        classes = np.concatenate([scene.classes, *(classes_of(person, frame) for person in scene.people)])
+        classes = np.concatenate([scene.classes, *(provenance_classes(person, frame) for person in scene.people)])
         rendering, shares = canvas.draw(camera, frame, (0.1, 0.2, 0.3))
         expected = Rasteriser(near_m=0.2).forward(gaussians, camera, (0.1, 0.2, 0.3))
         np.testing.assert_array_equal(rendering.rgb, expected.rgb)
@@ -261,14 +261,14 @@ def test_a_picture_does_not_depend_on_those_drawn_before_it(root: Path) -> None:
     light = Light(True, "", lamp, np.array([0.6]), np.array([0.16]), 0.1, 0.1, 0.1, 0.0)
     scene = Composite(static, np.zeros(static.count, np.uint8), [person], shading(light, static, [person], [person]))
     assert scene.shading is not None
-    camera, used = ring([30], "cam")[0], Canvas(scene, 0.2)
+    camera, used = ring([30], "cam")[0], CompositeRenderer(scene, 0.2)
     for frame in (FRAMES - 1.0, 0.0, 2.5, 2.5, FRAMES - 1.0):
         drawn, shares = used.draw(camera, frame, (0, 0, 0))
-        alone, of_alone = Canvas(scene, 0.2).draw(camera, frame, (0, 0, 0))
+        alone, of_alone = CompositeRenderer(scene, 0.2).draw(camera, frame, (0, 0, 0))
         np.testing.assert_array_equal(drawn.rgb, alone.rgb)
         np.testing.assert_array_equal(shares, of_alone)
-    unshaded = Canvas(replace(scene, shading=None), 0.2).draw(camera, 0.0, (0, 0, 0))[0]
-    assert np.abs(unshaded.rgb - Canvas(scene, 0.2).draw(camera, 0.0, (0, 0, 0))[0].rgb).max() > 0.1
+    unshaded = CompositeRenderer(replace(scene, shading=None), 0.2).draw(camera, 0.0, (0, 0, 0))[0]
+    assert np.abs(unshaded.rgb - CompositeRenderer(scene, 0.2).draw(camera, 0.0, (0, 0, 0))[0].rgb).max() > 0.1
 
 
 def test_depth_in_millimetres_keeps_unknown_and_saturates() -> None:

@@ -14,8 +14,8 @@ from studiorecon.body.model import BodyModel
 from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.video import read_stack
 from studiorecon.render import shot as render_shot
-from studiorecon.render.canvas import Canvas
 from studiorecon.render.composite import Composite
+from studiorecon.render.composite_renderer import CompositeRenderer
 from studiorecon.render.room_light import Lamps, Light
 from studiorecon.render.shading import shading
 from studiorecon.render.statistics import obstacles
@@ -50,7 +50,7 @@ def test_the_picture_is_the_one_without_them_where_they_are_away(person: Avatar,
     provenance, camera = np.zeros(static.count, np.uint8), ring([80], "c")[0]
     always = replace(person, present=np.ones(FRAMES, bool))
     with_them, as_ever, without = (
-        Canvas(Composite(static, provenance, people), 0.2).draw(camera, frame, (0, 0, 0))
+        CompositeRenderer(Composite(static, provenance, people), 0.2).draw(camera, frame, (0, 0, 0))
         for people in ([person], [always], [])
     )
     expected = as_ever if seen else without

@@ -13,11 +13,11 @@ import pytest
 from studiorecon.body.model import BodyModel
 from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.video import read_frame
-from studiorecon.masks.loose_objects import without_things
+from studiorecon.masks.loose_objects import subtract_objects
 from studiorecon.render import layers as render_layers
 from studiorecon.render import shot as render_shot
-from studiorecon.render.canvas import Canvas
 from studiorecon.render.composite import Composite
+from studiorecon.render.composite_renderer import CompositeRenderer
 from studiorecon.scene.gaussians import concatenate
 from studiorecon.scene.provenance import INFERRED, MEASURED
 from studiorecon.splatting.cpu.rasterise import Rasteriser
@@ -110,7 +110,7 @@ def test_people_and_things_hide_each_other_as_in_one_rasterisation(root: Path) -
     static, person = room(rng), avatar(BodyModel.load(root / "resources/body.npz"), rng, "p0")
     thing = ball(np.linspace([-0.5, 0.3, 1.0], [0.5, 0.3, 1.0], FRAMES))
     camera = ring([80], "c")[0]
-    canvas = Canvas(Composite(static, np.zeros(static.count, np.uint8), [person], objects=[thing]), 0.2)
+    canvas = CompositeRenderer(Composite(static, np.zeros(static.count, np.uint8), [person], objects=[thing]), 0.2)
     for frame in (0, 1.5, ABSENT, 5):
         drawn, _ = canvas.draw(camera, frame, (0, 0, 0))
         alone = Rasteriser(near_m=0.2).forward(concatenate([static, person.posed(frame), thing.posed(frame)]), camera)
@@ -126,14 +126,14 @@ def test_a_things_pixels_are_nobodys() -> None:
     outline = thing.outline(camera, 0, 1.15) > 0
     depth_m = float(np.max(thing.outline(camera, 0)))
     assert depth_m < 2.0
-    made = without_things(labels, [thing], body, camera, 0)
+    made = subtract_objects(labels, [thing], body, camera, 0)
     rows, columns = np.indices(labels.shape)
     assert (made[outline & (rows < 40)] == 255).all(), "it is before the body"
     assert (made[outline & (rows >= 40) & (columns < 64)] == 255).all(), "labelled as somebody, where nobody stands"
     assert (made[outline & (rows >= 40) & (columns >= 64)] == 0).all()
     assert (made[~outline] == labels[~outline]).all()
-    nearer = without_things(labels, [thing], np.where(body > 0, np.float32(0.8), 0), camera, 0)
+    nearer = subtract_objects(labels, [thing], np.where(body > 0, np.float32(0.8), 0), camera, 0)
     assert (nearer[rows < 40] == labels[rows < 40]).all(), "the body is before it"
-    assert (without_things(labels, [thing], body, camera, ABSENT) == labels).all()
+    assert (subtract_objects(labels, [thing], body, camera, ABSENT) == labels).all()
     assert (replace(thing, radius_m=5.0).outline(camera, 0) == 0).all(), "the camera is inside it"
     assert thing.provenance.max() < INFERRED

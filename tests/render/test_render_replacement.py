@@ -20,8 +20,8 @@ from studiorecon.errors import UserError
 from studiorecon.footage.video import read_stack, to_bytes
 from studiorecon.humans import proxy as humans_proxy
 from studiorecon.render import shot as render_shot
-from studiorecon.render.canvas import Canvas
-from studiorecon.render.replacement import donor_of, performing, replaced
+from studiorecon.render.composite_renderer import CompositeRenderer
+from studiorecon.render.replacement import donor_from_avatar, replace_people, retarget
 from studiorecon.render.shot import read_composite
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.path import read_path
@@ -57,7 +57,7 @@ def test_the_replacement_stands_where_the_performer_stood(people: list[Avatar], 
     """Every Gaussian projects to the donor's own surface in the performer's pose, at the performer's place, feet on the
     floor."""
     performer, other = people
-    stand_in = performing(donor_of(other), performer)
+    stand_in = retarget(donor_from_avatar(other), performer)
     index = np.arange(0, len(body.weights), 12)
     camera = ring([30], "cam")[0]
     for frame in (0, 5):
@@ -83,15 +83,15 @@ def test_the_replacement_stands_where_the_performer_stood(people: list[Avatar], 
 
 
 def test_swapping_twice_changes_nothing(people: list[Avatar]) -> None:
-    swapped = replaced(people, {"p0": "p1", "p1": "p0"}, "swap")
+    swapped = replace_people(people, {"p0": "p1", "p1": "p0"}, "swap")
     assert [p.person for p in swapped] == ["p0", "p1"]
     assert np.abs(swapped[0].posed(2.5).sh - people[1].gaussians.sh).max() < 1e-6
-    for one, other in zip(replaced(swapped, {"p0": "p1", "p1": "p0"}, "swap"), people):
+    for one, other in zip(replace_people(swapped, {"p0": "p1", "p1": "p0"}, "swap"), people):
         same(one, other)
 
 
 def test_nothing_of_a_replaced_person_counts_as_measured(people: list[Avatar]) -> None:
-    swapped = replaced(people, {"p1": "p0"}, "swap")
+    swapped = replace_people(people, {"p1": "p0"}, "swap")
     assert (swapped[1].provenance == 2).all()
     assert swapped[0] is people[0]
 
@@ -101,7 +101,7 @@ def test_colours_that_drift_over_another_time_take_their_mean(people: list[Avata
     start = TemporalNetwork.start(np.array([-1.0, -1.0, -1.0]), np.ones(3) * 2, people[0].frames, rng, 8, 2)
     start.flat[:] = rng.normal(0, 0.3, len(start.flat))
     drifting = replace(people[0], network=start)
-    settled = donor_of(drifting).gaussians
+    settled = donor_from_avatar(drifting).gaussians
     moments = np.linspace(0, people[0].frames - 1, 8)
     expected = np.mean([drifting.posed(t).sh[:, 0] for t in moments], axis=0)
     np.testing.assert_allclose(settled.sh[:, 0], expected, atol=1e-5)
@@ -153,7 +153,7 @@ def test_who_is_left_out_leaves_the_room_behind(scene: Path, default_settings: C
     assert files["path"].read_bytes() == path, "the camera goes where it would have gone"
     assert (np.abs(without.astype(int) - filmed).max(axis=-1) > 20).sum() > 200, "somebody stood there"
     near_m = loaded(render_shot.Settings).near_m
-    canvas = Canvas(read_composite(SceneFiles(files["background"], files["provenance"]), "swap", {}), near_m)
+    canvas = CompositeRenderer(read_composite(SceneFiles(files["background"], files["provenance"]), "swap", {}), near_m)
     for picture, step in zip(without, read_path(files["path"])[0]):
         rendering, _ = canvas.draw(step.camera, step.frame, section["background_rgb"])
         np.testing.assert_array_equal(picture, to_bytes(rendering.rgb))
@@ -185,8 +185,8 @@ def test_a_file_without_its_motion_is_bound_like_any_other(
     """Beside its ``.npz`` a person keeps the weights that were trained; alone, the surface's are close to them."""
     ply = read_ply(scene / "humans/p0.ply")
     write_ply(tmp_path / "alone.ply", ply)
-    alone = replaced(people[:1], {"p0": str(tmp_path / "alone.ply")}, "swap")[0]
-    beside = replaced(people[:1], {"p0": str(scene / "humans/p0.ply")}, "swap")[0]
+    alone = replace_people(people[:1], {"p0": str(tmp_path / "alone.ply")}, "swap")[0]
+    beside = replace_people(people[:1], {"p0": str(scene / "humans/p0.ply")}, "swap")[0]
     off_mm = 1000 * np.linalg.norm(alone.posed(3).means_m - beside.posed(3).means_m, axis=1)
     assert np.median(off_mm) < 15
 
@@ -204,7 +204,7 @@ def test_the_bare_body_of_a_persons_build_stands_in_for_them(body: BodyModel, ro
     humans_proxy.run(
         humans_proxy.Settings(3000, 0), root / "resources/body.npz", tmp_path / "p0.npz", tmp_path / "p0.plain.ply"
     )
-    stand_in = replaced([replace(filmed, betas=betas)], {"p0": str(tmp_path / "p0.plain.ply")}, "plain")[0]
+    stand_in = replace_people([replace(filmed, betas=betas)], {"p0": str(tmp_path / "p0.plain.ply")}, "plain")[0]
     surface = body.vertices(filmed.poses[3:4], betas, filmed.trans[3:4])[0]
     off_mm = 1000 * scipy.spatial.cKDTree(surface).query(stand_in.posed(3).means_m)[0]
     assert np.median(off_mm) < 12

@@ -23,7 +23,7 @@ from studiorecon.geometry.rotations import exp
 from studiorecon.images.plate import write_plate
 from studiorecon.render import light as render_light
 from studiorecon.render import shot as render_shot
-from studiorecon.render.lamps import patches
+from studiorecon.render.area_lights import patches
 from studiorecon.render.occlusion import hidden, nearness, sky_discs, sky_hidden
 from studiorecon.render.room_light import Lamps, Light, read_light, write_light
 from studiorecon.render.shading import dim, facing_up, most_agreed, shading
@@ -290,7 +290,7 @@ def test_nobody_stands_where_somebody_is_who_is_away(body: BodyModel) -> None:
     about = body.identity, 15.0, one.poses, one.trans, one.betas, np.zeros((MOMENTS, 24, 3)), frames < 4
     fit = Person("p0", *about, np.zeros((MOMENTS, 24)), True, frames < 6)
     for frame, counts in ((3, (1, 0)), (5, (0, 1)), (6, (0, 0))):
-        places = render_light.standing([fit], frame)
+        places = render_light.standing_places([fit], frame)
         assert tuple(len(place) for place in places) == counts
         for place in places:
             np.testing.assert_array_equal(place, np.broadcast_to(one.trans[frame, :2], place.shape))

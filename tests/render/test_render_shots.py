@@ -17,11 +17,11 @@ from studiorecon.render.composite import Composite
 from studiorecon.render.given import GivenPath, path_steps
 from studiorecon.render.keyframes import read_keys, spline_steps
 from studiorecon.render.kinds import KINDS, film
+from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.moves import DollyZoom, Follow, Oscillate, dolly_zoom_steps, follow_steps, oscillate_steps
 from studiorecon.render.planning import plan
-from studiorecon.render.shot import subjects_of
+from studiorecon.render.shot import find_targets
 from studiorecon.render.statistics import angles_deg, obstacles
-from studiorecon.render.subjects import Subjects
 from studiorecon.scene.path import PathStep
 
 from tests.made.scene import FPS, WH, avatar, ring, room
@@ -31,13 +31,13 @@ T = 41
 
 
 @pytest.fixture(scope="module")
-def subjects() -> Subjects:
+def subjects() -> LookAtTargets:
     """One person walks 2 m along x, facing there; another stands at (0, 1)."""
     walk = np.stack([np.linspace(-1, 1, T), np.zeros(T), np.full(T, 0.95)], axis=1)
     facing = np.tile([1.0, 0.0], (T, 1))
     stands = np.tile([0.0, 1.0, 0.95], (T, 1))
     present = np.ones(T, bool)
-    return Subjects(
+    return LookAtTargets(
         {"p0": walk, "p1": stands},
         {"p0": facing, "p1": facing},
         {"p0": present, "p1": present},
@@ -55,7 +55,7 @@ def seen_size(step: PathStep, place_m: np.ndarray) -> float:
 DOLLY = DollyZoom("dolly_zoom", 31, (0.0, 0.0, 1.0), "cam1", (1.0, 0.5), 2, 1.5, "stretch")
 
 
-def test_a_dolly_zoom_keeps_the_size_of_its_target_while_the_camera_travels(subjects: Subjects) -> None:
+def test_a_dolly_zoom_keeps_the_size_of_its_target_while_the_camera_travels(subjects: LookAtTargets) -> None:
     steps = dolly_zoom_steps(DOLLY, "dolly", CAMERAS, subjects, WH)
     sizes = [seen_size(step, np.array(DOLLY.target)) for step in steps]
     assert sizes == pytest.approx([sizes[0]] * 31)
@@ -72,7 +72,7 @@ def test_a_dolly_zoom_keeps_the_size_of_its_target_while_the_camera_travels(subj
     assert seen_size(steps[15], behind) < 0.8 * seen_size(steps[0], behind), "the room behind the target opens up"
 
 
-def test_a_dolly_zoom_is_locked_on_a_person_who_walks(subjects: Subjects) -> None:
+def test_a_dolly_zoom_is_locked_on_a_person_who_walks(subjects: LookAtTargets) -> None:
     steps = dolly_zoom_steps(replace(DOLLY, target="p0", camera="cam3"), "dolly", CAMERAS, subjects, WH)
     places = subjects.at("p0", np.array([s.frame for s in steps]), "dolly")
     sizes = [seen_size(step, place) for step, place in zip(steps, places)]
@@ -82,12 +82,12 @@ def test_a_dolly_zoom_is_locked_on_a_person_who_walks(subjects: Subjects) -> Non
     assert places[-1, 0] - places[0, 0] > 1.5
 
 
-def test_a_dolly_zoom_into_its_target_is_refused(subjects: Subjects) -> None:
+def test_a_dolly_zoom_into_its_target_is_refused(subjects: LookAtTargets) -> None:
     with pytest.raises(UserError, match=r"comes within 0\.05 m of its target in picture 15"):
         dolly_zoom_steps(replace(DOLLY, distances=(1.0, 0.02)), "dolly", CAMERAS, subjects, WH)
 
 
-def test_an_oscillation_swings_evenly_about_its_camera(subjects: Subjects) -> None:
+def test_an_oscillation_swings_evenly_about_its_camera(subjects: LookAtTargets) -> None:
     shot = Oscillate("oscillate", 80, "scene", "cam2", 20.0, 0.1, 2.0, 0.9, 1.0, "loop")
     steps = oscillate_steps(shot, "swing", CAMERAS, subjects, WH, np.ones(80))
     eyes = np.array([s.camera.centre_m for s in steps]) - subjects.scene_m
@@ -100,7 +100,7 @@ def test_an_oscillation_swings_evenly_about_its_camera(subjects: Subjects) -> No
     assert gaps.max() < 2 * np.median(gaps)
 
 
-def test_a_following_camera_keeps_its_place_beside_the_person(subjects: Subjects) -> None:
+def test_a_following_camera_keeps_its_place_beside_the_person(subjects: LookAtTargets) -> None:
     shot = Follow("follow", T, "p0", 2.0, 0.5, 180.0, "person", 0.2, 1.0, "stretch")
     steps = follow_steps(shot, "follow", CAMERAS, subjects, WH, np.ones(T))
     places = subjects.at("p0", np.arange(float(T)), "follow", 0.2)
@@ -113,7 +113,7 @@ def test_a_following_camera_keeps_its_place_beside_the_person(subjects: Subjects
     assert np.abs(np.array([s.camera.centre_m for s in fixed]) - places - [-2.0, 0, 0.5]).max() < 1e-9
 
 
-def test_facing_does_not_wrap(subjects: Subjects) -> None:
+def test_facing_does_not_wrap(subjects: LookAtTargets) -> None:
     """A person who faces 179 and -179 degrees in turn faces 180, not 0 (F01's trap, for headings)."""
     angle = np.radians(np.where(np.arange(T) % 2, 179, -179))
     turned = replace(subjects, facing={"p0": np.stack([np.cos(angle), np.sin(angle)], axis=1)})
@@ -133,7 +133,7 @@ KEYS = [
 ]
 
 
-def test_a_spline_passes_through_its_keys_and_stops_time_between_equal_frames(subjects: Subjects) -> None:
+def test_a_spline_passes_through_its_keys_and_stops_time_between_equal_frames(subjects: LookAtTargets) -> None:
     steps = spline_steps(read_keys(KEYS, "bullet"), "bullet", CAMERAS, subjects, WH)
     assert len(steps) == 81
     for given in KEYS:
@@ -150,7 +150,7 @@ def test_a_spline_passes_through_its_keys_and_stops_time_between_equal_frames(su
         assert step.camera.project(subjects.scene_m[None])[0][0] == pytest.approx(np.array(WH) / 2, abs=1e-6)
 
 
-def test_a_spline_through_training_cameras_turns_on_so3(subjects: Subjects) -> None:
+def test_a_spline_through_training_cameras_turns_on_so3(subjects: LookAtTargets) -> None:
     keys = [
         {"picture": p, "frame": 0.0, "camera": c, "zoom": 1.0} for p, c in ((0, "cam0"), (10, "cam1"), (20, "cam2"))
     ]
@@ -162,7 +162,7 @@ def test_a_spline_through_training_cameras_turns_on_so3(subjects: Subjects) -> N
         assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-12)
 
 
-def test_a_spline_between_targets_moves_on_with_a_walking_person(subjects: Subjects) -> None:
+def test_a_spline_between_targets_moves_on_with_a_walking_person(subjects: LookAtTargets) -> None:
     keys = [key(0, 0, (0, -2, 1.5), "p0"), key(40, 40, (0, -2, 1.5), "p0")]
     steps = spline_steps(read_keys(keys, "watch"), "watch", CAMERAS, subjects, WH)
     places = subjects.at("p0", np.array([s.frame for s in steps]), "watch")
@@ -221,14 +221,14 @@ def test_a_broken_path_file_is_refused_by_name(tmp_path: Path, content: dict | N
         path_steps(GivenPath("path", str(file), "hold"), "fly", WH, T)
 
 
-def test_who_is_not_there_cannot_be_looked_at(subjects: Subjects) -> None:
+def test_who_is_not_there_cannot_be_looked_at(subjects: LookAtTargets) -> None:
     with pytest.raises(UserError, match=r"is aimed at 'p7'.*p0, p1"):
         subjects.at("p7", np.zeros(1), "shot")
     with pytest.raises(UserError, match=r"camera 'north'.*cam0, cam1"):
         dolly_zoom_steps(replace(DOLLY, camera="north"), "dolly", CAMERAS, subjects, WH)
 
 
-def test_a_shot_of_people_looks_where_they_are_while_they_are_there(subjects: Subjects) -> None:
+def test_a_shot_of_people_looks_where_they_are_while_they_are_there(subjects: LookAtTargets) -> None:
     """Who left is led on to where they come back, which is no place of theirs."""
     early = np.arange(T) < 10
     left = replace(subjects, present={"p0": early, "p1": np.ones(T, bool)})
@@ -237,7 +237,7 @@ def test_a_shot_of_people_looks_where_they_are_while_they_are_there(subjects: Su
     assert left.still("people", "shot") == pytest.approx(np.median(both, axis=0))
 
 
-def test_people_without_people_means_the_scene(subjects: Subjects) -> None:
+def test_people_without_people_means_the_scene(subjects: LookAtTargets) -> None:
     empty = replace(subjects, pelvis_m={}, facing={}, present={})
     assert empty.still("people", "shot") == pytest.approx(subjects.scene_m)
 
@@ -248,7 +248,7 @@ def test_every_example_shot_is_planned(root: Path) -> None:
     shots = yaml.safe_load((root / "config/presets/shots.yaml").read_text())["render"]["shots"]
     rng = np.random.default_rng(0)
     person = avatar(BodyModel.load(root / "resources/body.npz"), rng, "p0", frames=40)
-    subjects = subjects_of([person], CAMERAS, 40, FPS)
+    subjects = find_targets([person], CAMERAS, 40, FPS)
     static = room(rng, 0.3)
     for name, described in shots.items():
         steps = plan(name, shots, 0, 0.3, CAMERAS, [], subjects, static)
@@ -259,7 +259,7 @@ def test_every_example_shot_is_planned(root: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "path"])
-def test_a_film_needs_only_its_kind(kind: str, subjects: Subjects) -> None:
+def test_a_film_needs_only_its_kind(kind: str, subjects: LookAtTargets) -> None:
     rng = np.random.default_rng(0)
     held_out = ring([45], "held")
     steps = plan("extra", {"extra": {"kind": kind}}, 0, 0.3, CAMERAS, held_out, subjects, room(rng, 0.3))
@@ -267,7 +267,7 @@ def test_a_film_needs_only_its_kind(kind: str, subjects: Subjects) -> None:
     assert all(0 <= s.frame <= T - 1 and np.isfinite(s.camera.camera_from_world).all() for s in steps)
 
 
-def test_a_spline_without_keys_goes_from_camera_to_camera_while_time_runs_through(subjects: Subjects) -> None:
+def test_a_spline_without_keys_goes_from_camera_to_camera_while_time_runs_through(subjects: LookAtTargets) -> None:
     shuffled = [CAMERAS[i] for i in (1, 3, 0, 2)]
     steps = plan(
         "tour", {"tour": {"kind": "spline"}}, 0, 0.3, shuffled, [], subjects, room(np.random.default_rng(0), 0.3)
@@ -278,7 +278,7 @@ def test_a_spline_without_keys_goes_from_camera_to_camera_while_time_runs_throug
     assert np.diff([s.frame for s in steps]) == pytest.approx((T - 1) / 90)
 
 
-def test_a_key_without_a_frame_leaves_time_to_the_keys_around_it(subjects: Subjects) -> None:
+def test_a_key_without_a_frame_leaves_time_to_the_keys_around_it(subjects: LookAtTargets) -> None:
     keys = [{k: v for k, v in key.items() if k != "frame"} for key in KEYS]
     keys[1]["frame"] = keys[2]["frame"] = 20.0
     steps = spline_steps(read_keys(keys, "bullet"), "bullet", CAMERAS, subjects, WH)
@@ -287,7 +287,7 @@ def test_a_key_without_a_frame_leaves_time_to_the_keys_around_it(subjects: Subje
     assert frames[20:61] == pytest.approx(20)
 
 
-def test_a_follower_is_kept_out_of_the_wall(subjects: Subjects) -> None:
+def test_a_follower_is_kept_out_of_the_wall(subjects: LookAtTargets) -> None:
     shot = Follow("follow", T, "p0", 2.9, 0.5, 0.0, "person", 0.2, 1.0, "stretch")
     shots = {"follow": vars(shot)}
     steps = plan("follow", shots, 0, 0.3, CAMERAS, [], subjects, room(np.random.default_rng(0)))

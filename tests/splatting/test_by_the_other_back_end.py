@@ -14,9 +14,9 @@ from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.configuration import settings as settings_module
 from studiorecon.humans import train, training
-from studiorecon.render import canvas as render_canvas
-from studiorecon.render.canvas import Canvas
+from studiorecon.render import composite_renderer as render_canvas
 from studiorecon.render.composite import Composite
+from studiorecon.render.composite_renderer import CompositeRenderer
 from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
 
 from tests.made.gsplat_stand_in import rasterization
@@ -35,9 +35,9 @@ def test_a_film_s_pictures_and_layers(body: BodyModel, monkeypatch: pytest.Monke
     rng = np.random.default_rng(0)
     static = room(rng, 0.2).take(np.arange(203))  # not a whole number of blocks
     scene = Composite(static, rng.integers(0, 3, static.count).astype(np.uint8), [avatar(body, rng, "p0")])
-    by_cpu, camera = Canvas(scene, 0.2), ring([30], "cam", wh=(56, 48))[0]
+    by_cpu, camera = CompositeRenderer(scene, 0.2), ring([30], "cam", wh=(56, 48))[0]
     monkeypatch.setattr(render_canvas, "rasteriser", gsplat)
-    by_gsplat = Canvas(scene, 0.2, "cuda")
+    by_gsplat = CompositeRenderer(scene, 0.2, "cuda")
     for frame in (0.0, 1.5):
         (wanted, wanted_shares), (found, found_shares) = (
             c.draw(camera, frame, (0.1, 0.2, 0.3)) for c in (by_cpu, by_gsplat)

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from studiorecon.plan.left_lock import clear_left_lock
+from studiorecon.plan.stale_lock import clear_stale_lock
 
 from tests.workflow.conftest import QUICK, House, make_house, over
 
@@ -38,9 +38,9 @@ def locked(folder: Path, host: str) -> Path:
 
 def test_a_dead_run_s_lock_is_taken_away_and_said(tmp_path: Path) -> None:
     locks = locked(tmp_path, platform.node())
-    assert "was killed" in clear_left_lock(tmp_path)
+    assert "was killed" in clear_stale_lock(tmp_path)
     assert not locks.exists()
-    assert clear_left_lock(tmp_path) == ""
+    assert clear_stale_lock(tmp_path) == ""
 
 
 @pytest.mark.parametrize("words", ["snakemake", "-m studiorecon people.fit"])
@@ -48,15 +48,15 @@ def test_a_living_run_s_lock_stays_also_where_only_a_step_lives(words: str, tmp_
     locks = locked(tmp_path, platform.node())
     with subprocess.Popen([sys.executable, "-c", "input()", words], cwd=tmp_path, stdin=subprocess.PIPE) as process:
         time.sleep(0.2)
-        assert clear_left_lock(tmp_path) == ""
+        assert clear_stale_lock(tmp_path) == ""
         assert locks.is_dir()
         process.communicate(b"\n")
-    assert "was killed" in clear_left_lock(tmp_path)
+    assert "was killed" in clear_stale_lock(tmp_path)
 
 
 def test_another_machine_s_lock_stays(tmp_path: Path) -> None:
     locks = locked(tmp_path, "another-machine")
-    assert clear_left_lock(tmp_path) == ""
+    assert clear_stale_lock(tmp_path) == ""
     assert locks.is_dir()
 
 
@@ -67,7 +67,7 @@ def test_dry_runs_elsewhere_do_not_make_another_machine_s_lock_ours(tmp_path: Pa
     )
     later = tmp_path / ".snakemake/log/2100-01-01T000000.000001.snakemake.log"
     later.write_text(f"SNAKEMAKE\n  Host: {platform.node()}\n")
-    assert clear_left_lock(tmp_path) == ""
+    assert clear_stale_lock(tmp_path) == ""
     assert locks.exists()
 
 

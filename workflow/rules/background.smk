@@ -111,7 +111,7 @@ if PLAN.networks.refiner:
         params:
             code=code("background.refined"),
             enhancer=PLAN.networks.refiner,
-            injection=told.recursion(config),
+            injection=step_config.recursion_settings(config),
             flow=config["enhance"]["flow"],
             weights=PLAN.networks.weights,
             device=config["device"],

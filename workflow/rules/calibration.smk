@@ -63,7 +63,7 @@ else:
             read="results/{scene}/calibration/read.json",
             sources=files.all_footage,
             sightings=collect(
-                "results/{scene}/detect/keypoints/{camera}.npz", camera=PLAN.sight.timed, allow_missing=True
+                "results/{scene}/detect/keypoints/{camera}.npz", camera=PLAN.person_sources.timed, allow_missing=True
             ),
         output:
             calibration="results/{scene}/calibration/calibration.json",
@@ -93,7 +93,7 @@ if PLAN.networks.cameras:
             sources=files.all_footage,
             sightings=collect(
                 "results/{scene}/detect/keypoints/{camera}.npz",
-                camera=PLAN.training if set(PLAN.training) <= set(PLAN.sight.watched) else [],
+                camera=PLAN.training if set(PLAN.training) <= set(PLAN.person_sources.watched) else [],
                 allow_missing=True,
             ),
             clocks="results/{scene}/clocks/clocks.json",
@@ -128,9 +128,9 @@ rule calibration_doctor:
         calibration="results/{scene}/calibration/calibration.json",
         sources=files.all_footage,
         sightings=collect(
-            "results/{scene}/detect/keypoints/{camera}.npz", camera=PLAN.sight.checked, allow_missing=True
+            "results/{scene}/detect/keypoints/{camera}.npz", camera=PLAN.person_sources.checked, allow_missing=True
         ),
-        sizes=collect("results/{scene}/detect/keypoints/{camera}.json", camera=PLAN.sight.checked, allow_missing=True),
+        sizes=collect("results/{scene}/detect/keypoints/{camera}.json", camera=PLAN.person_sources.checked, allow_missing=True),
         clocks="results/{scene}/clocks/clocks.json",
         sync="results/{scene}/clocks/sync.json",
     output:

@@ -13,17 +13,17 @@ from studiorecon import code as package_code
 from studiorecon.errors import UserError
 from studiorecon.machine.fault import fault_sentence, keep_trace
 from studiorecon.machine.refusals import refused
-from studiorecon.plan.left_lock import clear_left_lock
+from studiorecon.plan.stale_lock import clear_stale_lock
 from studiorecon.models.catalogue.selection import modules_of
-from studiorecon.plan import told
+from studiorecon.plan import step_config
 from studiorecon.plan.command import command
-from studiorecon.plan.dataset import beside
+from studiorecon.plan.dataset import resolve_path
 from studiorecon.plan.dates import refuse_future
-from studiorecon.plan.decisions import one_of
+from studiorecon.plan.decisions import one_of_pattern
 from studiorecon.plan.rule_files import Files
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.films import unreadable
-from studiorecon.plan.networks import images_of
+from studiorecon.plan.networks import read_images
 from studiorecon.configuration.overlays import check_overlay
 from studiorecon.configuration.schema import mistakes, typed
 from studiorecon.stages import STAGES
@@ -96,7 +96,7 @@ def bought_by_budget():
 
 def take_left_lock():
     """A killed run leaves its lock, which Snakemake would ask for --unlock to take away."""
-    if workflow.is_main_process and not workflow.dryrun and (said := clear_left_lock(Path())):
+    if workflow.is_main_process and not workflow.dryrun and (said := clear_stale_lock(Path())):
         logger.info(said)
 
 
@@ -116,7 +116,7 @@ BUDGET = bought_by_budget()
 PLAN = decided()
 # The logger says where results are; a run with nothing to do names no scene to it.
 os.environ.update(STUDIORECON_SCENE=str(PLAN.scene))
-IMAGES = images_of(config, HOME)
+IMAGES = read_images(config, HOME)
 files = Files(PLAN, config, HOME, local, checkpoints)
 # The container image of that name, that of an upstream network, and the GPUs that a job of it holds.
 image, model_image, gpus = IMAGES.named, IMAGES.of_network, IMAGES.gpus
@@ -138,12 +138,12 @@ TRAINED = {
 
 def settings(step):
     """What one step is told of the configuration, as JSON."""
-    return told.settings(step, config)
+    return step_config.step_settings(step, config)
 
 
 def shot_settings(step, *keys):
     """The same for a step of one shot, with of render.shots this shot alone."""
-    return told.shot_settings(step, config, keys)
+    return step_config.shot_settings(step, config, keys)
 
 
 def code(step):
@@ -172,7 +172,7 @@ def every_core(wildcards):
 def sweep_records(wildcards):
     """The record of every row of the sweep's table, in its order."""
     try:
-        rows = read_rows(Path(beside(config["sweep"], HOME)))
+        rows = read_rows(Path(resolve_path(config["sweep"], HOME)))
     except UserError as refusal:
         refuse(str(refusal))
     return [f"results/{wildcards.scene}/sweep/{wildcards.table}/{row.name}.json" for row in rows]

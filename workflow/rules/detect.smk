@@ -23,12 +23,12 @@ if PLAN.dataset.chapters:
             command("detect.chapters")
 
 
-if PLAN.sight.measured or not PLAN.sight.bodies:
+if PLAN.person_sources.measured or not PLAN.person_sources.bodies:
 
     rule detect_people:
         input:
             source=files.footage,
-            clocks=branch(PLAN.sight.part_used, then="results/{scene}/clocks/clocks.json"),
+            clocks=branch(PLAN.person_sources.part_used, then="results/{scene}/clocks/clocks.json"),
             plate=files.given_plate,
             networks=files.detector,
             second=files.second_network,
@@ -73,7 +73,7 @@ rule detect_keypoints:
         settings=settings("detect.keypoints"),
         code=code("detect.keypoints"),
         layout=PLAN.dataset.keypoint_layout,
-        other_cameras=lambda wildcards: files.others_recorded(wildcards.camera),
+        other_cameras=lambda wildcards: files.keypoints_of_other_cameras(wildcards.camera),
         first_frame=lookup(
             "{camera}", within={c: str(PLAN.dataset.keypoint_first_frame.get(c, "auto")) for c in PLAN.cameras}
         ),

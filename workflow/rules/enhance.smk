@@ -13,7 +13,7 @@ rule enhance_shot:
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
         truth=files.truth_of_replaced,
         edited=files.edited_reference,
-        made=files.film_of_elsewhere,
+        made=files.external_film,
         exposure=files.exposure,
     output:
         video="results/{scene}/enhance/{shot}.mkv",

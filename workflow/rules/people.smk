@@ -93,7 +93,7 @@ if files.corrected:
             "timings/{scene}/people/by_itself/associate.tsv"
 
 
-if PLAN.sight.detected:
+if PLAN.person_sources.detected:
 
     # Who is who before the second look, which nobody's corrections are about.
     use rule people_associate as people_first_associate with:
@@ -138,7 +138,7 @@ if PLAN.sight.detected:
         benchmark:
             "timings/{scene}/people/second_look/{camera}.tsv"
         wildcard_constraints:
-            camera=one_of(PLAN.sight.detected),
+            camera=one_of_pattern(PLAN.person_sources.detected),
         # As for who is who.
         priority: 6
         container:

@@ -39,7 +39,7 @@ rule render_shot:
         # Camera paths that shots follow: an edited path makes its film again.
         followed=files.shot_path,
         # Who stands in for whom: a new file of theirs makes the film again.
-        stand_ins=files.stand_ins,
+        stand_ins=files.replacement_people,
         light=files.room_light,
     output:
         video="results/{scene}/render/{shot}.mkv",
@@ -74,7 +74,7 @@ rule render_layers:
     input:
         path="results/{scene}/render/{shot}.json",
         **TRAINED,
-        stand_ins=files.stand_ins,
+        stand_ins=files.replacement_people,
         light=files.room_light,
     output:
         folder=directory("results/{scene}/render/{shot}.layers"),

@@ -172,7 +172,7 @@ rule report_page:
     params:
         settings=settings("report.page"),
         code=code("report.page"),
-        configuration=told.shown_settings(config),
+        configuration=step_config.report_settings(config),
         budget=json.dumps(BUDGET),
         benchmarks="timings/{scene}",
         logs="logs/{scene}",

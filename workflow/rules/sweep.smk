@@ -4,7 +4,7 @@
 
 rule sweep_row:
     input:
-        table=local(beside(config["sweep"], HOME)),
+        table=local(resolve_path(config["sweep"], HOME)),
         base=base_record,
     output:
         record="results/{scene}/sweep/{table}/{row}.json",

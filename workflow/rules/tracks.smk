@@ -1,7 +1,7 @@
 # Tracks: keypoints of every camera in undistorted working pixels, followed through time: what each camera says by itself.
 
 
-if PLAN.sight.bodies:
+if PLAN.person_sources.bodies:
 
     rule tracks_bodies:
         input:
@@ -16,11 +16,11 @@ if PLAN.sight.bodies:
         benchmark:
             "timings/{scene}/tracks/bodies/{camera}.tsv"
         container:
-            model_image(PLAN.sight.bodies)
+            model_image(PLAN.person_sources.bodies)
         threads: 2
         resources:
             mem_mb=8000,
-            gpu=gpus(PLAN.sight.bodies),
+            gpu=gpus(PLAN.person_sources.bodies),
         params:
             settings=settings("tracks.bodies"),
             code=code("tracks.bodies"),

@@ -146,7 +146,7 @@ def _upright(face: Face) -> bool:
     return bool(abs(face.normal[2]) < 0.5)
 
 
-def seen_from(camera: Camera, painted: Sequence[Painted]) -> Float[np.ndarray, "H W 3"]:
+def draw_faces(camera: Camera, painted: Sequence[Painted]) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) float64: the painted, empty room from a camera; black where no face is in view."""
     rays = camera.unproject(camera.pixel_centres(), np.ones(camera.hw)) - camera.centre_m
     nearest, rgb = np.full(camera.hw, np.inf), np.zeros((*camera.hw, 3))

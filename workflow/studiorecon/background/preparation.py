@@ -187,7 +187,7 @@ def view_targets(
         if painted and hole.any():
             apart = cv2.distanceTransform(hole.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
             rim = np.exp(-apart / (_RIM_SHARE * hole.shape[1]))[hole, None]
-            picture[hole] = rim * picture[hole] + (1 - rim) * hole_filling.seen_from(step.camera, painted)[hole]
+            picture[hole] = rim * picture[hole] + (1 - rim) * hole_filling.draw_faces(step.camera, painted)[hole]
         targets.append(Target(step.camera, picture, support_weight(support, settings.hole_weight) * np.float32(weight)))
     return targets
 

@@ -45,7 +45,7 @@ class Refinement:
         minimum=0,
         maximum=10000,
         paper="240 poses interpolated between the synthesized ones, repaired by the recursive module, appendix C; U53",
-        letter=240,
+        paper_value=240,
     )
     at: float = 0.5
     height: float = 0.15

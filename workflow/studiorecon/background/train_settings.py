@@ -19,7 +19,7 @@ class Settings:
         "depth",
         "Where Gaussians start: depth = discs on the training cameras' depth; random = anywhere, the 4-view baseline.",
         paper="on Pi3's points",
-        letter="depth",
+        paper_value="depth",
     )
     random_count: int = 56000
     random_size_m: float = 0.06
@@ -32,7 +32,7 @@ class Settings:
         "Image that a training camera contributes: plates = its clean plate; first_frames = its first picture "
         "without people and dilation_px around them.",
         paper="the first frames, (1 - M), Eq. 5",
-        letter="first_frames",
+        paper_value="first_frames",
     )
     dilation_px: int = setting(
         21,
@@ -41,14 +41,14 @@ class Settings:
         minimum=1,
         odd=True,
         paper="21, appendix A; U24",
-        letter=21,
+        paper_value=21,
     )
     fill: bool = setting(
         True,
         "Cover the parts of floor, walls and ceiling that no camera sees with discs painted from their surroundings "
         "(marked invented).",
         paper="none, appendix C",
-        letter=False,
+        paper_value=False,
     )
     fill_step_m: float = setting(
         0.04,
@@ -64,23 +64,28 @@ class Settings:
         minimum=0,
         below=1,
         paper="all of them, photos replace the frames at their own poses; U16",
-        letter=0.99,
+        paper_value=0.99,
     )
     hole_weight: float = setting(
-        0.3, "Weight of pixels of synthesized views that were inpainted.", minimum=0, maximum=1, paper="1", letter=1.0
+        0.3,
+        "Weight of pixels of synthesized views that were inpainted.",
+        minimum=0,
+        maximum=1,
+        paper="1",
+        paper_value=1.0,
     )
     plate_boost: float = setting(
         2.0,
         "What pixels of photos weigh more than those of synthesized views; views near a photo share it.",
         minimum=0,
         paper="λ_gt 2, appendix C",
-        letter=2.0,
+        paper_value=2.0,
     )
     sh_cap: bool = setting(
         True,
         "Lower training.sh_degree to what the real cameras can resolve: degree d needs (d + 1)² directions (G15).",
         paper="no limit",
-        letter=False,
+        paper_value=False,
     )
     seed: int = setting(0, "Seed of all draws.", minimum=0)
     refinement: Refinement = setting(Refinement(), "Iterative refinement, half-way.")

@@ -16,7 +16,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.calibration.given_lenses import ideal, lenses_of_cameras, posed, straight
 from studiorecon.calibration.room_pictures import edges_of, rooms_of, without_distortion
 from studiorecon.errors import UserError
-from studiorecon.footage.told_lens import told_focal_px
+from studiorecon.footage.lens_metadata import focal_px_from_metadata
 from studiorecon.geometry.bundle import Adjusted, LensPrior
 from studiorecon.geometry.lens import mapped_lens
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
@@ -256,7 +256,7 @@ def _told_by_files(cameras: Sequence[str], sources: Sequence[Path], size: Mappin
     for camera, source in zip(cameras, sources):
         pictures = pictures_in(source) if source.is_dir() else []
         path = pictures[0] if pictures else source
-        if camera in size and path.is_file() and (focal := told_focal_px(path, size[camera])):
+        if camera in size and path.is_file() and (focal := focal_px_from_metadata(path, size[camera])):
             found[camera] = focal
     return found
 

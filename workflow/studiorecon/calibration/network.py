@@ -54,7 +54,7 @@ class Settings:
         "Where cameras come from: files, people (keypoints alone), a network that looks at the first frames, "
         "or auto = files if there are any, else people.",
         paper="Pi3, section on view synthesis",
-        letter="pi3",
+        paper_value="pi3",
     )
     limits: Limits = Limits()
 

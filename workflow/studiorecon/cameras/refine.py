@@ -70,7 +70,7 @@ class Settings(AgreementLimits, CalibrationPrior):
         True,
         "Refine the camera poses on people's keypoints, kept only where it clearly helps.",
         paper="not done; its cameras are uncalibrated",
-        letter=False,
+        paper_value=False,
     )
     frames: int = 96
     min_gain: float = 0.1

@@ -42,7 +42,7 @@ class Settings(PictureRate):
         minimum=0,
         maximum=16384,
         paper="1280×704, appendix Implementation",
-        letter=1280,
+        paper_value=1280,
     )
 
 

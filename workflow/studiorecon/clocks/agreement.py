@@ -63,7 +63,7 @@ class ClockVerdict:
     reason: str = ""
 
 
-def reference_of(pairs: Mapping[str, Sequence[Pair]], cameras: int) -> int:
+def choose_reference(pairs: Mapping[str, Sequence[Pair]], cameras: int) -> int:
     """The camera that most pairs speak of; the first of several."""
     heard = np.zeros(cameras, int)
     for pair in (p for found in pairs.values() for p in found):
@@ -71,7 +71,7 @@ def reference_of(pairs: Mapping[str, Sequence[Pair]], cameras: int) -> int:
     return int(np.argmax(heard))
 
 
-def solved(
+def solve_offsets(
     method: str, pairs: Sequence[Pair], cameras: int, reference: int, systematic_s: float
 ) -> list[Proposal | None]:
     """One proposal per camera, None where no chain of pairs leads to the reference; weighted least squares over all
@@ -117,7 +117,9 @@ def contradict(one: Proposal, other: Proposal) -> bool:
     return abs(one.offset_s - other.offset_s) > one.half_s + other.half_s
 
 
-def contradicted(weaker: Sequence[Proposal | None], stronger: Sequence[Sequence[Proposal | None]]) -> tuple[int, int]:
+def count_contradictions(
+    weaker: Sequence[Proposal | None], stronger: Sequence[Sequence[Proposal | None]]
+) -> tuple[int, int]:
     """In how many cameras a weaker method contradicts a stronger one, and in how many both say something that is not
     said of the reference anyway (where a proposal is exactly 0 by definition, all agree)."""
     both = [
@@ -129,7 +131,9 @@ def contradicted(weaker: Sequence[Proposal | None], stronger: Sequence[Sequence[
     return sum(any(contradict(own, o) for o in others if o) for own, others in told), len(told)
 
 
-def judged(proposals: Sequence[Proposal], fps: float, seconds: float, triggered: bool = True) -> ClockVerdict:
+def combine_proposals(
+    proposals: Sequence[Proposal], fps: float, seconds: float, triggered: bool = True
+) -> ClockVerdict:
     """The narrowest proposal if all agree within their intervals; in step where it does not exclude that the camera is
     as filmed. Where cameras were not ``triggered`` together nothing speaks for that beforehand: then what was found
     counts, however little it is."""

@@ -45,16 +45,16 @@ _STEPS = 10
 
 
 @dataclass(frozen=True)
-class Late:
+class RigOffsets:
     """By how many seconds the cameras' clocks are to be set later (V,), and one standard deviation; NaN: not known."""
 
     seconds: Float[np.ndarray, " V"]
     sigma_s: Float[np.ndarray, " V"]
 
 
-def late_against_others(
+def offsets_vs_rig(
     clocks: Sequence[Clock], seen: Sequence[Detections], lenses: Mapping[str, tuple[Lens, tuple[int, int]]]
-) -> Late | None:
+) -> RigOffsets | None:
     """How late cameras are by the clocks as they are set, of those with a calibrated lens (and the size of their
     footage) and detections (by source frames).
 
@@ -88,7 +88,7 @@ def late_against_others(
         return None
     seconds, sigma = np.full((2, len(clocks)), np.nan)
     seconds[index], sigma[index] = np.where(sure, last.added_s, np.nan), np.where(sure, last.sigma_s, np.nan)
-    return Late(seconds, sigma)
+    return RigOffsets(seconds, sigma)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.clocks.people_lag import PeopleLag, lag_of
+from studiorecon.clocks.people_lag import PeopleLag, track_lag
 from studiorecon.geometry.lens import calibration_from_video_pixels, normalised_from_calibration
 from studiorecon.geometry.rotations import cross_matrix
 from studiorecon.scene.camera import Lens
@@ -81,13 +81,13 @@ def straightened(seen: Detections, lens: Lens, wh: tuple[int, int]) -> Detection
 def calibrated_lag(
     first: Float[np.ndarray, "T J 3"], second: Float[np.ndarray, "t J 3"], rate: float, pair: CalibratedPair
 ) -> PeopleLag | None:
-    """The lag of two tracks (T, J, 3) and (T', J, 3) of rays, NaN where missing, as ``people_lag.lag_of`` gives it;
+    """The lag of two tracks (T, J, 3) and (T', J, 3) of rays, NaN where missing, as ``people_lag.track_lag`` gives it;
     None where no lag stands out, or rays miss each other at the best one too.
 
     Its deviation counts in what a calibration that is off would be taken for, by 3 cm or as much as joints miss by
     all the time: nothing where people go to and fro.
     """
-    found = lag_of(first, second, rate, pair.essential)
+    found = track_lag(first, second, rate, pair.essential)
     if found is None:
         return None
     at = round(found.rows)

@@ -157,6 +157,6 @@ def _unknown(reason: str, correlation: float = 0.0) -> Lag:
     return Lag(0.0, np.inf, correlation, False, reason)
 
 
-def energy_of(source: FootageSource) -> Float[np.ndarray, " T"]:
+def read_motion_energy(source: FootageSource) -> Float[np.ndarray, " T"]:
     """``motion_energy`` of some footage, as far as it can be read."""
     return motion_energy(small_grey(source, _WIDTH, round(_SEEN_S * source.fps)))

@@ -19,13 +19,22 @@ import numpy as np
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.clocks import motion_clock as sync
 from studiorecon.clocks import sound
-from studiorecon.clocks.agreement import HALF, ClockVerdict, Pair, Proposal, contradicted, judged, reference_of, solved
-from studiorecon.clocks.all_cameras import late_against_others
+from studiorecon.clocks.agreement import (
+    HALF,
+    ClockVerdict,
+    Pair,
+    Proposal,
+    choose_reference,
+    combine_proposals,
+    count_contradictions,
+    solve_offsets,
+)
+from studiorecon.clocks.all_cameras import offsets_vs_rig
 from studiorecon.clocks.people_clock import Lenses, people_pair
-from studiorecon.clocks.timeline import Timeline, clock_of, common_moments, timeline_of
+from studiorecon.clocks.timeline import Timeline, clock_as_filmed, common_moments, read_timeline
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.footage.alike import one_film_twice
+from studiorecon.footage.duplicate_films import duplicate_film_note
 from studiorecon.footage.sound_track import sound_of
 from studiorecon.footage.source import FootageSource, PictureRate, open_source, uneven
 from studiorecon.progress import progress, say, warn
@@ -112,7 +121,7 @@ def _on_a_grid(energy: np.ndarray, clock: Clock, rate: float) -> np.ndarray:
     return np.interp(np.arange(0.5 / rate, own[-1], 1 / rate), middles, per_second)
 
 
-def described(
+def clock_sentence(
     camera: str,
     verdict: ClockVerdict,
     proposals: Sequence[Proposal],
@@ -147,7 +156,7 @@ def _signed(seconds: float) -> str:
     return f"{'+' if seconds >= 0 else '−'}{abs(seconds):.3f}"
 
 
-def found_clocks(
+def estimate_clocks(
     cameras: Sequence[str],
     sources: Sequence[FootageSource | None],
     lines: Sequence[Timeline],
@@ -157,7 +166,7 @@ def found_clocks(
 ) -> tuple[list[ClockVerdict], list[dict[str, Any]], int]:
     """A verdict and everything behind it for every camera, and which one is the reference; ``lenses`` of a given
     calibration, if there is one."""
-    clocks = [clock_of(c, line) for c, line in zip(cameras, lines)]
+    clocks = [clock_as_filmed(c, line) for c, line in zip(cameras, lines)]
     rate = float(np.median([c.fps for c in clocks]))
     count = len(cameras)
     pairs: dict[str, list[Pair]] = {}
@@ -169,32 +178,36 @@ def found_clocks(
     pairs["people"], why["people"] = people_pair(seen, clocks, rate, sized)
     told = [sum(any(c in (p.first, p.second) for p in pairs[m]) for m in pairs) for c in range(count)]
     if min(told) < 2:
-        energies = [sync.energy_of(s) if s else np.zeros(0) for s in progress(sources, "motion")]
+        energies = [sync.read_motion_energy(s) if s else np.zeros(0) for s in progress(sources, "motion")]
         pairs["motion"], why["motion"] = motion_pairs(energies, clocks, rate)
     reference, proposed = _proposed(pairs, count)
     # How much moves in a picture depends on where one looks from: who walks in a circle is nearest to one camera after
     # the other. Where people or sound prove that of most cameras, motion says nothing of the others.
-    wrong, both = contradicted(proposed.get("motion", []), [p for m, p in proposed.items() if m != "motion"])
+    wrong, both = count_contradictions(proposed.get("motion", []), [p for m, p in proposed.items() if m != "motion"])
     if wrong >= _PROOFS and 2 * wrong > both:
         told_wrong = f"it contradicts people or sound in {wrong} of {both} cameras, so it counts in none"
         pairs["motion"], why["motion"] = [], dict.fromkeys(range(count), told_wrong)
         reference, proposed = _proposed(pairs, count)
     # Where one method leads halfway and another the rest of the way.
-    together = solved("several", [p for found in pairs.values() for p in found], count, reference, _TRAVEL_S)
+    together = solve_offsets("several", [p for found in pairs.values() for p in found], count, reference, _TRAVEL_S)
     verdicts, findings = [], []
     owns = [
         [p for p in (proposed[m][c] for m in pairs) if p is not None] or [p for p in (together[c],) if p is not None]
         for c in range(count)
     ]
-    owns = once_all_are_asked(owns, reference, clocks, seen, sized)
+    owns = joint_refinement(owns, reference, clocks, seen, sized)
     # One that was clearly not started with the others: nothing triggered them all.
     triggered = not any(
-        judged(own, rate, clocks[c].own_s[-1]).kind == "found" for c, own in enumerate(owns) if c != reference
+        combine_proposals(own, rate, clocks[c].own_s[-1]).kind == "found"
+        for c, own in enumerate(owns)
+        if c != reference
     )
     for c, camera in enumerate(cameras):
         own = owns[c]
         verdict = (
-            ClockVerdict("reference", 0.0, 0.0) if c == reference else judged(own, rate, clocks[c].own_s[-1], triggered)
+            ClockVerdict("reference", 0.0, 0.0)
+            if c == reference
+            else combine_proposals(own, rate, clocks[c].own_s[-1], triggered)
         )
         reasons = {
             m: why[m].get(c, "nothing links it with the reference camera") for m in pairs if proposed[m][c] is None
@@ -202,7 +215,7 @@ def found_clocks(
         sentence = (
             f"{camera}: the others are compared with it"
             if c == reference
-            else described(camera, verdict, own, reasons, cameras[reference], rate)
+            else clock_sentence(camera, verdict, own, reasons, cameras[reference], rate)
         )
         verdicts.append(verdict)
         findings.append(
@@ -217,7 +230,7 @@ def found_clocks(
     return verdicts, findings, reference
 
 
-def once_all_are_asked(
+def joint_refinement(
     owns: Sequence[list[Proposal]], reference: int, clocks: Sequence[Clock], seen: Sequence[Detections], lenses: Lenses
 ) -> list[list[Proposal]]:
     """The proposals of every camera; where all cameras of ``lenses`` together tell more, that in place of what people
@@ -227,7 +240,7 @@ def once_all_are_asked(
     if all((p := best[c]) is not None and p.half_s <= _SHARP_S for c in unsure):
         return list(owns)
     set_so = [replace(c, offset_s=p.offset_s, drift_ppm=p.drift_ppm) if p else c for c, p in zip(clocks, best)]
-    late = late_against_others(set_so, seen, lenses)
+    late = offsets_vs_rig(set_so, seen, lenses)
     if late is None:
         return list(owns)
     asked = []
@@ -244,9 +257,11 @@ def once_all_are_asked(
 
 def _proposed(pairs: Mapping[str, Sequence[Pair]], count: int) -> tuple[int, dict[str, list[Proposal | None]]]:
     """The reference camera, and what every method says of every camera."""
-    reference = reference_of(pairs, count)
+    reference = choose_reference(pairs, count)
     systematic_s = {"sound": _TRAVEL_S}
-    return reference, {m: solved(m, found, count, reference, systematic_s.get(m, 0.0)) for m, found in pairs.items()}
+    return reference, {
+        m: solve_offsets(m, found, count, reference, systematic_s.get(m, 0.0)) for m, found in pairs.items()
+    }
 
 
 def lengths_differ(
@@ -292,7 +307,7 @@ def run(
     more.
     """
     opened, lines = _opened(sources, settings.picture_fps)
-    made = [clock_of(c, line) for c, line in zip(cameras, lines)]
+    made = [clock_as_filmed(c, line) for c, line in zip(cameras, lines)]
     for clock, source in zip(made, sources):
         if clock.times_s:
             say(
@@ -303,7 +318,7 @@ def run(
     given: Mapping[str, float] = json.loads(starts)
     if settings.sync != "never" and len(cameras) > 1:
         lenses = read_lenses(calibration[0]) if calibration else {}
-        verdicts, found, reference = found_clocks(cameras, opened, lines, sources, sightings, lenses)
+        verdicts, found, reference = estimate_clocks(cameras, opened, lines, sources, sightings, lenses)
         # Cameras that were not started together: then it matters that one more of them is not known.
         apart = any(f["kind"] == "found" for f in found)
         for f in found:
@@ -320,7 +335,7 @@ def run(
         unsure = found if settings.sync == "auto" else [{"camera": c, "kind": "undetermined"} for c in cameras]
         names, promised = [f"{s.parent.name}/{s.name}" for s in sources], [s.announced for s in opened if s]
         common = replace(common, refusal=lengths_differ(made, names, unsure, promised))
-    twice = one_film_twice({camera: source for camera, source in zip(cameras, opened) if source is not None})
+    twice = duplicate_film_note({camera: source for camera, source in zip(cameras, opened) if source is not None})
     common = replace(common, refusal=twice or common.refusal)
     write_json(findings, {"sync": settings.sync, "given": dict(given), "cameras": found})
     write_clocks(clocks, common)
@@ -340,7 +355,7 @@ def _opened(sources: Sequence[Path], picture_fps: float) -> tuple[list[FootageSo
         try:
             source = open_source(path, picture_fps)
             opened.append(source)
-            lines.append(timeline_of(source))
+            lines.append(read_timeline(source))
         except UserError as refusal:
             warn(str(refusal))
             opened[len(lines) :] = [None]

@@ -11,7 +11,7 @@ import numpy as np
 
 from studiorecon.clocks.agreement import Pair
 from studiorecon.clocks.calibrated_lag import CalibratedPair, calibrated_lag, straightened
-from studiorecon.clocks.people_lag import Meeting, PeopleLag, lag_of, lag_of_all
+from studiorecon.clocks.people_lag import Meeting, PeopleLag, joint_lag, track_lag
 from studiorecon.keypoints.correspondence import stable_detections
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.clocks import Clock
@@ -68,7 +68,7 @@ def people_pair(
             (first, second, begin_b - begin_a)
             for (begin_a, first), (begin_b, second) in itertools.product(tracks[a], tracks[b])
         ]
-        lags = [lag_of(first, second, rate) for first, second, _ in met]
+        lags = [track_lag(first, second, rate) for first, second, _ in met]
         found = [(lag.rows + later, lag) for lag, (*_, later) in zip(lags, met) if lag is not None]
         agreed = _together(_agreed(found, _MIN_BODY_S * _JOINTS * rate), lags, met)
         if lenses and a in rays and b in rays:
@@ -94,7 +94,7 @@ def _together(
         for lag, (*_, later) in zip(lags, met)
     ]
     mine, others = [m for m, a in zip(met, agree) if a], [m for m, a in zip(met, agree) if not a]
-    lag = lag_of_all(mine, others, round(rows)) if mine else None
+    lag = joint_lag(mine, others, round(rows)) if mine else None
     if lag is None or abs(lag.rows - rows) > _near(lag.sigma_rows, sigma):
         return agreed
     return lag.rows, max(lag.sigma_rows, _FLOOR_FRAMES)

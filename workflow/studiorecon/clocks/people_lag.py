@@ -52,7 +52,7 @@ class PeopleLag:
     points: int
 
 
-def lag_of(
+def track_lag(
     first: Float[np.ndarray, "T J 3"],
     second: Float[np.ndarray, "t J 3"],
     rate: float,
@@ -103,7 +103,7 @@ def _refined(a: np.ndarray, b: np.ndarray, start: int, known: np.ndarray | None,
     return None if met is None else _between_frames(*met, start, known, ratio)
 
 
-def lag_of_all(tracks: Sequence[Meeting], others: Sequence[Meeting], lag: int) -> PeopleLag | None:
+def joint_lag(tracks: Sequence[Meeting], others: Sequence[Meeting], lag: int) -> PeopleLag | None:
     """The lag between frames of several pairs of tracks under one epipolar geometry: what everybody whom two cameras
     share shows leaves it less freedom than one track does.
 

@@ -46,7 +46,7 @@ _SEARCHED_S = 600.0
 
 
 @dataclass(frozen=True)
-class Heard:
+class SoundLag:
     """What comparing two sound tracks says: how much later the first one's file hears, and by how much its clock runs
     faster.
 
@@ -81,8 +81,8 @@ def onsets(samples: Float[np.ndarray, " N"]) -> Float[np.ndarray, "bands T"]:
     return np.array(found)
 
 
-def compare(first: Float[np.ndarray, " N"], second: Float[np.ndarray, " M"]) -> Heard:
-    """``Heard`` of two sound tracks of ``sound_of``, from time 0 of their files on."""
+def compare(first: Float[np.ndarray, " N"], second: Float[np.ndarray, " M"]) -> SoundLag:
+    """``SoundLag`` of two sound tracks of ``sound_of``, from time 0 of their files on."""
     shorter = min(len(first), len(second)) / RATE_HZ
     if shorter < _MIN_OVERLAP_S:
         return _nothing(f"{shorter:.1f} s of sound are too short")
@@ -129,7 +129,7 @@ def _coarse(first: np.ndarray, second: np.ndarray) -> list[float]:
     return found
 
 
-def _fine(first: np.ndarray, second: np.ndarray, lag_s: float) -> tuple[float, float, Heard]:
+def _fine(first: np.ndarray, second: np.ndarray, lag_s: float) -> tuple[float, float, SoundLag]:
     """The peak's height over the scatter, its ratio to the next peak, and what it says, within ``_REACH_S`` of
     ``lag_s``."""
     shift = round(lag_s * RATE_HZ)
@@ -160,7 +160,7 @@ def _fine(first: np.ndarray, second: np.ndarray, lag_s: float) -> tuple[float, f
     return (
         z,
         float(summed[row, best]) / max(second_best, scatter),
-        Heard(offset, heard.sigma_s, heard.drift_ppm, heard.drift_sigma_ppm, True, "", middle + begin),
+        SoundLag(offset, heard.sigma_s, heard.drift_ppm, heard.drift_sigma_ppm, True, "", middle + begin),
     )
 
 
@@ -191,7 +191,7 @@ def _windows(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 
 def _settled(
     times: np.ndarray, correlation: np.ndarray, weight: np.ndarray, best: int, ppm: float, step: float
-) -> Heard:
+) -> SoundLag:
     """Lag at the windows' middle, counted from the first column, and drift, from the windows' own peaks about the
     common one."""
     near = round(0.002 / step)
@@ -224,8 +224,8 @@ def _settled(
     # Neighbouring windows share half of what they hear: together they count as one.
     scatter = 2 * inverse @ (columns.T @ (((w * rest) ** 2)[:, None] * columns)) @ inverse
     sigma = np.sqrt(np.diag(scatter) + np.diag(inverse) * _LAG_NOISE_S**2)
-    return Heard(float(solution[0]), float(sigma[0]), 1e6 * float(solution[1]), 1e6 * float(sigma[1]), True)
+    return SoundLag(float(solution[0]), float(sigma[0]), 1e6 * float(solution[1]), 1e6 * float(sigma[1]), True)
 
 
-def _nothing(reason: str) -> Heard:
-    return Heard(0.0, np.inf, 0.0, np.inf, False, reason)
+def _nothing(reason: str) -> SoundLag:
+    return SoundLag(0.0, np.inf, 0.0, np.inf, False, reason)

@@ -33,7 +33,7 @@ class Timeline:
     times_s: tuple[float, ...] = ()
 
 
-def timeline_of(source: FootageSource) -> Timeline:
+def read_timeline(source: FootageSource) -> Timeline:
     """The times of ``source``, without those that its rate says as well."""
     if not source.times_s:
         return Timeline(source.fps, source.frames, 0.0)
@@ -42,7 +42,7 @@ def timeline_of(source: FootageSource) -> Timeline:
     return Timeline(source.fps, source.frames, source.times_s[0], () if even else tuple(own.tolist()))
 
 
-def clock_of(camera: str, line: Timeline) -> Clock:
+def clock_as_filmed(camera: str, line: Timeline) -> Clock:
     """The camera as filmed: its first frame is at 0."""
     return Clock(camera, line.fps, line.frames, line.times_s)
 

@@ -30,7 +30,7 @@ class General:
         "resources/body.npz",
         "The body model: the bundled one, or an SMPL .npz or .pkl of your own (same joints, its own shape space).",
         paper="SMPL, section on human pose estimation; its file is behind a registration",
-        letter="resources/weights/smpl/SMPL_NEUTRAL.pkl",
+        paper_value="resources/weights/smpl/SMPL_NEUTRAL.pkl",
     )
     device: Literal["auto", "cpu", "cuda"] = setting(
         "auto", "What draws and trains Gaussians; auto = a CUDA device where gsplat is installed, else the CPU."

@@ -28,7 +28,8 @@ class Described:
         minimum, maximum: least and greatest value, or of every entry of a list.
         above, below: the same, themselves excluded.
         paper: the paper's value and where it stands, and the reading (U04) of an ambiguous passage.
-        letter: the value that is the paper's word; None = there is none, and ``configuration.letter`` says why.
+        paper_value: the value that is the paper's word; None = there is none, and ``configuration.paper_settings`` says
+            why.
         odd: only odd numbers.
         choices: the values a text may have, where its type does not name them.
         shape: JSON schema that says what the type cannot.
@@ -41,7 +42,7 @@ class Described:
     maximum: float | None = None
     below: float | None = None
     paper: str = ""
-    letter: Any = None
+    paper_value: Any = None
     odd: bool = False
     choices: tuple[str, ...] = ()
     shape: Mapping[str, Any] | None = None

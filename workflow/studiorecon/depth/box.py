@@ -16,8 +16,8 @@ import numpy as np
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout import box as room
-from studiorecon.depth.layout import uprights
-from studiorecon.depth.layout.platform import Raised, platform_of
+from studiorecon.depth.layout import ground_contacts
+from studiorecon.depth.layout.platform import Raised, fit_platform
 from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
@@ -140,11 +140,13 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     swept = read_sweeps(sweeps, len(cameras))
     pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
     fitted = fit_room_box(pictures, swept.votes, swept.yaw_rad, swept.floor_m, settings)
-    raised = platform_of(pictures, fitted.axes, float(fitted.low_m[2]), _matching(settings))
+    raised = fit_platform(pictures, fitted.axes, float(fitted.low_m[2]), _matching(settings))
     if raised is not None:
         fitted = _on_lower_floor(fitted, raised, pictures, settings)
-    feet = uprights.feet(cameras, [make_room_picture(plate) for plate in plates], float(fitted.low_m[2]))
-    fitted, uprights_at = uprights.with_walls(fitted, feet, cameras)
+    feet = ground_contacts.find_ground_contacts(
+        cameras, [make_room_picture(plate) for plate in plates], float(fitted.low_m[2])
+    )
+    fitted, uprights_at = ground_contacts.place_default_walls(fitted, feet, cameras)
     for index, (name, face) in enumerate(zip(FACES, fitted.faces)):
         if fitted.fitted[index]:
             why = f" (correlation {fitted.score[index]:.2f})"

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from studiorecon.depth.layout.furniture import allowed
+from studiorecon.depth.layout.primitive_fitting import is_allowed
 from studiorecon.depth.layout.primitives import Primitive, in_front
-from studiorecon.depth.layout.visibility import kept_from
+from studiorecon.depth.layout.visibility import with_distance
 from studiorecon.depth.stereo.passes import PassSettings, explain, plane_depths, plane_scores
-from studiorecon.depth.stereo.photo_cost import Explained
+from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
@@ -32,8 +32,8 @@ def run(kernels: Written) -> None:
     low_m = np.array([-_HALF_ROOM_M, -_HALF_ROOM_M, 0.0])
     bare = RoomBox(0.0, low_m, np.array([_HALF_ROOM_M, _HALF_ROOM_M, _HEIGHT_M]), np.ones(6, bool), np.full(6, np.nan))
     primitive = np.array([0, 0, 0, 0, 0.5, 0.5, 0, 1.0])
-    room = Explained.by_room_box(pictures, bare, settings.refine_window, settings.mean_weight)
-    allowed(primitive[None], bare, kept_from(room.centre, 0.0))
+    room = PhotoCostVolume.by_room_box(pictures, bare, settings.refine_window, settings.mean_weight)
+    is_allowed(primitive[None], bare, with_distance(room.centre, 0.0))
     room.gains(primitive[None])
     room.add(primitive)
     starts = [bare.intersect(*p.camera.rays())[0].astype(np.float32) for p in pictures]

@@ -46,7 +46,7 @@ class Settings:
         "Source of the final depth: embedded (planes), a network aligned to the planes' scale, or precomputed files "
         "of a network's depth in any unit.",
         paper="Pi3, then MoGe; U21",
-        letter="moge",
+        paper_value="moge",
     )
     reference: Literal["planes", "calibration"] = setting(
         "planes",
@@ -54,7 +54,7 @@ class Settings:
         "calibration = the network of calibration.source: its depth of the first frame is used unchanged, people "
         "included; depth.source then serves later frames only.",
         paper="Pi3's first-frame depth where its confidence is above 0.1; MoGe's later frames aligned to it; U21, U22",
-        letter="calibration",
+        paper_value="calibration",
     )
 
 

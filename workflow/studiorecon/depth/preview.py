@@ -42,7 +42,7 @@ class Settings(FirstLook):
     """The size of the film."""
 
 
-def room_of(pictures: Sequence[Picture], depths_m: Sequence[Float[np.ndarray, "H W"]]) -> Gaussians:
+def discs_from_depths(pictures: Sequence[Picture], depths_m: Sequence[Float[np.ndarray, "H W"]]) -> Gaussians:
     """A disc for every pixel of the picture that shows its surface finest; ``depths_m`` (H, W) of each picture."""
     known = [p.known & (depth_m > 0) for p, depth_m in zip(pictures, depths_m)]
     wanted = finest([p.camera for p in pictures], depths_m, known)
@@ -54,7 +54,7 @@ def room_of(pictures: Sequence[Picture], depths_m: Sequence[Float[np.ndarray, "H
     )
 
 
-def path_of(cameras: Sequence[Camera]) -> list[Camera]:
+def preview_path(cameras: Sequence[Camera]) -> list[Camera]:
     """Once around past every camera; there and back where they stand in an arc. A single camera stays. All pictures
     have the size of the first camera's, and one lens: the middle one of the cameras'."""
     wh = cameras[0].wh
@@ -91,6 +91,6 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     swept, fitted = read_sweeps(sweeps, len(cameras)), read_room(box)
     pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
     depths_m = swept.votes.inside(pictures, fitted).depths_m(pictures, fitted)
-    room, path = room_of(pictures, depths_m), path_of([p.camera for p in pictures])
+    room, path = discs_from_depths(pictures, depths_m), preview_path([p.camera for p in pictures])
     write_watchable(film, drawn(room, path), _FPS)
     say(f"preview of the room without people: {film} ({len(path)} pictures of {room.count} Gaussians, untrained)")

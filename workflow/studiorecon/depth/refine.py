@@ -19,9 +19,9 @@ from numba import njit
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout.primitives import Primitive, in_front, read_primitives
-from studiorecon.depth.stereo.free_space import back_to_room_box
+from studiorecon.depth.stereo.free_space import snap_to_room_box
 from studiorecon.depth.stereo.passes import Labelled, PassSettings, explain, plane_depths, plane_scores
-from studiorecon.depth.stereo.photo_cost import Explained
+from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
 from studiorecon.depth.sweep_settings import Assumed
 from studiorecon.errors import UserError
@@ -132,7 +132,7 @@ def at_full_size(
     W)."""
     source = carry(labelled.plane, small.rgb, rgb)
     plane = planes[labelled.plane.ravel()[source]]
-    depth_m = replace(small, camera=camera).depth_of(plane)
+    depth_m = replace(small, camera=camera).plane_depths_of_pixels(plane)
     # A plane that is grazed can run off just beyond the pixel it was found at: never further than its neighbours' depth
     # allows.
     found = labelled.depth_m.ravel()[source]
@@ -158,7 +158,7 @@ def final_pass(
     return explain(picture, room_box.planes, depths, scores, seen, settings)
 
 
-def furnished(
+def draw_primitives(
     camera: Camera,
     index: int,
     pictures: list[Picture],
@@ -177,7 +177,7 @@ def furnished(
     depth_m, shown = in_front(primitives, camera, depth_m)
     if not shown.any():
         return depth_m, certain, shown
-    room = Explained.by_room_box(pictures, room_box, settings.refine_window, settings.mean_weight)
+    room = PhotoCostVolume.by_room_box(pictures, room_box, settings.refine_window, settings.mean_weight)
     room.replace_all(np.array([primitive.numbers for primitive in primitives]))
     small = Labelled(
         *(
@@ -214,7 +214,7 @@ def run(
     pictures = equalised(read_pictures(cameras, plates, settings.refine_width), gains)
     labelled = final_pass(cameras, pictures, index, room, agreed, settings)
     others = [(c.resized(a.shape[::-1]), a) for i, (c, a) in enumerate(zip(cameras, agreed)) if i != index]
-    labelled, floating = back_to_room_box(labelled, pictures[index].camera, room, others)
+    labelled, floating = snap_to_room_box(labelled, pictures[index].camera, room, others)
     say(
         f"{floating:.1%} of {camera} would float: other cameras see through it, or none agrees; moved to the walls and "
         "floor"
@@ -225,7 +225,7 @@ def run(
     )
     certainty = confidence(labelled, room.fitted, settings.default_confidence).ravel()[source]
     say(f"{(~labelled.judged).mean():.0%} of {camera} rests on the default: no other camera sees the surface there")
-    depth_m, certainty, shown = furnished(
+    depth_m, certainty, shown = draw_primitives(
         cameras[index],
         index,
         pictures,

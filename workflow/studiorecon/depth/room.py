@@ -16,10 +16,10 @@ import numpy as np
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
-from studiorecon.depth.layout.furniture import furnish
+from studiorecon.depth.layout.primitive_fitting import fit_primitives
 from studiorecon.depth.layout.primitives import Primitive, in_front, write_primitives
 from studiorecon.depth.layout.primitives_picture import sheet
-from studiorecon.depth.layout.visibility import seen_through, walked
+from studiorecon.depth.layout.visibility import free_ray_points, joint_places
 from studiorecon.depth.layout.votes import read_sweeps
 from studiorecon.depth.stereo.passes import PassSettings, explain, plane_depths, plane_scores
 from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures, surface_gains
@@ -46,7 +46,7 @@ class Settings(PassSettings, FirstLook):
         minimum=0,
         maximum=1000,
         paper="none; its depth is a network's",
-        letter=0,
+        paper_value=0,
     )
     primitives_width: int = 160
     primitives_gain: float = 40.0
@@ -105,10 +105,13 @@ def run(
         small = equalised(read_pictures(cameras, plates, settings.primitives_width), swept.gains)
         bodies, whose = [read_person(path) for path in fits], read_identities(identities[0]) if identities else {}
         free_m = np.concatenate(
-            [walked(bodies), seen_through(cameras, bodies, [read_detections(path) for path in detections], whose)]
+            [
+                joint_places(bodies),
+                free_ray_points(cameras, bodies, [read_detections(path) for path in detections], whose),
+            ]
         )
         say(f"{len(free_m)} places of {len(bodies)} people and of what cameras saw of them are kept free of furniture")
-        furniture = furnish(
+        furniture = fit_primitives(
             small,
             lambda view: read_pictures([cameras[view]], [plates[view]], cameras[view].wh[0])[0],
             fitted,

@@ -22,7 +22,7 @@ class Enhancing:
         "Enhancer of pictures: residual = adds detail that renders miss at the training cameras; difix, fixer = "
         "networks with weights; precomputed = films made by another program; none.",
         paper="difix, one step at 199; U07",
-        letter="difix",
+        paper_value="difix",
     )
     seed: int = 0
 
@@ -53,6 +53,6 @@ class Injecting:
         "dis",
         "dis = dense inverse search; raft needs weights.",
         paper="raft, backward flow of the raw renders; U06",
-        letter="raft",
+        paper_value="raft",
     )
     flow_preset: Preset = setting("medium", "Effort of dis.")

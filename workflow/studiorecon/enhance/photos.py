@@ -61,7 +61,7 @@ class Training:
         return self.photo(int(np.argmax(cosines)), frame)
 
 
-def training_of(
+def open_training(
     cameras: list[Camera], steps: list[PathStep], videos: list[Path], renders: Path, depths: Path, frames: int
 ) -> Training:
     """The footage ``videos`` of ``cameras``, with their renders and depths, which are films of one camera after the

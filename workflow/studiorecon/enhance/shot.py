@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``enhance.shot``: one shot, picture by picture, through an enhancer with motion-adaptive consistency injection, where
-this scene calls for either (``pilot``)."""
+this scene calls for either (``trial``)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import numpy as np
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.enhance.backends import ResidualTransfer, Unchanged, network
 from studiorecon.enhance.injection_settings import Carrying, Enhancing, Injecting
-from studiorecon.enhance.photos import Training, training_of
-from studiorecon.enhance.pilot import called_for, flicker, worth
+from studiorecon.enhance.photos import Training, open_training
+from studiorecon.enhance.trial import decide_injection, flicker, transfer_strength
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.streams import Writer, writing
@@ -103,7 +103,7 @@ def run(
         write_decisions(decisions, forced(left_out, settings.force))
         return
     photographed, photographed_path, photographed_depth = train
-    training = training_of(
+    training = open_training(
         read_model(model.parent),
         read_path(photographed_path)[0],
         videos,
@@ -165,7 +165,7 @@ def chosen_enhancer(settings: Settings, training: Training, weights: Path, devic
         name = settings.enhancer if decision.called_for else "none"
         return network(name, weights, device, settings.seed), decision
     if settings.strength == "auto":
-        strength, decision = worth(
+        strength, decision = transfer_strength(
             training, settings.judged_frames, settings.transfer, settings.threshold(ENHANCEMENT.name)
         )
     else:
@@ -207,7 +207,7 @@ def chosen_injection(
         decision = settled(INJECTION, False, "the camera does not move, so there is nothing to steady")
     else:
         change = flicker(drawn.steps, drawn.render, drawn.depth, reference, enhancer, search)
-        decision = called_for(change, settings.threshold(INJECTION.name))
+        decision = decide_injection(change, settings.threshold(INJECTION.name))
     (decision,) = forced([decision], _of(settings.force, INJECTION.name))
     return injection if decision.called_for else replace(injection, history=0), decision
 

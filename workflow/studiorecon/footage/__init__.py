@@ -9,7 +9,7 @@ Inputs are paths; outputs are upright frames in order, or files that are complet
 * ``timing``: number and times of the frames that a decoder shows; ``as_shown``: one moment, BT.709, square pixels,
   upright;
 * ``frames``: the pictures, all or some of them; ``sound_track``: the first sound that can be decoded;
-* ``told_lens``: the focal length in a file's metadata; ``alike``: detects a film that was given twice;
+* ``lens_metadata``: the focal length in a file's metadata; ``duplicate_films``: detects a film that was given twice;
 * ``video``: working video and films, written, and read from any frame on; ``streams``: several written in parallel;
 * ``exr``: depth maps; ``stills``: clean plates.
 """

@@ -42,7 +42,7 @@ class Smoothing:
         unit="s",
         minimum=0,
         paper="0.0481, 0.5 per frame at 30 fps, appendix; U40",
-        letter=0.0481,
+        paper_value=0.0481,
     )
     sigma_s: float = setting(
         0.0233,
@@ -50,15 +50,15 @@ class Smoothing:
         unit="s",
         minimum=0,
         paper="0.0333, 1 frame at 30 fps, appendix; U41",
-        letter=0.0333,
+        paper_value=0.0333,
     )
     passes: Literal["cascade", "average"] = "cascade"
-    root: bool = setting(True, "Smooth the pelvis's turn and position too.", paper="false; U42", letter=False)
+    root: bool = setting(True, "Smooth the pelvis's turn and position too.", paper="false; U42", paper_value=False)
     turns_on: Literal["rotations", "axis_angles"] = setting(
         "rotations",
         "rotations on SO(3), or the components of axis_angles, which break near half a turn (U42).",
         paper="of the fitted pose parameters, appendix B; U42",
-        letter="axis_angles",
+        paper_value="axis_angles",
     )
 
     def smooth_body(

@@ -18,27 +18,32 @@ class Additions:
         "Background behind the person in training: random = another colour at every step, so that no colour passes "
         "for transparent; black.",
         paper="not said: the masked picture over black, as in the work it follows; U52",
-        letter="black",
+        paper_value="black",
     )
     unseen: Literal["filled", "trained"] = setting(
         "filled",
         "Gaussians that no camera saw: filled = coloured like the surrounding body, constant over time; trained = as "
         "training leaves them, with the temporal network's residuals.",
         paper="trained, appendix D",
-        letter="trained",
+        paper_value="trained",
     )
     pose_joints: Literal["limbs", "all"] = setting(
         "limbs",
         "Joints whose turns are refined: limbs = all but feet, head and hands, which move hardly any surface.",
         paper="all, appendix D",
-        letter="all",
+        paper_value="all",
     )
     edge_px: int = setting(
-        1, "Pixels on both sides of a mask's outline that training ignores.", unit="px", minimum=0, paper="0", letter=0
+        1,
+        "Pixels on both sides of a mask's outline that training ignores.",
+        unit="px",
+        minimum=0,
+        paper="0",
+        paper_value=0,
     )
     scales_held: bool = setting(
         True,
         "Standard deviations stay between 0.08 and 1.6 of the Gaussians' spacing.",
         paper="no such limit",
-        letter=False,
+        paper_value=False,
     )

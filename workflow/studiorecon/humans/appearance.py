@@ -30,24 +30,24 @@ class OverTime:
         "Colour and opacity that change over time independently of the pose; auto = when the colours of a tenth of "
         "the body drift over time once the poses are refined.",
         paper="always, appendix D; U47 to U49",
-        letter="always",
+        paper_value="always",
     )
-    start: int = setting(450, "Step from which it takes part.", minimum=0, paper="3,000 of 10,000", letter=3000)
-    width: int = setting(64, "Units of a hidden layer.", minimum=1, paper="256", letter=256)
+    start: int = setting(450, "Step from which it takes part.", minimum=0, paper="3,000 of 10,000", paper_value=3000)
+    width: int = setting(64, "Units of a hidden layer.", minimum=1, paper="256", paper_value=256)
     points: int = setting(
         512,
         "Points on the body at which the network is evaluated; Gaussians between them are interpolated. "
         "0 = at every Gaussian, which takes about twice as long.",
         minimum=0,
         paper="at every Gaussian",
-        letter=0,
+        paper_value=0,
     )
     bands: Literal["below_nyquist", "all"] = setting(
         "below_nyquist",
         "Frequencies of time in the network's input: below_nyquist = those that frames can represent; all = ten, the "
         "fastest of which alias.",
         paper="all of multires 10, appendix D",
-        letter="all",
+        paper_value="all",
     )
     layers: int = 8
     rate: float = 0.0005

@@ -56,7 +56,7 @@ def sampled(picture: Num[np.ndarray, "h w C"], pixels: Float[np.ndarray, "M 2"])
     return found.reshape(len(pixels), -1).astype(np.float64)
 
 
-def look(
+def add_evidence(
     crop: Crop,
     means_m: Float[np.ndarray, "N 3"],
     normals: Float[np.ndarray, "N 3"],

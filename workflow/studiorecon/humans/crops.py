@@ -117,7 +117,7 @@ def cut(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
     return replace(camera, wh=(right - left, bottom - top), intrinsics=intrinsics)
 
 
-def judge(
+def classify_pixels(
     labels: Integer[np.ndarray, "h w"],
     body: Bool[np.ndarray, "h w"],
     label: int,
@@ -173,7 +173,7 @@ def silhouette(pixels: Float[np.ndarray, "V 2"], hw: tuple[int, int]) -> Bool[np
     return cv2.morphologyEx(drawn, cv2.MORPH_CLOSE, np.ones((2 * gap + 1, 2 * gap + 1), np.uint8)) > 0
 
 
-def looks_of(
+def person_crops(
     view: int,
     camera: Camera,
     pictures: Iterator[Integer[np.ndarray, "H W 3"]],
@@ -223,10 +223,10 @@ def mask_inset_px(looks: Iterable[TrainingCrop], label: int) -> int:
     return round(inset) if inset >= _MIN_INSET_PX else 0
 
 
-def judged(
+def classify_crops(
     looks: Iterable[TrainingCrop], label: int, edge_px: int, occluder_px: int, inset_px: int
 ) -> Iterator[HeldCrop]:
     """The crops, with classes, for the person with mask label ``label``."""
     for k in looks:
-        verdict = judge(k.labels, k.body, label, edge_px, occluder_px, inset_px)
+        verdict = classify_pixels(k.labels, k.body, label, edge_px, occluder_px, inset_px)
         yield HeldCrop(k.frame, k.view, k.camera, k.rgb, verdict)

@@ -13,7 +13,7 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.avatar.weight_grid import WeightGrid, build_weight_grid, every_bone, strongest
 from studiorecon.body.model import BodyModel
-from studiorecon.humans.colours import look, nearest_surface
+from studiorecon.humans.colours import add_evidence, nearest_surface
 from studiorecon.humans.crops import Crop
 from studiorecon.humans.refined_motion import HELD, RefinedMotion
 from studiorecon.humans.surface_samples import (
@@ -74,7 +74,7 @@ def first_colours(
         pixels, depth_m = crop.camera.project(means.astype(np.float64))
         # A disc covers about its spacing; the nearest surface has to close over the gaps between the points.
         reach = int(np.ceil(samples.spacing_m * np.mean(crop.camera.focal_px) / max(float(np.median(depth_m)), 0.1)))
-        look(
+        add_evidence(
             crop,
             means.astype(np.float64),
             normals,

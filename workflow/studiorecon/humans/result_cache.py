@@ -27,7 +27,7 @@ STANDS = "the existing result is kept"
 """How a log says that nothing was trained."""
 
 
-def mark_of(settings: Any, crops: Sequence[Crop], inputs: Sequence[Path], code: str, *more: object) -> str:
+def cache_key(settings: Any, crops: Sequence[Crop], inputs: Sequence[Path], code: str, *more: object) -> str:
     """Hex digest of everything a person's training depends on: as ``splatting.train.checkpoint.fingerprint``, with
     every crop's pixels."""
     digest = hashlib.sha256(fingerprint(settings, inputs, code, *more).encode())
@@ -39,12 +39,12 @@ def mark_of(settings: Any, crops: Sequence[Crop], inputs: Sequence[Path], code: 
     return digest.hexdigest()
 
 
-def still_stands(mark: str, gaussians: Path, avatar: Path, working: Path) -> bool:
+def is_up_to_date(mark: str, gaussians: Path, avatar: Path, working: Path) -> bool:
     """Whether the last result in the folder ``working`` was trained from the inputs of ``mark``; if so, restore it.
 
     The restored files get the current time.
     """
-    kept = [_kept(path, working) for path in (gaussians, avatar)]
+    kept = [_cached_path(path, working) for path in (gaussians, avatar)]
     if written_from(*kept) != mark:
         return False
     for path, last in zip((gaussians, avatar), kept):
@@ -53,13 +53,13 @@ def still_stands(mark: str, gaussians: Path, avatar: Path, working: Path) -> boo
     return True
 
 
-def keep(gaussians: Path, avatar: Path, working: Path) -> None:
+def store(gaussians: Path, avatar: Path, working: Path) -> None:
     """Copy the trained files to ``working``, because a workflow deletes the outputs of steps it runs again."""
     for path in (gaussians, avatar):
-        _linked(path, _kept(path, working))
+        _linked(path, _cached_path(path, working))
 
 
-def _kept(path: Path, working: Path) -> Path:
+def _cached_path(path: Path, working: Path) -> Path:
     return working / f"last{path.suffix}"
 
 

@@ -18,13 +18,13 @@ class Started:
         "Gaussians per person, on the body's surface.",
         minimum=16,
         paper="one per SMPL vertex, 6890, appendix D",
-        letter=6890,
+        paper_value=6890,
     )
     placed: Literal["evenly", "vertices"] = setting(
         "evenly",
         "Where Gaussians start: evenly over the body's surface, as many as humans.gaussians says, or one at every "
         "vertex of the body model, however many it has.",
         paper="at SMPL's vertices, appendix D",
-        letter="vertices",
+        paper_value="vertices",
     )
     seed: int = setting(0, "Seed of all draws.", minimum=0)

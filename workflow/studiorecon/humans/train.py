@@ -25,11 +25,11 @@ from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
 from studiorecon.humans.appearance import Appearance
+from studiorecon.humans.crop_reader import read_crops
 from studiorecon.humans.crops import Crop
 from studiorecon.humans.drift import decide_appearance, drifting_share, followed
-from studiorecon.humans.filmed import read_crops
 from studiorecon.humans.rest_pose import NEIGHBOURS, RestPose, rest_pose
-from studiorecon.humans.result_cache import STANDS, keep, mark_of, still_stands
+from studiorecon.humans.result_cache import STANDS, cache_key, is_up_to_date, store
 from studiorecon.humans.surface_samples import (
     fill_unseen,
     mirrored,
@@ -107,8 +107,8 @@ def run(
         )
     about = code.digest("humans.train"), threads, person, device
     # The interval of checkpoints changes no byte of the result.
-    trained_from = mark_of(replace(settings, checkpoint_every_s=0.0), crops, [fit, body], *about)
-    if still_stands(trained_from, gaussians, avatar, working):
+    trained_from = cache_key(replace(settings, checkpoint_every_s=0.0), crops, [fit, body], *about)
+    if is_up_to_date(trained_from, gaussians, avatar, working):
         say(
             f"{person}: nothing has changed in the {len(crops)} crops around {person}, the fit "
             f"and the settings; {STANDS}"
@@ -128,7 +128,7 @@ def run(
     if subject.adam.refused:
         warn(f"{person}: {subject.adam.refused} gradient entries were not finite and were skipped")
     write_avatar(gaussians, avatar, _avatar(settings, fitted, body_model, rest, subject, appearance), trained_from)
-    keep(gaussians, avatar, working)
+    store(gaussians, avatar, working)
     checkpoint.remove()
 
 

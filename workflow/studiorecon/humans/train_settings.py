@@ -25,24 +25,24 @@ class Trained(Started):
         minimum=0,
         maximum=2,
         paper="2, appendix D",
-        letter=2,
+        paper_value=2,
     )
     sh_cap: bool = setting(
         True,
         "Lower sh_degree to what the viewing directions of the turning body can resolve.",
         paper="no limit",
-        letter=False,
+        paper_value=False,
     )
     skinning: Literal["surface", "grid"] = setting(
         "surface",
         "Where skinning weights come from: surface = the body's own where a Gaussian starts, the four strongest; "
         "grid = all of a voxel grid's where it is now.",
         paper="grid, appendix D; U45",
-        letter="grid",
+        paper_value="grid",
     )
     grid_resolution: int = 64
     grid_margin: float = 0.15
-    iterations: int = setting(1500, "Training steps.", minimum=1, paper="10,000, appendix D", letter=10000)
+    iterations: int = setting(1500, "Training steps.", minimum=1, paper="10,000, appendix D", paper_value=10000)
     pose_from: int = setting(300, "Step from which poses are refined together with the Gaussians.", minimum=0)
     margin_px: int = 12
     occluder_px: int = 6

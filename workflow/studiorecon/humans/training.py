@@ -50,19 +50,19 @@ class Losses:
     l1: float = 0.8
     ssim: float = 0.2
     lpips: PerceptualSettings = setting(PerceptualSettings(), "The perceptual term.")
-    mask: float = setting(0.1, "L1 on the silhouette.", minimum=0, paper="0.01, appendix D; U50", letter=0.01)
+    mask: float = setting(0.1, "L1 on the silhouette.", minimum=0, paper="0.01, appendix D; U50", paper_value=0.01)
     density: float = setting(
-        0.0, "Pull of the rendered alpha to 0 or 1.", minimum=0, paper="0.1, appendix D; U13", letter=0.1
+        0.0, "Pull of the rendered alpha to 0 or 1.", minimum=0, paper="0.1, appendix D; U13", paper_value=0.1
     )
     surface: float = setting(
-        0.01, "Pull of Gaussians to their start on the body.", minimum=0, paper="none, appendix D", letter=0.0
+        0.01, "Pull of Gaussians to their start on the body.", minimum=0, paper="none, appendix D", paper_value=0.0
     )
     pose: float = setting(
         0.05,
         "Smoothness of refined poses over time, at 30 frames per second; scaled to give equal speeds at other rates.",
         minimum=0,
         paper="50, appendix D; U51",
-        letter=50.0,
+        paper_value=50.0,
     )
 
 
@@ -71,10 +71,10 @@ class Rates:
     """Learning rates."""
 
     position_m: float = setting(
-        0.0005, "Step of positions at the start.", unit="m", above=0, paper="1e-3, appendix D", letter=1e-3
+        0.0005, "Step of positions at the start.", unit="m", above=0, paper="1e-3, appendix D", paper_value=1e-3
     )
     position_end_m: float = setting(
-        5e-06, "Step of positions at the end.", unit="m", above=0, paper="2e-6, appendix D", letter=2e-6
+        5e-06, "Step of positions at the end.", unit="m", above=0, paper="2e-6, appendix D", paper_value=2e-6
     )
     rotation: float = 0.001
     scale: float = 0.005
@@ -120,7 +120,7 @@ class Growing:
         "none",
         "none = as many as at the start; gradient = clone and split where the picture asks for it.",
         paper="densified, appendix D",
-        letter="gradient",
+        paper_value="gradient",
     )
     until: int = 1500
     every: int = 500
@@ -128,7 +128,7 @@ class Growing:
     prune_opacity: float = 0.005
     scale: float = 0.01
     cap: int = setting(
-        100000, "Most Gaussians of one person; 0 = no limit.", minimum=0, paper="no limit, appendix D", letter=0
+        100000, "Most Gaussians of one person; 0 = no limit.", minimum=0, paper="no limit, appendix D", paper_value=0
     )
 
     def watched(self, done: int, iterations: int) -> bool:
@@ -137,7 +137,7 @@ class Growing:
         return self.use != "none" and done <= self.until and done < iterations
 
 
-def target_of(crop: Crop, behind_rgb: Num[np.ndarray, " 3"]) -> Target:
+def training_target(crop: Crop, behind_rgb: Num[np.ndarray, " 3"]) -> Target:
     """The person as filmed, over ``behind_rgb`` (3,); undecided pixels are masked."""
     rgb, weight = np.empty(crop.rgb.shape, np.float32), np.empty(crop.verdict.shape, np.float32)
     _paint_target(crop.rgb, crop.verdict, behind_rgb.astype(np.float32), rgb, weight)
@@ -154,7 +154,7 @@ def _paint_target(photo, verdict, behind_rgb, rgb, weight):
                 rgb[y, x, channel] = own if verdict[y, x] == PERSON else behind_rgb[channel]
 
 
-def held_near_surface(
+def surface_pull_gradient(
     means_m: Float[np.ndarray, "N 3"], start_m: Float[np.ndarray, "N 3"], reach_m: float
 ) -> Float[np.ndarray, "N 3"]:
     """Gradient of mean(|Δ|²) / reach² for the distance Δ from each start: the person is on the body."""
@@ -246,7 +246,7 @@ class PersonInTraining:
         self._crop = self._crops[int(self._rng.integers(len(self._crops)))]
         behind = self._rng.random(3) if self._additions.behind == "random" else np.zeros(3)
         planes = self._rasteriser.forward_planes(self._posed(self._crop), self._crop.camera, behind.tolist())
-        return PlaneView(target_of(self._crop, behind), iteration, self._rng, planes, np.zeros_like(planes))
+        return PlaneView(training_target(self._crop, behind), iteration, self._rng, planes, np.zeros_like(planes))
 
     def _shown(self, crop: Crop) -> np.ndarray:
         """(h, w, 3) render of the person over grey."""
@@ -269,7 +269,7 @@ class PersonInTraining:
         own, losses, rates, frame = self._own, self._losses, self._rates, self._crop.frame
         back = self._rasteriser.backward_planes(view.gradient)
         grad_means, grad_quaternions, grad_sh = self._posing.back(back.means_m, back.quaternions, back.sh)
-        grad_means += losses.surface * held_near_surface(own["means"], self._start_m, self._limits.surface_m)
+        grad_means += losses.surface * surface_pull_gradient(own["means"], self._start_m, self._limits.surface_m)
         if rates.pose_rad > 0 and iteration >= self._pose_from:
             wrenches = self._posing.wrenches(own["means"], back.means_m, self._transforms)
             turn = self._motion.gradient(frame, *wrenches) + self._motion.smoothness_gradient(frame, losses.pose)
@@ -337,7 +337,7 @@ class PersonInTraining:
     def preview(self) -> Preview:
         """A preview of the middle crop, over grey."""
         crop = self._crops[len(self._crops) // 2]
-        name, target = f"frame {crop.frame} of {crop.camera.name}", target_of(crop, _GREY)
+        name, target = f"frame {crop.frame} of {crop.camera.name}", training_target(crop, _GREY)
         return Preview(len(self._start_m), name, self._shown(crop), target.rgb, target.used)
 
     def snapshot(self) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], dict[str, Any]]:

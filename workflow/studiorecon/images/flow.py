@@ -17,7 +17,7 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.errors import UserError
-from studiorecon.images.temporal import leads_back
+from studiorecon.images.temporal import forward_backward_consistent
 from studiorecon.images.warp import warp
 
 if TYPE_CHECKING:
@@ -100,4 +100,4 @@ def consistent(flow: Num[np.ndarray, "H W 2"], reverse_flow: Num[np.ndarray, "H 
     (E13). Raises ValueError for flows of two sizes.
     """
     require("reverse_flow", reverse_flow, ("H", "W", 2), require("flow", flow, ("H", "W", 2)))
-    return leads_back(np.ascontiguousarray(flow), np.ascontiguousarray(reverse_flow))
+    return forward_backward_consistent(np.ascontiguousarray(flow), np.ascontiguousarray(reverse_flow))

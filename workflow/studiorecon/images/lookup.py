@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @numba.njit(cache=True, nogil=True)
-def seen_from(
+def find_visible_pixels(
     depth_m: Num[np.ndarray, "H W"],
     ray_from_pixel: Num[np.ndarray, "3 3"],
     eye_m: Num[np.ndarray, " 3"],

@@ -38,7 +38,8 @@ def levels(picture: Num[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W 3"]:
 
 
 def error_map(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W"]:
-    """(H, W) int32: Σ over channels of squared differences of 8-bit levels, the input of ``psnr_of``. 4 ms at 1280×704.
+    """(H, W) int32: Σ over channels of squared differences of 8-bit levels, the input of ``psnr_from_error_map``. 4 ms
+    at 1280×704.
 
     Raises ValueError for pictures that are not (H, W, 3) of one size.
     """
@@ -46,7 +47,7 @@ def error_map(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 
     return squared_error(levels(prediction), levels(truth))
 
 
-def psnr_of(errors: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"] | None = None) -> float | None:
+def psnr_from_error_map(errors: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"] | None = None) -> float | None:
     """Peak signal-to-noise ratio in dB with range 1 of an ``error_map``, over the pixels of ``mask`` when given.
 
     10 log10(1/MSE), capped at 100 dB. The mean divides by the masked pixels, not by the picture: at 5 % coverage that
@@ -69,8 +70,9 @@ def decibels(mean_square: float) -> float:
 def psnr(
     prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"] | None = None
 ) -> float | None:
-    """``psnr_of`` the ``error_map`` of two pictures. Raises ValueError for pictures or a mask of two sizes."""
-    return psnr_of(error_map(prediction, truth), mask)
+    """``psnr_from_error_map`` the ``error_map`` of two pictures. Raises ValueError for pictures or a mask of two
+    sizes."""
+    return psnr_from_error_map(error_map(prediction, truth), mask)
 
 
 def colour_corrected_psnr(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"]) -> float | None:
@@ -165,7 +167,7 @@ def mean_inside(values: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"]) -
     return total / count if count >= SMALLEST_MASK_PX else None
 
 
-def mean_of(values: Iterable[float | None]) -> float | None:
+def mean_of_measured(values: Iterable[float | None]) -> float | None:
     """Mean of the measured values: None and values that are not finite are left out; None when none remains (V06)."""
     used = [value for value in values if value is not None and np.isfinite(value)]
     return float(np.mean(used)) if used else None

@@ -71,7 +71,7 @@ def filled(
     require("rgb", rgb, ("H", "W", 3), hw)
     if not known.any():
         raise ValueError("no pixel is known: there is nothing to go on from")
-    light = light_of(rgb, known, scale.light)
+    light = low_frequency_light(rgb, known, scale.light)
     detail = np.where(known[..., None], rgb - light, 0.0)
     shifts = repeats(detail, known, scale, rng)
     copied, reached = _copied(detail, known, shifts, scale.patch // 2)
@@ -79,7 +79,7 @@ def filled(
     return np.where(known[..., None], rgb, np.clip(painted, 0, 1))
 
 
-def light_of(
+def low_frequency_light(
     rgb: Float[np.ndarray, "H W 3"], known: Bool[np.ndarray, "H W"], sigma: float
 ) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) a surface's light without its detail, at all pixels; outliers have almost no weight."""

@@ -16,7 +16,9 @@ _SLACK_PX = 1e-6
 
 
 @numba.njit(cache=True, nogil=True)
-def leads_back(flow: Num[np.ndarray, "H W 2"], reverse_flow: Num[np.ndarray, "H W 2"]) -> Bool[np.ndarray, "H W"]:
+def forward_backward_consistent(
+    flow: Num[np.ndarray, "H W 2"], reverse_flow: Num[np.ndarray, "H W 2"]
+) -> Bool[np.ndarray, "H W"]:
     """Whether |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5 with p + f inside the picture (Sundaram et al. 2010).
 
     r is read bilinearly; a flow that is not finite fails. 12 ms at 1280×704.

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from studiorecon.images.blur import gaussian_blur
-from studiorecon.images.lookup import add_read, seen_from
+from studiorecon.images.lookup import add_read, find_visible_pixels
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def carried_over(
     weights, cover = np.zeros(view.shape, np.float32), np.zeros(view.shape, np.float32)
     for one in sources:
         there = one.camera
-        seen, pixels, closeness = seen_from(
+        seen, pixels, closeness = find_visible_pixels(
             view,
             world_from_view,
             camera.centre_m,

@@ -57,7 +57,7 @@ class DetectorMasks:
         return total
 
 
-def seen_in(
+def masks_by_frame(
     found: RawDetections, detections: Detections, who: Mapping[tuple[str, int], str], lens: Lens, footage: Footage
 ) -> DetectorMasks:
     """The detector's masks by frame and person; where tracks of one person overlap, the surer detection's."""

@@ -55,7 +55,7 @@ class Given:
         """(H, W) uint8 labels of every frame."""
         wanted = iter(self.chosen)
         at = next(wanted, None)
-        for number, picture in enumerate(pictures_of(self.path)):
+        for number, picture in enumerate(mask_pictures(self.path)):
             while at == number:
                 label = picture[self.rows, self.columns]
                 yield label if self.exact else (label > 127).astype(np.uint8)
@@ -72,7 +72,7 @@ def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> Giv
     lens = lens_of(calibration, about.camera)
     columns = rows = np.zeros(0, int)
     occur: list[np.ndarray] = []
-    for picture in pictures_of(path):
+    for picture in mask_pictures(path):
         if not occur:
             columns, rows = _source_pixels(about, lens, (picture.shape[1], picture.shape[0]), path)
         occur.append(np.bincount(picture[rows, columns].ravel(), minlength=256) > 0)
@@ -135,7 +135,7 @@ def _by_body(region: np.ndarray, depths_m: np.ndarray, gate_m: float, camera: Ca
     return np.where(region, owner, 0).astype(np.uint8)
 
 
-def pictures_of(path: Path) -> Iterable[Integer[np.ndarray, "H W ..."]]:
+def mask_pictures(path: Path) -> Iterable[Integer[np.ndarray, "H W ..."]]:
     if path.is_dir():
         files = pictures_in(path)
         if missing := gaps_named(files):

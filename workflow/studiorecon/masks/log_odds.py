@@ -94,7 +94,9 @@ def difference_evidence(
     return np.where(plate.measured, evidence, 0).astype(np.float32)
 
 
-def unrest_of(differences: Float[np.ndarray, "T H W"], free: Bool[np.ndarray, "T H W"]) -> Float[np.ndarray, "H W"]:
+def temporal_difference(
+    differences: Float[np.ndarray, "T H W"], free: Bool[np.ndarray, "T H W"]
+) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 80th percentile of differences (T, H, W) over the pictures in which a pixel is ``free`` (T, H, W).
 
     Pixels that are never free get the median of the others.

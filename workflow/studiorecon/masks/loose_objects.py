@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _GROWN = 1.15
 
 
-def without_things(
+def subtract_objects(
     labels: Integer[np.ndarray, "H W"],
     things: Sequence[RigidObject],
     depths_m: Float[np.ndarray, "K H W"],

@@ -49,7 +49,7 @@ class Settings:
         "Who finds people's pixels: embedded (plate difference and bodies), sam3 or precomputed masks; masks "
         "in the dataset itself always count first.",
         paper="sam3",
-        letter="sam3",
+        paper_value="sam3",
     )
     sam3: Sam3Settings = setting(Sam3Settings(), "How SAM 3 runs.")
 

@@ -29,7 +29,7 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frames, to_float, write_lossless
 from studiorecon.images.regions import signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import front_person, mesh_depth
-from studiorecon.masks.detector_masks import DetectorMasks, seen_in
+from studiorecon.masks.detector_masks import DetectorMasks, masks_by_frame
 from studiorecon.masks.given import identified, read_given
 from studiorecon.masks.grabcut import CutSettings, cut_unknown
 from studiorecon.masks.log_odds import (
@@ -38,9 +38,9 @@ from studiorecon.masks.log_odds import (
     body_evidence,
     colour_difference,
     difference_evidence,
-    unrest_of,
+    temporal_difference,
 )
-from studiorecon.masks.loose_objects import without_things
+from studiorecon.masks.loose_objects import subtract_objects
 from studiorecon.masks.tracks import UNASSIGNED, assigned
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
@@ -260,7 +260,7 @@ def segment(
     wanted = set(chosen.tolist())
     picked = (frame for t, frame in enumerate(frames) if t in wanted)
     differences = np.stack([colour_difference(to_float(frame), plate_rgb, settings.difference) for frame in picked])
-    plate = Plate(plate_rgb, measured, unrest_of(differences, np.stack(free)))
+    plate = Plate(plate_rgb, measured, temporal_difference(differences, np.stack(free)))
     for t, frame in enumerate(progress(frames, "masks")):
         difference = colour_difference(to_float(frame), plate_rgb, settings.difference)
         depths_m = body_depths(people, body, camera, t)
@@ -268,7 +268,7 @@ def segment(
         labels = segment_frame(
             frame, difference, plate, depths_m, camera, [bool(p.valid[t]) for p in people], settings, network
         )
-        yield without_things(labels, things, depths_m, camera, t)
+        yield subtract_objects(labels, things, depths_m, camera, t)
 
 
 def body_depths(people: Sequence[Person], body: BodyModel, camera: Camera, frame: int) -> Float[np.ndarray, "K H W"]:
@@ -341,7 +341,7 @@ def run(
                 read_detections(seen[1]),
                 read_identities(seen[2]),
             )
-            found = seen_in(whole, detections, who, lens_of(calibration, camera), about)
+            found = masks_by_frame(whole, detections, who, lens_of(calibration, camera), about)
         labels = segment(film, plate_rgb, measured, persons, body_model, own, settings, things, found)
     pixels = np.zeros(256, np.int64)
     write_lossless(masks, counted(labels, pixels), persons[0].fps if persons else 30.0)

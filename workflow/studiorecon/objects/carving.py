@@ -94,7 +94,7 @@ def _surface(looks: Sequence[ObjectCrop], half_m: float, cells: int) -> tuple[np
     return (np.argwhere(skin_cells) - 0.5) * cell_m - half_m + 0.5 * cell_m * normals, normals, cell_m
 
 
-def skin(looks: Sequence[ObjectCrop], count: int) -> tuple[Gaussians, Bool[np.ndarray, " N"]] | None:
+def init_carved_surface(looks: Sequence[ObjectCrop], count: int) -> tuple[Gaussians, Bool[np.ndarray, " N"]] | None:
     """Discs on the carved surface in the crops' colours, and (N,) bool whether a crop shows them; None where nothing is
     left.
 

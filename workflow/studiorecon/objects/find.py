@@ -26,8 +26,17 @@ from studiorecon.footage.stills import read_plate, shrink
 from studiorecon.footage.video import read_frames
 from studiorecon.objects import carving
 from studiorecon.objects.object_tracks import FollowSettings, ObjectTrack, followed, held, linked
-from studiorecon.objects.residual import LooseSettings, ResidualRegion, difference, regions, states, unrest
-from studiorecon.objects.rigid import ObjectCrop, ShapeSettings, at_pose, kept_apart, looks_at, made, misfit, skin
+from studiorecon.objects.residual import LooseSettings, ResidualRegion, difference, regions, states, usual_difference
+from studiorecon.objects.rigid import (
+    ObjectCrop,
+    ShapeSettings,
+    at_pose,
+    init_surface,
+    mean_squared_errors,
+    train_object,
+    unoccluded_crops,
+    validation_split,
+)
 from studiorecon.objects.rotation import NEVER_DB, TurnSettings, turned
 from studiorecon.objects.sightings import Sighting, sightings
 from studiorecon.progress import progress, say
@@ -121,7 +130,7 @@ def objects_in(
     for track in linked(found, fps, settings.follow):
         result = followed(track, cameras, frames, fps, settings.follow)
         where = f"frames {track[0][0]} to {track[-1][0]}"
-        looks = looks_at(result, cameras) if isinstance(result, ObjectTrack) else []
+        looks = unoccluded_crops(result, cameras) if isinstance(result, ObjectTrack) else []
         if isinstance(result, ObjectTrack) and looks:
             made_objects.append(_made(f"o{len(made_objects)}", result, looks, cameras, fps, settings, threads))
         elif len(track) > 2:
@@ -144,19 +153,19 @@ def _made(
     settings: Settings,
     threads: int,
 ) -> RigidObject:
-    apart = kept_apart(looks)
+    apart = validation_split(looks)
     keys = {(look.frame, look.view) for look in apart}
     taught = [look for look in looks if (look.frame, look.view) not in keys]
     rng = np.random.default_rng([settings.seed, int(name[1:])])
-    start = skin(taught, track.radius_m, settings.shape.gaussians)
-    gaussians, provenance = made(taught, start, track.radius_m, settings.shape, rng, threads, name)
+    start = init_surface(taught, track.radius_m, settings.shape.gaussians)
+    gaussians, provenance = train_object(taught, start, track.radius_m, settings.shape, rng, threads, name)
     still = RigidObject(name, gaussians, provenance, track.centres_m, track.valid, track.present, track.radius_m)
     thing, told = _turning(still, track, looks, keys, cameras, fps, settings, threads) or (
         still,
         "how it turns is not determined",
     )
     judged = [at_pose(look, cameras, thing.pose_at(look.frame)) for look in apart if thing.valid[look.frame]]
-    agreement_db = -10 * np.log10(max(misfit(thing.gaussians, judged, threads)[0], 1e-10))
+    agreement_db = -10 * np.log10(max(mean_squared_errors(thing.gaussians, judged, threads)[0], 1e-10))
     between, unknown = int((thing.present & ~thing.valid).sum()), int((~thing.present).sum())
     say(
         f"{name}: radius {100 * track.radius_m:.1f} cm, measured in {int(thing.valid.sum())} "
@@ -193,15 +202,16 @@ def _turning(
         for look in known
         if (look.frame, look.view) not in apart
     ]
-    start = carving.skin(taught, settings.shape.gaussians)
+    start = carving.init_carved_surface(taught, settings.shape.gaussians)
     if start is None or not judged:
         return None
-    gaussians, seen = made(
+    gaussians, seen = train_object(
         taught, start, carving.reach_m(taught), settings.shape, rng, threads, f"{still.person}, turning"
     )
     moved = [at_pose(look, cameras, motion.world_from_thing[look.frame]) for look in judged]
     gain_db = 10 * np.log10(
-        misfit(still.gaussians, judged, threads)[1] / max(misfit(gaussians, moved, threads)[1], 1e-10)
+        mean_squared_errors(still.gaussians, judged, threads)[1]
+        / max(mean_squared_errors(gaussians, moved, threads)[1], 1e-10)
     )
     if not gain_db >= settings.turn.gain_db:
         return None
@@ -214,17 +224,17 @@ def _turning(
     return thing, f"it turns, which explains the validation crops {gain_db:.1f} dB better, outlines included"
 
 
-def rested(views: Sequence[ObjectView], moments: Moments, settings: LooseSettings) -> list[ObjectView]:
+def with_usual_difference(views: Sequence[ObjectView], moments: Moments, settings: LooseSettings) -> list[ObjectView]:
     """The views with their usual difference from the plate, measured at moments spread over the clip."""
     seen = list(moments)
     found = []
     for v, view in enumerate(views):
         differences = [difference(pictures[v], view.plate, settings) for pictures, _ in seen]
-        found.append(replace(view, usual=unrest(differences, [explained[v] for _, explained in seen])))
+        found.append(replace(view, usual=usual_difference(differences, [explained[v] for _, explained in seen])))
     return found
 
 
-def moments_of(
+def read_moments(
     views: Sequence[ObjectView],
     people: Sequence[Person],
     body: BodyModel | None,
@@ -297,7 +307,7 @@ def run(
     views = [open_view(*each, settings.pixels, gain) for each in zip(cameras, videos, plates)]
     about = (persons, body_model, footage.frames, settings.loose.margin_m)
     step = max(1, footage.frames // _REST_FRAMES)
-    views = rested(views, moments_of(views, *about, step=step, factors=every), settings.loose)
-    moments = moments_of(views, *about, factors=every)
+    views = with_usual_difference(views, read_moments(views, *about, step=step, factors=every), settings.loose)
+    moments = read_moments(views, *about, factors=every)
     found = objects_in(moments, views, footage.frames, footage.fps, settings, threads)
     write_objects(objects, found, footage.frames)

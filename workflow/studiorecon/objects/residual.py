@@ -76,7 +76,7 @@ def difference(
     return np.sqrt(plate_difference(picture, empty, chroma_weight=settings.chroma_weight, shadow=settings.shadow)[0])
 
 
-def unrest(
+def usual_difference(
     differences: Sequence[Float[np.ndarray, "H W"]], explained: Sequence[Bool[np.ndarray, "H W"]]
 ) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 difference that a pixel has in most pictures without people; 0 where people always cover it.
@@ -98,8 +98,8 @@ def states(
 ) -> Integer[np.ndarray, "H W"]:
     """(H, W) uint8 state of every pixel of a picture.
 
-    ``differing`` (H, W) is its ``difference``. ``usual`` is its ``unrest``, used up to twice the threshold: more is an
-    object that never moved. The plate is ``measured`` (H, W); ``explained`` (H, W) bool is where people are.
+    ``differing`` (H, W) is its ``difference``. ``usual`` is its ``usual_difference``, used up to twice the threshold:
+    more is an object that never moved. The plate is ``measured`` (H, W); ``explained`` (H, W) bool is where people are.
     """
     quiet = differing - np.minimum(usual, 2 * settings.difference)
     plain = cv2.medianBlur((quiet > settings.difference).astype(np.uint8), 3)
@@ -142,7 +142,7 @@ def regions(
                 view,
                 centres[k] + 0.5,
                 float(area),
-                outline_of(around) + corner,
+                outline_points(around) + corner,
                 bool(inside and not (near & hidden).any()),
                 corner,
                 rgb[box].copy(),
@@ -152,7 +152,7 @@ def regions(
     return found
 
 
-def outline_of(state: Integer[np.ndarray, "H W"]) -> Float[np.ndarray, "K 2"]:
+def outline_points(state: Integer[np.ndarray, "H W"]) -> Float[np.ndarray, "K 2"]:
     """(K, 2) middles of the edges between loose pixels and room pixels."""
     points = []
     for axis in (0, 1):

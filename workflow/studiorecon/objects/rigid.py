@@ -20,7 +20,7 @@ from studiorecon.footage.video import to_float
 from studiorecon.images.channels import channel_sum
 from studiorecon.images.warp import sample
 from studiorecon.objects.object_tracks import ObjectTrack
-from studiorecon.objects.residual import LOOSE, ROOM, UNKNOWN, ResidualRegion, outline_of
+from studiorecon.objects.residual import LOOSE, ROOM, UNKNOWN, ResidualRegion, outline_points
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.provenance import INFERRED, MEASURED
@@ -78,7 +78,7 @@ class ObjectCrop:
     state: Integer[np.ndarray, "h w"]
 
 
-def looks_at(track: ObjectTrack, cameras: Sequence[Camera]) -> list[ObjectCrop]:
+def unoccluded_crops(track: ObjectTrack, cameras: Sequence[Camera]) -> list[ObjectCrop]:
     """The unoccluded crops of an object that moves without turning, at most 160 of them spread over its frames."""
     found = []
     for frame, sighting in track.seen:
@@ -102,7 +102,7 @@ def at_pose(look: ObjectCrop, cameras: Sequence[Camera], world_from_thing: Float
     return replace(look, camera=Camera(camera.name, wh, intrinsics, camera.camera_from_world @ world_from_thing))
 
 
-def kept_apart(looks: Sequence[ObjectCrop]) -> list[ObjectCrop]:
+def validation_split(looks: Sequence[ObjectCrop]) -> list[ObjectCrop]:
     """Every eighth crop: the validation split, which no model is trained on."""
     return list(looks[_JUDGED - 1 :: _JUDGED])
 
@@ -135,7 +135,7 @@ def hull(
 
 def reached_m(look: ObjectCrop) -> Float[np.ndarray, " K"]:
     """(K,) distances from the middle at which the rays through a crop's outline pass."""
-    points = outline_of(look.state)
+    points = outline_points(look.state)
     rays = look.camera.unproject(points, np.ones(len(points))) - look.camera.centre_m
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     return np.linalg.norm(np.cross(rays, look.camera.centre_m), axis=1)
@@ -161,7 +161,7 @@ def coloured(
     return np.where(seen[:, None], sums / np.maximum(weights, 1e-9)[:, None], mean), seen
 
 
-def made(
+def train_object(
     looks: Sequence[ObjectCrop],
     start: tuple[Gaussians, Bool[np.ndarray, " N"]],
     radius_m: float,
@@ -170,8 +170,8 @@ def made(
     threads: int,
     label: str,
 ) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
-    """Gaussians of an object in its own frame, trained on crops from a ``start`` (``skin``), and their provenance
-    (N,)."""
+    """Gaussians of an object in its own frame, trained on crops from a ``start`` (``init_surface``), and their
+    provenance (N,)."""
     discs_there, seen = start
     targets = [_target(look, i) for i, look in enumerate(looks)]
     largest_m = float(2 * np.exp(discs_there.log_scales.max()))
@@ -190,7 +190,7 @@ def made(
     return replace(trained.gaussians, sh=sh), provenance
 
 
-def skin(looks: Sequence[ObjectCrop], radius_m: float, count: int) -> tuple[Gaussians, Bool[np.ndarray, " N"]]:
+def init_surface(looks: Sequence[ObjectCrop], radius_m: float, count: int) -> tuple[Gaussians, Bool[np.ndarray, " N"]]:
     """Discs on the hull of a round object in the crops' colours, and (N,) bool whether a crop shows them."""
     points, normals = hull(looks, radius_m, count)
     rgb, seen = coloured(points, normals, looks)
@@ -198,7 +198,7 @@ def skin(looks: Sequence[ObjectCrop], radius_m: float, count: int) -> tuple[Gaus
     return discs(points, normals, rgb, width_m, _FLATNESS, _OPACITY, 0), seen
 
 
-def misfit(gaussians: Gaussians, looks: Sequence[ObjectCrop], threads: int) -> tuple[float, float]:
+def mean_squared_errors(gaussians: Gaussians, looks: Sequence[ObjectCrop], threads: int) -> tuple[float, float]:
     """Mean squared errors of crops: inside the object, and of the whole crop, with outlines and surroundings; NaN
     without any."""
     rasteriser, squares, counts = Rasteriser(near_m=_NEAR_M, threads=threads), np.zeros(2), np.zeros(2)

@@ -17,10 +17,10 @@ import numpy as np
 from studiorecon.configuration.setting import setting
 from studiorecon.geometry import rotations
 from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
-from studiorecon.objects.carving import reach_m, skin, volume_m3
+from studiorecon.objects.carving import init_carved_surface, reach_m, volume_m3
 from studiorecon.objects.object_tracks import ObjectTrack
 from studiorecon.objects.pose_fit import Fitter, ObjectObservation, Prior, glimpse, moved
-from studiorecon.objects.rigid import ObjectCrop, ShapeSettings, at_pose, looks_at, made
+from studiorecon.objects.rigid import ObjectCrop, ShapeSettings, at_pose, train_object, unoccluded_crops
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 
@@ -87,7 +87,7 @@ def turned(
     """
     glimpses = _glimpses(track, cameras, apart)
     frames = sorted(glimpses)
-    looks = [look for look in looks_at(track, cameras) if (look.frame, look.view) not in apart]
+    looks = [look for look in unoccluded_crops(track, cameras) if (look.frame, look.view) not in apart]
     if len(frames) < 3 or not looks:
         return None
     still = np.tile(np.eye(4), (len(track.centres_m), 1, 1))
@@ -151,8 +151,8 @@ def _best_shown(looks: Sequence[ObjectCrop], cameras: Sequence[Camera], still: n
 
 def _shape(looks: Sequence[ObjectCrop], rng: np.random.Generator, threads: int) -> tuple[Gaussians, float] | None:
     """Gaussians from crops in the object's own frame, and their reach in metres; None where nothing is left."""
-    found, reach = skin(looks, _SHAPE.gaussians), reach_m(looks)
-    return None if found is None else (made(looks, found, reach, _SHAPE, rng, threads, "pose")[0], reach)
+    found, reach = init_carved_surface(looks, _SHAPE.gaussians), reach_m(looks)
+    return None if found is None else (train_object(looks, found, reach, _SHAPE, rng, threads, "pose")[0], reach)
 
 
 def _followed(

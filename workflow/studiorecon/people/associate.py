@@ -17,10 +17,10 @@ from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.people.association.acceptance import TrackVerdict, identities_from_keypoints
 from studiorecon.people.association.affinity import AssociationLimits
-from studiorecon.people.association.confirmation import Witness
-from studiorecon.people.association.corrected import read_corrected, rows_of
-from studiorecon.people.association.left_out import LeftOut, tell
+from studiorecon.people.association.corrected import people_table_rows, read_corrected
+from studiorecon.people.association.image_evidence import CameraEvidence
 from studiorecon.people.association.picture_change import EvidenceLimits
+from studiorecon.people.association.rejected_people import RejectedPerson, report_rejected
 from studiorecon.people.fit_settings import Triangulated
 from studiorecon.people.fitting.readouts import readouts
 from studiorecon.progress import say, warn
@@ -81,10 +81,10 @@ def run(
             f"detections are of {[d.camera for d in given]}, the model has "
             f"{[c.name for c in cameras]}; delete results and run again"
         )
-    missed: list[LeftOut] = []
+    missed: list[RejectedPerson] = []
     if corrected:
         table = read_corrected(corrected[0], given)
-        rows = rows_of(table, given)
+        rows = people_table_rows(table, given)
         verdicts = {
             key: TrackVerdict(person, float("nan"), float("nan"), "" if person else "left out by hand")
             for key, person in table.items()
@@ -136,16 +136,16 @@ def run(
     for name, *_ in rows:
         write_identities(who / f"{name}.tsv", {key: person for key, person in table.items() if person == name})
     write_readouts(who / "readouts.json", rows_look)
-    tell(missed, newcomer)
+    report_rejected(missed, newcomer)
 
 
 def _witnesses(
     cameras: Sequence[Camera], footage: Manifest, calibration: Path | None, found: list[Path], plates: list[Path]
-) -> list[Witness | None]:
+) -> list[CameraEvidence | None]:
     """What every camera has beside its film; None where that is nothing."""
     masks, pictures = ({path.stem: path for path in paths} for paths in (found, plates))
     return [
-        Witness(lens_of(calibration, c.name), footage.of(c.name), masks.get(c.name), pictures.get(c.name))
+        CameraEvidence(lens_of(calibration, c.name), footage.of(c.name), masks.get(c.name), pictures.get(c.name))
         if calibration and (c.name in masks or c.name in pictures)
         else None
         for c in cameras

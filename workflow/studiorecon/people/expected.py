@@ -58,7 +58,7 @@ class Expected:
         return pixels if np.isfinite(pixels[:, 0]).sum() >= _MIN else None
 
 
-def expected(
+def project_expected(
     person: str,
     view: int,
     cameras: Sequence[Camera],
@@ -94,7 +94,7 @@ def agreement(
     return float((np.linalg.norm(keypoints[known, :2] - pixels[known], axis=1) < near_share * extent).mean())
 
 
-def of_others(keypoints: Num[np.ndarray, "K 3"], people: Sequence[Num[np.ndarray, "K 2"]], layout: str) -> float:
+def share_on_others(keypoints: Num[np.ndarray, "K 3"], people: Sequence[Num[np.ndarray, "K 2"]], layout: str) -> float:
     """Share of the sure landmarks (K, 3) that lie beside a limb of somebody of ``people`` (K, 2 each, NaN unknown); 0
     when there are too few."""
     sure = keypoints[keypoints[:, 2] >= _SURE, :2]
@@ -115,7 +115,7 @@ def of_others(keypoints: Num[np.ndarray, "K 3"], people: Sequence[Num[np.ndarray
     return float((nearest < _BESIDE_SHARE).mean())
 
 
-def exchanged(layout: str, values: Num[np.ndarray, "... K C"]) -> Num[np.ndarray, "... K C"]:
+def swap_left_right(layout: str, values: Num[np.ndarray, "... K C"]) -> Num[np.ndarray, "... K C"]:
     """Values (..., K, C) of a layout's keypoints with left and right exchanged."""
     order = np.arange(values.shape[-2])
     for left, right in LAYOUTS[layout].pairs:
@@ -175,7 +175,7 @@ def planned(found: Detections, people: Sequence[Expected], identities: dict[tupl
             dropped[[here[i] for i in [*own, *free] if i != best and scores[i, k] >= _GOOD]] = True
             if scores[best, k] >= _GOOD:
                 continue
-            other_way = agreement(exchanged(found.layout, found.keypoints[here[best]]), place, person.near_share)
+            other_way = agreement(swap_left_right(found.layout, found.keypoints[here[best]]), place, person.near_share)
             if other_way >= max(BELIEVED, scores[best, k] + BETTER):
                 swapped[here[best]] = True
             elif scores[best, k] < _GOOD:
@@ -185,6 +185,6 @@ def planned(found: Detections, people: Sequence[Expected], identities: dict[tupl
         around = [place for place in places if place is not None]
         for d in here:
             nobodys = not owner[d] and track[d] == found.track[d] and not dropped[d]
-            if nobodys and of_others(found.keypoints[d], around, found.layout) >= _MIXED:
+            if nobodys and share_on_others(found.keypoints[d], around, found.layout) >= _MIXED:
                 dropped[d] = True
     return Plan(track, swapped, dropped, looks)

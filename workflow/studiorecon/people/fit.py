@@ -25,10 +25,10 @@ from studiorecon.geometry import rotations
 from studiorecon.keypoints.retiming import with_all_rows_at_once
 from studiorecon.people.fit_settings import Smoothed, Triangulated
 from studiorecon.people.fitting.legs import seated
-from studiorecon.people.fitting.limbs import limb_ratio, size_of
+from studiorecon.people.fitting.limbs import body_scale, limb_ratio
 from studiorecon.people.fitting.points import Points, lift, observations, off_m
 from studiorecon.people.fitting.presence import filled, presence, runs
-from studiorecon.people.fitting.surface_points import surface_of
+from studiorecon.people.fitting.surface_points import triangulate_surface
 from studiorecon.progress import say
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.people import Person, read_detections, read_identities
@@ -61,7 +61,7 @@ class BodyFit:
         "levenberg_marquardt",
         "levenberg_marquardt; or the paper's loss to the letter, each frame alone.",
         paper="paper; U38",
-        letter="paper",
+        paper_value="paper",
     )
     iterations: int = setting(
         30,
@@ -69,7 +69,7 @@ class BodyFit:
         minimum=1,
         maximum=1000,
         paper="30, section on fitting; U38",
-        letter=30,
+        paper_value=30,
     )
     tolerance: float = 0.0001
     point_sigma_m: float = 0.008
@@ -78,7 +78,7 @@ class BodyFit:
     pose_weight: float = 1.0
     limit_weight: float = 1.0
     beta_weight: float = setting(
-        1.0, "Pull of the mean shape in every frame.", above=0, paper="10, appendix; U39", letter=10.0
+        1.0, "Pull of the mean shape in every frame.", above=0, paper="10, appendix; U39", paper_value=10.0
     )
     vertex_weight: float = setting(
         0.5,
@@ -87,31 +87,31 @@ class BodyFit:
         minimum=0,
         maximum=1,
         paper="every vertex as much as a joint; U33",
-        letter=1.0,
+        paper_value=1.0,
     )
     vertices: int = setting(
         100,
         "Surface points that stand for the whole skin, of sources that bring bodies; 0 = every vertex of the model.",
         minimum=0,
         paper="every vertex, Eq. 4; U33",
-        letter=0,
+        paper_value=0,
     )
     shape: Literal["shared", "per_frame"] = setting(
-        "shared", "Whether the frames share one shape.", paper="per_frame; U39", letter="per_frame"
+        "shared", "Whether the frames share one shape.", paper="per_frame; U39", paper_value="per_frame"
     )
     scale: Literal["none", "bones"] = setting(
         "none",
         "Whether a person's body is the model times a factor of its own, from the lengths of bones, before "
         "shape is fitted; shape alone otherwise says how tall somebody is.",
         paper="bones: s* per person, Eq. 3; U36",
-        letter="bones",
+        paper_value="bones",
     )
     rolling_shutter: bool = setting(
         True,
         "Whether keypoints are moved by the time that a camera's rows take one after the other, where people who move "
         "show it in the whole clip and in both halves of it.",
         paper="not treated",
-        letter=False,
+        paper_value=False,
     )
     unverified_sigma_m: float = 0.03
     max_frame_m: float = 0.15
@@ -148,7 +148,7 @@ def fit_person(
     options = fitting.FitSettings(
         **{f.name: getattr(keys, f.name) for f in fields(keys) if f.name in _FITTED}, free_scale=False
     )
-    size = size_of(person, points, body) if keys.scale == "bones" else 1.0
+    size = body_scale(person, points, body) if keys.scale == "bones" else 1.0
     solve = paper_solver.fit if keys.solver == "paper" else fitting.fit
     own_body = body if size == 1.0 else body.scaled(size)
     result = solve(own_body, points.names, points.points_m, points.sigma_m, options, surface)
@@ -219,7 +219,7 @@ def _person(
     )
 
 
-def say_filled(fitted: Person) -> None:
+def report_filled_frames(fitted: Person) -> None:
     """Say in which frames somebody's pose lies between measured ones, and in which they are away."""
     guessed = fitted.present & ~fitted.valid
     if guessed.any():
@@ -279,7 +279,7 @@ def run(
     )
     surface = None
     if settings.fit.vertex_weight > 0:
-        surface = surface_of(
+        surface = triangulate_surface(
             person,
             seen,
             whose,
@@ -300,7 +300,7 @@ def run(
     )
     if not result.converged:
         say(f"{person}: the fit was still improving after people.fit.iterations = {settings.fit.iterations} steps")
-    say_filled(fitted)
+    report_filled_frames(fitted)
     ratio = limb_ratio(points, fitted, body_model)
     if abs(ratio - 1) > 0.05:
         say(

@@ -58,7 +58,7 @@ class Lifting:
         minimum=0,
         maximum=0.5,
         paper="none, the depth as it is, Eq. S1; U26",
-        letter=0.0,
+        paper_value=0.0,
     )
     patch_px: int = 1
 

@@ -110,7 +110,7 @@ class Wanted:
     index: int
 
 
-def wanted_of(found: Detections, view: int, tracks: Sequence[int], pictures: int) -> list[Wanted]:
+def choose_pictures(found: Detections, view: int, tracks: Sequence[int], pictures: int) -> list[Wanted]:
     """Evenly spread detections of ``tracks``, one per frame, the surer one where two share a frame."""
     mine = np.flatnonzero(np.isin(found.track, tracks))
     chosen = []
@@ -152,7 +152,7 @@ def cut_out(
     return shown
 
 
-def pictures_of(
+def cut_out_pictures(
     wanted: Sequence[tuple[Wanted, str]], detections: Sequence[Detections], videos: Sequence[Path], height_px: int
 ) -> list[str]:
     """Data addresses (JPEG) of all wanted pictures, each video decoded once."""
@@ -172,7 +172,7 @@ def pictures_of(
     return out
 
 
-def colour_of(person: str) -> str:
+def person_css_colour(person: str) -> str:
     return _COLOURS[int(person[1:]) % len(_COLOURS)] if person else _NOBODY
 
 
@@ -201,22 +201,28 @@ def run(
     for row in rows:
         for v, d in enumerate(found):
             tracks = [t["track"] for t in told["tracks"] if t["camera"] == d.camera and t["person"] == row["person"]]
-            strips.append((f"{row['person']} {d.camera}", colour_of(row["person"]), wanted_of(d, v, tracks, _PICTURES)))
+            strips.append(
+                (
+                    f"{row['person']} {d.camera}",
+                    person_css_colour(row["person"]),
+                    choose_pictures(d, v, tracks, _PICTURES),
+                )
+            )
     for one in told["left_out"]:
         for v, d in enumerate(found):
-            mine = wanted_of(d, v, [t for camera, t in one["tracks"] if camera == d.camera], _PICTURES)
+            mine = choose_pictures(d, v, [t for camera, t in one["tracks"] if camera == d.camera], _PICTURES)
             strips.append((f"{one['name']} {d.camera}", _NOBODY, mine))
     for t in [*doubtful, *rejected[:_MAX_REJECTED]]:
         v = view[t["camera"]]
         strips.append(
             (
                 f"{t['camera']}/{t['track']}",
-                colour_of(t["person"]),
-                wanted_of(found[v], v, [t["track"]], min(3, _PICTURES)),
+                person_css_colour(t["person"]),
+                choose_pictures(found[v], v, [t["track"]], min(3, _PICTURES)),
             )
         )
     flat = [(one, colour) for _, colour, some in strips for one in some]
-    images = iter(pictures_of(flat, found, videos, _HEIGHT_PX))
+    images = iter(cut_out_pictures(flat, found, videos, _HEIGHT_PX))
     shown = {}
     for where, colour, some in strips:
         figures = [
@@ -252,7 +258,7 @@ def _page(
         cameras=cameras,
         shown=shown,
         sources=_SOURCES,
-        colour_of=colour_of,
+        colour_of=person_css_colour,
         nobody=_NOBODY,
         listing="\n".join(["camera\ttrack\tperson", *(f"{c}\t{t}\t{p}" for (c, t), p in sorted(identities.items()))]),
     )

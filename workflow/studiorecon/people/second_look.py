@@ -35,12 +35,12 @@ from studiorecon.people.expected import (
     Expected,
     Plan,
     agreement,
-    exchanged,
-    expected,
     planned,
+    project_expected,
+    swap_left_right,
 )
 from studiorecon.people.fit_settings import Triangulated
-from studiorecon.people.guessed import guessed, turned_round
+from studiorecon.people.monocular_guess import is_left_right_swapped, project_guess
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, read_manifest
@@ -156,8 +156,8 @@ def improved_by(
     kept = ~plan.dropped
     kept[[look.replaces for look in looks if look.replaces >= 0]] = False
     keypoints, guess = own.keypoints.copy(), np.array(own.points_m)
-    keypoints[plan.swapped] = exchanged(own.layout, keypoints[plan.swapped])
-    guess[plan.swapped] = exchanged(own.layout, guess[plan.swapped])
+    keypoints[plan.swapped] = swap_left_right(own.layout, keypoints[plan.swapped])
+    guess[plan.swapped] = swap_left_right(own.layout, guess[plan.swapped])
     first = replace(own, track=plan.track, keypoints=keypoints, points_m=guess).only(kept)
     whose = np.array(owners, dtype=object)
     fresh = max(plan.track, default=-1) + 1
@@ -221,14 +221,14 @@ def run(
     names = sorted({p for p in who.values() if p})
     if len(cameras) > 2:
         about = BodyModel.load(body), footage.frames, settings.triangulation
-        people = [expected(p, at, cameras, given, who, *about) for p in names]
+        people = [project_expected(p, at, cameras, given, who, *about) for p in names]
     else:
-        people = [guessed(p, at, cameras, given, who, footage.frames) for p in names]
+        people = [project_guess(p, at, cameras, given, who, footage.frames) for p in names]
     plan = planned(own, people, who, footage.frames)
     owners = [who.get((camera, int(t)), "") for t in own.track]
     if len(cameras) == 2:
         # Which of two cameras that disagree has left and right exchanged: the one that contradicts itself.
-        plan = replace(plan, swapped=plan.swapped & turned_round(own, cameras[at], owners, footage.fps))
+        plan = replace(plan, swapped=plan.swapped & is_left_right_swapped(own, cameras[at], owners, footage.fps))
     view = CameraPictures(footage, lens, read_json(networks[2]), read_clocks(clocks))
     wanted = [footage.used[frame] for frame in sorted({look[0] for look in plan.looks})]
     pictures = progress(stills(open_source(source, picture_fps), wanted), f"frames of {camera}", len(wanted))

@@ -7,14 +7,14 @@ data; they read both as ``PLAN`` and ``files`` (``workflow/rules/common.smk``). 
 * ``dataset``: the user's dataset, or the synthetic studio that is filmed first. ``discovery`` reads the user's folder
   with ``films`` (chapters of recordings), ``pairing`` (camera names), ``keypoint_files`` and ``inventory`` (unused
   files);
-* ``sight``: the cameras in which people are detected, and the method;
+* ``person_sources``: the cameras in which people are detected, and the method;
 * ``networks``: the selected upstream networks, their images and GPUs;
 * ``decisions``: the ``Plan`` itself; ``refusals``, ``dates``: inputs that cannot be run; ``make``: the whole plan;
 * ``budget``: the preset that fits into ``budget_min``, from ``workload`` (the work of every rule) and ``prices``;
 * ``command``: the shell line of a rule, from the signature of its step;
-* ``told``: the settings that a step gets, including the decisions of ``survey.force``;
-* ``brought``, ``rule_files``: input files of rules that depend on the plan, the people or the survey; ``left_lock``:
-  removes the lock of a run that was killed.
+* ``step_config``: the settings that a step gets, including the decisions of ``survey.force``;
+* ``user_inputs``, ``rule_files``: input files of rules that depend on the plan, the people or the survey;
+  ``stale_lock``: removes the lock of a run that was killed.
 
 Snakemake reads the plan at every start, so it decodes no pictures and compiles nothing.
 """

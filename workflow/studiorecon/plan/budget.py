@@ -21,7 +21,7 @@ from studiorecon.errors import UserError
 from studiorecon.home import PRESETS
 from studiorecon.plan.decisions import Plan
 from studiorecon.plan.prices import Point, Predicted, PriceList, pace_here, predict, read_prices, spent
-from studiorecon.plan.workload import Footage, footage_of, segments_with_views, workload
+from studiorecon.plan.workload import Footage, measure_footage, segments_with_views, workload
 
 _PACE = Path("timings") / "pace.json"
 
@@ -123,7 +123,7 @@ def bought(
             "hand when you use networks"
         )
     prices = read_prices()
-    footage = footage_of(plan, config["capture"]["picture_fps"])
+    footage = measure_footage(plan, config["capture"]["picture_fps"])
     stated = Stated(said, schema)
     return choose(config["budget_min"], config, stated, footage, plan, prices, cores, pace_here(prices, _PACE))
 

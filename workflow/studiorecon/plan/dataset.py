@@ -28,7 +28,7 @@ class ChosenDataset:
     description: str
 
 
-def beside(path: str | Path, home: Path) -> str:
+def resolve_path(path: str | Path, home: Path) -> str:
     """A path of the configuration: as given when it exists relative to the working folder, else below ``home``."""
     return str(path) if Path(path).is_file() else str(home / path)
 
@@ -39,7 +39,7 @@ def chosen_dataset(config: Mapping[str, Any], home: Path) -> ChosenDataset:
     """
     given = Path(config["dataset"])
     if given.suffix in (".yaml", ".yml"):
-        description = Path(beside(given, home))
+        description = Path(resolve_path(given, home))
         folder = Path("results/studio") / description.stem
         planned = planned_dataset(read_description(description), folder / "dataset", folder / "truth")
         chosen = ChosenDataset(planned, description.stem, str(description))

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from studiorecon.plan.networks import Networks
-from studiorecon.plan.sight import Sight
+from studiorecon.plan.person_sources import PersonSources
 from studiorecon.scene.dataset import Dataset
 
 
@@ -22,7 +22,7 @@ class Plan:
         scene: the scene's folder below ``results``.
         given_body: the body model that the configuration names; body: the same as plain arrays, which steps read.
         identities: file of the user's own table of identities; "" when there is none.
-        sight: the cameras in which people are detected; networks: the selected upstream networks.
+        person_sources: the cameras in which people are detected; networks: the selected upstream networks.
         lifted: people are separated by the 3D positions of their pelvises at the scene's depth.
         from_people: cameras are calibrated from the people in the pictures.
         calibration: files of the calibration: the user's, or those that a network writes.
@@ -38,7 +38,7 @@ class Plan:
     given_body: str
     body: str
     identities: str
-    sight: Sight
+    person_sources: PersonSources
     networks: Networks
     lifted: bool
     from_people: bool
@@ -85,6 +85,6 @@ class Plan:
         return ["train", *self.films]
 
 
-def one_of(names: Iterable[str]) -> str:
+def one_of_pattern(names: Iterable[str]) -> str:
     """A wildcard constraint that matches exactly these names; nothing when ``names`` is empty."""
     return "|".join(map(re.escape, names)) or "(?!)"

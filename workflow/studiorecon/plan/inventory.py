@@ -10,7 +10,7 @@ from pathlib import Path
 from studiorecon.calibration.formats.lenses import why_not
 from studiorecon.footage.kinds import film_suffixes
 from studiorecon.plan.films import is_preview
-from studiorecon.plan.pairing import stem_of
+from studiorecon.plan.pairing import camera_stem
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset
 from studiorecon.scene.names import folded, of_the_system
 
@@ -89,7 +89,7 @@ def _files(folder: Path) -> Iterator[Path]:
 def _reason(path: Path, dataset: Dataset, place: Path, left_out: set[str]) -> str:
     if path.is_symlink() and not path.exists():
         return f"a link to {path.readlink()}, which does not exist"
-    if stem_of(path) in left_out:
+    if camera_stem(path) in left_out:
         return "train in capture.yaml leaves this camera out"
     if path.is_dir():
         if (first := next(_files(path), None)) is None:
@@ -118,7 +118,7 @@ def _reason_of_name(path: Path, dataset: Dataset) -> str:
     nouns = {"keypoints": dataset.keypoints, "plate": dataset.plates, "masks": dataset.masks, "depth": dataset.depth}
     for noun, entries in nouns.items():
         for camera, entry in entries.items():
-            if entry.parent == path.parent and folded(stem_of(entry)) == folded(stem_of(path)):
+            if entry.parent == path.parent and folded(camera_stem(entry)) == folded(camera_stem(path)):
                 return f"camera {camera} has {noun} in {entry.name} already"
         if any(entry.parent == path.parent for entry in entries.values()):
             return f"{_NO_NAME}; cameras are {', '.join(dataset.footage)}"

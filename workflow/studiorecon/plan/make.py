@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.errors import UserError
-from studiorecon.plan.dataset import beside, chosen_dataset
+from studiorecon.plan.dataset import chosen_dataset, resolve_path
 from studiorecon.plan.decisions import Plan
-from studiorecon.plan.networks import networks_of
+from studiorecon.plan.networks import choose_networks
+from studiorecon.plan.person_sources import choose_person_sources
 from studiorecon.plan.refusals import refuse
-from studiorecon.plan.sight import sight_of
 from studiorecon.scene.names import checked_name, segment_name
 
 _TAKEN = ("studio", "body")
@@ -25,7 +25,8 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
     Raises UserError when the dataset does not exist or cannot be run so.
     """
     chosen = chosen_dataset(config, home)
-    dataset, sight, networks = chosen.dataset, sight_of(chosen.dataset, config), networks_of(config, home)
+    dataset, networks = chosen.dataset, choose_networks(config, home)
+    sources = choose_person_sources(dataset, config)
     scene = str(config["scene"]) or chosen.studio or dataset.folder.resolve().name
     checked_name(scene, "the scene", "name it with --config scene=NAME")
     if scene in _TAKEN:
@@ -33,7 +34,7 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
             f"the scene is called {scene!r}, and results/{scene}/ holds what all scenes share; name it otherwise with "
             "--config scene=NAME"
         )
-    given_body = beside(config["body"], home)
+    given_body = resolve_path(config["body"], home)
     source = config["calibration"]["source"]
     position, affinity = (config["people"]["association"][key] for key in ("position", "affinity"))
     written = [f"results/{scene}/calibration/network/{name}.txt" for name in ("cameras", "images")]
@@ -47,10 +48,10 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
         body=f"results/body/{Path(given_body).stem}.npz" if given_body.endswith(".pkl") else given_body,
         # A file named in the configuration takes precedence over the dataset's.
         identities=str(config["people"]["identities"] or dataset.identities or ""),
-        sight=sight,
+        person_sources=sources,
         networks=networks,
         lifted=dataset.people and position == "scene" and affinity != "pose",
-        from_people=source == "people" or (source == "auto" and not dataset.calibration and bool(sight.watched)),
+        from_people=source == "people" or (source == "auto" and not dataset.calibration and bool(sources.watched)),
         calibration=written if networks.cameras else [str(file) for file in dataset.calibration],
         segments=[segment_name(number) for number in range(len(dataset.training))],
         films=[shot for shot in config["render"]["shots"] if shot != "heldout" or dataset.held_out],

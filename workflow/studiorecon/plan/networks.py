@@ -58,7 +58,7 @@ class Networks:
         return sorted({"core", self.drawn_by} | fetched_in | {MODELS[name].runtime.image for name in self.selected})
 
 
-def networks_of(config: Mapping[str, Any], home: Path) -> Networks:
+def choose_networks(config: Mapping[str, Any], home: Path) -> Networks:
     """The networks that the configuration selects; raises UserError for a network whose licence it does not allow."""
     check_licences(config)
     wanted = sorted({model for _, model in selected(config)})
@@ -126,7 +126,7 @@ class Images:
         return [f"{name}={self.entries[name]['image']}:{self.entries[name]['version']}" for name in names]
 
 
-def images_of(config: Mapping[str, Any], home: Path) -> Images:
+def read_images(config: Mapping[str, Any], home: Path) -> Images:
     """The images of ``envs/images.yaml`` in the workflow's folder."""
     entries = yaml.safe_load((home / "envs/images.yaml").read_text(encoding="utf-8"))
     return Images(entries, Path(config["images"]), config["device"] == "cpu")

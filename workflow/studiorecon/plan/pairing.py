@@ -15,7 +15,7 @@ from studiorecon.scene.names import folded, of_the_system
 _TAIL = "(?:_json|_ext|_keypoints|_pose|dlc_.*)"
 
 
-def stem_of(path: Path) -> str:
+def camera_stem(path: Path) -> str:
     """The name without its suffix and without the suffix of a film before it (``cam1.mp4.json``); other dots stay."""
     stem = path.name if path.is_dir() else path.stem
     return Path(stem).stem if Path(stem).suffix.lower() in film_suffixes() else stem
@@ -49,7 +49,7 @@ def paired(cameras: Sequence[str], entries: Iterable[Path]) -> dict[str, Path]:
     A weaker match (one name contains the other as a whole word, or they differ in case or Unicode form) counts only
     where exactly one camera and one entry fit.
     """
-    left = {entry: stem_of(entry) for entry in entries}
+    left = {entry: camera_stem(entry) for entry in entries}
     found: dict[str, Path] = {}
     for rule in _RULES:
         pairs = [(c, e) for c in cameras if c not in found for e, stem in left.items() if rule(c, stem)]

@@ -39,7 +39,7 @@ def refuse(plan: Plan, config: Mapping[str, Any]) -> None:
         )
     if plan.lifted:
         _lifting(plan)
-    if plan.from_people and (unseen := [c for c in plan.cameras if c not in plan.sight.watched]):
+    if plan.from_people and (unseen := [c for c in plan.cameras if c not in plan.person_sources.watched]):
         raise UserError(
             f"dataset {plan.dataset.folder} has no calibration, so people's keypoints must give the cameras, but "
             f"camera {unseen[0]} has no keypoints: add {unseen[0]}/*.json, set detect.source to auto, leave the camera "
@@ -114,23 +114,24 @@ def _lifting(plan: Plan) -> None:
             f"{asked} needs the depth of every frame: set depth.source to {' or '.join(monocular)}, or the position to "
             "rays"
         )
-    if plan.sight.detected:
+    if plan.person_sources.detected:
         raise UserError(
             f"{asked} needs people from a network's bodies or keypoint files, but the embedded detector finds them in "
-            f"camera {plan.sight.detected[0]}: set detect.source to comotion or keypoints, or the position to rays"
+            f"camera {plan.person_sources.detected[0]}: set detect.source to comotion or keypoints, or the position "
+            "to rays"
         )
 
 
 def _keypoints(plan: Plan) -> None:
-    sight, dataset = plan.sight, plan.dataset
-    if not sight.somebody:
+    sources, dataset = plan.person_sources, plan.dataset
+    if not sources.somebody:
         raise UserError(
             f"dataset {dataset.folder} has no 2D keypoints and detect.source is keypoints: set it to auto, put "
             "keypoints/<camera>/*.json (OpenPose, AlphaPose, MMPose, …) there, or write people: 0 into capture.yaml "
             "for an empty room"
         )
-    blind = [c for c in plan.training if c not in sight.watched]
-    if sight.watched and not sight.bodies and blind:
+    blind = [c for c in plan.training if c not in sources.watched]
+    if sources.watched and not sources.bodies and blind:
         raise UserError(
             f"camera {blind[0]} of dataset {dataset.folder} has no keypoints in "
             f"{next(iter(dataset.keypoints.values())).parent}: add {blind[0]}/*.json there, leave the camera out with "

@@ -7,15 +7,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from studiorecon.plan.brought import Brought
 from studiorecon.plan.decisions import Plan
-from studiorecon.plan.told import section
+from studiorecon.plan.step_config import step_section
+from studiorecon.plan.user_inputs import UserInputs
 from studiorecon.scene.intermediate import read
 from studiorecon.scene.people import read_people
 from studiorecon.scene.schema import Anything, Named
 
 
-class Files(Brought):
+class Files(UserInputs):
     """Input functions of all rules: the user's files, and outputs of other rules.
 
     A function that reads one of Snakemake's ``checkpoints`` raises Snakemake's own exception until that has run.
@@ -109,17 +109,17 @@ class Files(Brought):
         return [f"results/{self._scene(wildcards)}/plates/{camera}.png" for camera in brought if self.plan.people]
 
     def _detected(self, wildcards: Any) -> list[str]:
-        looked = self.plan.sight.detected if self.plan.people else []
+        looked = self.plan.person_sources.detected if self.plan.people else []
         return [camera for camera in self.training(wildcards) if camera in looked]
 
     def _looked_at(self, scene: str, camera: str) -> str:
-        if camera in self.plan.sight.detected:
+        if camera in self.plan.person_sources.detected:
             return f"results/{scene}/people/detections/{camera}.npz"
         return f"results/{scene}/tracks/{camera}.npz"
 
     def seen_people(self, wildcards: Any) -> list[str]:
         """The detector's masks of one camera, its detections, and the identities; none where it did not run."""
-        if wildcards.camera not in self.plan.sight.detected:
+        if wildcards.camera not in self.plan.person_sources.detected:
             return []
         folder = f"results/{wildcards.scene}/people"
         masks = f"{folder}/seen/{wildcards.camera}.npz"
@@ -241,7 +241,7 @@ class Files(Brought):
         """Film, path and depth of the training cameras, which an enhancer compares with their photos; none without an
         enhancer.
         """
-        told = section("enhance.shot", self.config)
+        told = step_section("enhance.shot", self.config)
         if told["enhancer"] == "none" and not told["injection"]["history"]:
             return []
         return [f"results/{wildcards.scene}/render/train.{kind}" for kind in ("mkv", "json", "depth.mkv")]

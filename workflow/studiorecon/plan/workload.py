@@ -60,13 +60,13 @@ class Work:
     units: float
 
 
-def footage_of(plan: Plan, picture_fps: float) -> Footage:
+def measure_footage(plan: Plan, picture_fps: float) -> Footage:
     """The size of a plan's capture, from its files; raises UserError where one cannot be read.
 
     Recorded keypoints give the number of people: as many as two cameras see in the median frame.
     """
     count = plan.dataset.frame_count
-    cameras = (len(plan.training), len(plan.held_out), len(set(plan.sight.detected) & set(plan.training)))
+    cameras = (len(plan.training), len(plan.held_out), len(set(plan.person_sources.detected) & set(plan.training)))
     if plan.studio:
         described = read_description(Path(plan.description))
         return Footage(*cameras, described.frames, described.size, described.people, made=True)

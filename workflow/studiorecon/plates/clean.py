@@ -28,8 +28,8 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.lens import WorkingView, video_from_working
 from studiorecon.images.channels import channel_max, channel_sum
+from studiorecon.images.photometric_normalisation import STEADY, light_factors, normalise_light
 from studiorecon.images.plate import noise_levels, temporal_modes, write_plate
-from studiorecon.images.steady_light import STEADY, in_one_light, light_factors
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, read_footage
@@ -282,7 +282,7 @@ def run(
         hold = round(options.hold_s * about.fps)
         occupied |= people_regions(read_detections(path), chosen, frames.shape[1:3], options.margin, hold)
     factors = light_factors(frames, ~occupied)
-    frames = in_one_light(frames, factors)
+    frames = normalise_light(frames, factors)
     if np.ptp(factors.mean(axis=1)) > 2 * STEADY:
         low, high = factors.mean(axis=1).min(), factors.mean(axis=1).max()
         say(f"{about.camera}: the light changes between {low:.0%} and {high:.0%}, which is divided out of the plate")

@@ -49,13 +49,13 @@ class Injection:
         minimum=0,
         maximum=30,
         paper="3, appendix Recursive Enhancement Module; U03",
-        letter=3,
+        paper_value=3,
     )
     strength: float = setting(
-        0.9, "Overall share of history at full confidence.", minimum=0, below=1, paper="0.3; U02", letter=0.3
+        0.9, "Overall share of history at full confidence.", minimum=0, below=1, paper="0.3; U02", paper_value=0.3
     )
     moving_strength: float = setting(
-        0.6, "The same in films whose camera moves.", minimum=0, below=1, paper="0.3", letter=0.3
+        0.6, "The same in films whose camera moves.", minimum=0, below=1, paper="0.3", paper_value=0.3
     )
     decay: float = 0.5
     error: Literal["mean", "norm", "sum"] = "mean"
@@ -65,7 +65,7 @@ class Injection:
         above=0,
         maximum=765,
         paper="30; U04",
-        letter=30.0,
+        paper_value=30.0,
     )
     blurred: Literal["confidence", "error"] = "confidence"
     blur_px: int = 11
@@ -74,16 +74,16 @@ class Injection:
         "residual",
         "residual keeps constants constant; literal is the printed formula, which darkens.",
         paper="literal; U01",
-        letter="literal",
+        paper_value="literal",
     )
     settle: bool = setting(
         True,
         "Inject whole levels only, so that eight-bit feedback forgets what has moved on.",
         paper="false",
-        letter=False,
+        paper_value=False,
     )
     flow: Literal["direct", "chained"] = "direct"
-    check: bool = setting(True, "Trust only flow that leads back.", paper="false; U06", letter=False)
+    check: bool = setting(True, "Trust only flow that leads back.", paper="false; U06", paper_value=False)
     cut_share: float = 0.1
 
 

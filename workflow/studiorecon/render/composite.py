@@ -70,7 +70,7 @@ class Composite:
         return [*self.people, *self.objects]
 
 
-def classes_of(person: Posed, frame: float) -> Integer[np.ndarray, " N"]:
+def provenance_classes(person: Posed, frame: float) -> Integer[np.ndarray, " N"]:
     """(N,) uint8 classes of a person or object at a frame.
 
     In a frame whose pose was interpolated no part of a body is measured.

@@ -15,9 +15,9 @@ import scipy
 from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import look_at, scene_centre, with_pose
+from studiorecon.render.look_at_targets import LookAtTargets, Target
 from studiorecon.render.moves import camera_named
 from studiorecon.render.shots import usual_focal
-from studiorecon.render.subjects import Subjects, Target
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.path import PathStep
 
@@ -107,7 +107,11 @@ def from_camera_to_camera(cameras: Sequence[Camera], name: str) -> list[CameraKe
 
 
 def spline_steps(
-    keys: Sequence[CameraKey | FreeKey], name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int]
+    keys: Sequence[CameraKey | FreeKey],
+    name: str,
+    cameras: Sequence[Camera],
+    subjects: LookAtTargets,
+    wh: tuple[int, int],
 ) -> list[PathStep]:
     """One step per picture, from the first key's to the last key's.
 
@@ -156,7 +160,7 @@ def _eye(key: CameraKey | FreeKey, cameras: Sequence[Camera], name: str) -> np.n
     )
 
 
-def _rotation(key: CameraKey | FreeKey, cameras: Sequence[Camera], subjects: Subjects, name: str) -> np.ndarray:
+def _rotation(key: CameraKey | FreeKey, cameras: Sequence[Camera], subjects: LookAtTargets, name: str) -> np.ndarray:
     if isinstance(key, CameraKey):
         return camera_named(key.camera, cameras, name).world_from_camera[:3, :3]
     return look_at(np.asarray(key.eye_m, np.float64), subjects.at(key.target, np.array([key.frame]), name)[0])

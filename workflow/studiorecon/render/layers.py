@@ -18,7 +18,7 @@ import numpy as np
 
 from studiorecon.footage.exr import write_channels
 from studiorecon.progress import progress, say
-from studiorecon.render.canvas import Canvas, Layers
+from studiorecon.render.composite_renderer import CompositeRenderer, Layers
 from studiorecon.render.draw_settings import Drawn
 from studiorecon.render.shot import read_composite
 from studiorecon.scene.path import read_path
@@ -65,7 +65,7 @@ def run(
     steps, _ = read_path(path)
     scene = read_composite(files, shot, settings.shots, light or (), stand_ins or ())
     people = [moving.person for moving in scene.moving]
-    canvas = Canvas(scene, settings.near_m, resolve(device))
+    canvas = CompositeRenderer(scene, settings.near_m, resolve(device))
     for old in folder.glob("*.exr"):
         old.unlink()
     for index, step in enumerate(progress(steps, f"layers of {shot}")):

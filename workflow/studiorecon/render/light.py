@@ -25,7 +25,7 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frame
 from studiorecon.geometry.floor import beside, floor_points
 from studiorecon.progress import progress, say
-from studiorecon.render.lamps import losses, own_levels, patches, strengths
+from studiorecon.render.area_lights import losses, own_levels, patches, strengths
 from studiorecon.render.occlusion import Groups
 from studiorecon.render.room_light import Lamps, Light, LitPoints, write_light
 from studiorecon.scene.files import one_each
@@ -100,7 +100,7 @@ def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[Fl
     ]
 
 
-def standing(people: Sequence[Person], frame: int) -> tuple[Float[np.ndarray, "A 2"], Float[np.ndarray, "B 2"]]:
+def standing_places(people: Sequence[Person], frame: int) -> tuple[Float[np.ndarray, "A 2"], Float[np.ndarray, "B 2"]]:
     """(A, 2) positions of people measured at a frame, and (B, 2) possible positions of unmeasured ones, without absent
     people.
     """
@@ -231,7 +231,7 @@ def run(
         ratio = np.full((len(pixels), len(frames)), np.nan)
         for k, frame in enumerate(map(int, frames)):
             free = measured & (cv2.dilate((read_frame(mask, frame) > 0).astype(np.uint8), seam) == 0)
-            places = standing(persons, frame)
+            places = standing_places(persons, frame)
             ratio[:, k] = ratios(read_frame(video, frame), plate, free, points, *places, chosen.reach_m).ravel()[pixels]
         observed.append(Observed(points.reshape(-1, 3)[pixels], ratio))
     found = estimate(observed, frames.tolist(), bodies, box, chosen)

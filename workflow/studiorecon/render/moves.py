@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.render.look_at_targets import LookAtTargets, Target
 from studiorecon.render.shots import Time, film_times, level_step, usual_focal
-from studiorecon.render.subjects import Subjects, Target
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.path import PathStep
 
@@ -103,7 +103,7 @@ class Follow:
 
 
 def dolly_zoom_steps(
-    shot: DollyZoom, name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int]
+    shot: DollyZoom, name: str, cameras: Sequence[Camera], subjects: LookAtTargets, wh: tuple[int, int]
 ) -> list[PathStep]:
     """The pictures of a dolly zoom: focal length over depth of the target is the same in all of them.
 
@@ -132,7 +132,7 @@ def oscillate_steps(
     shot: Oscillate,
     name: str,
     cameras: Sequence[Camera],
-    subjects: Subjects,
+    subjects: LookAtTargets,
     wh: tuple[int, int],
     shrink: Float[np.ndarray, " pictures"],
 ) -> list[PathStep]:
@@ -161,7 +161,7 @@ def follow_steps(
     shot: Follow,
     name: str,
     cameras: Sequence[Camera],
-    subjects: Subjects,
+    subjects: LookAtTargets,
     wh: tuple[int, int],
     shrink: Float[np.ndarray, " pictures"],
 ) -> list[PathStep]:

@@ -91,7 +91,7 @@ class Groups:
         return out
 
 
-def capsules_of(
+def pack_capsules(
     bodies: Sequence[Float[np.ndarray, "C 7"]],
 ) -> tuple[Float[np.ndarray, "C 7"], Float[np.ndarray, "B 7"], Integer[np.ndarray, " B+1"]]:
     """Capsules (C, 7) of all bodies, a ball around each body (B, 7) as a capsule of length 0, and the start index of
@@ -130,8 +130,8 @@ def hidden(
 ) -> Float[np.ndarray, "N K"]:
     """(N, K) float32 share of every lamp that the bodies hide from points (N, 3).
 
-    ``lamps`` (K, 4): position and radius in metres, seen as a disc; ``bodies``: capsules (C, 7) each, two ends and a
-    radius. Capsules hide parts of a lamp independently of each other: against sampled rays, this error is a third
+    ``area_lights`` (K, 4): position and radius in metres, seen as a disc; ``bodies``: capsules (C, 7) each, two ends
+    and a radius. Capsules hide parts of a lamp independently of each other: against sampled rays, this error is a third
     smaller than with only the capsule that hides most. Raises ValueError for other shapes.
     """
     groups = points_m if isinstance(points_m, Groups) else Groups.of(points_m)
@@ -139,11 +139,11 @@ def hidden(
     shares = np.zeros((groups.count, len(lamps), LANES), np.float32)
     discs = np.ascontiguousarray(lamps, np.float32)
     nothing = np.zeros(0, np.float32)
-    _hide(groups.places, groups.spheres, discs, *capsules_of(bodies), nothing, shares.reshape(-1), nothing)
+    _hide(groups.places, groups.spheres, discs, *pack_capsules(bodies), nothing, shares.reshape(-1), nothing)
     return groups.of_points(shares.transpose(0, 2, 1).reshape(-1, len(lamps)))
 
 
-def lost(
+def hidden_light(
     groups: Groups,
     parts: Float[np.ndarray, " P"],
     lamps: Float[np.ndarray, "K 4"],
@@ -152,7 +152,7 @@ def lost(
     """(N,) float32 sum over lamps (K, 4) of ``parts`` times the hidden share; ``parts`` are those of ``grouped``."""
     out = np.zeros(groups.count * LANES, np.float32)
     discs = np.ascontiguousarray(lamps, np.float32)
-    _hide(groups.places, groups.spheres, discs, *capsules_of(bodies), parts, np.zeros(0, np.float32), out)
+    _hide(groups.places, groups.spheres, discs, *pack_capsules(bodies), parts, np.zeros(0, np.float32), out)
     return groups.of_points(out)
 
 
@@ -171,7 +171,7 @@ def nearness(
     """
     groups = points_m if isinstance(points_m, Groups) else Groups.of(points_m)
     gaps = np.empty(groups.count * LANES, np.float32)
-    _gaps(groups.places, groups.spheres, *capsules_of(bodies), float32(_REACHES * reach_m), gaps)
+    _gaps(groups.places, groups.spheres, *pack_capsules(bodies), float32(_REACHES * reach_m), gaps)
     near = np.exp(-np.square(np.maximum(gaps, 0) / np.float32(reach_m), dtype=np.float32))
     return groups.of_points(np.where(gaps < _REACHES * reach_m, near, np.float32(0)))
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import LARGEST_GAP_RAD, azimuths_rad, order_around, scene_centre
+from studiorecon.render.look_at_targets import LookAtTargets, Target
 from studiorecon.render.shots import Time, film_times, level_step, usual_focal
-from studiorecon.render.subjects import Subjects, Target
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.path import PathStep
 
@@ -69,7 +69,7 @@ def orbit_steps(
     orbit: Orbit,
     name: str,
     cameras: Sequence[Camera],
-    subjects: Subjects,
+    subjects: LookAtTargets,
     wh: tuple[int, int],
     shrink: Float[np.ndarray, " pictures"],
 ) -> list[PathStep]:

@@ -16,10 +16,10 @@ from studiorecon.render.composite import blocked
 from studiorecon.render.given import GivenPath, path_steps
 from studiorecon.render.keyframes import Spline, from_camera_to_camera, read_keys, spline_steps
 from studiorecon.render.kinds import Heldout, film
+from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.moves import DollyZoom, Follow, Oscillate, dolly_zoom_steps, follow_steps, oscillate_steps
 from studiorecon.render.orbit import Orbit, orbit_steps
 from studiorecon.render.shots import every_frame, picture_size
-from studiorecon.render.subjects import Subjects
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.path import PathStep
@@ -38,7 +38,7 @@ def plan(
     clearance_m: float,
     training: Sequence[Camera],
     held_out: Sequence[Camera],
-    subjects: Subjects,
+    subjects: LookAtTargets,
     background: Gaussians,
 ) -> list[PathStep]:
     """The pictures of a shot.
@@ -71,10 +71,10 @@ def plan(
     def steps(shrink: np.ndarray) -> list[PathStep]:
         return maker(settings, shot, training, subjects, wh, shrink)
 
-    return kept_clear(steps, settings.frames, shot, background, clearance_m)
+    return clear_path(steps, settings.frames, shot, background, clearance_m)
 
 
-def kept_clear(
+def clear_path(
     path: Callable[[Float[np.ndarray, " pictures"]], list[PathStep]],
     pictures: int,
     shot: str,

@@ -47,7 +47,7 @@ class Donor:
     betas: Float[np.ndarray, " B"]
 
 
-def donor_of(person: Avatar) -> Donor:
+def donor_from_avatar(person: Avatar) -> Donor:
     """A trained person as a donor.
 
     Colours that change over the donor's performance are averaged, because its times do not match another's.
@@ -67,7 +67,7 @@ def read_donor(path: Path, model: BodyModel) -> Donor:
     """
     beside = path.with_suffix(".npz")
     if beside.is_file():
-        return donor_of(read_avatar(path, beside, model, brought=True))
+        return donor_from_avatar(read_avatar(path, beside, model, brought=True))
     binding = bind(read_ply(path, "export it again"), model, str(path))
     say(
         f"{path.name}: {binding.gaussians.count} Gaussians are bound to the body, 95 % of which "
@@ -76,7 +76,7 @@ def read_donor(path: Path, model: BodyModel) -> Donor:
     return Donor(binding.gaussians, binding.bones, binding.weights, binding.betas)
 
 
-def performing(donor: Donor, performer: Avatar) -> Avatar:
+def retarget(donor: Donor, performer: Avatar) -> Avatar:
     """The donor with the performer's motion, as ``performer.person``.
 
     Joint rotations are the performer's, bones keep the donor's length. The pelvis follows the performer's, shifted in
@@ -104,7 +104,7 @@ def performing(donor: Donor, performer: Avatar) -> Avatar:
     )
 
 
-def replaced(
+def replace_people(
     people: Sequence[Avatar], wanted: Mapping[str, str], shot: str, stand_ins: Sequence[Path] = ()
 ) -> list[Avatar]:
     """The people of a shot, with those in ``wanted`` (person → person, path of a ``.ply`` or photo, or ``NOBODY``)
@@ -135,7 +135,7 @@ def replaced(
             if is_photo(source)
             else Path(source)
         )
-        donor = donor_of(cast[source]) if source in cast else read_donor(file, person.model)
-        done.append(performing(donor, person))
+        donor = donor_from_avatar(cast[source]) if source in cast else read_donor(file, person.model)
+        done.append(retarget(donor, person))
         say(f"shot {shot}: {source} performs {person.person}")
     return done

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.render.occlusion import Groups, lost, nearness, sky_discs
+from studiorecon.render.occlusion import Groups, hidden_light, nearness, sky_discs
 from studiorecon.scene.files import write_json
 from studiorecon.scene.intermediate import read
 from studiorecon.scene.schema import Anything, Listed, Named, flag, metres, real, text
@@ -135,7 +135,7 @@ class LitPoints:
         """(N,) float32 remaining share of light on the points, near bodies of capsules (C, 7) each."""
         if not any(len(body) for body in bodies):
             return np.ones(len(self._total), np.float32)
-        gone = lost(self._groups, self._parts, self._discs, bodies)
+        gone = hidden_light(self._groups, self._parts, self._discs, bodies)
         if self._light.contact:
             gone = gone + self._light.contact * nearness(self._groups, bodies, self._light.contact_m)
         return np.clip(1 - gone / self._total, _MIN_FACTOR, 1).astype(np.float32)

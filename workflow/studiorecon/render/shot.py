@@ -19,15 +19,15 @@ from studiorecon.footage.streams import writing
 from studiorecon.footage.video import to_bytes, write_lossless
 from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.progress import progress, say
-from studiorecon.render.canvas import Canvas
 from studiorecon.render.composite import Composite, millimetres, truth_levels
+from studiorecon.render.composite_renderer import CompositeRenderer
 from studiorecon.render.draw_settings import Drawn
+from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.planning import plan
-from studiorecon.render.replacement import replaced
+from studiorecon.render.replacement import replace_people
 from studiorecon.render.room_light import read_light
 from studiorecon.render.shading import shading
 from studiorecon.render.statistics import PictureStatistics, angles_deg, obstacles, shares, write_ledger
-from studiorecon.render.subjects import Subjects
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.path import PathStep, write_path
@@ -49,7 +49,7 @@ class Settings(Drawn):
         minimum=0,
         maximum=16384,
         paper="1280",
-        letter=1280,
+        paper_value=1280,
     )
     background_rgb: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0), "Colour where nothing was reconstructed, RGB.", minimum=0, maximum=1
@@ -58,16 +58,16 @@ class Settings(Drawn):
     clearance_m: float = 0.3
 
 
-def subjects_of(people: Sequence[Avatar], cameras: Sequence[Camera], frames: int, fps: float) -> Subjects:
+def find_targets(people: Sequence[Avatar], cameras: Sequence[Camera], frames: int, fps: float) -> LookAtTargets:
     """The possible targets of a scene's shots."""
     pelvis = {person.person: np.asarray(person.trans, np.float64) for person in people}
     facing = {person.person: person.facing() for person in people}
     present = {person.person: person.present for person in people}
-    return Subjects(pelvis, facing, present, scene_centre(cameras), frames, fps)
+    return LookAtTargets(pelvis, facing, present, scene_centre(cameras), frames, fps)
 
 
 def picture(
-    canvas: Canvas, step: PathStep, background_rgb: tuple[float, float, float]
+    canvas: CompositeRenderer, step: PathStep, background_rgb: tuple[float, float, float]
 ) -> tuple[Integer[np.ndarray, "H W 3"], Integer[np.ndarray, "H W"], Integer[np.ndarray, "H W"]]:
     """(H, W, 3) uint8 picture, (H, W) uint8 truth map and (H, W) uint16 depth in millimetres of one step."""
     rendering, shares = canvas.draw(step.camera, step.frame, background_rgb)
@@ -83,7 +83,7 @@ def read_composite(
     Raises UserError when the provenance belongs to another background.
     """
     (static, classes), people, things = files.room(), files.people(), files.things()
-    cast = replaced(people, shots.get(shot, {}).get("replace", {}), shot, stand_ins)
+    cast = replace_people(people, shots.get(shot, {}).get("replace", {}), shot, stand_ins)
     shade = shading(read_light(light[0]), static, cast, people, things) if light else None
     names = {person.person for person in cast}
     return Composite(static, classes, cast, shade, things, [person for person in people if person.person not in names])
@@ -118,7 +118,7 @@ def run(
     scene = read_composite(files, shot, settings.shots, light or (), stand_ins or ())
     everybody = typing.cast("list[Avatar]", [*scene.people, *scene.absent])  # as read_composite made them
     captured = sorted(everybody, key=lambda person: person.person)
-    subjects = subjects_of(captured, training, capture.frames, capture.fps)
+    subjects = find_targets(captured, training, capture.frames, capture.fps)
     steps = plan(
         shot, settings.shots, settings.width, settings.clearance_m, training, held_out, subjects, scene.background
     )
@@ -136,7 +136,7 @@ def run(
             f"shot {shot} shows {thing.person} in {len(steps) - absent} pictures; in {absent} its position is unknown, "
             "and it is left out"
         )
-    canvas = Canvas(scene, settings.near_m, resolve(device))
+    canvas = CompositeRenderer(scene, settings.near_m, resolve(device))
     around = zip(angles_deg(steps, training, subjects.scene_m), obstacles(steps, scene, settings.clearance_m))
     entries = []
     writers = [partial(write_lossless, target, fps=capture.fps) for target in (video, truth, depth)]

@@ -133,7 +133,7 @@ def force(effects: Iterable[Effect]) -> Any:
         {},
         'Decisions made beforehand, e.g. {exposure: "on", view_synthesis: "off"}.',
         paper="views, temporal network, enhancement and injection always; nothing else that a scene may call for",
-        letter=PAPERS,
+        paper_value=PAPERS,
         shape={
             "type": "object",
             "propertyNames": {

@@ -23,7 +23,7 @@ import psutil
 import yaml
 
 from studiorecon.errors import UserError
-from studiorecon.images.metrics import mean_of
+from studiorecon.images.metrics import mean_of_measured
 from studiorecon.progress import say
 from studiorecon.report.sections.cost import read_benchmark
 from studiorecon.scene.files import read_json, write_json, write_text
@@ -149,7 +149,7 @@ def scores(path: Path) -> dict[str, Any]:
         why = pictures["psnr"]["reason"] or "no picture was compared with a photo: a sweep needs held-out cameras"
         return {"failed": why}
     values = {name: pictures.get(name, {}).get("value") for name in _PICTURES}
-    jitter = mean_of(person["joints_mm_f2"] for person in metrics["jitter"].values())
+    jitter = mean_of_measured(person["joints_mm_f2"] for person in metrics["jitter"].values())
     values |= {"joints_mm": metrics["bodies"]["mpjpe_world_mm"], "jitter_mm_f2": jitter}
     frames = {camera: entry["frames"] for camera, entry in pictures["psnr"]["cameras"].items()}
     return {"failed": "", "metrics": values, "frames": frames}

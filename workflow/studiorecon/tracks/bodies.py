@@ -44,7 +44,7 @@ class Settings(Detected):
         "keypoints = always these; comotion = the paper's network, which brings bodies too; precomputed = "
         "files of it.",
         paper="CoMotion, section on detection",
-        letter="comotion",
+        paper_value="comotion",
     )
 
 

@@ -36,13 +36,13 @@ class Settings:
         minimum=1,
         maximum=10000,
         paper="120, so L = 481 = 4·120 + 1, appendix A; U17",
-        letter=120,
+        paper_value=120,
     )
     rotations: Literal["slerp", "look_at"] = setting(
         "slerp",
         "slerp = as in the paper; look_at = every view faces the scene centre.",
         paper="slerp, section on trajectories",
-        letter="slerp",
+        paper_value="slerp",
     )
     clearance: float = setting(
         1.0,
@@ -51,7 +51,7 @@ class Settings:
         minimum=0,
         maximum=1,
         paper="0; U19",
-        letter=0.0,
+        paper_value=0.0,
     )
 
 

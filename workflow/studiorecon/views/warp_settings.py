@@ -18,14 +18,14 @@ class Made:
         "warp",
         "Source of new views: warp (photos through their depth), gen3c, or precomputed films of gen3c.",
         paper="gen3c",
-        letter="gen3c",
+        paper_value="gen3c",
     )
     key_frames: Literal["plates", "first_frames"] = setting(
         "plates",
         "Input of a network per training camera: its clean plate, or its first picture with people, who then appear "
         "in its views and are masked in the room's training.",
         paper="first frames; humans in synthesized views are masked",
-        letter="first_frames",
+        paper_value="first_frames",
     )
 
 
@@ -38,7 +38,7 @@ class Shown:
         "With first_frames, source of people's masks in the views: bodies = the fitted bodies; network = the network "
         "of masks.source on every view.",
         paper="SAM 3 on every synthesized view, section on novel view synthesis",
-        letter="network",
+        paper_value="network",
     )
 
 

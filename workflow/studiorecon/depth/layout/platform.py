@@ -49,7 +49,7 @@ _LOWEST_SHARE, _MIN_DOWN_M = 0.6, 0.14
 
 
 @dataclass(frozen=True)
-class _Told:
+class _HeightVotes:
     """What pixels say of their height.
 
     Attributes:
@@ -83,7 +83,7 @@ class Raised:
     levels_m: list[float]
 
 
-def platform_of(
+def fit_platform(
     pictures: Sequence[Picture], axes: Float[np.ndarray, "3 3"], standing_m: float, how: Matching
 ) -> Raised | None:
     """What people stand on at ``standing_m``, or None where that is the floor; ``axes`` (3, 3) are the room box's.
@@ -92,7 +92,7 @@ def platform_of(
     """
     if _disagreeing(pictures, standing_m, how) < _MIN_DISAGREEING:
         return None
-    told = _told(pictures, standing_m, how)
+    told = _height_votes(pictures, standing_m, how)
     if not told.stood_on.any():
         return None
     corner, upper = _densest(told.at_feet_m @ axes[:2, :2].T, told.stood_on)
@@ -168,7 +168,7 @@ def _pair(picture: Picture, other: Picture, standing_m: float, steps: np.ndarray
     return _Pair(best, top, sure, scores[np.abs(steps) <= _OWN].max(axis=0), scores[steps <= _OWN].max(axis=0))
 
 
-def _told(pictures: Sequence[Picture], standing_m: float, how: Matching) -> _Told:
+def _height_votes(pictures: Sequence[Picture], standing_m: float, how: Matching) -> _HeightVotes:
     """What the pixels of all pictures say of their height, each compared with every other picture."""
     steps = np.arange(-round(_DEEPEST_M / _STEP_M), round(_HIGHEST_M / _STEP_M) + 1)
     plane = np.array([0.0, 0.0, 1.0, standing_m])
@@ -208,7 +208,7 @@ def _told(pictures: Sequence[Picture], standing_m: float, how: Matching) -> _Tol
             places.append(place[mutual])
             chosen.append(steps[own[mutual]])
             scores.append(pair.top[at][mutual])
-    return _Told(*(np.concatenate(parts) for parts in (places, chosen, scores, feet, stood_on)))
+    return _HeightVotes(*(np.concatenate(parts) for parts in (places, chosen, scores, feet, stood_on)))
 
 
 def _cells(local_m: Float[np.ndarray, "N 3"]) -> Integer[np.ndarray, "M 2"]:

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from studiorecon.depth.stereo.kernels import UNSEEN
-from studiorecon.depth.stereo.photo_cost import Explained
+from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.images.channels import channel_sum
 from studiorecon.scene.room import RoomBox
 
@@ -46,7 +46,7 @@ _UNLIKE, _GAP_PX, _MIN_AREA, _MIN_ON_FLOOR = 0.2, (5, 3), 40, 3
 
 
 def advantage(
-    room: Explained, points_m: Float[np.ndarray, "A B 3"], outward: Float[np.ndarray, " 3"]
+    room: PhotoCostVolume, points_m: Float[np.ndarray, "A B 3"], outward: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, "A B"]:
     """(A, B) float32: by how much more the best pair of cameras agrees on a grid of surface points (A, B, 3) than on
     what they show now.
@@ -87,8 +87,8 @@ def advantage(
 def rectangles(
     value: Num[np.ndarray, "A B"], sides: tuple[int, ...], standing: bool
 ) -> list[tuple[float, int, int, int, int]]:
-    """Best (sum, top, left, rows, columns) of a map, overlapping ones reduced to the best; ``standing`` ones start at
-    row 0."""
+    """Best (sum, top, left, rows, columns) of a map, overlapping ones reduced to the best; ``contact_localisation``
+    ones start at row 0."""
     total = np.pad(value.cumsum(axis=0, dtype=np.float64).cumsum(axis=1), ((1, 0), (1, 0)))
     found = []
     bands = {rows: total[rows:] - total[:-rows] for rows in sides if rows < value.shape[0]}
@@ -120,7 +120,7 @@ def _overlap(one: tuple[float, int, int, int, int], other: tuple[float, int, int
     return shared / (rows * columns + height * width - shared)
 
 
-def ground(room: Explained, room_box: RoomBox) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+def ground(room: PhotoCostVolume, room_box: RoomBox) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
     """(3,) least and (3,) greatest coordinates along the room box's axes between which furniture is looked for.
 
     That is the room; where a wall is a default, as far as furniture can be told from two cameras.
@@ -132,7 +132,7 @@ def ground(room: Explained, room_box: RoomBox) -> tuple[Float[np.ndarray, " 3"],
     return low, high
 
 
-def tops(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
+def tops(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
     """(sum, primitive (8,)) of boxes and slabs under every rectangle in plan that matches."""
     low_m, high_m = ground(room, room_box)
     middle, size = (low_m + high_m)[:2] / 2, (high_m - low_m)[:2]
@@ -174,7 +174,7 @@ def tops(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, Float[np.n
                     )
 
 
-def fronts(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
+def fronts(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
     """(sum, primitive (8,)) of boxes behind every rectangle in elevation that matches."""
     low_m, high_m = ground(room, room_box)
     sides = tuple(round(s / _CELL_M) for s in _SIDES_M)
@@ -215,7 +215,7 @@ def fronts(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, Float[np
                     )
 
 
-def standing(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
+def single_view_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
     """(area, primitive (8,)) of what one camera alone sees unlike the wall and floor behind it, standing on its lowest
     point."""
     for v in range(len(room.known)):
@@ -246,7 +246,7 @@ def standing(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, Float[
                 yield float(area), np.array([0, *at, room_box.yaw_rad, side, side, room_box.low_m[2], high])
 
 
-def posts(slab: Float[np.ndarray, " 8"], floor_m: float) -> Float[np.ndarray, "N 8"]:
+def leg_candidates(slab: Float[np.ndarray, " 8"], floor_m: float) -> Float[np.ndarray, "N 8"]:
     """(N, 8) upright bars between the floor and a box (8,) that hangs in the air, everywhere under it: legs.
 
     They are too thin to be found by what stands on the floor, and each of them explains little; under a table top they

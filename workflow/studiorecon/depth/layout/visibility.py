@@ -33,21 +33,21 @@ _MIN_LINES = 3
 _LINES_AT_ONCE = 20_000
 
 
-def walked(people: Sequence[Person]) -> Float[np.ndarray, "M 4"]:
+def joint_places(people: Sequence[Person]) -> Float[np.ndarray, "M 4"]:
     """(M, 4) places, 20 cm apart along an axis, where a joint of somebody was measured at some time, and 5 cm to keep
     from it."""
     places = np.concatenate([np.zeros((0, 3)), *(person.joints[person.valid].reshape(-1, 3) for person in people)])
-    return kept_from(
+    return with_distance(
         np.unique(np.round(places[np.isfinite(places).all(axis=1)] / _CELL_M), axis=0) * _CELL_M, _CLEARANCE_M
     )
 
 
-def kept_from(places_m: Float[np.ndarray, "M 3"], distance_m: float) -> Float[np.ndarray, "M 4"]:
+def with_distance(places_m: Float[np.ndarray, "M 3"], distance_m: float) -> Float[np.ndarray, "M 4"]:
     """(M, 4): places (M, 3) and the distance that primitives keep from each."""
     return np.column_stack([places_m, np.full(len(places_m), distance_m)])
 
 
-def seen_through(
+def free_ray_points(
     cameras: Sequence[Camera],
     people: Sequence[Person],
     found: Sequence[Detections],
@@ -77,7 +77,7 @@ def seen_through(
                 places, crossed = _counted(places, crossed, lines)
                 lines = []
     places, crossed = _counted(places, crossed, lines)
-    return kept_from(places[crossed >= _MIN_LINES], 0.0)
+    return with_distance(places[crossed >= _MIN_LINES], 0.0)
 
 
 def _counted(places_m: np.ndarray, crossed: np.ndarray, lines: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

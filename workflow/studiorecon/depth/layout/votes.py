@@ -45,7 +45,7 @@ class Votes:
         """The votes whose points lie inside the room box; nothing is seen through a wall."""
         kept = []
         for picture, chosen, confident in zip(pictures, self.chosen, self.confident):
-            depth_m = picture.depth_of(self.planes[chosen])
+            depth_m = picture.plane_depths_of_pixels(self.planes[chosen])
             points = picture.camera.unproject(picture.camera.pixel_centres(), depth_m)
             kept.append(confident & (depth_m > 0) & room_box.contains(points, _OUTSIDE_MARGIN_M))
         return replace(self, confident=kept)
@@ -53,7 +53,9 @@ class Votes:
     def depths_m(self, pictures: Sequence[Picture], room_box: RoomBox) -> list[Float[np.ndarray, "H W"]]:
         """(H, W) float32 depth of every picture: its pixel's plane where that is sure, else the room box."""
         return [
-            np.where(sure, p.depth_of(self.planes[at]), room_box.intersect(*p.camera.rays())[0]).astype(np.float32)
+            np.where(sure, p.plane_depths_of_pixels(self.planes[at]), room_box.intersect(*p.camera.rays())[0]).astype(
+                np.float32
+            )
             for p, at, sure in zip(pictures, self.chosen, self.confident)
         ]
 

@@ -3,6 +3,6 @@
 
 ``plates`` and ``planes`` (what is compared and tried) → ``matching`` (the cost of a plane) → ``labelling`` (one
 plane per pixel) → ``passes`` (the second pass, without hidden cameras). For furniture: ``photo_cost`` with ``kernels``
-and ``trial_kernels``, and ``unlikeness`` where one photo shows it alone. ``free_space`` takes back what
+and ``trial_kernels``, and ``self_dissimilarity`` where one photo shows it alone. ``free_space`` takes back what
 floats.
 """

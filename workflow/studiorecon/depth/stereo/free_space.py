@@ -24,7 +24,7 @@ _THROUGH_SHARE, _CONFIRM_SHARE = 0.07, 0.05
 _MAX_COST = 0.5
 
 
-def looked_through(
+def is_looked_through(
     camera: Camera, depth_m: Float[np.ndarray, "H W"], others: Sequence[tuple[Camera, Float[np.ndarray, "h w"]]]
 ) -> Bool[np.ndarray, "H W"]:
     """(H, W) bool: a surface of ``depth_m`` (H, W) that at least one other camera (with its depth) sees past and none
@@ -46,7 +46,7 @@ def looked_through(
     return past & ~confirmed
 
 
-def back_to_room_box(
+def snap_to_room_box(
     labelled: Labelled, camera: Camera, room_box: RoomBox, others: Sequence[tuple[Camera, Float[np.ndarray, "h w"]]]
 ) -> tuple[Labelled, float]:
     """The labelling with floating surfaces put on the room box, unjudged, and the share of pixels concerned.
@@ -56,7 +56,7 @@ def back_to_room_box(
     inside the room (label ≥ 6) are questioned; the room box is where everything else already stands.
     """
     unproven = ~labelled.judged | (labelled.cost > _MAX_COST)
-    floating = (looked_through(camera, labelled.depth_m, others) | unproven) & (labelled.plane >= 6)
+    floating = (is_looked_through(camera, labelled.depth_m, others) | unproven) & (labelled.plane >= 6)
     origin, directions = camera.rays()
     length, face = room_box.intersect(origin, directions)
     floating &= face >= 0

@@ -142,7 +142,7 @@ def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cos
 
 
 @njit(cache=True, parallel=True)
-def judged_by(known, depth, pair, at, z):
+def invert_visibility(known, depth, pair, at, z):
     """Which pixels each pixel judges: (V, H W + 1) where every pixel's begin, and (V, V H W) flat places in (V, H, W)
     of those that it sees (the inverse of ``at``, of what is compared and not hidden)."""
     views, height, width = known.shape

@@ -6,7 +6,7 @@ A pixel's surface is seen by other cameras or hidden from them; those that see i
 correlation over the pixels of one surface). So a primitive is paid for by its faces that match and by wrong
 matches behind it that it hides, and it pays for everything true that it would hide. What no other camera sees of it
 wins nothing by matching; what looks unlike the wall behind may extend what is matched elsewhere, or make up a thing
-that stands on the floor before everybody's eyes (``unlikeness``).
+that stands on the floor before everybody's eyes (``self_dissimilarity``).
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.depth.stereo.kernels import FIRST, draw, explain_all, judged_by
+from studiorecon.depth.stereo.kernels import FIRST, draw, explain_all, invert_visibility
 from studiorecon.depth.stereo.plates import Picture
+from studiorecon.depth.stereo.self_dissimilarity import foreground_log_odds
 from studiorecon.depth.stereo.trial_kernels import gains
-from studiorecon.depth.stereo.unlikeness import surface_odds
 from studiorecon.scene.room import RoomBox
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ _MIN_BETTER = 0.05
 
 
 @dataclass
-class Explained:
+class PhotoCostVolume:
     """All views as the present primitives explain them; arrays are (V, H, W), padded to the largest picture.
 
     Attributes:
@@ -41,13 +41,13 @@ class Explained:
         rgb, known: the photos. depth: z-depth of the explaining surface, metres. surface: its number.
         pair: (V, V, H, W) cost of the surface in another camera, -1 where they cannot be compared.
         at, z: (V, V, H, W) flat pixel in the other camera, and depth there.
-        begin, judged: (V, H W + 1) and (V, V H W): which pixels each pixel judges (``kernels.judged_by``).
+        begin, judged: (V, H W + 1) and (V, V H W): which pixels each pixel judges (``kernels.invert_visibility``).
         cost: (V, H, W) cost of every pixel; 0 where the photo is not known.
         judges: how many other cameras see its surface.
         half, mean_weight: half a window in pixels, price of a difference of means.
         floor_m: height of the floor.
         bare: depth and surface of the room box alone.
-        odds: ``unlikeness.surface_odds`` of the room box alone.
+        odds: ``self_dissimilarity.foreground_log_odds`` of the room box alone.
         primitives: (K, 8) those added so far.
     """
 
@@ -73,7 +73,7 @@ class Explained:
     primitives: Float[np.ndarray, "K 8"]
 
     @staticmethod
-    def by_room_box(pictures: Sequence[Picture], room_box: RoomBox, window: int, mean_weight: float) -> Explained:
+    def by_room_box(pictures: Sequence[Picture], room_box: RoomBox, window: int, mean_weight: float) -> PhotoCostVolume:
         """The empty room: every pixel on the shell."""
         count = len(pictures)
         height, width = np.max([p.camera.hw for p in pictures], axis=0)
@@ -93,7 +93,7 @@ class Explained:
         pair, at, z = (np.zeros((count, *shape), kind) for kind in (np.float32, np.int32, np.float32))
         cost, judges, odds = (np.zeros(shape, kind) for kind in (np.float32, np.uint8, np.float32))
         bare = depth_m.copy(), surface.copy()
-        room = Explained(
+        room = PhotoCostVolume(
             lens,
             pose,
             centre,
@@ -116,14 +116,14 @@ class Explained:
             np.zeros((0, 8)),
         )
         room.replace_all(room.primitives)
-        for own, unlike in zip(room.odds, surface_odds(pictures, room_box)):
+        for own, unlike in zip(room.odds, foreground_log_odds(pictures, room_box)):
             own[: unlike.shape[0], : unlike.shape[1]] = unlike
         return room
 
     def gains(self, primitives: Float[np.ndarray, "N 8"], looks: bool = True) -> Float[np.ndarray, " N"]:
         """(N,) by how much the cost of all pixels would fall with each of N primitives (N, 8) added alone; without
         ``looks`` only what cameras agree on counts."""
-        return self._told(primitives, looks)[:, 0]
+        return self._gains_and_costs(primitives, looks)[:, 0]
 
     def contradicted(self, primitive: Float[np.ndarray, " 8"]) -> bool:
         """Whether the pixels that show a primitive (8,) match no better than what stood there, and all that it gains
@@ -131,7 +131,7 @@ class Explained:
 
         A wall or floor in the wrong place matches nothing, and whatever hides it explains the photos better.
         """
-        _, better, was = self._told(np.asarray(primitive)[None], looks=False)[0]
+        _, better, was = self._gains_and_costs(np.asarray(primitive)[None], looks=False)[0]
         return bool(better < _MIN_BETTER * was)
 
     def shown(self, primitive: Float[np.ndarray, " 8"]) -> Integer[np.ndarray, " V"]:
@@ -140,7 +140,7 @@ class Explained:
         draw(self.lens, self.pose, self.centre, self.known, depth_m, surface, np.asarray(primitive, np.float64), own)
         return ((surface >= own) & self.known).sum(axis=(1, 2))
 
-    def _told(self, primitives: Float[np.ndarray, "N 8"], looks: bool) -> Float[np.ndarray, "N 3"]:
+    def _gains_and_costs(self, primitives: Float[np.ndarray, "N 8"], looks: bool) -> Float[np.ndarray, "N 3"]:
         """(N, 3) gains, what of them is on pixels that show the primitives, and what those cost before."""
         odds = self.odds if looks else np.zeros_like(self.odds)
         explained = (
@@ -179,7 +179,7 @@ class Explained:
             self.half,
             self.mean_weight,
         )
-        self.begin, self.judged = judged_by(self.known, self.depth, self.pair, self.at, self.z)
+        self.begin, self.judged = invert_visibility(self.known, self.depth, self.pair, self.at, self.z)
 
     def add(self, primitive: Float[np.ndarray, " 8"]) -> None:
         """Add one primitive (8,)."""

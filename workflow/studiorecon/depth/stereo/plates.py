@@ -45,7 +45,7 @@ class Picture:
         """(H, W) z-depth of a plane in this picture; 0 out of range."""
         return plane_depth(self.camera, plane, near_m, far_m)
 
-    def depth_of(self, planes: Float[np.ndarray, "H W 4"]) -> Float[np.ndarray, "H W"]:
+    def plane_depths_of_pixels(self, planes: Float[np.ndarray, "H W 4"]) -> Float[np.ndarray, "H W"]:
         """(H, W) z-depth of a plane (H, W, 4) of its own for every pixel; 0 where the ray does not meet it."""
         origin, rays = self.camera.rays()
         along = (planes[..., :3] * rays).sum(axis=-1)

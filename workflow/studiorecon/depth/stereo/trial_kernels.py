@@ -38,7 +38,7 @@ def gains(photos, explained, half, mean_weight, floor_m, primitives):
     that show it and that another camera judges, by how much theirs falls and what it was.
 
     ``photos``: lens, pose, centre, rgb, known; ``explained``: depth, surface, pair, at, z, begin, judged, cost, odds
-    (``photo_cost.Explained``); ``floor_m``: height of the floor.
+    (``photo_cost.PhotoCostVolume``); ``floor_m``: height of the floor.
     """
     found = np.zeros((len(primitives), 3))
     for k in prange(len(primitives)):
@@ -47,7 +47,7 @@ def gains(photos, explained, half, mean_weight, floor_m, primitives):
 
 
 @njit(cache=True)
-def _stands_clear(number, known, surface, odds, top, bottom, left, right):
+def _is_unoccluded(number, known, surface, odds, top, bottom, left, right):
     """Whether a thing on trial, where ``number`` (H, W) is not 0, shows its whole outline to one camera: floor before
     its foot, and on either side what looks like the wall behind."""
     height, width = number.shape
@@ -161,7 +161,7 @@ def _gain(photos, explained, half, mean_weight, floor_m, primitive):
                     unlike += _ODDS_WEIGHT * odds[v, y + top, x + left]
         own = (unlike - before_view) / _ODDS_WEIGHT
         stands = own > 0 and primitive[6] <= floor_m + STANDING_M
-        if stands and _stands_clear(number[v], known[v], surface[v], odds[v], top, bottom, left, right):
+        if stands and _is_unoccluded(number[v], known[v], surface[v], odds[v], top, bottom, left, right):
             clear += _STANDING_WEIGHT * own
         # Pixels on other surfaces that another camera no longer sees.
         for y in range(height):

@@ -14,10 +14,9 @@ import numpy as np
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.people.association.affinity import AssociationLimits
-from studiorecon.people.association.confirmation import Confirmation, Witness, confirmed
-from studiorecon.people.association.ghosts import FOUND_TWICE, deep_points_m, found_twice, why_nobody
+from studiorecon.people.association.false_positives import FOUND_TWICE, deep_points_m, is_duplicate, rejection_reason
 from studiorecon.people.association.grouping import Group, group_tracks, torso_m, track_margins
-from studiorecon.people.association.left_out import LeftOut, left_out
+from studiorecon.people.association.image_evidence import CameraEvidence, ImageEvidence, evidence_in_cameras
 from studiorecon.people.association.picture_change import (
     EvidenceLimits,
     absent,
@@ -27,7 +26,8 @@ from studiorecon.people.association.picture_change import (
     steps_m,
     view_shares,
 )
-from studiorecon.people.association.proportions import why_no_person
+from studiorecon.people.association.proportions import proportion_fault
+from studiorecon.people.association.rejected_people import RejectedPerson, list_rejected
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -73,7 +73,7 @@ def judge(group: Group, cameras: Sequence[Camera], frames: int, fps: float, limi
     length = torso_m(group)
     if np.isfinite(length) and not limits.torso_m[0] <= length <= limits.torso_m[1]:
         return f"its torso would be {length:.2f} m long"
-    return why_no_person(group.points_m)
+    return proportion_fault(group.points_m)
 
 
 def supports(
@@ -112,8 +112,8 @@ def identities_from_keypoints(
     videos: list[Path],
     frames: int,
     fps: float,
-    witnesses: Sequence[Witness | None] = (),
-) -> tuple[dict[tuple[str, int], TrackVerdict], list[tuple[str, int, str, float, str]], list[LeftOut]]:
+    witnesses: Sequence[CameraEvidence | None] = (),
+) -> tuple[dict[tuple[str, int], TrackVerdict], list[tuple[str, int, str, float, str]], list[RejectedPerson]]:
     """Of everybody the keypoints of two cameras or more agree on: a verdict for every (camera, track), the lines of
     people.tsv, and whom they leave out.
 
@@ -126,7 +126,7 @@ def identities_from_keypoints(
     if likely and videos and evidence.frames:
         shares, limbs = supports(likely, cameras, videos, fps, evidence)
         told = [
-            confirmed(group, given, cameras, videos, witnesses, evidence) if gone else None
+            evidence_in_cameras(group, given, cameras, videos, witnesses, evidence) if gone else None
             for group, gone in zip(likely, absent(shares, limbs, evidence))
         ]
         contradicted = iter(_contradicted(shares, told, cameras, evidence))
@@ -166,7 +166,7 @@ def identities_from_keypoints(
         if table
         else "no people: no camera has a detection"
     )
-    return table, rows, left_out([(g, r) for g, r in rejected if r != FOUND_TWICE], cameras, frames, fps)
+    return table, rows, list_rejected([(g, r) for g, r in rejected if r != FOUND_TWICE], cameras, frames, fps)
 
 
 def _without_ghosts(
@@ -177,24 +177,25 @@ def _without_ghosts(
     fps: float,
     agree: Limits,
 ) -> list[str]:
-    """The reasons with those of ``ghosts`` added, looked for from whom most cameras see longest to whom fewest do."""
+    """The reasons with those of ``false_positives`` added, looked for from whom most cameras see longest to whom fewest
+    do."""
     out, centres_m = list(why), np.array([c.centre_m for c in cameras])
     order = sorted(range(len(groups)), key=lambda i: (bool(why[i]), -int(groups[i].seen.sum()), groups[i].members))
     for n, i in enumerate(order):
         points_m = groups[i].points_m
         before = [groups[j].points_m for j in order[:n] if not out[j]]
         if why[i]:
-            out[i] = FOUND_TWICE if any(found_twice(points_m, other) for other in before) else why[i]
+            out[i] = FOUND_TWICE if any(is_duplicate(points_m, other) for other in before) else why[i]
             continue
         others = [g.points_m for j, g in enumerate(groups) if j != i and not why[j]]
         deep_m = deep_points_m(groups[i].members, given, cameras, len(points_m), agree)
-        out[i] = why_nobody(points_m, deep_m, before, others, centres_m, fps)
+        out[i] = rejection_reason(points_m, deep_m, before, others, centres_m, fps)
     return out
 
 
 def _contradicted(
     shares: np.ndarray,
-    told: Sequence[Sequence[Confirmation | None] | None],
+    told: Sequence[Sequence[ImageEvidence | None] | None],
     cameras: Sequence[Camera],
     limits: EvidenceLimits,
 ) -> list[str]:
@@ -222,7 +223,7 @@ def _contradicted(
     return reasons
 
 
-def _nor(told: Sequence[Confirmation]) -> str:
+def _nor(told: Sequence[ImageEvidence]) -> str:
     """What else does not confirm somebody, as the end of a sentence; "" where nothing else was there to do so."""
     masks = max((one.covered for one in told if np.isfinite(one.covered)), default=float("nan"))
     plates = max((one.differs for one in told if np.isfinite(one.differs)), default=float("nan"))

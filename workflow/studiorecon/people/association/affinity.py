@@ -43,14 +43,14 @@ class AssociationLimits:
         "tracks",
         "tracks = whole tracks of all views together; star = one frame, a reference view, the Hungarian algorithm.",
         paper="star, section on association; U30, U31",
-        letter="star",
+        paper_value="star",
     )
     affinity: Literal["both", "position", "pose"] = setting(
         "both",
         "What makes two detections alike: where they are, and how limbs are held, where a body or the detector's guess "
         "says so.",
         paper="both, ablation table of association",
-        letter="both",
+        paper_value="both",
     )
     position: Literal["rays", "pelvis", "scene"] = setting(
         "rays",
@@ -58,7 +58,7 @@ class AssociationLimits:
         "scene = the pelvis at the depth of the scene there, which calibration.source and depth.source must be "
         "networks for.",
         paper="the pelvis lifted by the scene's depth, Eq. S1; U26, U28",
-        letter="scene",
+        paper_value="scene",
     )
     gate_m: float = setting(
         0.15,
@@ -73,7 +73,7 @@ class AssociationLimits:
         "axis_angles = the norm of the difference of their pose parameters, to which one turn written in two ways is "
         "two.",
         paper="‖θa − θb‖ of SMPL's pose parameters, Eq. 1; U27",
-        letter="axis_angles",
+        paper_value="axis_angles",
     )
     pelvis_gate_m: float = 0.3
     pose_gate_rad: float = 1.0

@@ -43,7 +43,7 @@ def read_corrected(path: Path, detections: Sequence[Detections]) -> dict[tuple[s
     return dict.fromkeys(sorted(tracks), "") | given
 
 
-def rows_of(
+def people_table_rows(
     identities: Mapping[tuple[str, int], str], detections: Sequence[Detections]
 ) -> list[tuple[str, int, str, float, str]]:
     """Lines of ``people.tsv`` (person, frames seen, cameras, confidence 1, source) of corrected identities, in order of

@@ -139,7 +139,7 @@ def motion_support(
     metre_px = camera.intrinsics[0, 0] / np.maximum(
         np.nan_to_num(_middle(depth[..., None])[..., 0], nan=np.inf), 1e-6
     )  # (G, F)
-    parts = _parts_of(pixels)
+    parts = _body_segments(pixels)
     counts, own = np.zeros((len(STABLE_KEYPOINTS), 2), dtype=int), points_m[who]
     rest = np.arange(len(points_m)) != who
     for a, b in combinations(range(len(pictures)), 2):
@@ -147,7 +147,7 @@ def motion_support(
         if not moved.any():
             continue
         apart = channel_max(np.abs(smooth[a] - smooth[b]))
-        threshold = threshold_of(apart, limits)
+        threshold = change_threshold(apart, limits)
         for here, other in ((a, b), (b, a)):
             places = pixels[who, here, moved]
             uncovered = _outside(places, parts[who, [other]], metre_px[who, [other]])
@@ -164,7 +164,7 @@ def even(picture: Integer[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
     return blurred - np.median(blurred[::4, ::4], axis=(0, 1))
 
 
-def threshold_of(apart: Float[np.ndarray, "H W"], limits: EvidenceLimits) -> float:
+def change_threshold(apart: Float[np.ndarray, "H W"], limits: EvidenceLimits) -> float:
     """Grey levels from which a difference (H, W) of two pictures, NaN where unknown, is a change."""
     usual = float(np.nanmedian(apart[::4, ::4])) if np.isfinite(apart[::4, ::4]).any() else 0.0
     return float(np.clip(_NOISES * 1.4826 * usual, _FAINTEST, limits.difference))
@@ -180,7 +180,7 @@ def places_changed(
     counts = np.zeros((len(points_m), 2), dtype=int)
     if there.any():
         radius = max(1, round(_PLACE_M * float(camera.intrinsics[0, 0] / np.median(depth[there]))))
-        counts[there] = changed(apart, pixels[there], radius, threshold_of(apart, limits))
+        counts[there] = changed(apart, pixels[there], radius, change_threshold(apart, limits))
     return counts
 
 
@@ -190,7 +190,7 @@ def _middle(values: np.ndarray) -> np.ndarray:
     return np.where(known.any(-2), np.where(known, values, 0.0).sum(-2) / np.maximum(known.sum(-2), 1), np.nan)
 
 
-def _parts_of(skeletons: np.ndarray) -> np.ndarray:
+def _body_segments(skeletons: np.ndarray) -> np.ndarray:
     """(..., P, 2, 2) both ends of the limbs, joints, trunk and head of skeletons (..., 12, 2), NaN where unknown."""
     shoulders, hips = (_middle(skeletons[..., [_AT[f"left_{j}"], _AT[f"right_{j}"]], :]) for j in ("shoulder", "hip"))
     head = shoulders + _HEAD_SHARE * (shoulders - hips)

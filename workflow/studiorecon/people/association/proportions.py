@@ -82,7 +82,7 @@ def unsteadiness(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> fl
     return float(np.median(own)) if own else 0.0
 
 
-def why_no_person(points_m: Float[np.ndarray, "T 12 3"]) -> str:
+def proportion_fault(points_m: Float[np.ndarray, "T 12 3"]) -> str:
     """Why a skeleton (T, 12, 3) has not a person's proportions, as the end of a sentence; "" when it has."""
     lengths = lengths_m(points_m)
     told = [

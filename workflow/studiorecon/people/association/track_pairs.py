@@ -78,7 +78,7 @@ class Sights:
         return bool(np.isfinite(self.pose).any() or np.isfinite(self.limbs).any())
 
 
-def postures_apart(
+def posture_angle_rad(
     first: Sights, i: Integer[np.ndarray, " ..."], second: Sights, j: Integer[np.ndarray, " ..."]
 ) -> Float[np.ndarray, " ..."]:
     """Angle in radians between the postures of detections ``i`` of one camera and ``j`` of another, broadcast against
@@ -162,7 +162,7 @@ def detection_affinities(
         )
         shared = first.present[rows] & second.present[columns]
         distance, gate_m = median_over_shared(gap, shared, _MIN_SHARED).reshape(len(i), len(j)), limits.gate_m
-    return affinities(distance, postures_apart(first, i[:, None], second, j[None]), gate_m, limits)
+    return affinities(distance, posture_angle_rad(first, i[:, None], second, j[None]), gate_m, limits)
 
 
 @dataclass(frozen=True)
@@ -258,7 +258,7 @@ def _pose_differences(graph: TrackGraph, seen: Sequence[Sights]) -> np.ndarray:
             one, other = (seen[graph.view[n]] for n in (a, b))
             i, j = (np.flatnonzero(s.track == graph.track[n]) for s, n in ((one, a), (other, b)))
             _, at_i, at_j = np.intersect1d(one.frame[i], other.frame[j], return_indices=True)
-            apart = postures_apart(one, i[at_i], other, j[at_j]) if len(at_i) else np.zeros(0)
+            apart = posture_angle_rad(one, i[at_i], other, j[at_j]) if len(at_i) else np.zeros(0)
             apart = apart[np.isfinite(apart)]
             if len(apart):
                 out[a, b] = out[b, a] = np.median(apart)

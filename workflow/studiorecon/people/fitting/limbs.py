@@ -26,7 +26,7 @@ _BONES = (*_LIMBS, *_pairs(("elbow", "wrist")))
 _SIZES = 0.4, 1.6
 
 
-def size_of(person: str, points: Points, body: BodyModel) -> float:
+def body_scale(person: str, points: Points, body: BodyModel) -> float:
     """s* of one person: triangulated over template bones (paper, Eq. 3); 1, and said, where too few bones are seen.
 
     Raises UserError for a size that nobody has."""

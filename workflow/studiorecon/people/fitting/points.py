@@ -32,7 +32,7 @@ class Triangulation(Limits):
         "Who makes points of keypoints: robust = pairs propose and only views that agree refine; huber = weighted "
         "Huber refinement from DLT, outliers kept; dlt = homogeneous least squares.",
         paper="huber, section on triangulation",
-        letter="huber",
+        paper_value="huber",
     )
     min_confidence: float = 0.2
     outlier_units: float = 5.0

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _AT_ONCE = 500_000
 
 
-def surface_of(
+def triangulate_surface(
     person: str,
     detections: Sequence[Detections],
     identities: Mapping[tuple[str, int], str],

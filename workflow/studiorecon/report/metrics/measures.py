@@ -21,13 +21,13 @@ from studiorecon.images.metrics import (
     error_map,
     levels,
     mean_inside,
-    mean_of,
-    psnr_of,
+    mean_of_measured,
+    psnr_from_error_map,
     ssim,
     ssim_3dgs,
     ssim_map,
 )
-from studiorecon.images.temporal import leads_back
+from studiorecon.images.temporal import forward_backward_consistent
 from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.report.metrics.bootstrap import Bootstrap, mean_interval
 
@@ -71,7 +71,7 @@ def measure_picture(
     """
     similarity, errors = ssim_map(prediction, photo), error_map(prediction, photo)
     values = {
-        "psnr": psnr_of(errors),
+        "psnr": psnr_from_error_map(errors),
         "ssim": ssim(similarity),
         "ssim_3dgs": ssim_3dgs(similarity),
         "psnr_colour_corrected": colour_corrected_psnr(prediction, photo),
@@ -80,7 +80,7 @@ def measure_picture(
         NOT_FINITE: 0.0 if prediction.dtype == np.uint8 else float((~np.isfinite(prediction)).sum()),
     }
     for name, mask in regions.items():
-        values[f"psnr_{name}"] = psnr_of(errors, mask)
+        values[f"psnr_{name}"] = psnr_from_error_map(errors, mask)
         if name in REGIONS:
             values[f"ssim_{name}"] = ssim(similarity, mask)
     for share in SHARES:
@@ -118,7 +118,7 @@ class Flicker:
         alike, measured = first_alike(pictures), dict[tuple[str, str], dict[str, float | None]]()
         if self._grey is not None and min(grey.shape) >= _SMALLEST_FLOW_PX:
             backward = dis_flow(grey, self._grey, self._preset)
-            valid = leads_back(backward, dis_flow(self._grey, grey, self._preset))
+            valid = forward_backward_consistent(backward, dis_flow(self._grey, grey, self._preset))
             assert self._photo is not None
             values["photo"] = self._changed(photo, self._photo, backward, valid, regions)
             for name, picture in pictures.items():
@@ -212,12 +212,12 @@ def summary(
         listed = [None if value is None or not np.isfinite(value) else float(value) for value in values]
         used = [value for value in listed if value is not None]
         cameras[camera] = {
-            "value": mean_of(used),
+            "value": mean_of_measured(used),
             "used": len(used),
             "skipped": len(listed) - len(used),
             "frames": listed,
         }
-    value = mean_of(entry["value"] for entry in cameras.values())
+    value = mean_of_measured(entry["value"] for entry in cameras.values())
     interval = mean_interval({c: entry["frames"] for c, entry in cameras.items()}, bootstrap) if bootstrap else None
     return {"value": value, "interval": interval, "reason": None if value is not None else reason, "cameras": cameras}
 

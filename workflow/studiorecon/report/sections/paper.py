@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from studiorecon.images.metrics import mean_of
+from studiorecon.images.metrics import mean_of_measured
 from studiorecon.scene.files import read_table
 
 COLUMNS = ("table", "data", "method", "measure", "value")
@@ -45,8 +45,8 @@ def own_row(metrics: Mapping[str, Any], recognised: Mapping[str, Any], version: 
     row = {name: pictures.get(name, {}).get("value") for name, _, _ in MEASURES}
     row |= {name: recognised.get(version, {}).get(name) for name in ("pck_0.05", "pck_0.1", "detection_rate")}
     row |= {f"association_{name}": metrics.get("identities", {}).get(name) for name in ("accuracy", "precision")}
-    row["jitter_mm_f2"] = mean_of(person["joints_mm_f2"] for person in people)
-    row["jitter_deg_f2"] = mean_of(person["pose_deg_f2"] for person in people)
+    row["jitter_mm_f2"] = mean_of_measured(person["joints_mm_f2"] for person in people)
+    row["jitter_deg_f2"] = mean_of_measured(person["pose_deg_f2"] for person in people)
     return row
 
 

@@ -34,14 +34,14 @@ class PerceptualSettings:
         "Weight of LPIPS in the loss; above 0 it needs weights of VGG16 and LPIPS.",
         minimum=0,
         paper="0.1 at every step; U12",
-        letter=0.1,
+        paper_value=0.1,
     )
     whole: bool = setting(
         False,
         "Compare the whole picture at every step; else a random square of 96 px at every fourth, which counts four "
         "times.",
         paper="the whole picture at every step",
-        letter=True,
+        paper_value=True,
     )
     every: int = 4
     crop_px: int = 96

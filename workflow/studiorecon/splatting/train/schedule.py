@@ -43,11 +43,11 @@ class TrainingSettings:
             none.
     """
 
-    iterations: int = setting(1500, "Steps of one picture each.", minimum=1, paper="7000, appendix C", letter=7000)
+    iterations: int = setting(1500, "Steps of one picture each.", minimum=1, paper="7000, appendix C", paper_value=7000)
     l1: float = 0.7
     ssim: float = 0.3
     density: float = setting(
-        0.0, "Pull of the rendered alpha to 0 or 1.", minimum=0, paper="0.1, appendix C; U13", letter=0.1
+        0.0, "Pull of the rendered alpha to 0 or 1.", minimum=0, paper="0.1, appendix C; U13", paper_value=0.1
     )
     weighing: Literal["picture", "photometric"] = setting(
         "picture",
@@ -55,7 +55,7 @@ class TrainingSettings:
         "masked picture alone; photometric = L1, SSIM and LPIPS, and the pull of alpha has the same weight "
         "everywhere.",
         paper="(1 - M) (L1 + SSIM + LPIPS) + L_den, Eq. 5; U15",
-        letter="photometric",
+        paper_value="photometric",
     )
     position_lr_start: float = 0.00016
     position_lr_end: float = 1.6e-06
@@ -71,13 +71,13 @@ class TrainingSettings:
         minimum=0,
         maximum=3,
         paper="3, appendix C",
-        letter=3,
+        paper_value=3,
     )
     sh_degree_every: int = setting(
         0, "Steps between raising the degree by one, from 0; 0 = all from the start.", minimum=0
     )
     warmup_half_resolution: float = setting(
-        0.3, "Share of the steps at half the image size.", minimum=0, maximum=1, paper="none", letter=0.0
+        0.3, "Share of the steps at half the image size.", minimum=0, maximum=1, paper="none", paper_value=0.0
     )
     near_m: float = 0.1
     largest_scale_m: float = 0.5
@@ -85,19 +85,19 @@ class TrainingSettings:
         "none",
         "How Gaussians are added: none; gradient = clone and split them where the picture is not yet explained.",
         paper="gradient, appendix C",
-        letter="gradient",
+        paper_value="gradient",
     )
     cap: int = setting(
         300000,
         "Most Gaussians that densification may lead to; 0 = no limit.",
         minimum=0,
         paper="no limit, appendix C",
-        letter=0,
+        paper_value=0,
     )
     densify_every: int = 500
     densify_from: int = 500
     densify_until: int = setting(
-        3000, "Last step that densifies.", minimum=0, paper="3000, appendix C; U54", letter=3000
+        3000, "Last step that densifies.", minimum=0, paper="3000, appendix C; U54", paper_value=3000
     )
     densify_gradient: float = 0.0002
     densify_scale: float = 0.01

@@ -19,7 +19,7 @@ _SAID = 12
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class RejectedPerson:
     """Somebody, or something, that is not a person of this scene.
 
     Attributes:
@@ -46,15 +46,15 @@ class LeftOut:
         return [f"{camera}\t{track}\t{person}" for camera, track in self.tracks]
 
 
-def left_out(
+def list_rejected(
     rejected: Sequence[tuple[Group, str]], cameras: Sequence[Camera], frames: int, fps: float
-) -> list[LeftOut]:
+) -> list[RejectedPerson]:
     """Those of the rejected groups, each with its reason, that two cameras agreed on for a second, or half of a shorter
     clip."""
     long = [(g, reason) for g, reason in rejected if len(g.frames) >= min(_LONG_S * fps, frames / 2)]
     long.sort(key=lambda one: (-len(one[0].frames), one[0].members))
     return [
-        LeftOut(
+        RejectedPerson(
             f"r{n}",
             len(group.frames),
             len(group.frames) / fps,
@@ -67,7 +67,7 @@ def left_out(
     ]
 
 
-def tell(those: Sequence[LeftOut], next_person: str) -> None:
+def report_rejected(those: Sequence[RejectedPerson], next_person: str) -> None:
     """Say who was left out and why, and the lines that take each of them in as ``next_person``."""
     for one in those:
         lines = one.lines(next_person)

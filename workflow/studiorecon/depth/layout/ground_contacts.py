@@ -48,7 +48,7 @@ _BEHIND_M, _BEHIND_CAMERAS_M = 0.5, 0.3
 
 
 @dataclass(frozen=True)
-class Feet:
+class GroundContacts:
     """Lower ends of upright edges on the floor.
 
     Attributes:
@@ -64,18 +64,18 @@ class Feet:
     span_deg: Float[np.ndarray, " N"]
     camera: Integer[np.ndarray, " N"]
 
-    def of(self, chosen: Bool[np.ndarray, " N"]) -> Feet:
+    def of(self, chosen: Bool[np.ndarray, " N"]) -> GroundContacts:
         """Some of them."""
-        return Feet(*(getattr(self, f.name)[chosen] for f in fields(self)))
+        return GroundContacts(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
 
-def feet(cameras: Sequence[Camera], rooms: Sequence[RoomPicture], floor_m: float) -> Feet:
+def find_ground_contacts(cameras: Sequence[Camera], rooms: Sequence[RoomPicture], floor_m: float) -> GroundContacts:
     """Of the upright edges in the pictures of the room of all cameras; z is up."""
-    found = [_feet_of(v, *one, floor_m) for v, one in enumerate(zip(cameras, rooms, strict=True))]
-    return Feet(*(np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Feet)))
+    found = [_contacts_in_view(v, *one, floor_m) for v, one in enumerate(zip(cameras, rooms, strict=True))]
+    return GroundContacts(*(np.concatenate([getattr(one, f.name) for one in found]) for f in fields(GroundContacts)))
 
 
-def _feet_of(view: int, camera: Camera, room: RoomPicture, floor_m: float) -> Feet:
+def _contacts_in_view(view: int, camera: Camera, room: RoomPicture, floor_m: float) -> GroundContacts:
     ends_px = room.edges_px.reshape(-1, 2, 2)
     rays = camera.unproject(ends_px, np.ones(ends_px.shape[:2])) - camera.centre_m
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
@@ -95,11 +95,11 @@ def _feet_of(view: int, camera: Camera, room: RoomPicture, floor_m: float) -> Fe
     # d(h / tan a) = h / sin² a da
     sigma_m = height_m / np.sin(down) ** 2 * np.radians(_END_DEG)
     place_m = camera.centre_m[:2] + height_m / np.tan(down)[:, None] * towards
-    return Feet(place_m, towards, sigma_m, span_deg[kept], np.full(len(towards), view))
+    return GroundContacts(place_m, towards, sigma_m, span_deg[kept], np.full(len(towards), view))
 
 
-def foot_of(
-    seen: Feet, normal: Float[np.ndarray, " 2"], nearest_m: float, furthest_m: float
+def wall_line(
+    seen: GroundContacts, normal: Float[np.ndarray, " 2"], nearest_m: float, furthest_m: float
 ) -> tuple[float, Bool[np.ndarray, " N"], float] | None:
     """(offset along ``normal``, which feet, their degrees of edge) of the line of feet on that side, between
     ``nearest_m`` and ``furthest_m``; None where none stands out."""
@@ -130,7 +130,9 @@ def foot_of(
     return None
 
 
-def with_walls(box: RoomBox, seen: Feet, cameras: Sequence[Camera]) -> tuple[RoomBox, dict[int, int]]:
+def place_default_walls(
+    box: RoomBox, seen: GroundContacts, cameras: Sequence[Camera]
+) -> tuple[RoomBox, dict[int, int]]:
     """The box with walls that are defaults put where uprights stand, and face → number of edges that say so; 0 where it
     is put as far behind the cameras as the walls that are known.
 
@@ -148,7 +150,7 @@ def with_walls(box: RoomBox, seen: Feet, cameras: Sequence[Camera]) -> tuple[Roo
         lines = {
             face: line
             for face in left
-            if (line := foot_of(seen.of(free), normals[face], nearest_m[face], offsets_m[face])) is not None
+            if (line := wall_line(seen.of(free), normals[face], nearest_m[face], offsets_m[face])) is not None
         }
         if not lines:
             break

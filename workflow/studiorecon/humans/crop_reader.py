@@ -15,7 +15,7 @@ import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.footage.video import read_frames
-from studiorecon.humans.crops import Crop, SpooledCrop, TrainingCrop, judged, looks_of, mask_inset_px
+from studiorecon.humans.crops import Crop, SpooledCrop, TrainingCrop, classify_crops, mask_inset_px, person_crops
 from studiorecon.humans.train_settings import Settings
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
@@ -27,7 +27,7 @@ _FRAMES_AT_ONCE = 32
 
 
 @dataclass(frozen=True)
-class _Kept:
+class _SpooledLook:
     """A crop without its pixels: its source, and its offset in the file."""
 
     frame: int
@@ -38,15 +38,15 @@ class _Kept:
     body: Slot
 
 
-class _Looks:
+class _SpooledLooks:
     """Spooled crops, read again at every pass."""
 
     def __init__(self, folder: Path) -> None:
-        self.spool, self.kept = Spool(folder), list[_Kept]()
+        self.spool, self.kept = Spool(folder), list[_SpooledLook]()
 
     def add(self, look: TrainingCrop) -> None:
         slots = (self.spool.put(part) for part in (look.rgb, look.labels, look.body))
-        self.kept.append(_Kept(look.frame, look.view, look.camera, *slots))
+        self.kept.append(_SpooledLook(look.frame, look.view, look.camera, *slots))
 
     def __iter__(self) -> Iterator[TrainingCrop]:
         for k in self.kept:
@@ -69,9 +69,9 @@ def read_crops(
 
     Their pixels are in a file in ``folder`` until the process ends.
     """
-    looks = _Looks(folder)
+    looks = _SpooledLooks(folder)
     for view, (camera, video, mask) in enumerate(zip(cameras, videos, masks)):
-        for look in looks_of(
+        for look in person_crops(
             view,
             camera,
             exposure.even_all(camera.name, read_frames(video, 0, frames)),
@@ -89,7 +89,7 @@ def read_crops(
             f"{fitted.name}: the masks end {inset_px} px inside the fitted body; pixels between are taken as the person"
         )
     crops: list[Crop] = []
-    verdicts = judged(looks, label, settings.additions.edge_px, settings.occluder_px, inset_px)
+    verdicts = classify_crops(looks, label, settings.additions.edge_px, settings.occluder_px, inset_px)
     for kept, crop in zip(looks.kept, verdicts):
         looks.spool.put_back(kept.labels, crop.verdict)
         crops.append(SpooledCrop(kept.frame, kept.view, kept.camera, looks.spool, kept.rgb, kept.labels))

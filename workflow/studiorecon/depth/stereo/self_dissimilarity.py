@@ -34,7 +34,7 @@ _MIN_PIECES = 200
 _USUAL, _NOISE = 1.5, 0.01
 
 
-def surface_odds(pictures: Sequence[Picture], room_box: RoomBox) -> list[Float[np.ndarray, "H W"]]:
+def foreground_log_odds(pictures: Sequence[Picture], room_box: RoomBox) -> list[Float[np.ndarray, "H W"]]:
     """(H, W) float32 in [-1, 1] of every picture: 1 where it looks nothing like the rest of the face of the room box
     behind it, -1 where just like it, 0 where that cannot be told.
 
@@ -47,7 +47,9 @@ def surface_odds(pictures: Sequence[Picture], room_box: RoomBox) -> list[Float[n
         pieces = [_pieces(picture, on == index, nodes) for picture, (_, on) in zip(pictures, where)]
         if sum(len(at) for at, _ in pieces) < _MIN_PIECES:
             continue
-        apart = _apart(np.concatenate([p for _, p in pieces]), np.concatenate([at for at, _ in pieces]), index < 4)
+        apart = _patch_dissimilarity(
+            np.concatenate([p for _, p in pieces]), np.concatenate([at for at, _ in pieces]), index < 4
+        )
         usual = _USUAL * float(np.median(apart)) + _NOISE
         for own, picture, (at, _), (depth_m, on), values in zip(
             odds, pictures, pieces, where, np.split(apart, np.cumsum([len(at) for at, _ in pieces])[:-1])
@@ -59,7 +61,7 @@ def surface_odds(pictures: Sequence[Picture], room_box: RoomBox) -> list[Float[n
                 laid[unknown] = 1
                 laid = np.asarray(cv2.erode(laid, np.ones((3, 3))), np.float32)
             laid[unknown] = 0
-            own[on == index] = _seen(laid, face, picture, depth_m)[on == index]
+            own[on == index] = _project_face(laid, face, picture, depth_m)[on == index]
     return odds
 
 
@@ -81,7 +83,7 @@ def _pieces(picture: Picture, on_face: np.ndarray, nodes: np.ndarray) -> tuple[n
     return at, np.concatenate([wide[at[:, 0] + a, at[:, 1] + b] for a in side for b in side], axis=1)
 
 
-def _apart(pieces: np.ndarray, at: np.ndarray, upright: bool) -> np.ndarray:
+def _patch_dissimilarity(pieces: np.ndarray, at: np.ndarray, upright: bool) -> np.ndarray:
     """(N,) root mean square per cell by which every piece (N, P) differs from the nearest elsewhere on its face."""
     rng = np.random.default_rng(0)
     pieces = pieces - pieces.mean(axis=0)
@@ -111,7 +113,7 @@ def _apart(pieces: np.ndarray, at: np.ndarray, upright: bool) -> np.ndarray:
     return np.sqrt(np.maximum(squared, 0) / (2 * _HALF + 1) ** 2)
 
 
-def _seen(laid: np.ndarray, face: Face, picture: Picture, depth_m: np.ndarray) -> np.ndarray:
+def _project_face(laid: np.ndarray, face: Face, picture: Picture, depth_m: np.ndarray) -> np.ndarray:
     """(H, W) what is ``laid`` out on a face, as a camera sees it."""
     points_m = picture.camera.unproject(picture.camera.pixel_centres(), depth_m)
     rows, columns = np.moveaxis(face.cells(points_m, laid.shape), -1, 0).astype(np.float32)

@@ -21,7 +21,7 @@ Target = str | tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Subjects:
+class LookAtTargets:
     """Possible targets of a camera.
 
     Attributes:

@@ -16,7 +16,7 @@ import psutil
 _RUNS = ("snakemake", "studiorecon")
 
 
-def clear_left_lock(folder: Path) -> str:
+def clear_stale_lock(folder: Path) -> str:
     """Removes the lock that a killed run left in a working ``folder``, and returns a sentence about it.
 
     Returns "" when there is no lock or its owner cannot be determined. A run is live when a process of this machine

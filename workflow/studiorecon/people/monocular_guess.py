@@ -36,7 +36,7 @@ _CLEAR = 0.5
 _MIN_ANGLE_RAD = 0.17
 
 
-def across(found: Detections, camera: Camera) -> Num[np.ndarray, "D 3"]:
+def right_to_left(found: Detections, camera: Camera) -> Num[np.ndarray, "D 3"]:
     """(D, 3) level unit vectors of the world from everybody's right to their left, by the guess; NaN where there is
     none."""
     names = LAYOUTS[found.layout].keypoints
@@ -50,10 +50,12 @@ def across(found: Detections, camera: Camera) -> Num[np.ndarray, "D 3"]:
     return np.where(length > 1e-6, world / np.maximum(length, 1e-6), np.nan)
 
 
-def turned_round(found: Detections, camera: Camera, owners: Sequence[str], fps: float) -> Bool[np.ndarray, " D"]:
+def is_left_right_swapped(
+    found: Detections, camera: Camera, owners: Sequence[str], fps: float
+) -> Bool[np.ndarray, " D"]:
     """(D,) whether a detection's left and right are contradicted by all that this camera sees of its owner shortly
     before and after."""
-    direction, whose = across(found, camera), np.array(owners, dtype=object)
+    direction, whose = right_to_left(found, camera), np.array(owners, dtype=object)
     out = np.zeros(len(found.frame), bool)
     for person in sorted({str(owner) for owner in owners if owner}):
         mine = np.flatnonzero((whose == person) & np.isfinite(direction).all(1))
@@ -66,7 +68,7 @@ def turned_round(found: Detections, camera: Camera, owners: Sequence[str], fps: 
     return out
 
 
-def laid(found: Detections, camera: Camera) -> Num[np.ndarray, "D K 3"]:
+def guess_in_world(found: Detections, camera: Camera) -> Num[np.ndarray, "D K 3"]:
     """(D, K, 3) world points of every detection's guess, where its landmarks see it best (linear least squares); NaN
     where too few are sure."""
     out = np.full((*found.keypoints.shape[:2], 3), np.nan)
@@ -89,7 +91,7 @@ def laid(found: Detections, camera: Camera) -> Num[np.ndarray, "D K 3"]:
     return out
 
 
-def guessed(
+def project_guess(
     person: str,
     view: int,
     cameras: Sequence[Camera],
@@ -101,8 +103,8 @@ def guessed(
     not, or where no moment tells the person's size."""
     other = 1 - view
     found, camera = detections[other], cameras[other]
-    rows = {v: _of(person, detections[v], identities) for v in (view, other)}
-    points_m = laid(found, camera)
+    rows = {v: _best_detections(person, detections[v], identities) for v in (view, other)}
+    points_m = guess_in_world(found, camera)
     factors = [
         _depth_factor(points_m[d], detections[view].keypoints[rows[view][frame]], camera, cameras[view])
         for frame, d in rows[other].items()
@@ -119,7 +121,7 @@ def guessed(
     return Expected(person, pixels, _NEAR_SHARE)
 
 
-def _of(person: str, found: Detections, identities: Mapping[tuple[str, int], str]) -> dict[int, int]:
+def _best_detections(person: str, found: Detections, identities: Mapping[tuple[str, int], str]) -> dict[int, int]:
     """Frame → detection of a person, the surer one where there are two."""
     best: dict[int, int] = {}
     for d, (frame, track) in enumerate(zip(found.frame, found.track)):

@@ -35,7 +35,7 @@ from studiorecon.scene.raw_detections import RawDetections, read_raw_detections
 
 
 @dataclass(frozen=True)
-class Witness:
+class CameraEvidence:
     """What one camera has beside its film.
 
     Attributes:
@@ -56,7 +56,7 @@ class Witness:
 
 
 @dataclass(frozen=True)
-class Confirmation:
+class ImageEvidence:
     """What one camera says of somebody beside motion; NaN where it has nothing to say.
 
     Attributes:
@@ -75,16 +75,22 @@ class Confirmation:
         return by_mask or self.differs >= limits.present_share
 
 
-def confirmation(
-    group: Group, view: int, found: Detections, camera: Camera, video: Path, witness: Witness, limits: EvidenceLimits
-) -> Confirmation:
+def evidence_in_camera(
+    group: Group,
+    view: int,
+    found: Detections,
+    camera: Camera,
+    video: Path,
+    witness: CameraEvidence,
+    limits: EvidenceLimits,
+) -> ImageEvidence:
     """What the camera of number ``view``, whose detections are ``found``, says of somebody."""
     covered, presence = _by_mask(group, view, found, camera, witness, limits)
-    return Confirmation(covered, presence, _by_plate(group, camera, video, witness, limits))
+    return ImageEvidence(covered, presence, _by_plate(group, camera, video, witness, limits))
 
 
 def _by_mask(
-    group: Group, view: int, found: Detections, camera: Camera, witness: Witness, limits: EvidenceLimits
+    group: Group, view: int, found: Detections, camera: Camera, witness: CameraEvidence, limits: EvidenceLimits
 ) -> tuple[float, float]:
     """(share of places under the mask, median presence); NaN where the network did not see them."""
     if witness.found is None or found.row is None:
@@ -110,7 +116,7 @@ def _by_mask(
     return share, float(np.median(witness.found.presence[found.row[mine]]))
 
 
-def _by_plate(group: Group, camera: Camera, video: Path, witness: Witness, limits: EvidenceLimits) -> float:
+def _by_plate(group: Group, camera: Camera, video: Path, witness: CameraEvidence, limits: EvidenceLimits) -> float:
     """Share of the places where the picture differs from the clean plate; NaN without one, or with too few places."""
     if witness.plate is None:
         return float("nan")
@@ -125,16 +131,16 @@ def _by_plate(group: Group, camera: Camera, video: Path, witness: Witness, limit
     return float(view_shares(counts))
 
 
-def confirmed(
+def evidence_in_cameras(
     group: Group,
     detections: Sequence[Detections],
     cameras: Sequence[Camera],
     videos: Sequence[Path],
-    witnesses: Sequence[Witness | None],
+    witnesses: Sequence[CameraEvidence | None],
     limits: EvidenceLimits,
-) -> list[Confirmation | None]:
+) -> list[ImageEvidence | None]:
     """What every camera says of somebody; None of a camera that has nothing beside its film."""
     return [
-        confirmation(group, v, detections[v], cameras[v], videos[v], witness, limits) if witness else None
+        evidence_in_camera(group, v, detections[v], cameras[v], videos[v], witness, limits) if witness else None
         for v, witness in enumerate(witnesses)
     ]

@@ -34,7 +34,9 @@ _FRONT_RAD = 0.6
 _WIDEST, _BASE_STEP, _BASE_PX = 1.6, 0.02, (1.0, 4.0)
 
 
-def stood(cylinder: Float[np.ndarray, " 8"], picture: Picture, reach_px: float) -> Float[np.ndarray, " 8"]:
+def localise_by_contact(
+    cylinder: Float[np.ndarray, " 8"], picture: Picture, reach_px: float
+) -> Float[np.ndarray, " 8"]:
     """A cylinder (8,) that stands on the floor, with its sides and its foot moved onto the edges of the picture that
     shows it, no further than ``reach_px`` in it; as it was where its foot has no edge there.
 

@@ -10,7 +10,7 @@ from typing import Any
 from studiorecon.configuration.step_settings import section_of, told
 
 
-def section(step: str, config: Mapping[str, Any]) -> dict[str, Any]:
+def step_section(step: str, config: Mapping[str, Any]) -> dict[str, Any]:
     """The settings of a step's section, with the decisions of ``survey.force`` in place of the settings that they
     overrule.
     """
@@ -25,14 +25,14 @@ def section(step: str, config: Mapping[str, Any]) -> dict[str, Any]:
     return values
 
 
-def settings(step: str, config: Mapping[str, Any]) -> str:
+def step_settings(step: str, config: Mapping[str, Any]) -> str:
     """The settings that one step reads, as JSON."""
-    return json.dumps(told(step, section(step, config)), sort_keys=True)
+    return json.dumps(told(step, step_section(step, config)), sort_keys=True)
 
 
-def recursion(config: Mapping[str, Any]) -> str:
+def recursion_settings(config: Mapping[str, Any]) -> str:
     """The settings of the recursive module for the training of the room, as JSON."""
-    return json.dumps(section("enhance", config)["injection"], sort_keys=True)
+    return json.dumps(step_section("enhance", config)["injection"], sort_keys=True)
 
 
 def shot_settings(step: str, config: Mapping[str, Any], keys: tuple[str, ...] = ()) -> Callable[[Any], str]:
@@ -45,12 +45,12 @@ def shot_settings(step: str, config: Mapping[str, Any], keys: tuple[str, ...] = 
         given = config["render"]["shots"].get(wildcards.shot, {})
         own = {key: value for key, value in given.items() if (key in keys if keys else key != "reference")}
         shots = {wildcards.shot: own} if own else {}
-        return json.dumps(told(step, section("render", config) | {"shots": shots}), sort_keys=True)
+        return json.dumps(told(step, step_section("render", config) | {"shots": shots}), sort_keys=True)
 
     return of_shot
 
 
-def shown_settings(config: Mapping[str, Any]) -> str:
+def report_settings(config: Mapping[str, Any]) -> str:
     """The settings that the page shows, as JSON: all except those that do not affect the result."""
     shown = {key: value for key, value in config.items() if key not in ("strict", "sweep", "sweep_minutes", "images")}
     return json.dumps(shown, sort_keys=True)

@@ -14,7 +14,7 @@ _LANDMARKS = {"blazepose": "pose_landmark_full.onnx", "blazepose_heavy": "pose_l
 
 
 @dataclass(frozen=True)
-class Sight:
+class PersonSources:
     """How people are detected. Every list holds camera names in the dataset's order.
 
     Attributes:
@@ -41,7 +41,7 @@ class Sight:
     detector: list[str]
 
 
-def sight_of(dataset: Dataset, config: Mapping[str, Any]) -> Sight:
+def choose_person_sources(dataset: Dataset, config: Mapping[str, Any]) -> PersonSources:
     """The cameras and method of detection for this dataset, by ``detect.source`` and ``clocks.sync``."""
     source = config["detect"]["source"]
     looked_at = {"auto": [c for c in dataset.cameras if c not in dataset.keypoints], "detector": list(dataset.cameras)}
@@ -56,7 +56,7 @@ def sight_of(dataset: Dataset, config: Mapping[str, Any]) -> Sight:
     checked = [c for c in watched if c in dataset.training or c not in looked_for]
     part_used = bool(dataset.first_frame or dataset.frame_count)
     asked = dataset.people and config["clocks"]["sync"] != "never"
-    return Sight(
+    return PersonSources(
         bodies=bodies,
         detected=detected,
         measured=measured,

@@ -53,7 +53,7 @@ def light_factors(frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray,
     return factors
 
 
-def in_one_light(
+def normalise_light(
     frames: Integer[np.ndarray, "T H W 3"], factors: Num[np.ndarray, "T 3"]
 ) -> Integer[np.ndarray, "T H W 3"]:
     """Pictures (T, H, W, 3) uint8 divided by their ``factors`` (T, 3); the same array where all are 1."""

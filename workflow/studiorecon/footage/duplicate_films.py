@@ -26,14 +26,14 @@ _SAME = 0.95
 _MIN_DETAIL = 1.0
 
 
-def one_film_twice(sources: Mapping[str, FootageSource]) -> str:
+def duplicate_film_note(sources: Mapping[str, FootageSource]) -> str:
     """A sentence about two cameras (name → footage) with the same view, from three pictures each; empty if all
     differ."""
     still: dict[str, np.ndarray] = {}
     for camera, source in sources.items():
         try:
             frames = source.frames
-            still[camera] = standing(glimpses(source, [frames // 6, frames // 2, 5 * frames // 6]))
+            still[camera] = static_image(glimpses(source, [frames // 6, frames // 2, 5 * frames // 6]))
         except UserError as refusal:  # the step that decodes it stops at that; the others are still compared
             warn(str(refusal))
     for one, two in combinations(still, 2):
@@ -45,7 +45,7 @@ def one_film_twice(sources: Mapping[str, FootageSource]) -> str:
     return ""
 
 
-def standing(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Num[np.ndarray, "h 96"]:
+def static_image(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Num[np.ndarray, "h 96"]:
     """(h, 96) grey static content of one camera's pictures (H, W, 3) uint8, without its coarse brightness."""
     height, width = pictures[0].shape[:2]
     size = (_WIDTH, max(round(_WIDTH * height / width), 1))
@@ -55,7 +55,7 @@ def standing(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Num[np.ndarray
 
 
 def same_view(one: Num[np.ndarray, "h 96"], two: Num[np.ndarray, "h 96"]) -> bool:
-    """Whether two ``standing`` pictures are of one film."""
+    """Whether two ``static_image`` pictures are of one film."""
     if one.shape != two.shape or min(one.std(), two.std()) < _MIN_DETAIL:
         return False
     one, two = one - one.mean(), two - two.mean()

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
+from studiorecon.depth.layout.contact_localisation import localise_by_contact
 from studiorecon.depth.layout.primitives import Primitive
-from studiorecon.depth.layout.proposals import fronts, posts, standing, tops
-from studiorecon.depth.layout.standing import stood
-from studiorecon.depth.layout.visibility import kept_from
-from studiorecon.depth.stereo.photo_cost import Explained
+from studiorecon.depth.layout.proposals import fronts, leg_candidates, single_view_proposals, tops
+from studiorecon.depth.layout.visibility import with_distance
+from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.depth.stereo.trial_kernels import STANDING_M
 from studiorecon.scene.room import Platform, RoomBox
@@ -40,7 +40,7 @@ _HEAD, _CLIMBERS = 16, 2
 _REFUSED_M = 0.25
 
 
-def moves(primitive: Float[np.ndarray, " 8"], step_m: float, turns: bool) -> Float[np.ndarray, "M 8"]:
+def neighbour_primitives(primitive: Float[np.ndarray, " 8"], step_m: float, turns: bool) -> Float[np.ndarray, "M 8"]:
     """(M, 8) neighbours of a primitive: every face moved in or out, the whole moved, and turned if it may."""
     c, s = np.cos(primitive[3]), np.sin(primitive[3])
     found = []
@@ -75,7 +75,7 @@ def moves(primitive: Float[np.ndarray, " 8"], step_m: float, turns: bool) -> Flo
     return np.array(found)
 
 
-def allowed(
+def is_allowed(
     primitives: Float[np.ndarray, "N 8"], room_box: RoomBox, taken: Float[np.ndarray, "M 4"]
 ) -> Bool[np.ndarray, " N"]:
     """(N,) bool: of some size, inside the room, and away from ``taken`` (M, 4: points and the distance to keep from
@@ -88,12 +88,12 @@ def allowed(
         & (primitives[:, 7] <= room_box.high_m[2] + 0.021)
     )
     fits &= large
-    fits[fits] = ~around(primitives[fits], np.ascontiguousarray(taken, np.float64))
+    fits[fits] = ~contains_any(primitives[fits], np.ascontiguousarray(taken, np.float64))
     return fits
 
 
 @njit(cache=True)
-def around(primitives: Float[np.ndarray, "N 8"], points_m: Float[np.ndarray, "M 4"]) -> Bool[np.ndarray, " N"]:
+def contains_any(primitives: Float[np.ndarray, "N 8"], points_m: Float[np.ndarray, "M 4"]) -> Bool[np.ndarray, " N"]:
     """(N,) bool: any of the points is in the primitive (N, 8) grown by that point's distance; ``points_m`` (M, 4): x,
     y, z, distance."""
     found = np.zeros(len(primitives), np.bool_)
@@ -116,8 +116,8 @@ def around(primitives: Float[np.ndarray, "N 8"], points_m: Float[np.ndarray, "M 
     return found
 
 
-def climb(
-    room: Explained,
+def hill_climb(
+    room: PhotoCostVolume,
     room_box: RoomBox,
     taken: Float[np.ndarray, "M 4"],
     primitive: Float[np.ndarray, " 8"],
@@ -129,17 +129,19 @@ def climb(
     turns = abs((primitive[3] - room_box.yaw_rad + np.pi / 4) % (np.pi / 2) - np.pi / 4) > 1e-6
 
     def others(now: Float[np.ndarray, " 8"], step_m: float) -> Float[np.ndarray, "M 8"]:
-        around = moves(now, step_m, turns)
-        return around[allowed(around, room_box, taken)]
+        around = neighbour_primitives(now, step_m, turns)
+        return around[is_allowed(around, room_box, taken)]
 
     return _moved(room, primitive, gain, steps_m, others, _MIN_MORE)
 
 
-def _widened(room: Explained, platform: Float[np.ndarray, " 8"], gain: float) -> tuple[Float[np.ndarray, " 8"], float]:
+def _widened(
+    room: PhotoCostVolume, platform: Float[np.ndarray, " 8"], gain: float
+) -> tuple[Float[np.ndarray, " 8"], float]:
     """What people stand on with its sides moved outwards while that explains more, and what it gains."""
 
     def others(now: Float[np.ndarray, " 8"], step_m: float) -> Float[np.ndarray, "M 8"]:
-        around = moves(now, step_m, False)
+        around = neighbour_primitives(now, step_m, False)
         wider = around[:, 4:6].sum(axis=1) > now[4:6].sum()
         return around[wider & (around[:, 6:] == now[6:]).all(axis=1)]
 
@@ -147,7 +149,7 @@ def _widened(room: Explained, platform: Float[np.ndarray, " 8"], gain: float) ->
 
 
 def _moved(
-    room: Explained,
+    room: PhotoCostVolume,
     primitive: Float[np.ndarray, " 8"],
     gain: float,
     steps_m: tuple[float, ...],
@@ -187,7 +189,7 @@ class Proposals:
                 self._primitives.append(primitive)
 
     def take(
-        self, room: Explained, most: int, refused_m: Float[np.ndarray, "M 4"]
+        self, room: PhotoCostVolume, most: int, refused_m: Float[np.ndarray, "M 4"]
     ) -> list[tuple[Float[np.ndarray, " 8"], float]]:
         """The best by what they explain now, ``most`` at most, with that many pixels; they are taken out.
 
@@ -203,13 +205,15 @@ class Proposals:
             for entry in ranked[len(best) :]:
                 heapq.heappush(self._heap, entry)
             found = [(self._primitives[k], -price) for price, k in best]
-            found = [one for one in found if not (around(one[0][None], refused_m)[0] and room.contradicted(one[0]))]
+            found = [
+                one for one in found if not (contains_any(one[0][None], refused_m)[0] and room.contradicted(one[0]))
+            ]
             if found:
                 return found
         return []
 
 
-def furnish(
+def fit_primitives(
     pictures: Sequence[Picture],
     full: Callable[[int], Picture],
     room_box: RoomBox,
@@ -229,24 +233,24 @@ def furnish(
     at ``full`` size, which is asked for by its number. What people stand on comes first. Costs some 10 s for four
     pictures 160 pixels wide.
     """
-    room = Explained.by_room_box(pictures, room_box, window, mean_weight)
+    room = PhotoCostVolume.by_room_box(pictures, room_box, window, mean_weight)
     evidence: list[float] = []
     if room_box.platform is not None:
-        stood_on = _box_of(room_box.platform, room_box)
+        stood_on = _platform_box(room_box.platform, room_box)
         stood_on, gain = _widened(room, stood_on, float(room.gains(stood_on[None])[0]))
         evidence.append(gain)
         room.add(stood_on)
-    taken = np.concatenate([kept_from(room.centre, _CLEARANCE_M), free_m])
+    taken = np.concatenate([with_distance(room.centre, _CLEARANCE_M), free_m])
     proposals = np.array(
-        [primitive for source in (tops, fronts, standing) for _, primitive in source(room, room_box)]
+        [primitive for source in (tops, fronts, single_view_proposals) for _, primitive in source(room, room_box)]
     ).reshape(-1, 8)
-    proposals = proposals[allowed(proposals, room_box, taken)]
+    proposals = proposals[is_allowed(proposals, room_box, taken)]
     others, legs = Proposals(least_gain / 2), Proposals(least_gain / 2)
     others.keep(zip(proposals, room.gains(proposals)))
     refused_m = np.zeros((0, 4))
     while len(evidence) < most and (others or legs):
         tried = [
-            climb(room, room_box, taken, primitive, gain, _STEPS_M[:2])
+            hill_climb(room, room_box, taken, primitive, gain, _STEPS_M[:2])
             for primitive, gain in others.take(room, _CLIMBERS, refused_m)
         ]
         tried = sorted((one for one in tried if one[1] >= least_gain), key=lambda one: -one[1])
@@ -263,28 +267,32 @@ def furnish(
         if not is_leg:
             if room.contradicted(primitive):
                 middle = np.array([[*primitive[1:3], primitive[6:].mean()]])
-                refused_m = np.concatenate([refused_m, kept_from(middle, _REFUSED_M)])
+                refused_m = np.concatenate([refused_m, with_distance(middle, _REFUSED_M)])
                 continue
-            primitive, gain = climb(room, room_box, taken, primitive, gain, _STEPS_M[2:])
-            primitive, gain = rounded(room, room_box, taken, primitive, gain)
+            primitive, gain = hill_climb(room, room_box, taken, primitive, gain, _STEPS_M[2:])
+            primitive, gain = to_cylinder(room, room_box, taken, primitive, gain)
             primitive = _on_its_foot(room, full, room_box, taken, primitive, gain)
         room.add(primitive)
         evidence.append(gain)
-        under = posts(primitive, room.floor_m)
-        under = under[allowed(under, room_box, taken)]
+        under = leg_candidates(primitive, room.floor_m)
+        under = under[is_allowed(under, room_box, taken)]
         legs.keep(zip(under, room.gains(under)))
     return [Primitive.from_numbers(primitive, gain) for primitive, gain in zip(room.primitives, evidence)]
 
 
-def _box_of(platform: Platform, room_box: RoomBox) -> Float[np.ndarray, " 8"]:
+def _platform_box(platform: Platform, room_box: RoomBox) -> Float[np.ndarray, " 8"]:
     """(8,) what people stand on, from the floor up."""
     middle = (np.array([*(platform.low_m + platform.high_m) / 2, 0.0]) @ room_box.axes)[:2]
     size_m = platform.high_m - platform.low_m
     return np.array([0, *middle, room_box.yaw_rad, *size_m, room_box.low_m[2], platform.top_m])
 
 
-def rounded(
-    room: Explained, room_box: RoomBox, taken: Float[np.ndarray, "M 4"], primitive: Float[np.ndarray, " 8"], gain: float
+def to_cylinder(
+    room: PhotoCostVolume,
+    room_box: RoomBox,
+    taken: Float[np.ndarray, "M 4"],
+    primitive: Float[np.ndarray, " 8"],
+    gain: float,
 ) -> tuple[Float[np.ndarray, " 8"], float]:
     """A cylinder in place of a nearly square box when it explains more; two numbers less, so a tie is its own.
 
@@ -293,33 +301,36 @@ def rounded(
     """
     if primitive[0] != 0:
         return primitive, gain
-    alone = _seen_alone(room, primitive, gain)
+    alone = _is_single_view(room, primitive, gain)
     side = primitive[4:6].max() if alone else primitive[4:6].mean()
     if not alone and abs(primitive[4] - primitive[5]) > _SQUARE_SHARE * side:
         return primitive, gain
     start = np.array([1, *primitive[1:3], 0, side, side, *primitive[6:]])
-    round_primitive, round_gain = climb(room, room_box, taken, start, float(room.gains(start[None])[0]), _STEPS_M[1:])
+    round_primitive, round_gain = hill_climb(
+        room, room_box, taken, start, float(room.gains(start[None])[0]), _STEPS_M[1:]
+    )
     return (round_primitive, round_gain) if round_gain >= (_ROUND_SHARE if alone else 1.0) * gain else (primitive, gain)
 
 
-def _seen_alone(room: Explained, primitive: Float[np.ndarray, " 8"], gain: float) -> bool:
+def _is_single_view(room: PhotoCostVolume, primitive: Float[np.ndarray, " 8"], gain: float) -> bool:
     """Whether most of what a primitive gains is what one photo alone shows."""
     return gain - float(room.gains(primitive[None], looks=False)[0]) > gain / 2
 
 
 def _on_its_foot(
-    room: Explained,
+    room: PhotoCostVolume,
     full: Callable[[int], Picture],
     room_box: RoomBox,
     taken: Float[np.ndarray, "M 4"],
     primitive: Float[np.ndarray, " 8"],
     gain: float,
 ) -> Float[np.ndarray, " 8"]:
-    """A cylinder that one photo alone shows where its foot is on the floor in that photo (``standing``)."""
-    if primitive[0] != 1 or primitive[6] > room.floor_m + STANDING_M or not _seen_alone(room, primitive, gain):
+    """A cylinder that one photo alone shows where its foot is on the floor in that photo
+    (``single_view_proposals``)."""
+    if primitive[0] != 1 or primitive[6] > room.floor_m + STANDING_M or not _is_single_view(room, primitive, gain):
         return primitive
     view = int(room.shown(primitive).argmax())
     picture, start = full(view), primitive.copy()
     start[6] = room.floor_m
-    moved = stood(start, picture, _REACH_PX * picture.camera.focal_px[0] / room.lens[view, 0])
-    return moved if allowed(moved[None], room_box, taken)[0] else primitive
+    moved = localise_by_contact(start, picture, _REACH_PX * picture.camera.focal_px[0] / room.lens[view, 0])
+    return moved if is_allowed(moved[None], room_box, taken)[0] else primitive

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper to the letter: every setting that it speaks of, its words, and whether the presets take it at them.
 
-``python -m studiorecon.configuration.letter`` writes docs/paper.md from the settings' declarations and from
+``python -m studiorecon.configuration.paper_settings`` writes docs/paper.md from the settings' declarations and from
 ``config/presets/paper.yaml`` with ``networks.yaml`` over it; a test compares it with what stands there.
 """
 
@@ -74,9 +74,10 @@ CONSTANTS: tuple[tuple[str, str, Any, str], ...] = (
 _HEAD = """\
 # The paper to the letter
 
-Made by `python -m studiorecon.configuration.letter`; do not edit by hand. Every setting of which the paper speaks,
-from the setting's own declaration, and what `config/presets/paper.yaml` with `networks.yaml` over it makes of it.
-U-numbers are readings of ambiguous passages ([readings.md](readings.md)). "default" means that nothing has to be said.
+Made by `python -m studiorecon.configuration.paper_settings`; do not edit by hand. Every setting of which the paper
+speaks, from the setting's own declaration, and what `config/presets/paper.yaml` with `networks.yaml` over it makes of
+it. U-numbers are readings of ambiguous passages ([readings.md](readings.md)). "default" means that nothing has to be
+said.
 
 | setting | the paper, and where | default | the letter | the presets | state |
 |---|---|---|---|---|---|
@@ -89,7 +90,7 @@ Numbers that no setting turns; a test holds them to the paper's.
 """
 
 
-def spoken_of() -> Iterator[tuple[str, Setting]]:
+def paper_values() -> Iterator[tuple[str, Setting]]:
     """Every setting of which the paper speaks, by its dotted name."""
     yield from ((setting.name, setting) for setting in general() if setting.described.paper)
     for section in SECTIONS:
@@ -129,7 +130,7 @@ def value_at(config: Mapping[str, Any], name: str) -> Any:
 
 def state(name: str, setting: Setting, config: Mapping[str, Any]) -> str:
     """literal, or why not, of one setting in a configuration."""
-    letter = setting.described.letter
+    letter = setting.described.paper_value
     if letter is None:
         return f"no literal option: {WITHOUT[name]}"
     if value_at(config, name) != letter:
@@ -146,9 +147,9 @@ def constant(place: str, name: str) -> Any:
 def page() -> str:
     """The text of docs/paper.md."""
     config, rows = merged(), []
-    for name, setting in spoken_of():
+    for name, setting in paper_values():
         told = setting.described
-        letter = "" if told.letter is None else f"`{value_text(told.letter)}`"
+        letter = "" if told.paper_value is None else f"`{value_text(told.paper_value)}`"
         shown = "see config.yaml" if isinstance(setting.default, Mapping) else f"`{value_text(setting.default)}`"
         here = "" if isinstance(setting.default, Mapping) else f"`{value_text(value_at(config, name))}`"
         cells = [f"`{name}`", told.paper, shown, letter, here, state(name, setting, config)]

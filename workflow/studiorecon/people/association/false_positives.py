@@ -40,7 +40,7 @@ _OTHER_SIDE = [
 ]
 
 
-def found_twice(points_m: Float[np.ndarray, "T 12 3"], other_m: Float[np.ndarray, "T 12 3"]) -> bool:
+def is_duplicate(points_m: Float[np.ndarray, "T 12 3"], other_m: Float[np.ndarray, "T 12 3"]) -> bool:
     """Whether two skeletons (T, 12, 3) are at the same place wherever both are known."""
     apart = np.linalg.norm(points_m - other_m, axis=-1)
     apart = apart[np.isfinite(apart)]
@@ -95,7 +95,7 @@ def deep_points_m(
     return triangulate(flat[..., :2], flat[..., 2], cameras, agree).points_m.reshape(frames, len(_DEEP), 3)
 
 
-def is_image_of(
+def is_mirror_image(
     points_m: Float[np.ndarray, "T 12 3"],
     other_m: Float[np.ndarray, "T 12 3"],
     centres_m: Float[np.ndarray, "V 3"],
@@ -127,7 +127,7 @@ def is_image_of(
     )
 
 
-def why_nobody(
+def rejection_reason(
     points_m: Float[np.ndarray, "T 12 3"],
     deep_m: Float[np.ndarray, "T D 3"],
     people_m: Sequence[Float[np.ndarray, "T 12 3"]],
@@ -139,9 +139,9 @@ def why_nobody(
 
     ``people_m``: skeletons that were believed before it; ``others_m``: all others that may be people.
     """
-    if any(found_twice(points_m, other_m) for other_m in people_m):
+    if any(is_duplicate(points_m, other_m) for other_m in people_m):
         return FOUND_TWICE
-    if any(is_image_of(points_m, other_m, centres_m, fps) for other_m in others_m):
+    if any(is_mirror_image(points_m, other_m, centres_m, fps) for other_m in others_m):
         return "it is what a mirror makes of somebody else: left for right, and behind the mirror for every camera"
     if is_flat(points_m, deep_m, fps):
         return "it has no depth: all its points lie in one plane, as on a poster or a screen"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Does this film call for enhancement, and for earlier outputs in it? Told on a few pictures, before the film is made.
 
-``worth``: what residuals that are carried over gain at training cameras that took no part; ``flicker``: how much more
-enhanced pictures change than the renders they are made of. Held-out cameras have no say.
+``transfer_strength``: what residuals that are carried over gain at training cameras that took no part; ``flicker``: how
+much more enhanced pictures change than the renders they are made of. Held-out cameras have no say.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _MIN_EVIDENCE = 0.01
 _PAIRS, _MIN_PAIRS, _LEVEL = 8, 3, 1 / 255
 
 
-def worth(training: Training, frames: int, transfer: Transfer, threshold: float) -> tuple[float, Decision]:
+def transfer_strength(training: Training, frames: int, transfer: Transfer, threshold: float) -> tuple[float, Decision]:
     """Strength of the residual transfer, the factor that best predicts each training camera from the other ones, and
     whether it is worth adding.
 
@@ -135,7 +135,7 @@ def _alone(
     return np.where(np.isfinite(output), output, image).astype(np.float32)
 
 
-def called_for(change: Estimate, threshold: float) -> Decision:
+def decide_injection(change: Estimate, threshold: float) -> Decision:
     """Do enhanced pictures change so much more than the renders that earlier ones should be injected?"""
     if change.value is None:
         reason = "the film has too few pictures that follow one another"

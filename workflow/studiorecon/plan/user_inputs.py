@@ -17,7 +17,7 @@ from studiorecon.scene.dataset import colmap_files
 from studiorecon.scene.stand_ins import is_photo, strangers
 
 
-class Brought:
+class UserInputs:
     """Input functions of rules: each maps a rule's wildcards, as Snakemake passes them, to files; none where there is
     no input.
 
@@ -38,7 +38,7 @@ class Brought:
         """A file of the dataset: a result in a synthetic studio, a local file in a user's own dataset."""
         return str(path) if self.plan.studio else self.local(str(path))
 
-    def brought(self, setting: str, stem: str, suffixes: Sequence[str]) -> str:
+    def user_files(self, setting: str, stem: str, suffixes: Sequence[str]) -> str:
         """A file that the user made outside this workflow: in the folder that ``setting`` names, under its conventional
         name.
         """
@@ -61,7 +61,7 @@ class Brought:
 
     @cached_property
     def detector(self) -> list[str]:
-        return [self.bundled(f"resources/detector/{name}") for name in self.plan.sight.detector]
+        return [self.bundled(f"resources/detector/{name}") for name in self.plan.person_sources.detector]
 
     def second_network(self, _: Any) -> list[str]:
         """The landmark network, if there is one: the user's own file, or the fetched one, whose checksum is
@@ -116,35 +116,37 @@ class Brought:
     def keypoints(self, wildcards: Any) -> list[str]:
         """Keypoints of one camera: recorded ones, of every chapter where they exist per chapter, or the detector's."""
         camera = wildcards.camera
-        if camera in (*self.plan.sight.detected, *self.plan.sight.measured):
+        if camera in (*self.plan.person_sources.detected, *self.plan.person_sources.measured):
             return [f"results/{wildcards.scene}/detect/found/{camera}.npz"]
         recorded = self.plan.dataset.chapter_keypoints.get(camera, (self.plan.dataset.keypoints[camera],))
         return [self.in_dataset(path) for path in recorded]
 
     def read_keypoints(self, wildcards: Any) -> list[str]:
         """Keypoints of one camera after recorded ones have been read and compared with their film."""
-        if wildcards.camera in (*self.plan.sight.detected, *self.plan.sight.measured):
+        if wildcards.camera in (*self.plan.person_sources.detected, *self.plan.person_sources.measured):
             return self.keypoints(wildcards)
         return [f"results/{wildcards.scene}/detect/recorded/{wildcards.camera}.npz"]
 
-    def others_recorded(self, camera: str) -> list[str]:
+    def keypoints_of_other_cameras(self, camera: str) -> list[str]:
         """The other cameras with recorded keypoints, if this camera's are used: files of two cameras may have been
         swapped.
         """
-        looked_for = (*self.plan.sight.detected, *self.plan.sight.measured)
+        looked_for = (*self.plan.person_sources.detected, *self.plan.person_sources.measured)
         if camera in looked_for:
             return []
         return [c for c in self.plan.dataset.keypoints if c != camera and c not in looked_for]
 
     def other_keypoints(self, wildcards: Any) -> list[str]:
         """Files and folders of the other cameras' recorded keypoints."""
-        return [self.in_dataset(self.plan.dataset.keypoints[c]) for c in self.others_recorded(wildcards.camera)]
+        return [
+            self.in_dataset(self.plan.dataset.keypoints[c]) for c in self.keypoints_of_other_cameras(wildcards.camera)
+        ]
 
     def given_bodies(self, wildcards: Any) -> list[str]:
         """The user's file of a network's bodies of one camera, if bodies are precomputed."""
-        if self.plan.sight.bodies != "precomputed":
+        if self.plan.person_sources.bodies != "precomputed":
             return []
-        return [self.brought("detect.precomputed", wildcards.camera, (".npz", ".pt"))]
+        return [self.user_files("detect.precomputed", wildcards.camera, (".npz", ".pt"))]
 
     def given_plate(self, wildcards: Any) -> list[str]:
         """The user's clean plate of one camera, if there is one."""
@@ -156,7 +158,7 @@ class Brought:
         if wildcards.camera in self.plan.dataset.masks:
             return [self.in_dataset(self.plan.dataset.masks[wildcards.camera])]
         if self.config["masks"]["source"] == "precomputed":
-            return [self.brought("masks.precomputed", wildcards.camera, (".mkv", ".mp4", ""))]
+            return [self.user_files("masks.precomputed", wildcards.camera, (".mkv", ".mp4", ""))]
         return []
 
     def given_depth(self, wildcards: Any) -> str:
@@ -173,24 +175,24 @@ class Brought:
         """Estimated depth of one camera, in an arbitrary unit."""
         if self.plan.networks.depth != "precomputed":
             return f"results/{wildcards.scene}/depth/{wildcards.camera}.estimate.exr"
-        return self.brought("depth.precomputed", wildcards.camera, (".exr", ".npy", ".npz", ".png"))
+        return self.user_files("depth.precomputed", wildcards.camera, (".exr", ".npy", ".npz", ".png"))
 
     def generated_film(self, wildcards: Any) -> str:
         """Film of one gap's synthesised views."""
         if self.plan.networks.views != "precomputed":
             return f"results/{wildcards.scene}/views/{wildcards.segment}.film.mkv"
-        return self.brought("views.precomputed", wildcards.segment, (".mkv", ".mp4"))
+        return self.user_files("views.precomputed", wildcards.segment, (".mkv", ".mp4"))
 
     def tracked_masks(self, wildcards: Any) -> list[str]:
         """A network's film of person ids for one camera, where a network is selected and the user gave no masks."""
         wanted = self.plan.networks.masks and wildcards.camera not in self.plan.dataset.masks
         return [f"results/{wildcards.scene}/masks/{wildcards.camera}.tracks.mkv"] if wanted else []
 
-    def film_of_elsewhere(self, wildcards: Any) -> list[str]:
+    def external_film(self, wildcards: Any) -> list[str]:
         """The film of a shot that the user enhanced with another tool, if films are precomputed."""
         if self.config["enhance"]["enhancer"] != "precomputed" or self.plan.forced.get("enhancement") == "off":
             return []
-        return [self.brought("enhance.precomputed", wildcards.shot, (".mkv", ".mp4"))]
+        return [self.user_files("enhance.precomputed", wildcards.shot, (".mkv", ".mp4"))]
 
     # ---- inputs of a shot ----
 
@@ -200,7 +202,7 @@ class Brought:
         parts = colmap_files(Path(file)) if file and Path(file).stem == "images" else [file] if file else []
         return [self.local(str(part)) for part in parts]
 
-    def stand_ins(self, wildcards: Any) -> list[str]:
+    def replacement_people(self, wildcards: Any) -> list[str]:
         """Files of the people who replace others in a shot; people of this scene are inputs in any case."""
         wanted = self.shots.get(wildcards.shot, {}).get("replace", {}).values()
         made = [f"results/{wildcards.scene}/humans/{name}.canonical.ply" for name in strangers(wanted)]

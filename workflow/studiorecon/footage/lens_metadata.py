@@ -30,7 +30,7 @@ _EXIF_TAGS, _FOCAL_IN_35MM = 0x8769, 0xA405
 _MAX_BYTES = 1 << 28
 
 
-def told_focal_px(path: Path, wh: tuple[int, int]) -> float | None:
+def focal_px_from_metadata(path: Path, wh: tuple[int, int]) -> float | None:
     """Focal length in pixels of footage of size ``wh`` (width, height) from the file's metadata; None without it.
 
     An initial value, not a calibration: it is the lens's nominal length, and a phone's stabilisation crops up to a
@@ -94,12 +94,12 @@ def _value_in(data: bytes) -> str | None:
     for kind, inner in _atoms(data):
         if kind in _HOLDERS and (found := _value_in(inner)):
             return found
-        if kind == b"meta" and (found := _value_of(dict(_atoms(inner)))):
+        if kind == b"meta" and (found := _tag_value(dict(_atoms(inner)))):
             return found
     return None
 
 
-def _value_of(meta: dict[bytes, bytes]) -> str | None:
+def _tag_value(meta: dict[bytes, bytes]) -> str | None:
     """The value of the key: ``keys`` lists names from 1 on; an atom of ``ilst`` is named by such a number and holds
     ``data``."""
     names = [value for _, value in _atoms(meta.get(b"keys", b"")[8:])]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.render.composite import TRUTH_LEVELS, Composite, classes_of
+from studiorecon.render.composite import TRUTH_LEVELS, Composite, provenance_classes
 from studiorecon.render.shading import dim
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
@@ -44,7 +44,7 @@ class Layers:
     mattes: Float[np.ndarray, "H W M"]
 
 
-class Canvas:
+class CompositeRenderer:
     """Pictures of a composite; the same bytes as rasterising all its Gaussians together, in a fraction of the time."""
 
     def __init__(self, scene: Composite, near_m: float, device: str = "cpu") -> None:
@@ -97,7 +97,7 @@ class Canvas:
             self._shade = shade
         for part, moving in enumerate(scene.moving, start=1):
             self._fill(part, moving.posed(frame))
-            classes = classes_of(moving, frame)
+            classes = provenance_classes(moving, frame)
             if self._classified[part - 1] != classes.tobytes():
                 self._classify(part, classes)
                 self._classified[part - 1] = classes.tobytes()
