@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Types of the settings that may name a network: each is a Literal of the stage's own values and of the networks whose
-cards say that they do the same."""
+"""Types of the settings that may name a network: Literals of the stage's own values and of the networks of
+that kind.
+"""
 
 from __future__ import annotations
 

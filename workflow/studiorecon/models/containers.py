@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``models.containers``: builds container images of envs/ with the engine that is there. Run by ``snakemake images``
-only.
+"""``models.containers``: builds container images of envs/ with the installed engine. Run by ``snakemake images`` only.
 
-Apptainer makes a file that the workflow then runs its rules in; podman and docker keep the image in their own store, to
-be pushed from there. Apptainer reads no Containerfile, so ours keep to ARG BASE, FROM, COPY, RUN and ENV, which a
-definition file can say as well.
+Apptainer makes a file in which the workflow then runs its rules; podman and docker keep the image in their own store,
+to be pushed from there. Apptainer reads no Containerfile, so ours use only ARG BASE, FROM, COPY, RUN and ENV, which a
+definition file can express as well.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.signature import Place
 
-# How each engine says that it works (docker's client answers without its daemon), in the order of preference.
+# Command that shows that each engine works (docker's client answers without its daemon), in the order of preference.
 _ENGINES = {
     "apptainer": ("--version",),
     "podman": ("info", "--format", "{{.Version.Version}}"),
@@ -43,7 +42,7 @@ def read_image(text: str) -> ContainerImage:
 
 
 def engine() -> str:
-    """The first container engine that answers; UserError with what each of them said when none does."""
+    """The first container engine that answers; if none does, raises UserError with the message of each."""
     import shutil
     import subprocess
 
@@ -78,8 +77,7 @@ def instructions(containerfile: str) -> list[tuple[str, str]]:
 
 
 def definition(containerfile: str) -> str:
-    """The apptainer definition that makes the same image: files first, then commands, with the variables set in
-    both."""
+    """The apptainer definition of the same image: files first, then commands, with the variables set in both."""
     steps = instructions(containerfile)
     base = next(
         (rest.partition("=")[2] for keyword, rest in steps if keyword == "ARG" and rest.startswith("BASE=")), ""
@@ -98,10 +96,9 @@ def definition(containerfile: str) -> str:
 
 
 def build(chosen: str, image: ContainerImage, root: Path, folder: Path) -> str:
-    """Build one image from ``root``/envs/NAME with engine ``chosen``; returns where it is now. Raises UserError when
-    the engine fails.
+    """Build one image from ``root``/envs/NAME with engine ``chosen``, and return its address or file.
 
-    Apptainer's file goes into ``folder``, completely or not at all.
+    Apptainer's file goes into ``folder``, completely or not at all. Raises UserError when the engine fails.
     """
     containerfile = root / "envs" / image.name / "Containerfile"
     if not containerfile.is_file():
@@ -133,8 +130,9 @@ def _call(command: list[str], root: Path, image: ContainerImage) -> str:
 
 
 def run(images: list[str], root: Place, folder: Place) -> None:
-    """Build ``images`` (``NAME=ADDRESS:VERSION``), whose folders lie below ``root``/envs; apptainer's files go into
-    ``folder``."""
+    """Build ``images`` (``NAME=ADDRESS:VERSION``) from their folders in ``root``/envs; apptainer's files go into
+    ``folder``.
+    """
     chosen = engine()
     say(f"images are built by {chosen}")
     for image in map(read_image, images):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An upstream network by its kind and its name in settings: what stages ask for, who know kinds and Protocols only."""
+"""Loads an upstream network by its kind and its name in settings, so that stages know only kinds and Protocols."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def adapter(kind: Kind, name: str) -> Callable[..., Any]: ...
 
 
 def adapter(kind: Kind, name: str) -> Any:
-    """The class that runs network ``name``, not loaded: what it says of its input can be asked without weights.
+    """The class that runs network ``name``, not loaded, for questions that need no weights.
 
-    Raises KeyError for an unknown name, ValueError for a network that is of another kind.
+    Raises KeyError for an unknown name, ValueError for a network of another kind.
     """
     card = model(name)
     if card.kind != kind:
@@ -76,7 +76,7 @@ def load(kind: Kind, name: str, weights: Path, device: str, **options: Any) -> A
     and what ``adapter`` raises.
     """
     run_by: Callable[..., Any] = adapter(kind, name)
-    # Before upstream is imported, whose import may ask CUDA what is there.
+    # Before upstream's import, which may already query CUDA.
     if device != "cpu":
         claim()
     return run_by(model(name), weights, device, **options)

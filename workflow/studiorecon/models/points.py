@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Networks that say where the points of one person are (``detect.network``): their files run as they are, behind the
-detector (``detector.second``), in ONNX Runtime on a CPU."""
+"""Networks that estimate the keypoints of one person (``detect.network``).
+
+Their files run as they are, after the detector (``detector.second``), in ONNX Runtime on a CPU.
+"""
 
 from __future__ import annotations
 
@@ -79,4 +81,4 @@ CARDS = (
         "Xenova's export of 2024",
     ),
 )
-"""Checksums as people who fetched the files in 2025 and 2026 have written them down."""
+"""Checksums as recorded by people who fetched the files in 2025 and 2026."""

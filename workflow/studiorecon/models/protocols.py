@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One Protocol per kind of upstream model: what a stage asks of it, in this project's conventions.
+"""One Protocol per kind of upstream model, in this project's conventions.
 
 Pictures are (H, W, 3) RGB, uint8 where a network reads files and float32 in [0, 1] where it improves renders; cameras
-have OpenCV axes, intrinsics in pixels with centres at +0.5; depth is z-depth, 0 = unknown. Whatever a network does
-otherwise, its adapter converts once. A model is loaded once, when its adapter is made; long clips go through as
-iterators, so memory does not grow with their length.
+have OpenCV axes, intrinsics in pixels with centres at +0.5; depth is z-depth, 0 = unknown. An adapter converts a
+network's other conventions in one place. A model is loaded once, when its adapter is created; long clips are iterators,
+so memory does not grow with their length.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class Reconstruction:
         cameras: at the size the network worked on; the first one is the world's origin.
         depths: per camera (H, W) float32, 0 = unknown.
         confidences: per camera (H, W) float32 in [0, 1].
-        focal_residuals_px: per camera, median distance between a pixel and where its own point projects with the fitted
-            focal length.
+        focal_residuals_px: per camera, median distance between a pixel and the projection of its own point with the
+            fitted focal length.
         metric: whether the unit is a metre, approximately.
     """
 
@@ -44,12 +44,12 @@ class Reconstruction:
 
 @dataclass(frozen=True)
 class Bodies:
-    """People of one frame as a body estimator sees them, in its camera's frame.
+    """People of one frame from a body estimator, in its camera's frame.
 
     Attributes:
         tracks: (P,) identity of each within its camera, 0-based.
         shapes: (P, 10). ``poses_rad``: (P, 24, 3) axis-angles, the root first. ``translations_m``: (P, 3), SMPL's own,
-            which is not where the pelvis is. ``pelvises_m``: (P, 3) pelvis joint.
+            which is not the pelvis. ``pelvises_m``: (P, 3) pelvis joint.
         joints_px: (P, J, 2) pixels, centres at +0.5. ``confidences``: (P,) in [0, 1].
     """
 
@@ -64,13 +64,13 @@ class Bodies:
 
 @dataclass(frozen=True)
 class Moment:
-    """What is known about one picture besides its colours.
+    """Facts about one picture besides its colours.
 
     Attributes:
-        camera: where it is seen from.
+        camera: its camera.
         frame: (fractional) frame of the capture it shows.
         depth_m: (H, W) rendered depth, 0 = unknown.
-        injected: (H, W) share of the input that comes from earlier outputs, which already were enhanced.
+        injected: (H, W) share of the input that comes from earlier outputs, which were already enhanced.
     """
 
     camera: Camera
@@ -81,12 +81,11 @@ class Moment:
 
 @dataclass(frozen=True)
 class KeyFrame:
-    """A photo that is carried into a generated film.
+    """A photo that is warped into a generated film.
 
     Attributes:
         camera: at the network's size.
-        rgb: (H, W, 3) colours in [0, 1]. ``depth_m``: (H, W) z-depth, 0 = unknown. ``usable``: (H, W) which pixels
-            count.
+        rgb: (H, W, 3) colours in [0, 1]. ``depth_m``: (H, W) z-depth, 0 = unknown. ``usable``: (H, W) valid pixels.
     """
 
     camera: Camera
@@ -96,7 +95,7 @@ class KeyFrame:
 
 
 class PoseAndDepth(Protocol):
-    """Pi3, Pi3X, MapAnything."""
+    """Estimates cameras and depth: Pi3, Pi3X, MapAnything."""
 
     def reconstruct(self, pictures: Sequence[Integer[np.ndarray, "H W 3"]], names: Sequence[str]) -> Reconstruction:
         """Cameras and depth of pictures (H, W, 3) uint8 of one moment."""
@@ -104,7 +103,7 @@ class PoseAndDepth(Protocol):
 
 
 class MonocularDepth(Protocol):
-    """MoGe."""
+    """Estimates depth of one picture: MoGe."""
 
     def depth(self, picture: Integer[np.ndarray, "H W 3"], focal_px: float | None) -> Float[np.ndarray, "H W"]:
         """(H, W) float32 depth of a uint8 picture, 0 = unknown; ``focal_px``: horizontal, when it is known."""
@@ -112,7 +111,7 @@ class MonocularDepth(Protocol):
 
 
 class PersonSegmenter(Protocol):
-    """SAM 3."""
+    """Segments people: SAM 3."""
 
     def segment(self, frames: Iterable[Integer[np.ndarray, "H W 3"]]) -> Iterator[Integer[np.ndarray, "H W"]]:
         """(H, W) uint16 per uint8 frame: 0 = nobody, else 1 + the person's number, the same through the clip."""
@@ -120,15 +119,16 @@ class PersonSegmenter(Protocol):
 
 
 class BodyEstimator(Protocol):
-    """CoMotion."""
+    """Estimates bodies: CoMotion."""
 
     layout: str
-    """What its 2D points are called: a name of ``keypoints.layouts``."""
+    """The layout of its 2D points: a name of ``keypoints.layouts``."""
 
     @staticmethod
     def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[tuple[int, Bodies]]:
-        """(frame, bodies) from a file of the network's own arrays, called ``where`` in messages; UserError for one that
-        lacks some."""
+        """(frame, bodies) from a file of the network's own arrays, called ``where`` in messages; raises UserError for
+        missing arrays.
+        """
         ...
 
     def bodies(
@@ -139,19 +139,23 @@ class BodyEstimator(Protocol):
 
 
 class ViewSynthesizer(Protocol):
-    """GEN3C. What it is asked is arrays in the network's own names and conventions, of which stages use ``w2cs_all``
-    (T, 4, 4), one per view asked for, and ``scene_scale``, what lengths were multiplied with. They are made and checked
-    without the network: on another machine, before a GPU is taken."""
+    """Generates views: GEN3C.
+
+    A request consists of arrays in the network's own names and conventions. Stages use ``w2cs_all`` (T, 4, 4), one per
+    requested view, and ``scene_scale``, the factor on all lengths. Requests are made and checked without the network:
+    on another machine, before a GPU is reserved.
+    """
 
     hw: tuple[int, int]
-    """The one size of its pictures."""
+    """The only size of its pictures."""
     most_key_frames: int
-    """Photos that it bears at once: what its job has of main memory."""
+    """Most photos at once, limited by its job's main memory."""
 
     @staticmethod
     def request(key_frames: Sequence[KeyFrame], path: Sequence[Camera]) -> dict[str, Shaped[np.ndarray, " ..."]]:
-        """What the network is asked for a film along ``path`` from photos, all of size ``hw``; UserError for a path
-        that it cannot follow."""
+        """The request for a film along ``path`` from photos, all of size ``hw``; raises UserError for a path that it
+        cannot follow.
+        """
         ...
 
     @staticmethod
@@ -161,17 +165,20 @@ class ViewSynthesizer(Protocol):
 
     @staticmethod
     def evidence(request: dict[str, Shaped[np.ndarray, " ..."]]) -> str:
-        """What re-rendering a checked request says, in a sentence; UserError when it is not worth a GPU hour."""
+        """The result of re-rendering a checked request, in a sentence; raises UserError when it is not worth a GPU
+        hour.
+        """
         ...
 
     def views(self, request: dict[str, Shaped[np.ndarray, " ..."]]) -> Iterator[Integer[np.ndarray, "t H W 3"]]:
-        """(t, H, W, 3) uint8 parts of the film that a request asks for, in order."""
+        """(t, H, W, 3) uint8 parts of the requested film, in order."""
         ...
 
 
 class Enhancer(Protocol):
-    """Difix3D+, Fixer, and the embedded residual transfer: anything that improves a rendered picture, given a real
-    photo for reference."""
+    """Improves a rendered picture with a real photo for reference: Difix3D+, Fixer, and the embedded residual
+    transfer.
+    """
 
     def enhance(
         self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
@@ -181,13 +188,14 @@ class Enhancer(Protocol):
 
 
 class Flow(Protocol):
-    """RAFT."""
+    """Estimates optical flow: RAFT."""
 
     def flow(
         self, first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]
     ) -> Float[np.ndarray, "H W 2"]:
-        """(H, W, 2) float32 flow from the first to the second uint8 picture: p of the first shows what p + flow(p) of
-        the second shows."""
+        """(H, W, 2) float32 flow from the first to the second uint8 picture: p of the first shows the same as p +
+        flow(p) of the second.
+        """
         ...
 
 
@@ -196,7 +204,7 @@ SMALLEST_MEASURED_PX = 64
 
 
 class PerceptualDistance(Protocol):
-    """LPIPS, as it is measured."""
+    """LPIPS as a measure."""
 
     def measured(self, prediction: Integer[np.ndarray, "H W 3"], truth: Integer[np.ndarray, "H W 3"]) -> float | None:
         """The distance of two (H, W, 3) uint8 pictures; None when a side is under ``SMALLEST_MEASURED_PX``."""
@@ -204,7 +212,7 @@ class PerceptualDistance(Protocol):
 
 
 class CanonicalAvatar(Protocol):
-    """LHM: a person's Gaussians in a rest pose, from one photo."""
+    """Makes a person's Gaussians in a rest pose from one photo: LHM."""
 
     def avatar(self, photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"]) -> Gaussians:
         """Gaussians in the body's rest pose and axes (x left, y up, z forward), from a uint8 photo and the (H, W) mask

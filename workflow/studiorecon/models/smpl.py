@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``models.smpl``: SMPL's own pickle as an .npz of plain arrays, which every step reads; nothing of chumpy or of smplx
-is needed for it.
+"""``models.smpl``: converts SMPL's own pickle to an .npz of plain arrays, which every step reads, without chumpy or
+smplx.
 
-The pickle of SMPL v1.1.0 holds chumpy arrays, whose package no longer imports, and 300 shape directions of which the
-first ten are kept. It is read without running any of its code but numpy's and scipy's constructors.
+The pickle of SMPL v1.1.0 holds chumpy arrays, whose package no longer imports, and 300 shape directions, of which the
+first ten are kept. Reading it runs none of its code except numpy's and scipy's constructors.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _ARRAYS = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kin
 
 
 def read_pickle(path: Path) -> dict[str, Any]:
-    """The entries of a body's pickle; UserError when it is none, or asks for anything but arrays."""
+    """The entries of a body's pickle; raises UserError when it is none, or holds anything but arrays."""
     try:
         with open(path, "rb") as stream:
             return dict(read_arrays(stream))
@@ -56,15 +56,17 @@ def read_pickle(path: Path) -> dict[str, Any]:
         raise UserError(
             f"body {path} is missing; SMPL is to be had by registration with MPI, resources/body.npz is bundled"
         ) from None
-    except Exception as error:  # unpickling foreign bytes raises anything
+    except Exception as error:  # unpickling foreign bytes can raise any error
         raise UserError(
             f"body {path} is not a pickle of plain or chumpy arrays ({type(error).__name__}: {error})"
         ) from None
 
 
 def postprocess(entries: dict[str, Any], path: Path) -> dict[str, Shaped[np.ndarray, " ..."]]:
-    """The arrays of an SMPL .npz from a pickle's entries, ten shape directions, the joint regressor dense; UserError
-    for another body."""
+    """The arrays of an SMPL .npz from a pickle's entries, with ten shape directions and the joint regressor dense.
+
+    Raises UserError for another body.
+    """
     missing = [name for name in _ARRAYS if name not in entries]
     if missing:
         raise UserError(f"body {path} has no {', '.join(missing)}: it is not SMPL's")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``models.weights``: what every selected network needs, what of it is there, and, when asked, the fetching and
-verifying of it.
+"""``models.weights``: lists the files of every selected network and their state, and fetches and verifies them on
+request.
 
-The only step that may use the network of the machine.
+It is the only step that may access the network.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def described(file: WeightFile, folder: Path) -> str:
 
 
 def stage(file: WeightFile, folder: Path, pins: dict[str, Any], may_fetch: bool) -> str:
-    """State of one file after fetching (if it is missing and may be) and verifying; ``pins`` receives its checksum."""
+    """State of one file after fetching (if missing and allowed) and verifying; ``pins`` receives its checksum."""
     try:
         stated = ""
         if not (folder / file.path).is_file():
@@ -67,7 +67,7 @@ def stage(file: WeightFile, folder: Path, pins: dict[str, Any], may_fetch: bool)
 
 
 def run(models: list[str], weights: Place, fetching: str) -> None:
-    """List the files of ``models``; with ``fetching`` "yes" get the missing ones that a program may get, and verify
+    """List the files of ``models``; with ``fetching`` "yes" fetch the missing ones that a program may get, and verify
     all.
 
     Raises UserError when, with fetching, a file is still missing or wrong; a listing alone never fails.
@@ -103,7 +103,7 @@ def run(models: list[str], weights: Place, fetching: str) -> None:
 
 def _files(card: Card, folder: Path) -> Iterator[WeightFile]:
     yield from card.weights
-    # Known only once the files before it are there.
+    # Known only after the files before it are fetched.
     yield from code_in(folder, card.weights)
 
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CoMotion (Newell et al., ICLR 2025): everybody's SMPL body in every frame of one camera, followed through time.
+"""CoMotion (Newell et al., ICLR 2025): the SMPL bodies of all people in every frame of one camera, tracked over time.
 
-Called as a class, with the camera's own intrinsics: its command line assumes a focal length of twice the longer side,
-and depth with it. Cuts are not noticed upstream, so a clip must have none. Its 2D points are projections of its own
-bodies: a monocular prior, not evidence. Upstream's demo tidies tracks once it has seen the whole clip; here they come
-as they are, short ones that follow nobody among them, and the association of cameras sorts them out.
+Used as a class, with the camera's own intrinsics: its command line assumes a focal length of twice the longer side,
+which also determines depth. Upstream does not detect cuts, so a clip must have none. Its 2D points are projections of
+its own bodies: a monocular prior, not evidence. Upstream's demo cleans up tracks after the whole clip; here they stay
+as they are, including short false ones, and the association of cameras rejects those.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ CARDS = (CARD,)
 JOINTS = 27
 """SMPL's first 22, then nose, right eye, left eye, right ear, left ear."""
 UNSEEN = 0.1
-"""Confidence of a body that is carried on where nothing was detected."""
+"""Confidence of a body that is extrapolated where nothing was detected."""
 _LOWER = "set detect.source to keypoints and bring keypoint files"
-# A detection is a track's own when their points are this near, as a share of the body's box diagonal.
+# A detection belongs to a track when their points are this near, as a share of the body's box diagonal.
 _SAME = 0.15
 _STORED = ("id", "frame_idx", "pose", "betas", "trans", "pred_2d", "pred_3d")
 _FIELDS = {"id": (), "pose": (72,), "betas": (10,), "trans": (3,), "pred_3d": (JOINTS, 3), "pred_2d": (JOINTS, 2)}
@@ -76,8 +76,10 @@ _FIELDS = {"id": (), "pose": (72,), "betas": (10,), "trans": (3,), "pred_3d": (J
 def preprocess(
     frame: Integer[np.ndarray, "H W 3"], intrinsics: Num[np.ndarray, "3 3"]
 ) -> tuple[Integer[np.ndarray, "3 H W"], Float[np.ndarray, "2 3"]]:
-    """(3, H, W) uint8 RGB and (2, 3) float32 intrinsics; upstream's default principal point is W/2, so centres are at
-    +0.5 as here."""
+    """(3, H, W) uint8 RGB and (2, 3) float32 intrinsics.
+
+    Upstream's default principal point is W/2, so pixel centres are at +0.5 as here.
+    """
     if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
         raise ValueError(f"frame is {frame.dtype} of shape {frame.shape}, expected uint8 (H, W, 3)")
     return np.ascontiguousarray(frame.transpose(2, 0, 1)), np.asarray(intrinsics, dtype=np.float32)[:2]
@@ -86,10 +88,10 @@ def preprocess(
 def postprocess(
     tracks: dict[str, Shaped[np.ndarray, " ..."]], detected_px: Num[np.ndarray, "n 27 2"], logits: Num[np.ndarray, " n"]
 ) -> Bodies:
-    """The bodies of one frame from the state of all track slots, of which those with id 0 are empty.
+    """The bodies of one frame from the state of all track slots; slots with id 0 are empty.
 
-    ``detected_px`` (n, 27, 2) and ``logits`` (n,) are the frame's detections: a track is as sure as the detection it
-    lies on. Raises UserError for fields of another shape or values that are no numbers.
+    ``detected_px`` (n, 27, 2) and ``logits`` (n,) are the frame's detections: a track has the confidence of the
+    detection that it overlaps. Raises UserError for fields of another shape or non-finite values.
     """
     for name, shape in _FIELDS.items():
         if name not in tracks or tracks[name].shape[1:] != shape:
@@ -123,8 +125,8 @@ def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[t
     """(frame, bodies) from arrays with one row per person and frame; ``where`` names them in messages.
 
     Needed: id, frame_idx, pose (72), betas (10), trans (3), pred_2d (27, 2) in working pixels, pred_3d (27, 3); conf
-    (logits) if there. CoMotion's own demo leaves the points out: they have to be written too. Raises UserError for what
-    is missing.
+    (logits) is optional. CoMotion's own demo does not write the points, so it must be extended. Raises UserError for
+    missing arrays.
     """
     missing = [key for key in _STORED if key not in rows]
     if missing:
@@ -145,7 +147,7 @@ def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[t
 
 @dataclass(frozen=True)
 class _Arrays:
-    """Stands for ``pickle`` where upstream reads SMPL's file: arrays come of it, whatever else it names."""
+    """Replaces ``pickle`` where upstream reads SMPL's file: it returns arrays and runs no other code."""
 
     body: Path
 
@@ -157,7 +159,7 @@ class Comotion:
     """Detector and tracker, loaded once; satisfies ``BodyEstimator``. Weights: ``comotion/`` and ``smpl/`` below
     ``weights``.
 
-    Upstream looks for its files in its own package (``comotion_demo/data``): links there have to point at the weights
+    Upstream searches its own package (``comotion_demo/data``) for its files: links there must point to the weights
     folder.
     """
 
@@ -166,9 +168,9 @@ class Comotion:
     def __init__(self, card: Card, weights: Path, where: str) -> None:
         staged(card, weights)
         try:
-            # SMPL's file is looked for when the module is imported, the checkpoints when the network is made.
+            # Upstream opens SMPL's file at import, and the checkpoints when the network is created.
             module = upstream(card, "comotion_demo.models.comotion")
-            # Upstream unpickles SMPL's file as it comes, and with it whatever code that names.
+            # Upstream unpickles SMPL's file unchecked, and would run any code in it.
             body = weights / "smpl/SMPL_NEUTRAL.pkl"
             upstream(card, "comotion_demo.utils.smpl_kinematics").pickle = _Arrays(body)
             self._device = device(card, where, _LOWER)
@@ -184,13 +186,13 @@ class Comotion:
 
     @staticmethod
     def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[tuple[int, Bodies]]:
-        """See ``models.protocols.BodyEstimator``."""
+        """The stored bodies; see ``models.protocols.BodyEstimator``."""
         return stored(rows, where)
 
     def bodies(
         self, frames: Iterable[Integer[np.ndarray, "H W 3"]], intrinsics: Num[np.ndarray, "3 3"]
     ) -> Iterator[Bodies]:
-        """See ``models.protocols.BodyEstimator``."""
+        """The bodies of every frame; see ``models.protocols.BodyEstimator``."""
         started = False
         for frame in frames:
             if not started:

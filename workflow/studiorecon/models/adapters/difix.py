@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Difix3D+ with a reference photo (Wu et al., CVPR 2025): one denoising step on a render.
 
-Difix floors sizes to multiples of 8 and wants the reference at the picture's size; its VAE samples, so every picture
-gets a generator of its own and the same picture the same result.
+Difix rounds sizes down to multiples of 8 and needs the reference at the picture's size. Its VAE samples, so every
+picture has its own generator: the same picture gives the same result.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from studiorecon.models.protocols import Moment
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
 
-# Brings the whole repository, whose code the client runs.
+# Selects the whole repository, including code that the client runs.
 _BRINGS_ALL = "model_index.json"
 
 CARD = Card(
@@ -71,8 +71,7 @@ STEP = 199
 """The paper's τ = 200 counted from zero."""
 MULTIPLE_PX = 8
 _LOWER = "set enhance.enhancer to residual"
-# A gap in brightness between a picture and its repair beyond which the network has failed (half precision overflows to
-# black or white).
+# Change of brightness beyond which the network has failed: half precision overflows to black or white.
 _LARGEST_SHIFT = 0.25
 
 
@@ -93,8 +92,9 @@ def _tensor(picture: np.ndarray) -> np.ndarray:
 def postprocess(
     made: Float[np.ndarray, "1 3 h w"], image: Num[np.ndarray, "H W 3"], card: Card = CARD
 ) -> Float[np.ndarray, "H W 3"]:
-    """(H, W, 3) float32 picture in [0, 1] from the network's (1, 3, h, w); UserError when it made nothing of the
-    picture."""
+    """(H, W, 3) float32 picture in [0, 1] from the network's (1, 3, h, w); raises UserError when the result is
+    unusable.
+    """
     height, width = image.shape[:2]
     if made.ndim != 4 or made.shape[:2] != (1, 3) or made.shape[2] < height or made.shape[3] < width:
         raise UserError(
@@ -134,15 +134,18 @@ class Difix:
     def enhance(
         self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
     ) -> Float[np.ndarray, "H W 3"]:
-        """See ``models.protocols.Enhancer``; the camera and the depth of ``moment`` are not used."""
+        """The repaired picture; see ``models.protocols.Enhancer``. The camera and the depth of ``moment`` are
+        not used.
+        """
         return postprocess(denoised(self._pipeline, *preprocess(image, reference), self._seed, self._device), image)
 
 
 def denoised(
     pipeline: Any, picture: Float[np.ndarray, "1 3 h w"], photo: Float[np.ndarray, "1 3 h w"], seed: int, where: Any
 ) -> Float[np.ndarray, "1 3 h w"]:
-    """(1, 3, h, w) float32 from upstream's pipeline; the generator starts anew, so a picture's result does not depend
-    on those before."""
+    """(1, 3, h, w) float32 from upstream's pipeline; the generator restarts, so that earlier pictures have no
+    influence.
+    """
     import torch
 
     made = pipeline(

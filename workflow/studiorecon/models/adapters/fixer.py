@@ -34,7 +34,8 @@ CARD = Card(
         )
         for name in ("pretrained/pretrained_fixer.pkl", "base/model_fast_tokenizer.pt", "base/tokenizer_fast.pth")
     ),
-    # torch and what is compiled against it are the base image's: cosmos-predict2-container 1.2, as upstream builds.
+    # torch and packages compiled against it come from the base image: cosmos-predict2-container 1.2, as in upstream's
+    # build.
     runtime=Runtime(image="fixer", python="3.12", torch=">=2.6", pins=("cosmos-predict2==1.0.9",), commit="b39dfca"),
     memory=Memory(16.0, "576×1024; our estimate"),
     tried="never",
@@ -47,8 +48,9 @@ _LOWER = "set enhance.enhancer to residual"
 
 
 def preprocess(image: Num[np.ndarray, "H W 3"]) -> tuple[Float[np.ndarray, "1 3 576 1024"], tuple[int, int]]:
-    """(1, 3, 576, 1024) float32 in [-1, 1] of a picture scaled to fit, its border repeated beside it, and its size (h,
-    w) there."""
+    """(1, 3, 576, 1024) float32 in [-1, 1] of a picture scaled to fit and padded by its border; and its size (h, w)
+    there.
+    """
     picture = as_float(image)
     scale = min(side / own for side, own in zip(HW, picture.shape[:2]))
     taken = tuple(min(round(own * scale), side) for side, own in zip(HW, picture.shape[:2]))
@@ -76,7 +78,7 @@ class Fixer:
         self._device = device(card, where, _LOWER)
         import torch
 
-        # Upstream has the places of its base model in a module's constant; there is no argument for them.
+        # Upstream keeps the paths of its base model in a module's constant; there is no argument for them.
         config = attribute(card, module, "config")
         config.dit_path = str(folder / "base/model_fast_tokenizer.pt")
         config.tokenizer["vae_pth"] = str(folder / "base/tokenizer_fast.pth")
@@ -92,7 +94,7 @@ class Fixer:
     def enhance(
         self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
     ) -> Float[np.ndarray, "H W 3"]:
-        """See ``models.protocols.Enhancer``."""
+        """The repaired picture; see ``models.protocols.Enhancer``."""
         import torch
 
         tensor, taken = preprocess(image)

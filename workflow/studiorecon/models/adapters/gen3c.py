@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GEN3C (Ren et al. 2025): what its multi-view script reads, the call with a model that stays loaded, and what comes
-back.
+"""GEN3C (Ren et al. 2025): the input of its multi-view script, the call with a model that stays loaded, and its output.
 
 Its conventions: world-to-camera, OpenCV axes, first pixel's centre at 0, colours in [−1, 1], 704×1280, 120·n + 1 frames
-in chunks of 121 that share one frame. The film is seeded with key frame 0 and nothing else, so the path must start
-exactly there. Depth is cut to [0, 100] and infinite depth becomes a wall at 100: what is unknown is 0 with mask 0.
-``models.adapters.gen3c_request`` checks a request before a GPU does.
+in chunks of 121 that share one frame. The film is seeded only with key frame 0, so the path must start exactly there.
+Depth is clipped to [0, 100] and infinite depth becomes a wall at 100: unknown depth is 0 with mask 0.
+``models.adapters.gen3c_request`` checks a request before it takes a GPU.
 """
 
 from __future__ import annotations
@@ -82,16 +81,19 @@ CARD = Card(
 CARDS = (CARD,)
 
 _BUFFERS = 2
-"""Warped key frames the network reads per chunk; the cache keeps those that cover most."""
+"""Number of warped key frames that the network reads per chunk; the cache selects those that cover most."""
 _NEAR, _FAR = 1.0, 10.0
-"""Median depth the network's absolute tolerance (0.02 of its unit) and its cut at 100 are made for."""
+"""Range of the median depth for which the network's absolute tolerance (0.02 of its unit) and its clip at 100
+are made.
+"""
 _WITHOUT_OFFLOAD_GB = 80.0
 _LOWER = "set views.gen3c.offload to true, or views.synthesizer to warp"
 
 
 def depth_scale(depths: Sequence[Float[np.ndarray, "H W"]]) -> float:
-    """Factor that brings the median of all known depths into [1, 10], 1 when it lies there; UserError when nothing is
-    known."""
+    """Factor that brings the median of all known depths into [1, 10], 1 when it is there; raises UserError when no
+    depth is known.
+    """
     known = np.concatenate([d[np.isfinite(d) & (d > 0)].ravel() for d in depths])
     if not len(known):
         raise UserError(
@@ -101,13 +103,15 @@ def depth_scale(depths: Sequence[Float[np.ndarray, "H W"]]) -> float:
     median = float(np.median(known))
     scale = min(max(1.0, _NEAR / median), _FAR / median)
     farthest = float(known.max()) * scale
-    # The cut at 100 would make a wall of what lies behind it, so a deep scene comes nearer as a whole.
+    # The clip at 100 would make a wall of everything behind it, so a deep scene is scaled down as a whole.
     return scale if farthest <= 100 else scale * 100 / farthest
 
 
 def order(key_frames: Sequence[KeyFrame], start: Camera) -> list[int]:
-    """Indices of the key frames with the one the path starts at first (it alone seeds the film); UserError when it
-    starts at none."""
+    """Indices of the key frames, starting with the one at the path's start, which alone seeds the film.
+
+    Raises UserError when the path starts at none.
+    """
     gaps = [float(np.abs(k.camera.camera_from_world - start.camera_from_world).max()) for k in key_frames]
     first = int(np.argmin(gaps))
     lens = float(np.abs(key_frames[first].camera.intrinsics - start.intrinsics).max())
@@ -121,11 +125,10 @@ def order(key_frames: Sequence[KeyFrame], start: Camera) -> list[int]:
 
 
 def preprocess(key_frames: Sequence[KeyFrame], path: Sequence[Camera]) -> dict[str, Shaped[np.ndarray, " ..."]]:
-    """The arrays of gen3c_multiview's npz for key frames and a path of cameras, all at 704×1280; ``scene_scale`` is
-    ours and ignored there.
+    """The arrays of gen3c_multiview's npz for key frames and a path of cameras, all at 704×1280.
 
-    Raises UserError for a path that is not 120·n + 1 long or does not start at a key frame, ValueError for pictures of
-    another size.
+    ``scene_scale`` is ours and ignored there. Raises UserError for a path that is not 120·n + 1 long or does not start
+    at a key frame, ValueError for pictures of another size.
     """
     if len(path) < CHUNK or len(path) % (CHUNK - 1) != 1:
         raise UserError(
@@ -173,7 +176,9 @@ def _pose(camera: Camera, scale: float) -> np.ndarray:
 
 
 def postprocess(film: Integer[np.ndarray, "T 704 1280 3"], frames: int) -> Integer[np.ndarray, "T 704 1280 3"]:
-    """The film (T, 704, 1280, 3) uint8, checked; UserError for one of another size, or one without any content."""
+    """The film (T, 704, 1280, 3) uint8 after checks; raises UserError for another size, or a film without any
+    content.
+    """
     if film.dtype != np.uint8 or film.shape != (frames, *HW, 3):
         raise UserError(
             f"GEN3C returned {film.dtype} of shape {film.shape}, expected uint8 of "
@@ -189,10 +194,10 @@ def postprocess(film: Integer[np.ndarray, "T 704 1280 3"], frames: int) -> Integ
 
 
 class Gen3c:
-    """The pipeline, loaded once; every request is then one film. Weights: ``gen3c/`` below ``weights``."""
+    """The pipeline, loaded once; every request gives one film. Weights: ``gen3c/`` below ``weights``."""
 
     hw = HW
-    # Upstream holds every key frame's warps of a whole chunk, 6.5 GB of main memory each; the job asks for 64 GB.
+    # Upstream keeps every key frame's warps of a whole chunk, 6.5 GB of main memory each; the job reserves 64 GB.
     most_key_frames = 8
 
     def __init__(
@@ -214,8 +219,8 @@ class Gen3c:
         cache = upstream(card, "cosmos_predict1.diffusion.inference.cache_3d")
         self._cache, self._filter_points = attribute(card, cache, "Cache3D_BufferSelector"), filter_points
         self._device = device(card, where, _LOWER, None if offload else _WITHOUT_OFFLOAD_GB)
-        # Prompts are not the paper's: the encoder stays out, 45 GB of weights with it. Guardrail and prompt upsampler
-        # are off as in GEN3C's own script; the licence's clause on guardrails is on the card.
+        # The paper uses no prompts: without the encoder 45 GB of weights are saved. Guardrail and prompt upsampler are
+        # off as in GEN3C's own script; the licence's clause on guardrails is on the card.
         with arrays_alone(card):
             self._pipeline = pipeline(
                 inference_type="video2world",
@@ -238,17 +243,17 @@ class Gen3c:
 
     @staticmethod
     def request(key_frames: Sequence[KeyFrame], path: Sequence[Camera]) -> dict[str, Shaped[np.ndarray, " ..."]]:
-        """See ``models.protocols.ViewSynthesizer``."""
+        """The arrays of a request; see ``models.protocols.ViewSynthesizer``."""
         return preprocess(key_frames, path)
 
     @staticmethod
     def check(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
-        """See ``models.protocols.ViewSynthesizer``."""
+        """Checks a request; see ``models.protocols.ViewSynthesizer``."""
         check_form(request)
 
     @staticmethod
     def evidence(request: dict[str, Shaped[np.ndarray, " ..."]]) -> str:
-        """See ``models.protocols.ViewSynthesizer``."""
+        """The check of a request by rendering; see ``models.protocols.ViewSynthesizer``."""
         found = evidence(request)
         check_evidence(found)
         return (
@@ -258,7 +263,7 @@ class Gen3c:
         )
 
     def views(self, request: dict[str, Shaped[np.ndarray, " ..."]]) -> Iterator[Integer[np.ndarray, "t 704 1280 3"]]:
-        """The film in parts (t, 704, 1280, 3) uint8 as they are made, without the frames that chunks share."""
+        """The film in parts (t, 704, 1280, 3) uint8 as they are generated, without the frames that chunks share."""
         cache = warp_cache(self._cache, request, self._device, self._filter_points)
         yield from chunks(self._pipeline.generate, cache, request, self._device)
 
@@ -286,8 +291,9 @@ def warp_cache(selector: Any, request: dict[str, Shaped[np.ndarray, " ..."]], wh
 def chunks(
     generate: Any, cache: Any, request: dict[str, Shaped[np.ndarray, " ..."]], where: Any
 ) -> Iterator[Shaped[np.ndarray, " ..."]]:
-    """Chunk after chunk through upstream's ``generate``: the first seeded with key frame 0, each further one with the
-    frame before it."""
+    """The chunks of upstream's ``generate``: the first is seeded with key frame 0, each further one with the frame
+    before it.
+    """
     import torch
 
     poses, lenses = (

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is a GEN3C request worth a GPU hour? Its own cache is rendered again here, by a z-buffer, and compared with what it
-claims.
+"""Checks whether a GEN3C request is worth a GPU hour: renders its cache here by a z-buffer and compares the results.
 
-What goes wrong silently: poses given camera-to-world, depth of another scale than the poses, shifted pixel centres, a
-path that does not start at the first key frame, people left in. Each shows when one key frame is carried into another.
+Silent faults that it detects: camera-to-world poses, depth of another scale than the poses, shifted pixel centres, a
+path that does not start at the first key frame, people left in. Each shows when one key frame is warped into another.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
 HW = (704, 1280)
 CHUNK = 121
-"""Frames the network makes at once; the next chunk starts with the last of them."""
+"""Frames that the network makes at once; the next chunk starts with the last of them."""
 _SURFACE = 0.05
 """Share of depth within which two samples belong to one surface."""
 _FIELDS = (
@@ -37,16 +36,16 @@ _FIELDS = (
 
 @dataclass(frozen=True)
 class Evidence:
-    """What re-rendering a request says.
+    """The measures of a re-rendered request.
 
     Attributes:
         own_error_levels: mean colour difference of key frame 0 rendered into its own camera, levels of 255.
-        depth_agreement: of the key frame that agrees least with the others, the median relative difference between what
-            it says about depth in their pictures, or they in its, and what the picture's own depth says; NaN where no
-            two can be compared.
+        depth_agreement: for the key frame with the worst agreement, the median relative difference between its depth
+            warped into other pictures (or theirs into its) and those pictures' own depth; NaN where no two can be
+            compared.
         shared: share of key-frame pixels on which two key frames could be compared at all.
         coverage: (T,) share of the path's pixels that some key frame shows, at the frames of ``frames``.
-        frames: (T,) which frames of the path were rendered.
+        frames: (T,) rendered frames of the path.
     """
 
     own_error_levels: float
@@ -65,8 +64,8 @@ def splat(
 ) -> tuple[Float[np.ndarray, "3 H W"], Float[np.ndarray, "H W"]]:
     """(3, H, W) colours in [−1, 1] (−1 in holes) and (H, W) depth (0 in holes) of one key frame in another camera.
 
-    ``source`` and ``target`` are (K, w2c) with pixel centres at whole numbers. Every sample falls on its four nearest
-    pixels with bilinear weights; a pixel keeps those within 5 % of its nearest depth.
+    ``source`` and ``target`` are (K, w2c) with pixel centres at whole numbers. Every sample goes to its four nearest
+    pixels with bilinear weights; a pixel uses those within 5 % of its nearest depth.
     """
     height, width = depth.shape
     rows, columns = np.nonzero((mask > 0) & (depth > 0))
@@ -102,8 +101,10 @@ def splat(
 def coverage(
     request: dict[str, Shaped[np.ndarray, " ..."]], frames: Integer[np.ndarray, " T"]
 ) -> Iterator[Bool[np.ndarray, "H W"]]:
-    """(H, W) bool per frame of the path: what some key frame shows. Costs about a second per key frame and frame at
-    full size."""
+    """(H, W) bool per frame of the path: pixels that some key frame shows.
+
+    Takes about a second per key frame and frame at full size.
+    """
     for frame in frames:
         target = request["Ks_all"][frame], request["w2cs_all"][frame]
         yield np.any([_carried(request, i, target)[1] > 0 for i in range(len(request["K_key_frames"]))], axis=0)
@@ -115,8 +116,9 @@ def _carried(request: dict[str, np.ndarray], index: int, target: tuple) -> tuple
 
 
 def check_form(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
-    """Raises UserError for a request that GEN3C would misread: missing arrays, sizes, ranges, lengths, a start
-    elsewhere, no rotations."""
+    """Raises UserError for a request that GEN3C would misread: missing arrays, sizes, ranges, lengths, a wrong start,
+    no rotations.
+    """
     missing = [name for name in _FIELDS if name not in request]
     if missing:
         raise UserError(f"the GEN3C request lacks {', '.join(missing)}")
@@ -155,7 +157,9 @@ def check_form(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
 
 
 def evidence(request: dict[str, Shaped[np.ndarray, " ..."]], samples: int = 5) -> Evidence:
-    """Renders the cache of a well-formed request into its key frames, and into ``samples`` frames of the path."""
+    """The measures of a well-formed request: its cache rendered into its key frames, and into ``samples`` frames of the
+    path.
+    """
     images, depth, mask = (request[f"{n}_key_frames"] for n in ("images", "depth", "mask"))
     targets = list(zip(request["K_key_frames"], request["w2cs_key_frames"]))
     own, _ = _carried(request, 0, targets[0])
@@ -181,8 +185,9 @@ def evidence(request: dict[str, Shaped[np.ndarray, " ..."]], samples: int = 5) -
 
 
 def check_evidence(found: Evidence, most_error: float = 2.0, most_gap: float = 0.1, least: float = 0.05) -> None:
-    """Raises UserError when key frame 0 does not reproduce itself, key frames contradict one another, or the path
-    leaves what they show."""
+    """Raises UserError when key frame 0 does not reproduce itself, key frames contradict each other, or the path leaves
+    them.
+    """
     if not found.own_error_levels <= most_error:
         raise UserError(
             "key frame 0 of the GEN3C request differs from itself by "

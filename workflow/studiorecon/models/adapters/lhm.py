@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """LHM (Qiu et al., ICCV 2025): a person's Gaussians in a rest pose from one photo.
 
-Upstream is a program with a checkout, a working directory and compiled parts, so the call is its own command line; what
-comes back is a file. Axes are SMPL-X's, which are SMPL's: x to the body's left, y up, z forward.
+Upstream is a program with a checkout, a working directory and compiled parts, so the adapter runs its command line and
+reads the resulting file. Axes are SMPL-X's, which are SMPL's: x to the body's left, y up, z forward.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Integer
 
 MODEL = "LHM-1B-HF"
-# Where upstream looks before it would fetch anything.
+# The folder that upstream searches before it would fetch anything.
 _PLACE = f"Damo_XR_Lab/{MODEL}"
 _REVISION = "92372582f660066b9f1b9513860744357265b3d5"
 CARD = Card(
@@ -74,19 +74,19 @@ CARDS = (CARD,)
 
 
 MIN_PX = 300
-"""Least height of the person in the photo: below it a face is a few pixels."""
+"""Smallest height of the person in the photo: below it a face is a few pixels."""
 _MARGIN = 0.05
 _WHITE = 255
 _LOWER = "use another canonical .ply (a trained person of another capture)"
-# Metres from sole to crown of a body in its rest pose, whose arms may add nothing to it.
+# Range of metres from sole to crown of a body in its rest pose, with arms below the head.
 _HEIGHTS_M = (1.2, 2.3)
 
 
 def preprocess(photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"]) -> Integer[np.ndarray, "h w 3"]:
-    """(h, w, 3) uint8 picture of the person alone on white, h ≥ 1.25 w, from a uint8 photo and the (H, W) bool mask of
-    the person in it.
+    """(h, w, 3) uint8 picture of the person alone on white, h ≥ 1.25 w, from a uint8 photo and the person's mask (H, W)
+    bool.
 
-    Raises UserError for somebody who is cut off by the picture's border, lies or bends, or is too small.
+    Raises UserError for a person who is cut off by the picture's border, lies or bends, or is too small.
     """
     if photo.dtype != np.uint8 or mask.shape != photo.shape[:2]:
         raise ValueError(
@@ -118,10 +118,10 @@ def preprocess(photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"
 
 
 def postprocess(read: Gaussians) -> Gaussians:
-    """The Gaussians of LHM's file in our order of harmonics; UserError for what is no standing person.
+    """The Gaussians of LHM's file in our order of harmonics; raises UserError unless they form a standing person.
 
-    LHM writes higher harmonics coefficient by coefficient, the common layout channel by channel; colours alone are the
-    same in both.
+    LHM writes higher harmonics coefficient by coefficient, the common layout channel by channel; with colours alone
+    both are equal.
     """
     values = (read.means_m, read.quaternions, read.log_scales, read.logit_opacities, read.sh)
     bad = np.any([~np.isfinite(v).reshape(read.count, -1).all(axis=1) for v in values], axis=0)
@@ -154,16 +154,16 @@ class Lhm:
     """
 
     def __init__(self, card: Card, weights: Path, where: str) -> None:
-        # Upstream makes this folder, which the weights that are bound into an image may refuse.
+        # Upstream creates this folder, but weights that are mounted into an image may be read-only.
         (staged(card, weights) / "lhm/huggingface").mkdir(exist_ok=True)
-        # Upstream unpickles bodies, hands and faces as they come.
+        # Upstream unpickles bodies, hands and faces unchecked.
         vetted(p for p in sorted((weights / "lhm").rglob("*")) if p.suffix in (".pkl", ".npz"))
         module = upstream(card, "LHM")
         device(card, where, _LOWER)
         self._checkout = Path(next(iter(module.__path__))).parent
 
     def avatar(self, photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"]) -> Gaussians:
-        """See ``models.protocols.CanonicalAvatar``."""
+        """The person's Gaussians; see ``models.protocols.CanonicalAvatar``."""
         import tempfile
 
         from studiorecon.images.encoded import write_png
@@ -177,7 +177,7 @@ class Lhm:
 
 
 def command_for(picture: Path, out: Path) -> list[str]:
-    """Upstream's command line for one picture, with every place it writes to below ``out``."""
+    """Upstream's command line for one picture, with all its outputs below ``out``."""
     import sys
 
     places = [f"{key}={out / key}" for key in ("mesh_dump", "image_dump", "video_dump", "save_tmp_dump")]
@@ -201,8 +201,10 @@ def command_for(picture: Path, out: Path) -> list[str]:
 
 
 def made(command: list[str], checkout: Path, out: Path) -> Path:
-    """The one .ply a finished command has left; UserError with its last line when it left none (it skips photos it does
-    not like)."""
+    """The one .ply that a finished command wrote.
+
+    Without one (upstream skips photos that it rejects) raises UserError with the command's last line.
+    """
     import subprocess
 
     environment: dict[str, Any] = {

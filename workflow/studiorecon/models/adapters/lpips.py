@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""LPIPS v0.1 on VGG16 or AlexNet (Zhang et al., CVPR 2018), as a distance with a gradient; the weights are the user's
-own files.
+"""LPIPS v0.1 on VGG16 or AlexNet (Zhang et al., CVPR 2018), as a distance with a gradient; the user supplies the
+weights.
 
-Two pictures go through the convolutions of the network; at five depths the features are normalised per pixel, their
-squared difference is weighed per channel by a linear head and averaged over the picture. Training calls it
+Two pictures pass the convolutions of the network; at five depths the features are normalised per pixel, and their
+squared difference is weighted per channel by a linear head and averaged over the picture. Training calls it
 (``splatting.train.perceptual.Perceptual``), reports measure with it (``models.protocols.PerceptualDistance``).
 
-Cost: 235 ms were measured for the VGG16 trunk alone, one 320×176 picture forward and back on two idle cores,
-against 6 ms for all else of a training step; a 96×96 crop has a sixth of the pixels.
+Cost: 235 ms for the VGG16 trunk alone, one 320×176 picture forward and back on two idle cores, against 6 ms for all
+else of a training step; a 96×96 crop has a sixth of the pixels.
 """
 
 from __future__ import annotations
@@ -30,8 +30,10 @@ if TYPE_CHECKING:
 
 
 def _card(name: str, title: str, net: str, file: str, weights: str, download: str, size_gb: float, sha256: str) -> Card:
-    """LPIPS on one of torchvision's networks, whose download carries the start of its checksum in its name;
-    ``sha256``: of the heads in lpips 0.1.4's wheel."""
+    """LPIPS on one of torchvision's networks.
+
+    The download's name contains the start of its checksum; ``sha256``: of the heads in lpips 0.1.4's wheel.
+    """
     heads = f"weights/v0.1/{net}.pth"
     return Card(
         name=name,
@@ -98,8 +100,10 @@ class Convolution:
 
 @dataclass(frozen=True)
 class Trunk:
-    """Convolutions by depth, each followed by max(0, x); the pooling (size, stride) before a depth, None for none; and
-    the files' names."""
+    """Convolutions by depth, each followed by max(0, x), the pooling before each depth, and the files' names.
+
+    A pooling is (size, stride), None for none.
+    """
 
     stages: tuple[tuple[Convolution, ...], ...]
     pools: tuple[tuple[int, int] | None, ...]
@@ -121,7 +125,7 @@ TRUNKS = {
     "alex": Trunk(_ALEX, (None, (3, 2), (3, 2), None, None), "alexnet.pth", "lpips_alex.pth"),
     "vgg": Trunk(_VGG, (None, (2, 2), (2, 2), (2, 2), (2, 2)), "vgg16.pth", "lpips_vgg.pth"),
 }
-"""As the reference implementation cuts torchvision's ``alexnet()`` and ``vgg16()``."""
+"""The parts into which the reference implementation divides torchvision's ``alexnet()`` and ``vgg16()``."""
 Net = Literal["alex", "vgg"]
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 """LPIPS' own standardisation of pictures in [−1, 1]."""
@@ -132,8 +136,7 @@ class Lpips:
     """The distance, from state dicts named as torchvision's networks (``features.N.weight``) and LPIPS' heads
     (``linN.model.1.weight``).
 
-    It computes where the weights are and in their dtype. Raises KeyError for a missing entry and ValueError for one of
-    a wrong shape.
+    It uses the weights' device and dtype. Raises KeyError for a missing entry and ValueError for one of a wrong shape.
     """
 
     def __init__(self, features: Mapping[str, Any], heads: Mapping[str, Any], net: Net = "vgg") -> None:
@@ -156,8 +159,10 @@ class Lpips:
             self._heads.append(head.reshape(1, before, 1, 1))
 
     def distance(self, rendered: Any, target: Any) -> Any:
-        """The distance of two tensors (1, 3, h, w) in [0, 1] that lie where the weights do, which are first rescaled to
-        [−1, 1] (U12); sides at least 16."""
+        """The distance of two tensors (1, 3, h, w) in [0, 1] on the weights' device, sides at least 16.
+
+        They are first rescaled to [−1, 1] (U12).
+        """
         total = 0.0
         for ours, theirs, head in zip(self._features(2 * rendered - 1), self._features(2 * target - 1), self._heads):
             total = total + (head * (normalised(ours) - normalised(theirs)) ** 2).sum(dim=1).mean()
@@ -200,26 +205,26 @@ class Lpips:
         return distance.item(), np.ascontiguousarray(gradient[0].cpu().numpy().transpose(1, 2, 0).astype(np.float32))
 
     def _tensor(self, picture: np.ndarray) -> Any:
-        """(1, 3, h, w) of (h, w, 3), where and as the weights are."""
+        """(1, 3, h, w) of (h, w, 3), on the weights' device and in their dtype."""
         import torch
 
         return torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))[None].to(self._heads[0])
 
 
 def normalised(features: Any) -> Any:
-    """(1, C, h, w) features over their length per pixel; epsilon stands inside the root, whose slope at 0 is infinite
-    (I06)."""
+    """(1, C, h, w) features over their length per pixel; epsilon is inside the root, whose slope at 0 is infinite
+    (I06).
+    """
     return features / (features.square().sum(dim=1, keepdim=True) + NORM_EPSILON).sqrt()
 
 
 def read_lpips(
     folder: Path, threads: int, net: Net = "vgg", without: str = "leave LPIPS out", device: str = "cpu"
 ) -> Lpips:
-    """The network from torchvision's state dict and LPIPS v0.1's heads in ``folder`` (``TRUNKS`` has the files' names),
-    on a torch ``device``.
+    """The network from torchvision's state dict and LPIPS v0.1's heads in ``folder``, on a torch ``device``.
 
-    Raises UserError that names the file which is missing or unusable; ``without`` says what to do to go on without
-    LPIPS.
+    ``TRUNKS`` has the files' names. Raises UserError with the missing or unusable file; ``without`` says how to
+    continue without LPIPS.
     """
     paths = [folder / name for name in (TRUNKS[net].features_file, TRUNKS[net].heads_file)]
     for path in paths:

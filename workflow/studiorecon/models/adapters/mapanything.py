@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """MapAnything (Keetha et al. 2025): cameras and depth of a few pictures of one moment, in metres.
 
-Pictures go in and answers come out as with Pi3, whose conventions it shares: world-from-camera poses, points in the
-camera's frame, OpenCV axes, a focal length that is fitted here.
+It shares Pi3's conventions: world-from-camera poses, points in the camera's frame, OpenCV axes, and a focal length that
+is fitted here.
 """
 
 from __future__ import annotations
@@ -68,14 +68,14 @@ class MapAnything:
         checkout = Path(next(iter(upstream(card, "dinov2").__path__))).parent
         try:
             with encoder_from(checkout):
-                # Strict: what the staged file lacks would stay random.
+                # Strict: weights missing in the staged file would stay random.
                 made = network.from_pretrained(str(folder), strict=True)
         except RuntimeError as error:
             raise UserError(f"{folder} does not fit {card.title} ({str(error).splitlines()[0]})") from None
         self._network = made.to(self._device).eval()
 
     def reconstruct(self, pictures: Sequence[Integer[np.ndarray, "H W 3"]], names: Sequence[str]) -> Reconstruction:
-        """See ``models.protocols.PoseAndDepth``."""
+        """Cameras and depth; see ``models.protocols.PoseAndDepth``."""
         tensor, taken = preprocess(pictures)
         made = inferred(self._network, tensor, self._device)
         for what, values in zip(("points", "confidence", "poses"), made):
@@ -85,14 +85,14 @@ class MapAnything:
 
 @contextmanager
 def encoder_from(checkout: Path) -> Iterator[None]:
-    """Inside, ``torch.hub.load`` builds from ``checkout`` and without weights.
+    """Context in which ``torch.hub.load`` builds from ``checkout`` and without weights.
 
-    Upstream's encoder asks torch's hub for the newest code of DINOv2 and for its weights, which the staged file then
-    overwrites: neither is to be fetched in a run.
+    Upstream's encoder requests DINOv2's newest code and weights from torch's hub; the staged file then overwrites the
+    weights. A run must not fetch either.
     """
     import torch
 
-    hub: Any = torch.hub  # whose function another one stands in for
+    hub: Any = torch.hub  # one of its functions is replaced
     fetched = hub.load
 
     def local(repository: str, entry: str, *given: Any, **options: Any) -> Any:
@@ -109,13 +109,15 @@ def encoder_from(checkout: Path) -> Iterator[None]:
 def inferred(
     network: Any, tensor: Float[np.ndarray, "N 3 h w"], where: Any
 ) -> tuple[Float[np.ndarray, "N h w 3"], Float[np.ndarray, "N h w"], Float[np.ndarray, "N 4 4"]]:
-    """Camera-frame points, confidence and world-from-camera poses of (N, 3, h, w) pictures; the confidence c ≥ 1
-    (upstream: 1 + exp(x)) becomes (c - 1) / c, which is the sigmoid of x, and 0 outside its mask."""
+    """Camera-frame points, confidence and world-from-camera poses of (N, 3, h, w) pictures.
+
+    The confidence c ≥ 1 (upstream: 1 + exp(x)) becomes (c - 1) / c, which is the sigmoid of x, and 0 outside its mask.
+    """
     import torch
 
     prepare = attribute(CARD, upstream(CARD, "mapanything.utils.image"), "preprocess_inputs")
     views = [{"img": torch.from_numpy(picture.transpose(1, 2, 0) * 255).round().to(torch.uint8)} for picture in tensor]
-    # At the size they have: another one would crop, and intrinsics with it.
+    # At their own size: another one would crop, and change intrinsics with it.
     made = network.infer(
         prepare(views, resize_mode="fixed_size", size=(tensor.shape[3], tensor.shape[2])),
         apply_mask=False,

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MoGe-2 and MoGe-3 (Wang et al. 2025): depth of one picture, in metres more or less; nothing ties one picture's scale
-to the next one's.
+"""MoGe-2 and MoGe-3 (Wang et al. 2025): depth of one picture, approximately in metres, with an independent scale per
+picture.
 
-Outside its mask upstream returns +inf. A known focal length goes in as the horizontal field of view in degrees; a
-centred principal point and square pixels are assumed there.
+Outside its mask upstream returns +inf. It takes a known focal length as the horizontal field of view in degrees, and
+assumes a centred principal point and square pixels.
 """
 
 from __future__ import annotations
@@ -86,8 +86,10 @@ def fov_deg(focal_px: float, width: int) -> float:
 def postprocess(
     depth: Float[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"], card: Card = MOGE
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 depth, 0 where it is infinite, not positive or outside the mask; UserError when nothing is left or
-    much is NaN."""
+    """(H, W) float32 depth, 0 where it is infinite, not positive or outside the mask.
+
+    Raises UserError when no depth remains or much is NaN.
+    """
     if depth.shape != mask.shape or depth.ndim != 2:
         raise UserError(f"{card.title} returned depth {depth.shape} and mask {mask.shape}; use upstream at its pin")
     nan = int(np.isnan(depth).sum())
@@ -118,7 +120,7 @@ class Moge:
             ) from None
 
     def depth(self, picture: Integer[np.ndarray, "H W 3"], focal_px: float | None) -> Float[np.ndarray, "H W"]:
-        """See ``models.protocols.MonocularDepth``."""
+        """Depth of one picture; see ``models.protocols.MonocularDepth``."""
         field = fov_deg(focal_px, picture.shape[1]) if focal_px else None
         return postprocess(*inferred(self._network, preprocess(picture), field, self._device), self._card)
 

@@ -2,8 +2,8 @@
 """Pi3 and Pi3X (Wang et al. 2025): cameras and depth of a few pictures of one moment.
 
 Both give world-from-camera poses and points in the camera's frame, OpenCV axes. Pi3 has neither unit nor frame of
-reference, and its confidence is a logit. Neither says a focal length that is safe to use (upstream squashes pictures to
-multiples of 14): it is fitted here, at half-pixel centres, to the network's own points.
+reference, and its confidence is a logit. Neither gives a reliable focal length (upstream squashes pictures to multiples
+of 14): it is fitted here, at half-pixel centres, to the network's own points.
 """
 
 from __future__ import annotations
@@ -100,9 +100,9 @@ MULTIPLE_PX = 14
 BUDGET_PX = 255_000
 """Pixels per picture that upstream's own loader allows."""
 CONFIDENT = 0.1
-"""Least confidence of a point (paper, section on view synthesis), of the sigmoid."""
+"""Smallest confidence of a point (paper, section on view synthesis), of the sigmoid."""
 EDGE = 0.03
-"""Relative jump in depth between neighbours beside which a point mixes two surfaces (upstream: rtol)."""
+"""Relative jump in depth between neighbours at which a point mixes two surfaces (upstream: rtol)."""
 _MIN_POINTS = 100
 _GIVEN = ("depth_encoder.", "depth_emb", "ray_embed.", "pose_inject_blk.")
 LOWER = "give it fewer or smaller pictures, or a calibration (calibration.source: files) and depth.source: embedded"
@@ -110,7 +110,7 @@ LOWER = "give it fewer or smaller pictures, or a calibration (calibration.source
 
 @dataclass(frozen=True)
 class Inset:
-    """Where a picture lies in the frame that a network sees, pixels."""
+    """Position and size of a picture in a network's frame, pixels."""
 
     top: int
     left: int
@@ -119,11 +119,10 @@ class Inset:
 
 
 def preprocess(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> tuple[Float[np.ndarray, "N 3 h w"], list[Inset]]:
-    """(N, 3, h, w) float32 RGB in [0, 1], sides multiples of 14, and where in it each picture lies.
+    """(N, 3, h, w) float32 RGB in [0, 1], sides multiples of 14, and the position of each picture in it.
 
-    Pictures keep their shape: one that is shaped otherwise than the frame has its border repeated beside it, never
-    squashed, and on both sides alike: networks put the principal point into the middle of the frame, which so stays the
-    middle of the picture.
+    Pictures keep their aspect ratio and are padded by their border, equally on both sides: networks assume the
+    principal point in the middle of the frame, which thus stays the middle of the picture.
     """
     shapes = np.array([p.shape[:2] for p in pictures], dtype=np.float64)
     aspect = float(np.exp(np.mean(np.log(shapes[:, 1] / shapes[:, 0]))))
@@ -148,9 +147,9 @@ def probability(logits: Num[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
 
 
 def edges(depth: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: a neighbour (of eight) lies nearer or farther by more than ``EDGE`` of this depth.
+    """(H, W) bool: the depth of one of eight neighbours differs by more than ``EDGE`` of this depth.
 
-    Upstream's newer rule asks for a jump of the normal as well; this one drops more of floors seen at a grazing angle.
+    Upstream's newer rule also needs a jump of the normal; this one drops more of floors seen at a grazing angle.
     """
     import cv2
 
@@ -158,10 +157,11 @@ def edges(depth: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
 
 
 def focal(points: Float[np.ndarray, "h w 3"], weight: Num[np.ndarray, "h w"]) -> tuple[float, float]:
-    """Focal length in pixels that carries (h, w, 3) camera-frame points to their own pixels, principal point in the
+    """Focal length in pixels that projects (h, w, 3) camera-frame points to their own pixels, principal point in the
     middle.
 
-    Weighted least squares over both axes; and the median distance in pixels between a point's pixel and its projection.
+    Weighted least squares over both axes. Also returns the median distance in pixels between a point's pixel and its
+    projection.
     """
     height, width = weight.shape
     u = (np.arange(width) + 0.5 - width / 2)[None].repeat(height, 0)[weight > 0]
@@ -183,8 +183,8 @@ def postprocess(
     """Cameras and depth from (N, h, w, 3) points in camera frames, (N, h, w) confidence in [0, 1] and (N, 4, 4)
     world-from-camera poses.
 
-    The first camera becomes the world's origin. Depth beside edges or of low confidence is 0. Raises UserError for
-    poses that are no rotations, a camera without confident points, or one whose points lie behind it.
+    The first camera becomes the world's origin. Depth near edges or of low confidence is 0. Raises UserError for poses
+    that are no rotations, a camera without confident points, or one whose points are behind it.
     """
     turned = poses[:, :3, :3].astype(np.float64)
     if np.abs(turned @ turned.transpose(0, 2, 1) - np.eye(3)).max() > 1e-2 or (np.linalg.det(turned) < 0).any():
@@ -235,8 +235,8 @@ class Pi3:
         self._network = network()
         try:
             if card is PI3X:
-                # Branches for depth, rays and poses that are given, which nothing is here: upstream's own example drops
-                # them too. Without them every entry has to fit.
+                # Branches for given depth, rays and poses, which are not used here: upstream's own example drops them
+                # too. Without them every entry has to fit.
                 self._network.disable_multimodal()
                 state = {key: value for key, value in state.items() if not key.startswith(_GIVEN)}
             self._network.load_state_dict(state)
@@ -245,7 +245,7 @@ class Pi3:
         self._network.to(self._device).eval()
 
     def reconstruct(self, pictures: Sequence[Integer[np.ndarray, "H W 3"]], names: Sequence[str]) -> Reconstruction:
-        """See ``models.protocols.PoseAndDepth``."""
+        """Cameras and depth; see ``models.protocols.PoseAndDepth``."""
         tensor, taken = preprocess(pictures)
         made = inferred(self._network, tensor, self._device)
         for what, values in zip(("points", "confidence", "poses"), made):
@@ -256,8 +256,7 @@ class Pi3:
 def inferred(
     network: Any, tensor: Float[np.ndarray, "N 3 h w"], where: Any
 ) -> tuple[Float[np.ndarray, "N h w 3"], Float[np.ndarray, "N h w"], Float[np.ndarray, "N 4 4"]]:
-    """Camera-frame points, confidence after the sigmoid and world-from-camera poses of (N, 3, h, w) pictures, by Pi3 or
-    Pi3X."""
+    """Camera-frame points, confidence after the sigmoid and world-from-camera poses of (N, 3, h, w) pictures."""
     import torch
 
     kind = torch.device(where).type

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RAFT (Teed & Deng 2020) from torchvision: pictures at sizes it can work on, the network, its flow back at the
-pictures' own size."""
+"""RAFT (Teed & Deng 2020) from torchvision: pictures at suitable sizes, the network, and flow at the pictures' own
+size.
+"""
 
 from __future__ import annotations
 
@@ -49,8 +50,7 @@ MULTIPLE_PX = 8
 
 @dataclass(frozen=True)
 class Fitted:
-    """How pictures were made to fit: their size (H, W), the whole number of times they were enlarged, rows and columns
-    put before them."""
+    """The padding of pictures: their size (H, W), the integer enlargement, rows and columns added before them."""
 
     hw: tuple[int, int]
     enlarged: int
@@ -60,11 +60,11 @@ class Fitted:
 def preprocess(
     first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]
 ) -> tuple[Float[np.ndarray, "2 3 h w"], Fitted]:
-    """(2, 3, h, w) float32 in [-1, 1] for the network from two uint8 RGB pictures (H, W, 3), and how to come back.
+    """(2, 3, h, w) float32 in [-1, 1] for the network from two uint8 RGB pictures (H, W, 3), and the padding to undo.
 
-    Pictures under 128 px a side are enlarged by a whole number, by repeating pixels; the rest up to multiples of 8 is
-    filled with the border's colours on both sides, as the authors do. Raises ValueError for pictures that differ in
-    shape, are not RGB, not uint8 or empty.
+    Pictures under 128 px a side are enlarged by an integer factor, by repeating pixels; then borders are repeated on
+    both sides up to multiples of 8, as the authors do. Raises ValueError for pictures that differ in shape, are not
+    RGB, not uint8 or empty.
     """
     if first.shape != second.shape or first.ndim != 3 or first.shape[2] != 3 or first.size == 0:
         raise ValueError(f"first and second have shapes {first.shape} and {second.shape}, expected one shape (H, W, 3)")
@@ -85,7 +85,7 @@ def postprocess(flow: Float[np.ndarray, "2 h w"], fitted: Fitted) -> Float[np.nd
     """(H, W, 2) float32 flow in pixels of the pictures from the network's (2, h, w): cropped, averaged over enlarged
     pixels, rescaled.
 
-    Raises ValueError when the flow is smaller than what ``preprocess`` handed out.
+    Raises ValueError when the flow is smaller than the result of ``preprocess``.
     """
     height, width = (side * fitted.enlarged for side in fitted.hw)
     top, left = fitted.before
@@ -118,7 +118,7 @@ class Raft:
     def flow(
         self, first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]
     ) -> Float[np.ndarray, "H W 2"]:
-        """See ``models.protocols.Flow``."""
+        """Optical flow; see ``models.protocols.Flow``."""
         pair, fitted = preprocess(first, second)
         return postprocess(finite(CARD, "flow", estimated(self._network, pair, self._device)), fitted)
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SAM 3 (Carion et al. 2025) through transformers: who is where in every frame of a clip, found by a word.
+"""SAM 3 (Carion et al. 2025) through transformers: masks of all people in every frame of a clip, from a text prompt.
 
-A clip goes through in chunks, so that memory does not grow with its length (3,000 frames at once ran out of 80 GB
-upstream); chunks share one frame, on which the people of the next are recognised as those of the last. Identities are
-the network's own: cameras know nothing of one another.
+A clip is processed in chunks, so that memory does not grow with its length (3,000 frames at once ran out of 80 GB
+upstream). Chunks share one frame, on which the people of both are matched. Identities are the network's own, per
+camera.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ CARDS = (CARD,)
 
 
 PROMPT = "person"
-"""The paper's."""
+"""The paper's prompt."""
 _LOWER = "lower masks.sam3.chunk, or set masks.source to embedded"
 # Two masks of the shared frame are one person when they share this part of their union.
 _SAME = 0.5
@@ -94,8 +94,10 @@ def postprocess(
     masks: Shaped[np.ndarray, "P h w"],
     hw: tuple[int, int],
 ) -> Integer[np.ndarray, "H W"]:
-    """(H, W) int64: 0 = nobody, else 1 + the network's id; where masks overlap the surer one is in front. UserError for
-    another size."""
+    """(H, W) int64: 0 = nobody, else 1 + the network's id; where masks overlap the more confident one is in front.
+
+    Raises UserError for another size.
+    """
     if masks.shape != (len(ids), *hw) or scores.shape != ids.shape:
         raise UserError(
             f"SAM 3 returned masks {masks.shape} for {len(ids)} objects in frames of {hw}; use transformers at its pin"
@@ -107,8 +109,9 @@ def postprocess(
 
 
 def linked(known: Integer[np.ndarray, "H W"], again: Integer[np.ndarray, "H W"]) -> dict[int, int]:
-    """label in ``again`` → label in ``known`` for the people of one frame seen twice, best agreement first, one to
-    one."""
+    """label in ``again`` → label in ``known`` for people of one frame in two chunks, best agreement first,
+    one to one.
+    """
     pairs = []
     for new in np.unique(again[again > 0]):
         for old in np.unique(known[(again == new) & (known > 0)]):
@@ -123,7 +126,8 @@ def linked(known: Integer[np.ndarray, "H W"], again: Integer[np.ndarray, "H W"])
 
 def joined(chunks: Iterable[list[Integer[np.ndarray, "H W"]]]) -> Iterator[Integer[np.ndarray, "H W"]]:
     """(H, W) uint16 per frame of the clip from label maps of chunks that share a frame: 0 = nobody, else the person's
-    number from 1 on."""
+    number from 1.
+    """
     last, numbered = None, 0
     for chunk in chunks:
         names = linked(last, chunk[0]) if last is not None else {}
@@ -160,7 +164,7 @@ class Sam3:
         )
 
     def segment(self, frames: Iterable[Integer[np.ndarray, "H W 3"]]) -> Iterator[Integer[np.ndarray, "H W"]]:
-        """See ``models.protocols.PersonSegmenter``."""
+        """Masks of people; see ``models.protocols.PersonSegmenter``."""
         return joined(
             tracked(self._network, self._processor, part, self._prompt, self._device)
             for part in preprocess(frames, self._chunk)
@@ -170,8 +174,9 @@ class Sam3:
 def tracked(
     network: Any, processor: Any, frames: list[Integer[np.ndarray, "H W 3"]], prompt: str, where: Any
 ) -> list[Integer[np.ndarray, "H W"]]:
-    """(H, W) int64 label map of every frame of one chunk, by upstream's video session; its frames wait in main
-    memory."""
+    """(H, W) int64 label map of every frame of one chunk, by upstream's video session; its frames stay in
+    main memory.
+    """
     import torch
 
     kind = next(iter(network.parameters())).dtype
@@ -185,8 +190,10 @@ def tracked(
 def labelled(
     network: Any, processor: Any, session: Any, count: int, hw: tuple[int, int], torch: Any
 ) -> list[Integer[np.ndarray, "H W"]]:
-    """Label maps of a session's ``count`` frames, in order; the network may report them late, and frames without
-    anybody not at all."""
+    """Label maps of a session's ``count`` frames, in order.
+
+    The network may report them late, and frames without people not at all.
+    """
     labels = [np.zeros(hw, np.int64) for _ in range(count)]
     with torch.inference_mode():
         for output in network.propagate_in_video_iterator(session, start_frame_idx=0):

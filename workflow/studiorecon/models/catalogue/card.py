@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What has to be known about an upstream network before anybody runs it: terms, weights, runtime, memory.
+"""The card of an upstream network: terms, weights, runtime, memory.
 
-Sizes and checksums are what publishers state; one that nobody here has seen is absent rather than guessed, and whoever
-stages the weights pins it. GPU memory comes with who says so. Licences as read in autumn 2026: read the licence itself
-before relying on one line of a table.
+Sizes and checksums are the publishers'; an unknown one is left out, and pinned when the weights are first staged. GPU
+memory comes with its source. Licences as of autumn 2026: read the licence itself before relying on one line of a table.
 """
 
 from __future__ import annotations
@@ -29,8 +28,7 @@ Kind = Literal[
 
 @dataclass(frozen=True)
 class Terms:
-    """Licences in words; whether code and weights together allow commercial use, under which condition, and what does
-    instead."""
+    """Licences in words; whether code and weights together allow commercial use, the condition, and an alternative."""
 
     code: str
     weights: str
@@ -45,19 +43,19 @@ class WeightFile:
 
     Attributes:
         path: below the weights folder.
-        source: where it comes from, in words; ``repository`` of a hub as owner/name, empty when it is no hub's.
+        source: its origin, in words; ``repository`` of a hub as owner/name, empty for a file from no hub.
         remote: its name there: path in the repository, ``module:Enum.MEMBER`` of torchvision, ``package:path``, or the
             file's name, in the archive where ``mirrors`` have one.
-        mirrors: hosts and paths where the same bytes lie, asked one after the other.
-        how: who may get it: a hub's client (``snapshot``: the whole repository, whose remote code and small files come
-            along), torchvision, an installed package, anybody from ``mirrors``, or a person, by ``hand``, where terms
-            must be agreed to.
+        mirrors: hosts and paths of the same bytes, tried in order.
+        how: the way to get it: a hub's client (``snapshot``: the whole repository, with its remote code and small
+            files), torchvision, an installed package, a download from ``mirrors``, or by ``hand``, where terms must be
+            agreed to.
         size_gb: as published; None = not known.
-        revision: of the hub's repository, as a commit: what ``main`` is there next year is another matter.
-        gated: whether access must be asked for, or an account registered.
-        md5, sha256: as published, or as people who fetched this revision have written down, the latter possibly its
-            first digits only (torchvision's file names hold eight); empty = nobody has said. Then the hub's own word
-            for that revision counts when it is fetched, and what was fetched from then on.
+        revision: of the hub's repository, as a commit, because ``main`` changes.
+        gated: whether access must be requested, or an account registered.
+        md5, sha256: as published, or as recorded by people who fetched this revision, the latter possibly its first
+            digits only (torchvision's file names hold eight); empty = unknown. Then the hub's own checksum for that
+            revision counts when it is fetched, and the fetched file's from then on.
     """
 
     path: str
@@ -75,10 +73,10 @@ class WeightFile:
 
 @dataclass(frozen=True)
 class Runtime:
-    """What it runs in: entry of envs/images.yaml, Python, torch (empty: none), upstream's further pins, the commit or
-    release that is followed.
+    """Runtime of a network: entry of envs/images.yaml, Python, torch (empty: none), upstream's further pins, the pinned
+    commit or release.
 
-    Pins of different models exclude one another, hence one image each.
+    Pins of different models exclude each other, hence one image each.
     """
 
     image: str
@@ -90,8 +88,7 @@ class Runtime:
 
 @dataclass(frozen=True)
 class Memory:
-    """GPU memory to have free before a call, in GB (None: it runs on a CPU as well), and for which setting, according
-    to whom."""
+    """GPU memory to have free before a call, in GB (None: it also runs on a CPU), for which setting, and the source."""
 
     gpu_gb: float | None
     note: str
@@ -99,11 +96,11 @@ class Memory:
 
 @dataclass(frozen=True)
 class Card:
-    """One upstream network: its name in settings, its authors' title, what it is for, and what running it takes.
+    """One upstream network: its name in settings, its authors' title, its use, and its requirements.
 
-    ``tried``: how far it has come here. With "random weights" upstream's own code ran through the adapter, with "parts"
-    some of it; real weights never did. ``unchecked``: what of it cannot be checked without a GPU, a gated file or a
-    source that is out of reach.
+    ``tried``: the extent of tests here. With "random weights" upstream's own code ran through the adapter, with "parts"
+    some of it; real weights never did. ``unchecked``: the parts that need a GPU, a gated file or an unreachable source
+    to check.
     """
 
     name: str

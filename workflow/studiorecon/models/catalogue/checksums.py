@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SHA-256 of staged weights: published where a publisher states one, else pinned when first seen and held against
-later."""
+"""SHA-256 of staged weights: the published one, or else the one pinned at first sight and compared later."""
 
 from __future__ import annotations
 
@@ -29,7 +28,7 @@ def digest(file: Path, algorithm: str = "sha256") -> str:
 
 
 def blob(file: Path) -> str:
-    """The name git, and so a hub, gives to a small file's content."""
+    """The hash that git, and so a hub, assigns to a small file's content."""
     import hashlib
 
     content = file.read_bytes()
@@ -37,7 +36,7 @@ def blob(file: Path) -> str:
 
 
 def read_pins(folder: Path) -> dict[str, Any]:
-    """path → {sha256, bytes, modified_ns} of files that were verified; empty when none was."""
+    """path → {sha256, bytes, modified_ns} of verified files; empty when none was verified."""
     path = folder / PINS
     try:
         return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
@@ -55,7 +54,7 @@ def write_pins(folder: Path, pins: dict[str, Any]) -> None:
 
 
 def code_in(folder: Path, files: Iterable[WeightFile]) -> list[WeightFile]:
-    """Code that came along with a whole repository (``snapshot``), which its client runs to load the network."""
+    """Code that was downloaded with a whole repository (``snapshot``), and that its client runs to load the network."""
     found = []
     for file in (file for file in files if file.how == "snapshot"):
         root = (folder / file.path).parents[len(Path(file.remote).parts) - 1]
@@ -66,8 +65,10 @@ def code_in(folder: Path, files: Iterable[WeightFile]) -> list[WeightFile]:
 
 
 def verified(folder: Path, file: WeightFile, pins: dict[str, Any]) -> dict[str, Any]:
-    """The pin of a file that is there; hashes it when it is new or has been touched. Raises UserError when it is not
-    what it should be."""
+    """The pin of an existing file; computes the hash when the file is new or was modified.
+
+    Raises UserError when the hash differs.
+    """
     path = folder / file.path
     about = path.stat()
     pin = pins.get(file.path)

