@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is where in every frame. In come videos, plates, bodies and things; out comes one label video per camera: 0
-background, k + 1 person k, 255 somebody who is none of them.
+"""Person masks of every frame: reads videos, plates, fitted bodies and objects, writes one label video per camera.
 
-``segment`` is the step, from ``log_odds`` (plate and body), ``detector_masks`` and ``grabcut`` (without a plate);
-``loose_objects`` are nobody. Instead of it: ``network`` with ``tracks``, or ``given``.
+Labels: 0 background, k + 1 person k, 255 a person who is none of them. ``segment`` is the step. It combines
+``log_odds`` (plate and body), ``detector_masks`` and, without a plate, ``grabcut``; pixels of ``loose_objects`` belong
+to no person. Alternatives: ``network`` with ``tracks``, or ``given``.
 """

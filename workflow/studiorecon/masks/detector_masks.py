@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the detector's own masks say about a camera's pixels: the only witness who has never seen the plate nor the
-fitted body."""
+"""Evidence from the detector's own masks: the only source that depends neither on the plate nor on the fitted body."""
 
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ from studiorecon.scene.raw_detections import RawDetections
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Log-odds of a network's pixel never go beyond this: its outline is as coarse as its mask, and it is sure of itself.
+# Largest log-odds of a network's pixel: its outline is as coarse as its mask, and it is overconfident.
 _MAX = 1.5
 
 
@@ -31,7 +30,7 @@ class DetectorMasks:
     Attributes:
         found: the detector's file, with masks.
         rows: (frame, person) → row of the file.
-        in_footage: (H, W, 2) pixels of the footage of the working pixels' centres.
+        in_footage: (H, W, 2) pixels of the footage at the working pixels' centres.
     """
 
     found: RawDetections
@@ -39,7 +38,7 @@ class DetectorMasks:
     in_footage: Float[np.ndarray, "H W 2"]
 
     def evidence(self, frame: int, names: Sequence[str]) -> Float[np.ndarray, "H W"]:
-        """(H, W) float32 log-odds that somebody of ``names`` is at a pixel: the surest of their masks; 0 where no mask
+        """(H, W) float32 log-odds that one of ``names`` is at a pixel: the most confident mask; 0 where no mask
         reaches."""
         total = np.zeros(self.in_footage.shape[:2], np.float32)
         heard = np.zeros(total.shape, bool)
@@ -60,7 +59,7 @@ class DetectorMasks:
 def masks_by_frame(
     found: RawDetections, detections: Detections, who: Mapping[tuple[str, int], str], lens: Lens, footage: Footage
 ) -> DetectorMasks:
-    """The detector's masks by frame and person; where tracks of one person overlap, the surer detection's."""
+    """The detector's masks by frame and person; where tracks of one person overlap, the more confident detection's."""
     rows: dict[tuple[int, str], int] = {}
     best: dict[tuple[int, str], float] = {}
     given = np.full(len(detections.frame), -1) if detections.row is None else detections.row

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Masks that the user brings: a video or a folder of pictures, 0 = background, any other value = somebody."""
+"""Reads masks that the user provides: a video or a folder of pictures, 0 = background, any other value = a person."""
 
 from __future__ import annotations
 
@@ -28,21 +28,22 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
 _UNASSIGNED = 255
-# Lossy codecs turn 0 into 1 and smear borders: a video's greys are read as yes or no unless they are exact labels.
+# Lossy codecs turn 0 into 1 and smear borders: a video with more grey levels than this holds no exact labels and is
+# thresholded.
 _MAX_LABELS = 32
-# A label belongs to the person on whom at least this share of its pixels lies.
+# A label belongs to a person only if at least this share of its pixels is on them.
 _MIN_SHARE = 0.3
 
 
 @dataclass(frozen=True)
 class Given:
-    """Masks that the user brings, frame by frame in working pixels, read anew at every pass.
+    """Masks that the user provides, frame by frame in working pixels, read again at every pass.
 
     Attributes:
         path: video or folder.
-        chosen: which of its pictures are the frames in use, ascending.
-        columns, rows: (H, W) pixel of the picture that lies under each working pixel.
-        exact: its values are labels; else greys that say yes or no.
+        chosen: indices of the frames in use among its pictures, ascending.
+        columns, rows: (H, W) pixel of the picture at each working pixel.
+        exact: its values are labels; else greys to threshold.
     """
 
     path: Path
@@ -52,7 +53,7 @@ class Given:
     exact: bool
 
     def __iter__(self) -> Iterator[Integer[np.ndarray, "H W"]]:
-        """(H, W) uint8 labels of every frame."""
+        """Yields (H, W) uint8 labels of every frame."""
         wanted = iter(self.chosen)
         at = next(wanted, None)
         for number, picture in enumerate(mask_pictures(self.path)):
@@ -94,13 +95,13 @@ def identified(
     gate_m: float,
     camera: Camera,
 ) -> tuple[Iterator[Integer[np.ndarray, "H W"]], str]:
-    """(H, W) uint8 masks with this project's labels, frame by frame, and a sentence how they were matched.
+    """(H, W) uint8 masks with this project's labels, frame by frame, and a sentence on how they were matched.
 
-    ``labels``, gone through twice, with one value say where somebody is: each pixel goes to the fitted body in front or
-    nearest, within ``gate_m``. Several values are identities: each goes to the person it lies on most, over all frames
-    (one to one). ``depths_m``: (K, H, W) of the bodies, frame by frame, gone through twice as well.
+    ``labels`` are read twice. A single value only marks people: each pixel goes to the fitted body in front or nearest,
+    within ``gate_m``. Several values are identities: each goes to the person it covers most, over all frames (one to
+    one). ``depths_m``: (K, H, W) of the bodies, frame by frame, read twice as well.
     """
-    from scipy.optimize import linear_sum_assignment  # half a second to import, for the few who bring masks
+    from scipy.optimize import linear_sum_assignment  # half a second to import, only needed for given masks
 
     sizes = sum((np.bincount(label.ravel(), minlength=256) for label in labels), np.zeros(256, np.int64))
     values = [int(v) for v in np.flatnonzero(sizes) if v > 0]

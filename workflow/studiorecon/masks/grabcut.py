@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GrabCut where there is no clean plate: colours learnt from the body's inside and its surroundings decide about the
-rest."""
+"""GrabCut where there is no clean plate: colour models of the body's inside and of its surroundings decide the other
+pixels."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
 
 # Colour models of fewer pixels than this are noise.
 _MIN_SEEDS = 40
-# How far around the candidates colours are learnt, a square of pixels.
+# Side of the square, pixels, around the candidates in which colours are learned.
 _SURROUNDINGS_PX = 31
 
 
 @dataclass(frozen=True)
 class CutSettings:
-    """How GrabCut helps.
+    """Settings of GrabCut.
 
     Attributes:
         sure: log-odds beyond which a pixel seeds the colours of person or background.
-        weight: log-odds that the cut counts.
+        weight: log-odds of the cut.
     """
 
     rounds: int = setting(2, "Rounds of learning colours and cutting; 0 = none.", minimum=0, maximum=50)
@@ -42,10 +42,10 @@ def cut_unknown(
     unknown: Bool[np.ndarray, "H W"],
     settings: CutSettings,
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 ``evidence`` with GrabCut's opinion added at ``unknown`` pixels; as given elsewhere.
+    """(H, W) float32 ``evidence`` with GrabCut's result added at ``unknown`` pixels, otherwise unchanged.
 
     ``rgb`` (H, W, 3) uint8; ``evidence`` (H, W) log-odds, −inf where no person can be. Without enough seeds of both
-    kinds the evidence stays as it is. Costs ~0.1 µs per pixel and round, on a box around the candidates.
+    kinds the evidence is unchanged. Costs ~0.1 µs per pixel and round, on a box around the candidates.
     """
     candidates = unknown & np.isfinite(evidence)
     if settings.rounds <= 0 or not candidates.any():
@@ -61,7 +61,7 @@ def cut_unknown(
         return evidence
     cv2.setRNGSeed(0)  # its k-means starts from OpenCV's global generator: the same picture must give the same mask
     bgr, behind, before = np.ascontiguousarray(rgb[box][..., ::-1]), np.zeros((1, 65)), np.zeros((1, 65))
-    # The rectangle is not looked at where a mask is given.
+    # The rectangle is ignored where a mask is given.
     cv2.grabCut(bgr, marks, (0, 0, 0, 0), behind, before, settings.rounds, cv2.GC_INIT_WITH_MASK)
     person = (marks == cv2.GC_FGD) | (marks == cv2.GC_PR_FGD)
     opinion = np.where(person, np.float32(settings.weight), np.float32(-settings.weight))

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What speaks for a person at a pixel, as log-odds: how the picture differs from the clean plate, and where the fitted
-bodies are."""
+"""Evidence for a person at a pixel, as log-odds: from the difference to the clean plate, and from the fitted bodies."""
 
 from __future__ import annotations
 
@@ -15,9 +14,9 @@ from studiorecon.images.difference import plate_difference
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# Log-odds of one pixel's difference never go beyond this: a single pixel is never certain.
+# Largest log-odds of one pixel's difference: a single pixel is never certain.
 _MAX = 4.0
-# Width of the neighbourhood that knows how much a person differs just inside the outline: two pixels each way.
+# Width of the neighbourhood that measures the difference just inside the outline: two pixels each way.
 _EDGE_PX = 5
 
 
@@ -26,12 +25,12 @@ class DifferenceSettings:
     """How a colour difference becomes evidence. Differences are in CIELAB units (1 = just visible).
 
     Attributes:
-        threshold: difference that speaks neither for nor against a person.
+        threshold: difference that is neutral.
         softness: further difference that adds one to the log-odds.
-        edge: an outline lies where the difference has fallen to this share of what it is next to it.
+        edge: an outline is where the difference has fallen to this share of its value just inside.
         chroma_weight: colour differences count this much more than lightness.
         shadow: darkest shadow, as a share of the unshadowed light; 1 = no shadow is expected.
-        shadow_weight: how much a difference that a shadow would explain still counts.
+        shadow_weight: weight of the part of a difference that a shadow would explain.
     """
 
     threshold: float = 6.0
@@ -49,7 +48,7 @@ class Plate:
     Attributes:
         rgb: (H, W, 3) float32 in [0, 1].
         measured: (H, W) bool.
-        unrest: (H, W) float32 difference that its pixels show without anybody there (noise, compression at edges).
+        unrest: (H, W) float32 difference of its pixels without people (noise, compression at edges).
     """
 
     rgb: Float[np.ndarray, "H W 3"]
@@ -62,8 +61,8 @@ def colour_difference(
 ) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 difference between a picture and the plate, both (H, W, 3) float32 in [0, 1], in CIELAB units.
 
-    A shadow darkens all channels by one factor. The best such factor, no darker than ``settings.shadow``, is taken out
-    first and counts only by ``shadow_weight``: what is left is what a shadow cannot explain.
+    A shadow darkens all channels by one factor. The best such factor, no darker than ``settings.shadow``, is removed
+    first and counts only by ``shadow_weight``; the rest cannot be a shadow.
     """
     squared, left = plate_difference(rgb, plate_rgb, chroma_weight=settings.chroma_weight, shadow=settings.shadow)
     return np.sqrt(squared + np.square(settings.shadow_weight * 100 * (1 - left)))
@@ -74,19 +73,19 @@ def difference_evidence(
 ) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 log-odds from the difference to the plate; 0 where the plate is not measured.
 
-    An outline runs where the difference has fallen to a share ``edge`` of what it is just inside: optics and chroma
-    subsampling carry a person's colour one or two pixels beyond it. Positive evidence is a pixel's own. Negative
-    evidence needs the whole neighbourhood to look like the plate: then the room is seen there, even where a body should
-    be (it stands behind furniture), while a single matching pixel inside a shirt is chance.
+    An outline is where the difference has fallen to a share ``edge`` of its value just inside: optics and chroma
+    subsampling spread a person's colour one or two pixels beyond it. Positive evidence is a pixel's own. Negative
+    evidence needs a whole neighbourhood that matches the plate: then the room is visible there, even at a fitted body
+    (behind furniture), while a single matching pixel inside a shirt is chance.
     """
-    # Unrest is noise; what differs more than a person must is something that stood there, not noise.
+    # Unrest is noise; a larger difference than a person needs is an object that left, not noise.
     quiet = difference - np.minimum(plate.unrest, settings.threshold)
     own = cv2.GaussianBlur(quiet, (3, 3), 0)
     strongest = cv2.dilate(own, np.ones((_EDGE_PX, _EDGE_PX), np.uint8))
     threshold = np.maximum(settings.threshold, settings.edge * strongest)
     around = cv2.boxFilter(np.maximum(quiet, 0), -1, (7, 7))
     score = np.where(own > settings.threshold, own, np.maximum(own, np.minimum(around, settings.threshold)))
-    # A perfect match says as much against a person as a body's inside can say for one, and more.
+    # A perfect match is at least as strong against a person as a body's inside is for one.
     evidence = np.where(
         score > threshold, (score - threshold) / settings.softness, -_MAX * (1 - np.maximum(score, 0) / threshold)
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Loose and held things are nobody: their pixels teach no person."""
+"""Removes the pixels of loose and carried objects from the masks, so that they train no person."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from studiorecon.splatting.rigid_object import RigidObject
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# Things reach this much beyond their sphere: they are rarely round.
+# Objects extend this much beyond their sphere, because they are rarely round.
 _GROWN = 1.15
 
 
@@ -26,10 +26,10 @@ def subtract_objects(
     camera: Camera,
     frame: int,
 ) -> Integer[np.ndarray, "H W"]:
-    """(H, W) uint8 labels of one frame with the things' pixels unassigned.
+    """(H, W) uint8 labels of one frame with the objects' pixels unassigned.
 
-    ``depths_m`` (K, H, W) are the bodies' z-depths, 0 = absent. Before a body a thing hides it, whatever the label;
-    beside all bodies it takes what was labelled as somebody; a body before the thing keeps its pixels.
+    ``depths_m`` (K, H, W) are the bodies' z-depths, 0 = absent. An object in front of a body hides it, whatever the
+    label. Outside of all bodies it takes pixels labelled as a person; a body in front of the object keeps its pixels.
     """
     labels = labels.copy()
     front = np.where(depths_m > 0, depths_m, np.inf).min(axis=0, initial=np.inf)

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``masks.network``: who is where in one camera's frames, by an upstream network, with the network's own numbers for
-people.
+"""``masks.network``: people in one camera's frames by an upstream network, with the network's own numbers for people.
 
-Writes ``masks/<camera>.tracks.mkv`` (FFV1 grey: 0 nobody, else the number). ``masks.segment`` finds out which fitted
-person each one is.
+Writes ``masks/<camera>.tracks.mkv`` (FFV1 grey: 0 no person, else the number). ``masks.segment`` matches each to a
+fitted person.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ _MAX = 254
 
 @dataclass(frozen=True)
 class Sam3Settings:
-    """How SAM 3 runs: frames per chunk, and the word it looks for."""
+    """Settings of SAM 3: frames per chunk, and its text prompt."""
 
     chunk: int = setting(
         200, "Frames that go through at once; chunks share a frame, memory grows with them.", minimum=1
@@ -42,7 +41,7 @@ class Sam3Settings:
 
 @dataclass(frozen=True)
 class Settings:
-    """Which network, and how it runs."""
+    """Which network, and its settings."""
 
     source: MaskSource = setting(
         "embedded",
@@ -55,7 +54,8 @@ class Settings:
 
 
 def in_bytes(maps: Iterable[Integer[np.ndarray, "H W"]], found: set[int]) -> Iterator[Integer[np.ndarray, "H W"]]:
-    """(H, W) uint8 of label maps; numbers beyond 254 are nobody's, and ``found`` receives all that occurred."""
+    """Yields label maps (H, W) as uint8; numbers beyond 254 become background, and ``found`` collects all that
+    occurred."""
     for labels in maps:
         found.update(np.unique(labels[labels > 0]).tolist())
         yield np.where(labels <= _MAX, labels, 0).astype(np.uint8)

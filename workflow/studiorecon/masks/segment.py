@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """One camera's person masks: 0 background, k + 1 person k, 255 foreground that belongs to no fitted person.
 
-Three witnesses, added as log-odds: how a pixel differs from the clean plate, how far it lies inside a fitted body's
-outline, and the detector's own mask, where people were found in the pictures. Where
-the plate is unknown GrabCut, seeded by the body, takes the plate's place. Bodies in front hide those behind, by their
-depth at the pixel. Masks that the user brings are taken as they are; only their identities are matched to the fitted
-people.
+Three sources of evidence, added as log-odds: the difference from the clean plate, the distance inside a fitted body's
+outline, and the detector's own mask, where it detected people. Where the plate is unknown, GrabCut, seeded by the body,
+replaces it. Bodies in front hide those behind, by their depth at the pixel. Given masks are used unchanged; only their
+identities are matched to the fitted people.
 """
 
 from __future__ import annotations
@@ -54,18 +53,18 @@ from studiorecon.splatting.rigid_object import RigidObject, read_objects
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Pictures from which the plate's unrest is learnt.
+# Number of pictures that measure the plate's unrest.
 _UNREST_FRAMES = 12
 
 
 @dataclass(frozen=True)
 class OutlineSettings:
-    """How much a fitted body says.
+    """Evidence of a fitted body.
 
     Attributes:
         sigma_m: distance from its outline that adds one to the log-odds: error of the fit plus thickness of clothes.
-        gate_m: whatever is farther from a body than this is not that person.
-        inside, outside: most log-odds that the body alone gives for, and against, a person.
+        gate_m: pixels farther from a body than this are not that person.
+        inside, outside: largest log-odds of the body alone for, and against, a person.
     """
 
     sigma_m: float = 0.015
@@ -76,13 +75,12 @@ class OutlineSettings:
 
 @dataclass(frozen=True)
 class Settings:
-    """How pictures, plates and bodies become masks.
+    """Settings of the masks.
 
     Attributes:
         difference: see ``DifferenceSettings``.
         outline: see ``OutlineSettings``.
-        island_share, hole_share: parts of a person, and gaps in one, smaller than this share of the person are removed,
-            filled.
+        island_share, hole_share: parts of a person below this share of the person are removed, gaps filled.
         unassigned_share: foreground away from all bodies counts from this share of the picture on.
     """
 
@@ -106,8 +104,8 @@ def person_evidence(
 ) -> tuple[Float[np.ndarray, "K H W"], Float[np.ndarray, "K H W"]]:
     """(K, H, W) log-odds from each body's depth picture (0 = absent), and (K, H, W) its signed distance in metres.
 
-    A body that was only filled in between measured frames (not ``valid``) never speaks for a person, and is twice as
-    vague.
+    A body that was filled in between measured frames (not ``valid``) is never evidence for a person, and its sigma is
+    doubled.
     """
     evidence, distance = np.full(depths_m.shape, -np.inf, np.float32), np.full(depths_m.shape, -np.inf, np.float32)
     for k, depth_m in enumerate(depths_m):
@@ -176,13 +174,13 @@ def along_edges(
 
 @dataclass(frozen=True)
 class Film:
-    """The frames of a camera, read anew at every pass: a minute of them does not fit into memory.
+    """The frames of a camera, read again at every pass: a minute of them does not fit into memory.
 
     Attributes:
         video: the file.
         camera: its name in ``brightness``.
-        count: how many frames.
-        brightness: what is divided out of every frame.
+        count: number of frames.
+        brightness: factors to divide out of every frame.
     """
 
     video: Path
@@ -199,9 +197,9 @@ class Film:
 
 @dataclass(frozen=True)
 class Numbers:
-    """A network's numbers of every frame (H, W), read anew at every pass.
+    """A network's numbers of every frame (H, W), read again at every pass.
 
-    Raises UserError, as it is read, for a film of another size or number of frames.
+    Reading raises UserError for a film of another size or number of frames.
     """
 
     film: Path
@@ -225,7 +223,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Bodies:
-    """Depth (K, H, W) of the fitted bodies of every frame, drawn anew at every pass."""
+    """Depth (K, H, W) of the fitted bodies of every frame, drawn again at every pass."""
 
     people: Sequence[Person]
     body: BodyModel
@@ -247,7 +245,7 @@ def segment(
     things: Sequence[RigidObject] = (),
     seen: DetectorMasks | None = None,
 ) -> Iterator[Integer[np.ndarray, "H W"]]:
-    """(H, W) uint8 labels of every frame (T, H, W, 3) uint8; pixels of ``things`` are nobody's; ``seen``: the
+    """(H, W) uint8 labels of every frame (T, H, W, 3) uint8; pixels of ``things`` are unassigned; ``seen``: the
     detector's masks."""
     plate = Plate(plate_rgb, measured, np.zeros(measured.shape, np.float32))
     chosen = evenly_spread(len(frames), _UNREST_FRAMES)
@@ -272,7 +270,7 @@ def segment(
 
 
 def body_depths(people: Sequence[Person], body: BodyModel, camera: Camera, frame: int) -> Float[np.ndarray, "K H W"]:
-    """(K, H, W) float32 z-depth of each fitted body at one frame, 0 where it is not; nothing of whoever is away."""
+    """(K, H, W) float32 z-depth of each fitted body at one frame, 0 outside of it; empty for people who are away."""
     depths = np.zeros((len(people), *camera.hw), np.float32)
     for k, person in enumerate(people):
         if not person.present[frame]:
@@ -299,12 +297,12 @@ def run(
     brightness: list[Path] | None = None,
     seen: list[Path] | None = None,
 ) -> None:
-    """Masks of ``camera`` for the fitted people, ``fits``; frames are divided by ``brightness``, if there is any,
-    before they are compared with the plate.
+    """Write masks of ``camera`` for the fitted people, ``fits``, from frames divided by ``brightness``, if there is
+    any.
 
-    ``given`` (none or one path) are masks that the user brings, which are kept; ``tracks`` (none or one) is a network's
-    film of numbers. The pixels of ``objects`` (none or one path) are nobody's, but in masks that were brought. ``seen``
-    (nothing, or three files: the detector's, the camera's detections, identities.tsv) brings the detector's own masks.
+    ``given`` (none or one path) are the user's masks, which are kept; ``tracks`` (none or one) is a network's film of
+    numbers. The pixels of ``objects`` (none or one path) are unassigned, except in given masks. ``seen`` (empty, or
+    three files: the detector's, the camera's detections, identities.tsv) are the detector's own masks.
     """
     own = next((c for c in read_model(model.parent) if c.name == camera), None)
     if own is None:
@@ -352,14 +350,14 @@ def run(
 def counted(
     labels: Iterable[Integer[np.ndarray, "H W"]], pixels: Integer[np.ndarray, " 256"]
 ) -> Iterator[Integer[np.ndarray, "H W"]]:
-    """The labels as they come; adds to ``pixels`` (256,) how many have which."""
+    """Yields the labels unchanged; adds the number of pixels per label to ``pixels`` (256,)."""
     for own in labels:
         pixels += np.bincount(own.ravel(), minlength=256)
         yield own
 
 
 def describe(camera: str, pixels: Integer[np.ndarray, " 256"], names: Sequence[str], measured: float) -> str:
-    """One sentence: what the masks hold, from how many pixels have which label (256,)."""
+    """One sentence about the masks, from the number of pixels per label (256,)."""
     shares = [f"{name} {pixels[k + 1] / pixels.sum():.1%}" for k, name in enumerate(names)]
     how = (
         "against the clean plate"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which fitted person each of a network's numbers is: the one on whose body it lies most. One person may be several
+"""Matches a network's numbers to fitted people: each to the body that it covers most. One person may have several
 numbers in turn."""
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
 UNASSIGNED = 255
-# A number belongs to the person on whom at least this share of its pixels lies; a body is thinner than what it wears.
+# A number belongs to a person only if at least this share of its pixels is on them; clothes are wider than bodies.
 _MIN_SHARE = 0.3
 
 
 def assigned(
     labels: Iterable[Integer[np.ndarray, "H W"]], depths_m: Iterable[Float[np.ndarray, "K H W"]], people: int
 ) -> tuple[Iterator[Integer[np.ndarray, "H W"]], str]:
-    """(H, W) uint8 masks with this project's labels from a network's numbers (H, W), frame by frame, and a sentence how
-    they were matched.
+    """(H, W) uint8 masks with this project's labels from a network's numbers (H, W), frame by frame, and a sentence on
+    the match.
 
-    ``labels`` are gone through twice. ``depths_m``: (K, H, W) depth of the fitted bodies, frame by frame. Numbers that
-    lie on nobody are 255.
+    ``labels`` are read twice. ``depths_m``: (K, H, W) depth of the fitted bodies, frame by frame. Numbers that match no
+    person are 255.
     """
     overlap = overlaps(labels, depths_m, people)
     sizes = overlap.sum(axis=1)
@@ -47,7 +47,8 @@ def assigned(
 def overlaps(
     labels: Iterable[Integer[np.ndarray, "H W"]], depths_m: Iterable[Float[np.ndarray, "K H W"]], people: int
 ) -> Integer[np.ndarray, "256 1+people"]:
-    """(256, 1 + people) pixels of all frames that have a number, on nobody and on the body of each person in front.
+    """(256, 1 + people) pixels per number over all frames: outside of all bodies, and on the body of each person in
+    front.
 
     Raises ValueError when there are not as many ``labels`` (H, W) as ``depths_m`` (K, H, W).
     """
