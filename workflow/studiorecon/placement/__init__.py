@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where to put cameras, before anything is filmed. In come a room and lenses, or finished cameras; out come places,
-what they will see, and one picture. Steps: ``place``, ``advise``; below them: ``room``, ``placing``, ``figures``,
-``picture``.
+"""Plans camera positions before filming, from a room and lenses or from a finished calibration; draws one picture.
+
+The plan holds positions and what the cameras will see. Steps: ``place``, ``advise``; below them: ``room``, ``placing``,
+``figures``, ``picture``.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``placement.advise``: what the cameras of a finished calibration see of their room, and which to move where."""
+"""``placement.advise``: coverage of the cameras of a finished calibration, and which to move where."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from studiorecon.signature import Written
 
 
 def run(model: Path, picture: Written, plan: Written) -> None:
-    """``model`` is ``cameras/images.txt``; the room is taken to be the box that the cameras stand in, its floor at z =
-    0."""
+    """Write the advice and its picture for ``model``, a ``cameras/images.txt``; the room is the box around the cameras,
+    floor at z = 0."""
     cameras = read_model(model.parent)
     if len(cameras) < 2:
         raise UserError(f"{model} has {len(cameras)} camera, which cannot measure distance: no advice is possible")

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a rig will see and how well: coverage, the error of joints by Cramér and Rao's bound, and what of the room
-nobody sees."""
+"""Quality of a rig: coverage, the error of joints by Cramér and Rao's bound, and the unseen share of the room."""
 
 from __future__ import annotations
 
@@ -16,9 +15,8 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# Deviation of a detector's point per coordinate, as a share of the person's height in the picture: networks look at a
-# crop of the person, so their error grows with the person. From BlazePose on four cameras (pose2sim_balancing): median
-# residual
+# Sigma of a detector's point per coordinate, as a share of the person's height in the picture: networks see a crop of
+# the person, so their error grows with the person. From BlazePose on four cameras (pose2sim_balancing): median residual
 # 1.32 px where the man is 195 px tall, over the median length of a normal deviate (1.18), and over the root of the 5 of
 # 8 degrees of freedom that a point fitted to four views leaves.
 _DETECTOR_SHARE = 0.0075
@@ -26,28 +24,30 @@ _PERSON_M = 1.7
 # No detector is better than about half a pixel.
 _MIN_PX = 0.5
 _NEAR_M = 0.2
-# A joint that only two cameras see cannot be checked (their residual says nothing) and counts as at least this far off.
+# A joint that only two cameras see cannot be checked (their residual proves nothing) and counts as at least this far
+# off.
 _UNVERIFIED_M = 0.03
-# Beyond this error, and without two cameras, a joint is undetermined.
+# A joint is undetermined beyond this error, and with fewer than two cameras.
 _UNKNOWN_M = 0.1
-# What a per cent of floor and walls that nobody sees is worth, in metres of the joints' mean error.
+# Cost of a per cent of unseen floor and walls, in metres of the joints' mean error.
 _UNSEEN_WORTH_M = 0.0005
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Shares are of the stage's places or of the room's surface; errors are root mean square distances in space,
-    metres.
+    """Quality of a rig. Shares are of the stage's positions or of the room's surface; errors are root mean square
+    distances, metres.
 
     Attributes:
-        two, three: height ("head", "floor") → share that at least two or three cameras see, nobody being in the way.
-        two_hidden, three_hidden: the same with somebody in the way, mean over where they stand.
-        error_m, worst_error_m: median and 90 % quantile of the joints' error, somebody being in the way; inf where
+        two, three: height ("head", "floor") → share that at least two or three cameras see, without a person in the
+            way.
+        two_hidden, three_hidden: the same with one person in the way, mean over their positions.
+        error_m, worst_error_m: median and 90 % quantile of the joints' error, with a person in the way; inf where
             undetermined.
         undetermined: share of joints that fewer than two cameras see, or that are off by more than 10 cm.
-        unseen: "floor", "walls", "ceiling" and "all" → share that no camera sees while somebody stands in the middle.
-        cost_m: what plans are compared by: the joints' mean error, with what is undetermined or unverified, and the
-            unseen floor and walls.
+        unseen: "floor", "walls", "ceiling" and "all" → share that no camera sees while a person is in the middle.
+        cost_m: cost of a plan: the joints' mean error, with penalties for undetermined or unverified joints and unseen
+            floor and walls.
     """
 
     two: dict[str, float]
@@ -62,7 +62,7 @@ class Figures:
 
 
 def seen(cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "V N"]:
-    """(V, N) bool: the point is in the camera's picture, whatever stands between."""
+    """(V, N) bool: the point is in the camera's picture, with occlusion ignored."""
     found = []
     for camera in cameras:
         pixels, depth = camera.project(points_m)
@@ -90,21 +90,20 @@ def information(cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -
 
 
 def errors_m(told: Float[np.ndarray, "V N 3 3"], sees: Bool[np.ndarray, "... V N"]) -> Float[np.ndarray, "... N"]:
-    """(..., N) error that no unbiased estimate beats (Cramér, Rao): the root of the trace of the inverse of the
-    information.
+    """(..., N) least error of any unbiased estimate (Cramér, Rao): the root of the trace of the inverse information.
 
     ``told`` (V, N, 3, 3) is each camera's information, ``sees`` (..., V, N) which of them see the point; inf with fewer
     than two.
     """
     total = np.einsum("...vn,vnij->...nij", sees.astype(np.float64), told)
     scale = np.trace(total, axis1=-2, axis2=-1)
-    # Parallel rays leave the matrix singular; so small an addition only bounds their error, at kilometres.
+    # Parallel rays make the matrix singular; this small addition only bounds their error, at kilometres.
     safe = total + (np.where(scale > 0, scale, 1.0) * 1e-12)[..., None, None] * np.eye(3)
     return np.where(sees.sum(axis=-2) >= 2, np.sqrt(np.trace(np.linalg.inv(safe), axis1=-2, axis2=-1)), np.inf)
 
 
 class Judge:
-    """Judges rigs for one room: what does not depend on the cameras is worked out once."""
+    """Evaluates rigs for one room; values that do not depend on the cameras are computed once."""
 
     def __init__(self, room: Room) -> None:
         self.room = room
@@ -113,14 +112,14 @@ class Judge:
         self.surfaces_m = room.surfaces_m()
         self.all_surfaces_m = np.concatenate(list(self.surfaces_m.values()))
         self.bystanders_m = room.bystanders_m()
-        # Nobody stands inside somebody else.
+        # A point inside the occluding person is not occluded by them.
         apart = np.linalg.norm(self.points_m[None, :, :2] - self.bystanders_m[:, None], axis=-1)
         self.possible = apart > WIDTH_M
 
     def sees(
         self, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"], stands_m: Float[np.ndarray, " 2"] | None
     ) -> Bool[np.ndarray, "V N"]:
-        """(V, N) bool, with somebody standing at ``stands_m``, or nobody."""
+        """(V, N) bool: visible points, with a person at ``stands_m``, or without one."""
         found = seen(cameras, points_m)
         if stands_m is None:
             return found
@@ -128,7 +127,7 @@ class Judge:
         return found & ~blocked(eyes, points_m, stands_m, self.room.low_m[2])
 
     def figures(self, cameras: Sequence[Camera]) -> Figures:
-        """What the room's cameras will see."""
+        """The quality of the room's cameras."""
         free = self.sees(cameras, self.points_m, None).sum(axis=0)
         hidden = np.array([self.sees(cameras, self.points_m, place) for place in self.bystanders_m])
         counts = hidden.sum(axis=1)
@@ -158,11 +157,11 @@ class Judge:
         )
 
     def cost_m(self, cameras: Sequence[Camera]) -> float:
-        """What plans are compared by."""
+        """The cost by which plans are compared."""
         return self.figures(cameras).cost_m
 
     def errors_of(self, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
-        """(N,) error of a joint at every point (N, 3), nobody being in the way."""
+        """(N,) error of a joint at every point (N, 3), without a person in the way."""
         return errors_m(information(cameras, points_m), self.sees(cameras, points_m, None))
 
     def _unseen(self, cameras: Sequence[Camera]) -> dict[str, float]:

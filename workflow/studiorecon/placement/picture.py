@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One picture of a plan: the room from above with its cameras, how many see a place, how well a joint is known there,
-and figures."""
+"""One picture of a plan: the room from above with its cameras, coverage, joint error, and figures."""
 
 from __future__ import annotations
 
@@ -15,15 +14,15 @@ from studiorecon.placement.room import HEAD_M, HIPS_M, WIDTH_M, Room
 from studiorecon.scene.camera import Camera
 
 _MAP_PX, _GAP_PX, _TOP_PX, _LINE_PX = 430, 50, 92, 19
-_CHARACTER_PX = 7  # of a letter, in the mean
+_CHARACTER_PX = 7  # mean width of a letter
 _CELLS = 44
 _CONE_M = 1.1
-# Where a camera looks in the picture, from right (0°) counter-clockwise in steps of 45 degrees.
+# Names of viewing directions in the picture, from right (0°) counter-clockwise in steps of 45 degrees.
 _WAYS = ("right", "far right", "to the far wall", "far left", "left", "near left", "to the near wall", "near right")
-# Number of cameras that see a place at head height, 0 … 4 or more; two is the least that tells depth, three the least
-# that can be checked.
+# Number of cameras that see a position at head height, 0 … 4 or more; two is the least that gives depth, three the
+# least that can be checked.
 _COUNTS = (("none", "#b9452f"), ("1", "#dd9a57"), ("2", "#efe0a0"), ("3", "#a3cfa0"), ("4 or more", "#4f9a78"))
-# Error of a joint at hip height up to so many millimetres.
+# Upper limits of the error of a joint at hip height, millimetres.
 _ERRORS = ((10, "#2f6f9f"), (15, "#6ba3c4"), (20, "#a9cbd9"), (30, "#efe0a0"), (50, "#dd9a57"), (np.inf, "#b9452f"))
 
 
@@ -68,7 +67,7 @@ def drawn(title: str, cameras: Sequence[Camera], judge: Judge, figures: Figures,
 
 
 def lines_of(figures: Figures) -> list[str]:
-    """The figures in words."""
+    """The figures as sentences."""
 
     def share(value: float) -> str:
         return f"{100 * value:.0f} %"
@@ -104,7 +103,7 @@ def advised(move: Move) -> str:
 
 
 def stands(camera: Camera, room: Room) -> str:
-    """Where a camera stands and looks, in words and metres; left, right, near and far as in the picture."""
+    """Position and direction of a camera in words and metres; left, right, near and far as in the picture."""
     x, y, z = camera.centre_m - np.array(room.low_m)
     heading = np.degrees(np.arctan2(camera.forward[1], camera.forward[0])) % 360
     tilt = np.degrees(np.arcsin(np.clip(camera.forward[2], -1, 1)))
@@ -187,7 +186,7 @@ def _plan(cameras: Sequence[Camera], judge: Judge, scale: float, high: float, mo
 
 
 def _axes(room: Room, scale: float, high: float) -> list[str]:
-    """Marks every metre along the left and the near wall, from their corner, and what the axes are."""
+    """SVG marks at every metre along the left and the near wall, from their corner, and the axes' names."""
     width, depth = room.size_m[:2]
     parts = []
     for k in range(int(width) + 1):

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``placement.place``: where to put cameras in a room before anything is filmed, what they will see, and one picture of
-it."""
+"""``placement.place``: camera positions for a room before filming, what they will see, and one picture of the plan."""
 
 from __future__ import annotations
 
@@ -29,8 +28,11 @@ def read_resolution(text: str) -> tuple[int, int]:
 
 
 def run(room: str, cameras: int, hfov_deg: list[float], resolution: str, picture: Path, plan: Path) -> None:
-    """``hfov_deg`` holds one horizontal field of view for all cameras or one for each; the sides of ``resolution`` are
-    those of upright pictures, so phones held upright say 1080x1920 with the field of view across their short side."""
+    """Write a plan and its picture for lenses in a room.
+
+    ``hfov_deg`` holds one horizontal field of view for all cameras or one for each. The sides of ``resolution`` are
+    those of upright pictures, so phones held upright use 1080x1920 with the field of view across their short side.
+    """
     box, wh = read_room(room), read_resolution(resolution)
     if not 2 <= cameras <= _MAX:
         raise UserError(f"{cameras} cameras were requested; plan for 2 to {_MAX}: one camera cannot measure distance")

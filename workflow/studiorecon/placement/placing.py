@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where to put cameras in a room, and which way to move those that stand in one."""
+"""Chooses camera positions in a room, and moves that improve existing ones."""
 
 from __future__ import annotations
 
@@ -19,13 +19,12 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# From the walls to a camera on its tripod or clamp, and below the ceiling.
+# Distance from the walls to a camera on its tripod or clamp, and from the ceiling.
 _FROM_WALLS_M, _FROM_CEILING_M = 0.15, 0.2
 _HEIGHTS_M = (1.2, 1.6, 2.0, 2.4, 2.8, 3.4, 4.0)
 _AIMS_M = (0.5, 0.8, 1.1, 1.4)
 _PHASES = 8
-# Steps that a standing camera is tried to be moved and turned by, coarse to fine; and what a move must be worth to be
-# advised.
+# Trial steps of moves and turns of an existing camera, coarse to fine; and the least gain of an advised move.
 _STEPS = ((0.6, 12.0), (0.3, 6.0), (0.1, 3.0))
 _FARTHEST_M = 1.5
 _MIN_GAIN = 0.03
@@ -33,11 +32,11 @@ _MIN_GAIN = 0.03
 
 @dataclass(frozen=True)
 class Move:
-    """One camera's better place, all others staying.
+    """One camera's better pose, all others staying.
 
     Attributes:
         camera: its name.
-        words: "move cam3 60 cm left and tilt it 6° down", as seen by somebody who stands behind it.
+        words: "move cam3 60 cm left and tilt it 6° down", as seen from behind the camera.
         better: the camera there.
         gain: share by which the rig's cost falls.
     """
@@ -55,7 +54,7 @@ def lens(name: str, hfov_deg: float, wh: tuple[int, int]) -> Camera:
 
 
 def stood(camera: Camera, eye_m: Float[np.ndarray, " 3"], world_from_camera: Float[np.ndarray, "3 3"]) -> Camera:
-    """The camera at another place (3,), turned by a rotation (3, 3)."""
+    """The camera at another position (3,), with rotation (3, 3)."""
     transform = np.eye(4)
     transform[:3, :3] = world_from_camera.T
     transform[:3, 3] = -world_from_camera.T @ eye_m
@@ -63,11 +62,10 @@ def stood(camera: Camera, eye_m: Float[np.ndarray, " 3"], world_from_camera: Flo
 
 
 def placed(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
-    """The lenses in the room as the best of all rings along its walls: evenly by walls, at one height, looking at the
-    middle.
+    """The lenses at the best of all rings along the room's walls: evenly by walls, at one height, aimed at the middle.
 
-    A ring of even number is the same turned by half a turn, so rooms that are symmetric get symmetric rigs. Raises
-    UserError for fewer than two lenses.
+    An even ring is unchanged by half a turn, so symmetric rooms get symmetric rigs. Raises UserError for fewer than two
+    lenses.
     """
     if len(lenses) < 2:
         raise UserError(f"{len(lenses)} camera cannot measure distance; plan for two or more")
@@ -80,13 +78,13 @@ def placed(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
         if aim < height
     ]
     costs = np.array([judge.cost_m(cameras) for cameras in rings])
-    # Rings that are mirror images cost the same but for rounding: the first of them, on every machine.
+    # Mirrored rings have the same cost up to rounding: take the first of them, on every machine.
     return rings[int(np.flatnonzero(costs <= costs.min() + 1e-9)[0])]
 
 
 def ring(room: Room, lenses: Sequence[Camera], phase: float, height_m: float, aim_m: float) -> list[Camera]:
-    """Cameras evenly along the walls, each wall a quarter of the way whatever its length; phase 0 has the first one in
-    a corner."""
+    """Cameras evenly along the walls, each wall a quarter of the way whatever its length; phase 0 has the first in a
+    corner."""
     low, high = np.add(room.low_m, _FROM_WALLS_M)[:2], np.subtract(room.high_m, _FROM_WALLS_M)[:2]
     corners = np.array([low, (high[0], low[1]), high, (low[0], high[1]), low])
     floor = room.low_m[2]
@@ -101,7 +99,7 @@ def ring(room: Room, lenses: Sequence[Camera], phase: float, height_m: float, ai
 
 
 def advice(cameras: Sequence[Camera], room: Room) -> list[Move]:
-    """For every camera the best place near its own, the others staying; those worth at least 3 %, best first."""
+    """For every camera the best pose near its own, the others staying; those with at least 3 % gain, best first."""
     judge = Judge(room)
     before = judge.cost_m(cameras)
     found = []
@@ -116,7 +114,7 @@ def advice(cameras: Sequence[Camera], room: Room) -> list[Move]:
 def _improved(index: int, cameras: Sequence[Camera], room: Room, judge: Judge, cost: float) -> tuple[Camera, float]:
     best, start = cameras[index], cameras[index].centre_m
     others = list(cameras)
-    # A camera outside the box that was taken for the room may stay there, but not move further out.
+    # A camera outside the assumed box of the room may stay there, but not move further out.
     margin = 0.1 if room.holds(start, 0.1) else None
     for step_m, step_deg in _STEPS:
         improving = True
@@ -130,15 +128,14 @@ def _improved(index: int, cameras: Sequence[Camera], room: Room, judge: Judge, c
             for candidate in tried:
                 others[index] = candidate
                 found = judge.cost_m(others)
-                # Each step must be worth taking a tape measure for.
+                # Each step must be worth measuring with a tape.
                 if found < cost * (1 - 0.005):
                     best, cost, improving = candidate, found, True
     return best, cost
 
 
 def _around(camera: Camera, step_m: float, step_deg: float) -> list[Camera]:
-    """The camera moved along and across its view and up and down, still looking where it looked, and turned on its
-    spot."""
+    """The camera moved along and across its view and up and down with the same aim, and turned in place."""
     right, ahead, up = _axes(camera)
     rotation, eye = camera.world_from_camera[:3, :3], camera.centre_m
     made = []
@@ -147,7 +144,7 @@ def _around(camera: Camera, step_m: float, step_deg: float) -> list[Camera]:
     turn = np.radians(step_deg)
     for axis, angle in ((up, turn), (up, -turn), (right, turn), (right, -turn)):
         made.append(stood(camera, eye, _rotation(axis, angle) @ rotation))
-    # To the side and turned back towards what was in the middle, which is what somebody who carries a tripod does.
+    # To the side and turned back to the old middle, as a person with a tripod does.
     middle = eye + camera.forward * 3.0
     for direction in (right, -right):
         made.append(
@@ -166,7 +163,7 @@ def _turned_to(
 def _axes(camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     up = np.array([0.0, 0.0, 1.0])
     ahead = camera.forward * (1, 1, 0)
-    # A camera that looks straight down has its picture's top ahead.
+    # A camera that points straight down has its picture's top ahead.
     ahead = -camera.camera_from_world[1, :3] * (1, 1, 0) if np.linalg.norm(ahead) < 1e-3 else ahead
     ahead = ahead / np.linalg.norm(ahead)
     return np.cross(ahead, up), ahead, up
@@ -178,7 +175,7 @@ def _rotation(axis: np.ndarray, angle_rad: float) -> np.ndarray:
 
 
 def in_words(before: Camera, after: Camera) -> str:
-    """How to get from one placement to the other, for somebody who stands behind the camera."""
+    """The way from one placement to the other in words, as seen from behind the camera."""
     right, ahead, up = _axes(before)
     way = after.centre_m - before.centre_m
     steps = [(way @ right, "right", "left"), (way @ ahead, "forward", "back"), (way @ up, "up", "down")]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room a rig is planned for: an upright box with a stage in it, and somebody who stands in the way."""
+"""The room of a planned rig: an upright box with a stage in it, and a person in the way."""
 
 from __future__ import annotations
 
@@ -16,16 +16,15 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# People keep this far from walls, where cameras stand, but use at least half of a small room.
+# People keep this far from walls, where cameras are, but use at least half of a small room.
 _MARGIN_M = 0.75
-# The heights at which people are looked at: ankles, hips, head.
+# Heights at which people are evaluated: ankles, hips, head.
 FEET_M, HIPS_M, HEAD_M = 0.1, 1.0, 1.65
-# Somebody in the way: a cylinder about as wide as shoulders seen from all sides.
+# A person in the way: a cylinder about as wide as shoulders seen from all sides.
 WIDTH_M, TALL_M = 0.44, 1.75
 _STEP_M = 0.3
 _WALL_STEP_M = 0.35
-# Beside cameras whose room nobody measured: how far behind them its walls are taken to be, and the least height of its
-# ceiling.
+# For cameras in an unmeasured room: assumed distance of its walls behind them, and least height of its ceiling.
 _BEHIND_M, _CEILING_M = 0.3, 2.5
 
 
@@ -51,19 +50,19 @@ class Room:
         return np.add(self.low_m, self.high_m)[:2] / 2
 
     def stage_m(self) -> Float[np.ndarray, "N 2"]:
-        """(N, 2) places of the floor where people may stand, on a grid that is symmetric about the middle."""
+        """(N, 2) positions of people on the floor, on a grid that is symmetric about the middle."""
         half = self.size_m[:2] / 2
         reach = np.maximum(half - _MARGIN_M, half / 2)
         across = [np.linspace(-r, r, max(2 * round(r / _STEP_M) + 1, 3)) for r in reach]
         return self.middle_m + np.stack(np.meshgrid(*across, indexing="ij"), axis=-1).reshape(-1, 2)
 
     def at_height(self, height_m: float) -> Float[np.ndarray, "N 3"]:
-        """(N, 3) the stage's places, so high above the floor."""
+        """(N, 3) the stage's positions at a height above the floor."""
         stage = self.stage_m()
         return np.column_stack([stage, np.full(len(stage), self.low_m[2] + height_m)])
 
     def bystanders_m(self) -> Float[np.ndarray, "K 2"]:
-        """(K, 2) places where somebody may stand in the way: the stage's middle and half-way to its corners."""
+        """(K, 2) positions of a person in the way: the stage's middle and half-way to its corners."""
         reach = self.stage_m().max(axis=0) - self.middle_m
         return self.middle_m + np.array([(0, 0), (1, 1), (-1, 1), (-1, -1), (1, -1)]) * reach / 2
 
@@ -90,15 +89,17 @@ class Room:
         }
 
     def holds(self, place_m: Float[np.ndarray, " 3"], margin_m: float) -> bool:
-        """Whether a place (3,) is inside, so far from every side."""
+        """Whether a position (3,) is inside, with a margin to every side."""
         return bool(
             (place_m >= np.add(self.low_m, margin_m)).all() and (place_m <= np.subtract(self.high_m, margin_m)).all()
         )
 
 
 def read_room(text: str) -> Room:
-    """``6x5x2.8``: width, depth and height in metres, one corner of the floor in the origin; raises UserError for
-    anything else."""
+    """The room of ``6x5x2.8``: width, depth and height in metres, one corner of the floor in the origin.
+
+    Raises UserError for other text.
+    """
     found = re.fullmatch(r"([\d.]+)[x×]([\d.]+)[x×]([\d.]+)", text.strip().lower())
     try:
         size = tuple(float(part) for part in found.groups()) if found else ()
@@ -113,11 +114,10 @@ def read_room(text: str) -> Room:
 
 
 def room_about(cameras: Sequence[Camera]) -> Room:
-    """The room that cameras stand in, where nobody measured it: the box of their places and a little more, its floor at
-    z = 0."""
+    """The room assumed around cameras: the box of their positions with a margin, its floor at z = 0."""
     centres = np.array([camera.centre_m for camera in cameras])
     low, high = centres.min(axis=0) - _BEHIND_M, centres.max(axis=0) + _BEHIND_M
-    # Cameras in a row say nothing of the depth of their room: it is as deep as they are apart.
+    # Cameras in a row do not determine the depth of their room: it is set to their width.
     across = (high - low)[:2].max()
     for axis in (0, 1):
         if high[axis] - low[axis] < across / 2:
@@ -132,10 +132,10 @@ def blocked(
     stands_m: Float[np.ndarray, " 2"],
     floor_m: float,
 ) -> Bool[np.ndarray, "V N"]:
-    """(V, N) bool: somebody who stands at (x, y) ``stands_m`` hides point (N, 3) from the eye (V, 3).
+    """(V, N) bool: a person at (x, y) ``stands_m`` hides point (N, 3) from the eye (V, 3).
 
-    They are a cylinder, cut with each line of sight exactly: both are upright, so the hidden part of a line lies
-    between two roots.
+    The person is a cylinder, intersected with each line of sight exactly: both are upright, so the hidden part of a
+    line is between two roots.
     """
     start = (eyes_m[:, :2] - stands_m)[:, None]
     along = (points_m[None, :, :2] - eyes_m[:, None, :2]).astype(np.float64)
