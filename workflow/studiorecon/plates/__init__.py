@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room without people. In come one camera's working video and its detections; out comes its clean plate, with an
-alpha that says where it was measured: ``clean``.
+"""The room without people: ``clean`` reads one camera's working video and its detections and writes its clean plate.
+
+The plate's alpha marks the measured pixels.
 """

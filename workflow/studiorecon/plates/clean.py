@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One camera's clean plate: the room without people, with an alpha that says where it was measured.
+"""One camera's clean plate: the room without people, with an alpha that marks the measured pixels.
 
-Every pixel keeps the colour that most pictures agree on, counting only those in which no detected person stands there.
-A pixel that people cover all the time stays unknown: a guess would be a ghost. A plate that the user brings fills those
-pixels; it is matched to the footage first. Where the two show different things one of them shows somebody: the part
-that moves during the clip, if only an arm of it, is a person whom no detector found, and the user's plate wins; the
-part that never moves is the room, and somebody stood in the plate.
+Every pixel has the colour that most pictures agree on, counting only those in which no detected person covers it. A
+pixel that people always cover stays unknown: a guess would be a ghost. The user's plate fills those pixels, after its
+exposure is matched to the footage. Where the two differ, one of them shows a person. A part that moves during the clip,
+if only an arm of it, is an undetected person, and the user's plate wins. A part that never moves is the room, and the
+person is in the user's plate.
 
 Reads the section ``plate``.
 """
@@ -39,22 +39,21 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Grey levels by which a given plate must differ from the footage to show something else there, and how far (share of
-# the longer side) such a thing is taken to reach into pixels that the footage cannot confirm.
+# Grey levels by which a given plate must differ from the footage to show something else, and how far (share of the
+# longer side) this may reach into pixels that the footage cannot confirm.
 _OTHER_LEVELS = 30.0
 _DOUBT_SHARE = 0.025
-# A given plate has come to light at a pixel when this share of its pictures agree with it to these levels. Of the
-# places where a person hides it, who stays on her feet for 1.7 s, 0.2 to 0.27 do so; none of those where somebody stood
-# in the plate does.
+# A given plate is revealed at a pixel when this share of its pictures agree with it to these levels. Of the pixels
+# behind a person who stands for 1.7 s, 0.2 to 0.27 are revealed; none of those where a person is in the plate.
 _SAME_LEVELS, _REVEALED, _MOVING = 20.0, 0.1, 0.1
-# Who keeps to a spot hides the same wall all the time, and still sways and waves: this share of the part leaves its
-# usual colour in a tenth of the pictures (somebody who waves: 0.15 to 0.27; a thing: none). An outline is drawn by the
-# picture that somebody is in: its edges there are this many times those of the other picture (measured: 2.1 to 5.2).
+# A person who stays in place always hides the same wall, but sways and waves: this share of the part leaves its usual
+# colour in a tenth of the pictures (a waving person: 0.15 to 0.27; an object: none). The picture with the person has
+# the edges of their outline, this many times as strong as the other picture's (measured: 2.1 to 5.2).
 _UNSTEADY, _EDGE_RATIO = 0.1, 1.5
-# Parts of one person that happen to have the room's colour between them are joined over this share of the longer side.
+# Parts of one person that are separated by pixels with the room's colour are joined over this share of the longer side.
 _JOIN_SHARE = 0.01
-# Steps of the tone curve from a given plate to the footage; the fewest pixels, and their widest middle half in levels,
-# that make one.
+# Steps of the tone curve from a given plate to the footage; the fewest pixels of a step, and their largest
+# interquartile range in levels.
 _TONE_STEPS, _TONE_PIXELS, _TONE_SPREAD = 24, 50, 24.0
 
 
@@ -66,11 +65,11 @@ class Settings:
         agree_levels: colours that differ by at most this in every channel, grey levels of 255, are the same surface;
             never less than four times the noise, and never more than four times this.
         min_share: a pixel counts as measured when the room shows in at least this share of the pictures.
-        min_agreement: at least this share of the pictures in which nobody stands there must agree.
+        min_agreement: at least this share of the pictures without a person at the pixel must agree.
         margin: detected people are drawn wider by this share of their height.
         hold_s: a detection counts this long before and after, seconds.
-        max_difference: a plate that the user brings must agree with the footage to this median difference, grey levels
-            of 255; another room or another light differs by more.
+        max_difference: the user's plate must agree with the footage to this median difference, grey levels of 255;
+            another room or another light differs by more.
     """
 
     frames: int = setting(60, "Pictures that are looked at, evenly over the clip.", minimum=2, maximum=1000)
@@ -85,14 +84,14 @@ class Settings:
 def temporal_plate(
     frames: Integer[np.ndarray, "T H W 3"], occupied: Bool[np.ndarray, "T H W"], settings: Settings
 ) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
-    """(H, W, 3) float32 colours 0..255 and (H, W) bool measured, of frames (T, H, W, 3) with people at ``occupied`` (T,
-    H, W)."""
+    """(H, W, 3) float32 colours 0..255 and (H, W) bool measured, from frames (T, H, W, 3) with people at ``occupied``
+    (T, H, W)."""
     free = ~occupied
-    # Flickering light looks like noise; the cap keeps it from making everything agree with everything.
+    # Flickering light looks like noise; the limit keeps all colours from agreeing.
     tolerance = min(max(settings.agree_levels, 4 * noise_levels(frames)), 4 * settings.agree_levels)
     colour, votes, rival = temporal_modes(frames, free, tolerance)
     available = free.sum(axis=0)
-    # A rival nearly as frequent means that two surfaces take turns, and nothing here says which of them is the room.
+    # A second colour nearly as frequent means that two surfaces alternate, and nothing shows which is the room.
     clear = (votes >= settings.min_agreement * available) & (votes >= 2 * rival)
     return colour, clear & (votes >= max(2, settings.min_share * len(frames)))
 
@@ -108,9 +107,8 @@ def place_given(
     """A given plate (h, w, 3) in [0, 1] in working pixels: colours 0..255, where it is known, and its median
     difference.
 
-    A plate may have the video's pixels, or the calibration's when the video was resized or padded afterwards: whichever
-    agrees better with what the footage shows (``colour`` where ``measured``) is taken. The difference is NaN when
-    nothing overlaps.
+    A plate may have the video's pixels, or the calibration's when the video was resized or padded afterwards: the one
+    that agrees better with the footage (``colour`` where ``measured``) is used. The difference is NaN without overlap.
     """
     given_wh = (given_rgb.shape[1], given_rgb.shape[0])
     maps = [np.eye(2, 3)] if given_wh == tuple(lens.wh) else []
@@ -154,8 +152,8 @@ def _working_picture(
 def showing(
     frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray, "T H W"], colour: Float[np.ndarray, "H W 3"]
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 share of the pictures in which a pixel is ``free`` (T, H, W) that show ``colour`` (H, W, 3); 0 if
-    never free."""
+    """(H, W) float32 share of the ``free`` (T, H, W) pictures that show ``colour`` (H, W, 3) at a pixel; 0 if never
+    free."""
     shown = np.zeros(colour.shape[:2], np.float32)
     for frame, unoccupied in zip(frames, free):
         shown += unoccupied & (channel_max(np.abs(frame - colour)) <= _SAME_LEVELS)
@@ -165,11 +163,10 @@ def showing(
 def matched_exposure(
     colour: Float[np.ndarray, "H W 3"], common: Bool[np.ndarray, "H W"], given: Float[np.ndarray, "H W 3"]
 ) -> Float[np.ndarray, "H W 3"]:
-    """A given plate (H, W, 3) 0..255 as the footage's camera would have taken it, from the pixels that both show
-    (``common``).
+    """A given plate (H, W, 3) 0..255 in the footage's exposure, matched on the pixels ``common`` to both.
 
     First one tone curve per channel (exposure, white balance and gamma are the same everywhere), by medians, so that
-    people in either picture do not bend it; then a smooth ratio, carried over from the surroundings, so that no seam
+    people in either picture do not bend it. Then a smooth ratio, interpolated from the surroundings, so that no seam
     shows.
     """
     if not common.any():
@@ -177,7 +174,7 @@ def matched_exposure(
     toned = np.stack([_toned(given[..., c], colour[..., c], common) for c in range(3)], axis=-1)
     usable = common & (toned > 8).all(axis=-1) & (colour > 8).all(axis=-1)
     ratio = np.where(usable[..., None], np.log(np.maximum(colour, 1) / np.maximum(toned, 1)), 0).astype(np.float32)
-    # Things that differ between plate and footage (people, moved props) are not exposure.
+    # Objects that differ between plate and footage (people, moved props) are not exposure.
     alike = usable & (channel_max(np.abs(ratio)) < 0.2)
     sigma = max(colour.shape[:2]) / 16
     weight = cv2.GaussianBlur(alike.astype(np.float32), (0, 0), sigma)
@@ -195,14 +192,14 @@ def _toned(given: np.ndarray, colour: np.ndarray, common: np.ndarray) -> np.ndar
         if chosen.sum() < _TONE_PIXELS:
             continue
         low, middle, high = np.percentile(target[chosen], (25, 50, 75))
-        # One brightness that turns into many is not a tone but something else standing there.
+        # One brightness that maps to many is not a tone curve but another object.
         if high - low < _TONE_SPREAD:
             rows.append((np.median(source[chosen]), middle))
     if not rows:
         return given * np.float32(np.median(target) / max(np.median(source), 1))
     x, y = np.array(rows).T
     y = np.maximum.accumulate(y)
-    # Beyond the steps that were seen the outermost ratio goes on.
+    # Beyond the measured steps the outermost ratio continues.
     curve = np.interp(given, x, y)
     curve = np.where(given < x[0], given * y[0] / max(x[0], 1), curve)
     return np.where(given > x[-1], given * y[-1] / max(x[-1], 1), curve).astype(np.float32)
@@ -217,15 +214,15 @@ def merge(
     shown: Float[np.ndarray, "H W"],
     usual: Float[np.ndarray, "H W"],
 ) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
-    """The footage's plate and a given one in its exposure (``matched``) as one: colours, where either knows, and where
-    somebody moves.
+    """Colours merged from the footage's plate and a given one (``matched`` in exposure), where either is known, and
+    moving parts.
 
-    The footage counts where measured, the given plate elsewhere. ``seen`` (H, W): not always occupied; ``shown`` (H,
+    The footage counts where measured, otherwise the given plate. ``seen`` (H, W): not always occupied; ``shown`` (H,
     W): how often the footage shows the given plate, ``usual`` (H, W) its own ``colour``. Where the two clearly differ
-    there are two cases. When the given plate comes to light along the edges of such a part, or the part is unsteady and
-    outlined in the footage and not in the plate, it is a person in the footage whom nobody detected: the given plate
-    counts there. Else somebody or something stood in the given plate, or was put into the room later; what of that
-    reaches into unmeasured pixels cannot be told from the room, so a border stays unknown.
+    there are two cases. If the given plate is revealed along the edges of such a part, or the part is unsteady and
+    outlined in the footage and not in the plate, it is an undetected person in the footage: the given plate counts
+    there. Otherwise the given plate shows a person or object, or the room has a new one. Its extent in unmeasured
+    pixels is not known, so a border stays unknown.
     """
     differs = (seen & known & (channel_max(np.abs(matched - colour)) > _OTHER_LEVELS)).astype(np.uint8)
     differs = cv2.morphologyEx(differs, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
@@ -268,9 +265,9 @@ def run(
     given: list[Path],
     plate: Written,
 ) -> None:
-    """The clean plate of ``video`` as an RGBA PNG.
+    """Write the clean plate of ``video`` as an RGBA PNG.
 
-    ``detections`` say where people stand and ``given`` is the user's plate; each is none or one file.
+    ``detections`` are the people's and ``given`` is the user's plate; each is none or one file.
     """
     options = settings
     about = read_footage(footage)
