@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The synthetic studio: a description goes in, a dataset like a user's comes out, with its exact truth.
+"""The synthetic studio: renders a dataset like a user's from a description, with its exact truth.
 
 ``description`` → ``room`` and ``textures``, ``actors`` (``performance``, ``gait``, ``clothing``), ``meshes`` → ``rig``
-(cameras) → ``tracing``, ``film``, ``sensor`` (pictures), ``detections``, ``calibration`` (what a user would bring),
-``truth``. ``takes`` films cameras side by side, ``capture`` is the step.
+(cameras) → ``tracing``, ``film``, ``sensor`` (pictures), ``detections``, ``calibration`` (a user's files), ``truth``.
+``takes`` films cameras in parallel, ``capture`` is the step.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything that moves: dressed people, the bouncing ball and the held stick, as painted meshes at any moment."""
+"""All moving solids as painted meshes at any moment: dressed people, the bouncing ball and the held stick."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from studiorecon.studio.performance import PARTS, perform, shape
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-UNOWNED = 255  # mask value of what moves and is nobody: ball and stick
+UNOWNED = 255  # mask value of moving objects that are not people: ball and stick
 _BALL_RADIUS_M, _BALL_PEAK_M, _BALL_PERIOD_S = 0.12, 0.95, 0.82
 _STICK_RADIUS_M, _STICK_LENGTH_M = 0.016, 0.9
 _LEFT_HAND = 22
@@ -30,7 +30,7 @@ class Actor:
     """One person at all moments of one clock.
 
     Attributes:
-        number: 0-based; masks carry number + 1.
+        number: 0-based; masks hold number + 1.
         betas: (10,); poses: (T, 72); trans_m: (T, 3).
         texture: their clothes.
     """
@@ -72,7 +72,7 @@ class Actors:
         return solids, values
 
     def soles_m(self) -> Float[np.ndarray, "T P 4 3"]:
-        """(T, P, 4, 3) ankles and balls of everybody's feet, lowered to the sole: what darkens the floor beneath."""
+        """(T, P, 4, 3) ankles and balls of all people's feet, lowered to the sole: they darken the floor beneath."""
         found = np.zeros((len(self.times_s), len(self.actors), len(_FEET), 3))
         for number, actor in enumerate(self.actors):
             joints = self.body.joints(actor.poses, actor.betas, actor.trans_m)[:, list(_FEET)]
@@ -81,12 +81,12 @@ class Actors:
         return found
 
     def keypoints_m(self, names: tuple[str, ...]) -> Float[np.ndarray, "T P K 3"]:
-        """(T, P, K, 3) world keypoints of everybody."""
+        """(T, P, K, 3) world keypoints of all people."""
         found = [self.body.keypoints(names, actor.poses, actor.betas, actor.trans_m) for actor in self.actors]
         return np.stack(found, axis=1) if found else np.zeros((len(self.times_s), 0, len(names), 3))
 
     def person(self, actor: Actor) -> Person:
-        """The exact body of one person, as the pipeline's own files store it."""
+        """The exact body of one person, in the pipeline's own file format."""
         frames = len(self.times_s)
         return Person(
             name=f"p{actor.number}",
@@ -128,7 +128,7 @@ class Actors:
 
 
 def _ball(time_s: float) -> Mesh:
-    """A ball that bounces on the spot's way between the people: free fall between exact bounces."""
+    """A ball that bounces in place between the people: free fall between exact bounces."""
     phase = (time_s / _BALL_PERIOD_S + 0.3) % 1
     height = _BALL_RADIUS_M + _BALL_PEAK_M * 4 * phase * (1 - phase)
     across = abs((time_s / 3.0 + 0.2) % 2 - 1) * 1.6 - 0.4

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The calibration file a user would bring, in any of the formats the pipeline reads.
+"""A calibration file in any of the formats that the pipeline reads, as a user would have it.
 
 Files of OpenCV's family count pixels from 0 at the first pixel's centre, so their principal point is half a pixel
 smaller than ours; COLMAP's and nerfstudio's count from the pixel's corner as we do.
@@ -82,7 +82,7 @@ def _pose2sim_like(lenses: Sequence[Lens]) -> dict[str, str]:
 
 
 def _toml(lenses: Sequence[Lens], with_names_as_tables: bool) -> str:
-    """aniposelib's table per camera: Pose2Sim calls it by the camera, the caliscope family by its number."""
+    """aniposelib's table per camera: Pose2Sim names it by the camera, the caliscope family by its number."""
     lines = []
     for index, lens in enumerate(lenses):
         matrix = "[ " + ", ".join(f"[ {_numbers(row, ', ')},]" for row in _integer_centres(lens)) + ",]"
@@ -139,5 +139,5 @@ def _rodrigues(rotation: np.ndarray) -> np.ndarray:
 
 
 def _numbers(values: Sequence[float] | np.ndarray, separator: str = " ") -> str:
-    """Floats with all their digits; whole numbers keep a decimal point, which TOML needs to call them floats."""
+    """Floats with all their digits; whole numbers keep a decimal point, which TOML needs for floats."""
     return separator.join(f"{float(v)!r}" for v in values)

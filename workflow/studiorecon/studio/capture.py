@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``studio.capture``: a description → a dataset like a user's, and beside it the exact truth that only ``report`` may
-read.
+"""``studio.capture``: writes a dataset like a user's from a description, and next to it the exact truth.
 
-The cameras are filmed in :mod:`studiorecon.studio.takes`.
+Only ``report`` may read the truth. The cameras are filmed in :mod:`studiorecon.studio.takes`.
 """
 
 from __future__ import annotations
@@ -55,8 +54,7 @@ def run(description: Path, dataset: Place, truth: Written, body: Path | None = N
 
 
 def _clear(dataset: Path, truth: Path) -> None:
-    """Remove an older capture, which may hold cameras that are gone; refuses to touch a folder that no studio
-    filled."""
+    """Remove an older capture, which may hold removed cameras; refuses to touch a folder that no studio filled."""
     files = [p for folder in (dataset, truth) for p in folder.rglob("*") if not p.is_dir()]
     if files and not (dataset / _MARK).is_file():
         raise UserError(

@@ -21,11 +21,11 @@ _HEM_M = -0.015
 
 @dataclass(frozen=True)
 class Outfit:
-    """What one person wears; colours are linear albedo.
+    """One person's clothes; colours are linear albedo.
 
     Attributes:
-        shirt, shirt_pattern: two colours of the shirt; ``cut`` says how they alternate (stripes, checks, dots, block).
-        sleeve_m: how far along the arms it goes, from the middle of the chest.
+        shirt, shirt_pattern: two colours of the shirt; ``cut`` is their pattern (stripes, checks, dots, block).
+        sleeve_m: how far along the arms it reaches, from the middle of the chest.
         trousers: colour; ``leg_m``: height of their lower end over the pelvis (negative).
     """
 

@@ -18,7 +18,7 @@ from studiorecon.scene.dataset import Dataset
 from studiorecon.scene.outside import read_yaml
 
 DEFAULTS = RESOURCES / "studio" / "defaults.yaml"
-# Sides that H.264 in 8 bits encodes everywhere, and pictures that are drawn in memory in about 4 GB.
+# Side that H.264 in 8 bits encodes everywhere; pictures of it are drawn in about 4 GB of memory.
 _MAX_SIDE_PX = 8192
 _MAX_DRAWN_PX = 8192 * 8192
 
@@ -34,7 +34,7 @@ CALIBRATION_FILES: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class RigDescription:
-    """Where the cameras stand; see ``resources/studio/defaults.yaml`` for every key."""
+    """Positions of the cameras; see ``resources/studio/defaults.yaml`` for every key."""
 
     training: int
     held_out: int
@@ -49,7 +49,7 @@ class RigDescription:
 
 @dataclass(frozen=True)
 class Faults:
-    """What is wrong with the training footage."""
+    """Faults of the training footage."""
 
     exposure: float
     white_balance: float
@@ -60,7 +60,7 @@ class Faults:
 
 @dataclass(frozen=True)
 class Effects:
-    """What happens in the room beside people moving."""
+    """Effects in the room other than people's motion."""
 
     moving_shadows: bool
     contact_shading: float
@@ -72,7 +72,7 @@ class Effects:
 
 @dataclass(frozen=True)
 class DetectionOptions:
-    """Whether 2D keypoints are recorded, and how good they are."""
+    """Whether 2D keypoints are recorded, and their quality."""
 
     recorded: bool
     noise_px: float
@@ -83,7 +83,7 @@ class DetectionOptions:
 
 @dataclass(frozen=True)
 class CalibrationOptions:
-    """In which format the calibration comes, and how wrong it is."""
+    """Format of the calibration, and its errors."""
 
     format: Format
     rotation_error_deg: float
@@ -92,7 +92,7 @@ class CalibrationOptions:
 
 @dataclass(frozen=True)
 class TruthOptions:
-    """Truth that is big and rarely needed."""
+    """Large, rarely needed parts of the truth."""
 
     depth_frames: bool
     flow: bool
@@ -100,7 +100,7 @@ class TruthOptions:
 
 @dataclass(frozen=True)
 class Description:
-    """Everything that defines one made capture; the same description gives the same bytes."""
+    """The full definition of one synthetic capture; the same description gives the same bytes."""
 
     seed: int
     frames: int
@@ -134,13 +134,13 @@ class Description:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all cameras, training first: also their alphabetical order."""
+        """Names of all cameras, training first, which is also their alphabetical order."""
         return self.training + self.held_out
 
 
 def read_description(path: Path) -> Description:
-    """The description in ``path`` over the defaults; raises UserError naming the file, the key and what is allowed
-    there."""
+    """The description in ``path`` over the defaults; raises UserError naming the file, the key and the allowed
+    values."""
     defaults = _mapping(DEFAULTS)
     merged = _merge(defaults, _mapping(path), path, "")
     try:

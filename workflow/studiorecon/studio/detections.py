@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""2D keypoints as a detector would report them: projected body points with occlusion, noise, drop-outs, phantoms and
-shuffled order."""
+"""2D keypoints like a detector's: projected body points with occlusion, noise, drop-outs, phantoms and shuffled
+order."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from studiorecon.studio.tracing import Tracer
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_OWN_BODY_M = 0.22  # a keypoint lies inside its body: the body's own surface may be this far in front of it
+_OWN_BODY_M = 0.22  # a keypoint is inside its body: the body's own surface may be this far in front of it
 _MIN_SEEN = 5
-_HIDDEN_NOISE = 3.0  # a detector guesses hidden points this much worse
+_HIDDEN_NOISE = 3.0  # factor on the noise of hidden points, which a detector guesses
 
 
 def detect(
@@ -29,13 +29,12 @@ def detect(
     options: DetectionOptions,
     rng: np.random.Generator,
 ) -> list[Float[np.ndarray, "K 3"]]:
-    """People as one camera's detector sees them in one frame: (K, 3) pixels (centres at +0.5) and confidence each, 0 =
-    missing.
+    """Detections of people in one camera and frame: (K, 3) pixels (centres at +0.5) and confidence each, 0 = missing.
 
-    ``points_m`` (P, K, 3) are everybody's keypoints, ``tracer`` holds the room and then, from index ``first_actor``,
-    the people. Visible points get a confidence near 0.9, points behind the own body near 0.55, points behind somebody
-    or something else near 0.2 or are missing; points outside the picture are missing. Somebody with fewer than five
-    good points is not reported.
+    ``points_m`` (P, K, 3) are all people's keypoints, ``tracer`` holds the room and then, from index ``first_actor``,
+    the people. Visible points get a confidence near 0.9, points behind the own body near 0.55. Points behind other
+    people or objects have one near 0.2 or are missing; points outside the picture are missing. A person with fewer than
+    five good points is not reported.
     """
     people = []
     width, height = lens.wh
@@ -43,7 +42,7 @@ def detect(
         pixels, depth = projected(lens, points)
         inside = (depth > 0) & (pixels >= 0).all(axis=1) & (pixels < [width, height]).all(axis=1)
         behind_own, behind_other = _hidden(points, lens, tracer, first_actor + number)
-        # Random numbers are drawn for every point, so that planting one fault does not change the dice of another.
+        # Random numbers are drawn for every point, so that one planted fault does not change another's.
         jitter, dice = rng.standard_normal((len(points), 2)), rng.uniform(size=(len(points), 3))
         confidence = np.where(behind_other, 0.2, np.where(behind_own, 0.55, 0.9)) + 0.08 * (dice[:, 0] - 0.5)
         lost = (behind_other & (dice[:, 1] < 0.5)) | (dice[:, 2] < options.drop_outs) | ~inside
@@ -82,7 +81,7 @@ def openpose_json(people: list[Float[np.ndarray, "K 3"]]) -> dict:
 
 
 def _hidden(points_m: np.ndarray, lens: Lens, tracer: Tracer, own: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which points (K,) lie behind their own body, and which behind anything else."""
+    """Which points (K,) are behind their own body, and which behind anything else."""
     towards = points_m - centre_m(lens)
     hits = tracer.cast(centre_m(lens), towards)
     gap_m = (1 - hits.distance) * np.linalg.norm(towards, axis=1)
@@ -91,7 +90,7 @@ def _hidden(points_m: np.ndarray, lens: Lens, tracer: Tracer, own: int) -> tuple
 
 
 def _phantom(count: int, lens: Lens, rng: np.random.Generator) -> np.ndarray:
-    """A person that is not there: points scattered upright around a random place, half of them missing."""
+    """A false detection: points scattered upright around a random place, half of them missing."""
     width, height = lens.wh
     middle = rng.uniform([0.15 * width, 0.3 * height], [0.85 * width, 0.7 * height])
     pixels = middle + rng.standard_normal((count, 2)) * [0.04 * width, 0.15 * height]

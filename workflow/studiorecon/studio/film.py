@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One camera's pictures: the static room once, then per frame only the pixels that something moving touches."""
+"""One camera's pictures: the static room once, then per frame only the pixels that moving solids touch."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Backdrop:
         lens: the lens; ``solids``: the room.
         rays: (S, N, 3) float32 world directions, one metre of z-depth long.
         depth_m: (S, N) z-depth of the room; ``colour``: (S, N, 3) float32 radiance.
-        solid: (S, N) index of the solid that is seen; ``mean`` (N, 3): radiance of the pixels.
+        solid: (S, N) index of the visible solid; ``mean`` (N, 3): radiance of the pixels.
         lamps: one set of lamp points per ray of a pixel.
     """
 
@@ -55,7 +55,7 @@ class Backdrop:
 
 
 def backdrop(lens: Lens, solids: list[Mesh], supersampling: int) -> Backdrop:
-    """Trace the empty room through a lens."""
+    """The empty room, traced through a lens."""
     rays = directions(lens, supersampling).astype(np.float32)
     tracer = Tracer(solids)
     lamps = [lamp_points(s, len(rays)) for s in range(len(rays))]
@@ -111,9 +111,9 @@ def exposed(
         rays = every_ray[changed[retrace]]
         hits = tracer.cast(origin, rays)
         is_moving = hits.solid >= len(scene.solids)
-        # The room keeps its stored colour wherever nothing moving is seen or casts a shadow: bit for bit the same frame
-        # to frame. Half the lamp points do for what moves; the room must be lit by the same ones as in its stored
-        # colour.
+        # The room keeps its stored colour wherever no moving solid is visible or casts a shadow: the same bits from
+        # frame to frame. Half the lamp points suffice for moving solids; the room must be lit by the same ones as in
+        # its stored colour.
         for part, lamps in ((is_moving, scene.lamps[s][::2]), (hits.met & ~is_moving & again[retrace], scene.lamps[s])):
             chosen = np.flatnonzero(part)
             if len(chosen):
@@ -170,7 +170,7 @@ def projected(
 
 
 def centre_m(lens: Lens) -> Float[np.ndarray, " 3"]:
-    """(3,) where the lens is."""
+    """(3,) position of the lens."""
     return -lens.camera_from_world[:3, :3].T @ lens.camera_from_world[:3, 3]
 
 
@@ -204,7 +204,7 @@ def _contact_pixels(scene: Backdrop, soles_m: np.ndarray) -> np.ndarray:
 
 
 def _floor_points(scene: Backdrop, pixels: np.ndarray) -> np.ndarray:
-    """(M, 3) where the first ray of some pixels meets the floor's plane; a point far away where it does not."""
+    """(M, 3) points where the first ray of some pixels meets the floor's plane; a point far away where it does not."""
     rays = scene.rays[0, pixels]
     downward = np.minimum(rays[:, 2], -1e-6)
     return scene.centre_m + rays * (-scene.centre_m[2] / downward)[:, None]

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feet on the floor: foot plants along a path, the pelvis above them, and legs that reach them (two-bone inverse
-kinematics).
+"""Gait: foot plants along a path, the pelvis above them, and legs that reach them (two-bone inverse kinematics).
 
 A planted foot does not move, so nothing slides; the heel rises about the ball of the foot, the toes stay flat.
 """
@@ -27,10 +26,10 @@ class Path:
     """A walk on the floor, by distance walked: a circle around ``centre_m``, or a straight line (radius 0).
 
     Attributes:
-        centre_m: centre of the circle, or where distance 0 is on a line.
+        centre_m: centre of the circle, or distance 0 on a line.
         radius_m: 0 = straight; positive = the centre is on the walker's left.
         heading_rad: direction of walking at distance 0.
-        first_m, last_m: the walk begins and ends here (±inf = it is under way before and after the clip).
+        first_m, last_m: the walk begins and ends here (±inf = it continues before and after the clip).
     """
 
     centre_m: tuple[float, float]
@@ -42,7 +41,7 @@ class Path:
     def at(
         self, distance_m: Float[np.ndarray, " T"], left_m: float | Float[np.ndarray, " T"] = 0.0
     ) -> tuple[Float[np.ndarray, "T 2"], Float[np.ndarray, " T"]]:
-        """Points (T, 2), ``left_m`` beside the path, and headings (T,) at distances walked (T,)."""
+        """Points (T, 2), ``left_m`` to the left of the path, and headings (T,) at distances walked (T,)."""
         heading = self.heading_rad + (distance_m / self.radius_m if self.radius_m else 0 * distance_m)
         forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
         left = np.stack([-forward[:, 1], forward[:, 0]], axis=-1)
@@ -55,7 +54,7 @@ class Path:
 
 @dataclass(frozen=True)
 class FootTrack:
-    """One foot over time: where its flat print lies, and how it is turned and lifted from it.
+    """One foot over time: the position of its flat print, and its pitch and lift.
 
     Attributes:
         distance_m: (T,) along the path.
@@ -94,7 +93,7 @@ def foot_track(clock: Float[np.ndarray, " T"], phase: float, stride_m: float, pa
 
 
 def pelvis_distance(clock: Float[np.ndarray, " T"], stride_m: float, path: Path) -> Float[np.ndarray, " T"]:
-    """(T,) where the pelvis is along the path: midway between the feet, smoothed over a third of a stride."""
+    """(T,) the pelvis's distance along the path: midway between the feet, smoothed over a third of a stride."""
     shifts = np.linspace(-0.4, 0.4, 17)
     weights = np.exp(-0.5 * (shifts / 0.17) ** 2)
     total = sum(

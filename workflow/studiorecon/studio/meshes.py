@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Things with a surface and paint: triangle meshes in the world and the texture that covers them."""
+"""Solids with a surface and paint: triangle meshes in the world and their textures."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Mesh:
         faces: (F, 3) int.
         texture: paint, evaluated in the solid's own frame.
         world_from_solid: (4, 4) rigid.
-        emission: radiance it gives off by itself (the lamps), 0 for everything else.
+        emission: radiance that it emits (the lamps), 0 otherwise.
         mirror: share of a mirror in its surface (the glossy floor).
-        texture_vertices: (V, 3) where every vertex lies in the texture's frame, for what bends; None = rigid, by
+        texture_vertices: (V, 3) vertices in the texture's frame, for solids that bend; None = rigid, by
             ``world_from_solid``.
         vertex_normals: (V, 3) unit normals to interpolate; None = flat faces.
     """
@@ -46,7 +46,7 @@ class Mesh:
 
 
 def placed(position_m: tuple[float, float, float], yaw_rad: float = 0.0) -> Float[np.ndarray, "4 4"]:
-    """(4, 4) world_from_solid of something that stands upright at a place."""
+    """(4, 4) world_from_solid of an upright solid at a position."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     world_from_solid = np.eye(4)
     world_from_solid[:3, :3] = [[c, -s, 0], [s, c, 0], [0, 0, 1]]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The play: who walks where, waves and squats when, and the body poses that do it at any moment.
+"""The play: each person's walk, waves and squats over time, as body poses at any moment.
 
-Continuous in time, so that a camera with a clock offset films the moment it really sees.
+Continuous in time, so that a camera with a clock offset films its true moment.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 NEVER = float("inf")
-_HALF_STEP_M = 0.085  # feet beside the path
+_HALF_STEP_M = 0.085  # distance of the feet from the path
 _TOE_OUT_RAD = np.radians(6)
 _SQUAT_M, _SQUAT_BACK_M, _SQUAT_LEAN_RAD = 0.40, 0.19, np.radians(36)
 _LEFT, _UP, _FORWARD = np.eye(3)
@@ -27,13 +27,13 @@ _LEFT, _UP, _FORWARD = np.eye(3)
 
 @dataclass(frozen=True)
 class MotionPart:
-    """What one person does.
+    """One person's motion.
 
     Attributes:
-        path: their walk; a path that ends where it begins is a place to stand.
-        stride_m, cadence_hz: two steps, and how many of those a second.
-        clock: where in the stride the clip begins.
-        waves_s: from when on the right hand waves; ``squats_s``: from when on they squat, up and down.
+        path: their walk; a path of length 0 is a place to stand.
+        stride_m, cadence_hz: length of two steps, and how many of those a second.
+        clock: position in the stride at the start of the clip.
+        waves_s: start times of the right hand's waves; ``squats_s``: start times of squats.
     """
 
     path: Path
@@ -172,7 +172,7 @@ def _feet(
 def _pelvis_height(
     pelvis: np.ndarray, root: np.ndarray, rest: np.ndarray, ankles: list[np.ndarray], squat: np.ndarray
 ) -> np.ndarray:
-    """(T,) as high as both legs allow, a little bent, and lower by the squat: a smooth minimum over the two legs."""
+    """(T,) as high as both legs allow, slightly bent, and lower by the squat: a smooth minimum over the two legs."""
     heights = []
     for hip, knee, ankle, ankle_m in ((1, 4, 7, ankles[0]), (2, 5, 8, ankles[1])):
         longest = 0.992 * (_length(rest[knee] - rest[hip]) + _length(rest[ankle] - rest[knee]))
@@ -185,14 +185,14 @@ def _pelvis_height(
 
 
 def _smooth_amplitude(part: MotionPart, clock: np.ndarray) -> np.ndarray:
-    """(T,) how much of a full stride is being walked, smoothed over half a stride."""
+    """(T,) share of a full stride, smoothed over half a stride."""
     shifts = np.linspace(-0.3, 0.3, 13)
     tracks = [foot_track(clock + s, phase, part.stride_m, part.path).amplitude for s in shifts for phase in (0.0, 0.5)]
     return np.mean(tracks, axis=0)
 
 
 def _squat(since_s: np.ndarray) -> np.ndarray:
-    """(T,) depth 0..1: down and up again within 2.4 s, over and over."""
+    """(T,) depth 0..1: down and up again within 2.4 s, repeatedly."""
     return np.where(since_s > 0, 0.5 - 0.5 * np.cos(2 * np.pi * np.where(since_s > 0, since_s, 0) / 2.4), 0.0)
 
 

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the synthetic studio's cameras stand, their lenses and rays, and how wrong the calibration is that the user
-gets."""
+"""The synthetic studio's camera positions, lenses and rays, and the errors of the user's calibration."""
 
 from __future__ import annotations
 
@@ -23,7 +22,7 @@ def cameras(description: Description) -> list[Camera]:
     """All cameras as ideal pinholes, in the order of ``description.names``.
 
     Training cameras are evenly spaced (90° apart for four in a ring) up to a seeded jitter, at seeded heights; held-out
-    ones stand exactly halfway between even positions, at the middle height.
+    ones are exactly halfway between even positions, at the middle height.
     """
     rig = description.cameras
     rng = np.random.default_rng([description.seed, 11])
@@ -57,7 +56,7 @@ def _camera(description: Description, name: str, azimuth_deg: float, height_m: f
 
 
 def true_lenses(description: Description, ideal: list[Camera]) -> list[Lens]:
-    """The lenses the footage was really filmed with: training cameras carry the planted radial distortion."""
+    """The true lenses of the footage: training cameras have the planted radial distortion."""
     lenses = []
     for camera in ideal:
         k1 = description.faults.radial_distortion if camera.name in description.training else 0.0
@@ -70,13 +69,13 @@ def true_lenses(description: Description, ideal: list[Camera]) -> list[Lens]:
 
 
 def told_lenses(description: Description, lenses: list[Lens]) -> list[Lens]:
-    """The lenses as the calibration states them: the poses of training cameras carry the planted errors."""
+    """The lenses in the calibration file: the poses of training cameras have the planted errors."""
     import cv2
 
     rng = np.random.default_rng([description.seed, 12])
     told = []
     for lens in lenses:
-        # Drawn for every camera, so that one camera's error does not depend on how many are held out.
+        # Drawn for every camera, so that one camera's error does not depend on the number of held-out ones.
         rotation_error = np.radians(description.calibration.rotation_error_deg) * rng.standard_normal(3)
         centre_error = description.calibration.position_error_m * rng.standard_normal(3)
         if lens.name not in description.training:
@@ -92,8 +91,7 @@ def told_lenses(description: Description, lenses: list[Lens]) -> list[Lens]:
 
 
 def sync_offsets_frames(description: Description) -> dict[str, float]:
-    """How far each camera's clock is off, in frames: frame k shows the moment k + offset. Held-out cameras are
-    exact."""
+    """Clock error of each camera in frames: frame k shows the moment k + offset. Held-out cameras are exact."""
     rng = np.random.default_rng([description.seed, 13])
     most = description.faults.sync_offset_frames
     return {n: most * float(rng.uniform(-1, 1)) if n in description.training else 0.0 for n in description.names}
@@ -113,7 +111,7 @@ def directions(lens: Lens, supersampling: int) -> Float[np.ndarray, "S N 3"]:
             seen = (pixels - lens.intrinsics[:2, 2]) / np.diag(lens.intrinsics)[:2]
             if lens.distortion.any():
                 seen, valid = undistort(seen, lens.model, lens.distortion)
-                # Beyond the lens's fold nothing is seen; such rays look straight ahead, far outside any useful radius.
+                # Beyond the lens's fold nothing is visible; such rays go straight ahead, far outside any useful radius.
                 seen = np.where(valid[:, None], seen, 0.0)
             found.append(np.concatenate([seen, np.ones((len(seen), 1))], axis=1) @ rotation)
     return np.stack(found)

@@ -19,7 +19,7 @@ LAMP_RADIANCE = 2.5
 
 
 def room(seed: int, glossy_floor: float) -> list[Mesh]:
-    """All solids of the room; furniture is shifted a little and every texture drawn anew by the seed."""
+    """All solids of the room; furniture is shifted a little and every texture drawn from the seed."""
     return _shell(seed, glossy_floor) + _furniture(seed, np.random.default_rng(seed))
 
 

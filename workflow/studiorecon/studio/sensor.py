@@ -33,7 +33,7 @@ class Sensor:
 
     @staticmethod
     def perfect() -> Sensor:
-        """No fault at all."""
+        """Whether the sensor has no fault."""
         return Sensor((1.0, 1.0, 1.0), 0.0, (0,))
 
 

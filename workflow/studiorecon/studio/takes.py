@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The films of a capture: cameras of one clock see the same people at the same moments, which are posed, and put before
-the ray caster, once for all of them.
+"""Films a capture: cameras of one clock see the same people at the same moments, posed and added to the ray caster
+once.
 
-Takes, cameras that are filmed together, are shared out among processes. Each camera traces the empty room once and then
-what moves.
+Takes, cameras that are filmed together, are distributed over processes. Each camera traces the empty room once and then
+the moving solids.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from studiorecon.studio.tracing import Tracer
 from studiorecon.studio.truth import TruthFrames
 
 LAYOUT = "body_25"
-# Rays of the cameras whose empty rooms one process keeps: each takes 34 bytes.
+# Most rays of the cameras whose empty rooms one process stores: each takes 34 bytes.
 _MAX_RAYS = 8_000_000
 _LISTEN_S = 0.2
 
 
 @dataclass(frozen=True)
 class Films:
-    """What one process needs to film some cameras of one clock."""
+    """Inputs of one process that films some cameras of one clock."""
 
     description: Description
     lenses: list[Lens]
@@ -55,8 +55,7 @@ class Films:
 
 
 def shared(description: Description, lenses: Sequence[Lens], processes: int) -> list[list[Lens]]:
-    """Lenses in takes, all of a take on one clock: none larger than a process's share or than its memory, the largest
-    first."""
+    """Lenses in takes of one clock each, no larger than a process's share or memory, the largest first."""
     rays = description.size[0] * description.size[1] * description.supersampling**2
     most = max(1, min(-(-len(lenses) // processes), _MAX_RAYS // rays))
     of_clock: dict[float, list[Lens]] = {}
@@ -67,7 +66,7 @@ def shared(description: Description, lenses: Sequence[Lens], processes: int) -> 
 
 
 def filmed(films: Sequence[Films], processes: int) -> Iterator[None]:
-    """Film them all, side by side where there is more than one process; yields after every picture."""
+    """Film all takes, in parallel with more than one process; yields after every picture."""
     workers = min(processes, len(films))
     if workers <= 1:
         for one in films:
@@ -82,7 +81,7 @@ def filmed(films: Sequence[Films], processes: int) -> Iterator[None]:
 
 
 def _heard(done: multiprocessing.Queue[int], takes: Sequence[Future[None]]) -> Iterator[None]:
-    """One by one what processes have done, until all have ended; raises what one of them raised."""
+    """Yields for every picture that a process has done, until all have ended; raises their errors."""
     running = set(takes)
     while True:
         ended = {take for take in running if take.done()}
@@ -110,7 +109,7 @@ def _film(films: Films) -> None:
 
 
 def _pictures(films: Films) -> Iterator[None]:
-    """Write everything that belongs to these cameras; yields after every moment."""
+    """Write all files of these cameras; yields after every moment."""
     described = films.description
     offset = rig.sync_offsets_frames(described)[films.lenses[0].name]
     times_s = (np.arange(described.frames) + offset) / described.fps
@@ -132,7 +131,7 @@ def _pictures(films: Films) -> Iterator[None]:
 
 
 class _Camera:
-    """One camera of a take: its empty room, and what comes of it moment by moment."""
+    """One camera of a take: its empty room, and its results moment by moment."""
 
     def __init__(self, films: Films, lens: Lens, troupe: Actors, solids: list[Mesh]) -> None:
         described = films.description
@@ -146,12 +145,12 @@ class _Camera:
         self._times_s = troupe.times_s
 
     def writers(self) -> list[Writer]:
-        """Who is handed every picture."""
+        """The writers of every picture."""
         described, name = self._films.description, self._lens.name
         video = self._films.dataset / "videos" / f"{name}.mp4"
         found: list[Writer] = [partial(write_watchable, video, fps=described.fps, crf=described.crf)]
         if not self._training:
-            # Held-out pictures are compared with: the truth keeps them without the video's losses.
+            # Held-out pictures are the reference: the truth keeps them without the video's losses.
             lossless = self._films.truth / "frames" / f"{name}.mkv"
             found.append(partial(write_lossless, lossless, fps=described.fps))
         return found
@@ -159,7 +158,7 @@ class _Camera:
     def picture(
         self, frame: int, moving: list[Mesh], values: list[int], tracer: Tracer, following: list[Mesh] | None
     ) -> np.ndarray:
-        """(H, W, 3) uint8 of one moment; its truth is kept, and its keypoints are written where some are recorded."""
+        """(H, W, 3) uint8 of one moment; stores its truth, and writes its keypoints where some are recorded."""
         described, name = self._films.description, self._lens.name
         touched = touched_pixels(self._lens, moving)
         centres = touched_pixels(self._truth.lens, moving) if self._lens.distortion.any() else touched
@@ -175,7 +174,7 @@ class _Camera:
         return developed(light * seen, self._sensor, frame)
 
     def write_rest(self) -> None:
-        """The empty room, what the dataset shows of it, and the truth of all moments."""
+        """Write the empty room, the dataset's plate of it, and the truth of all moments."""
         described, name, truth = self._films.description, self._lens.name, self._films.truth
         empty, depth_m = self._backdrop.picture(), self._truth.room_depth_m
         write_png(truth / "plates" / f"{name}.png", developed(empty, Sensor.perfect(), 0))

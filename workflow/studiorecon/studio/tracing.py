@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rays against painted meshes (Intel's Embree, through embreex), and the light that falls on what they hit."""
+"""Rays against painted meshes (Intel's Embree, through embreex), and the light at their hits."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ POINTS_PER_LAMP = 16
 _LAMP_WEIGHT = 9.4
 _AMBIENT = 0.24
 _SKIN_M = 2e-3  # shadow rays start this far off the surface, so that it does not shade itself
-_TO_THE_TARGET = 0.999  # shadow rays end this far along their way, so that the target does not block itself
+_TO_THE_TARGET = 0.999  # shadow rays end at this share of their way, so that the target does not block itself
 
 
 @dataclass(frozen=True)
 class Hits:
-    """What (N,) rays met, in the ray caster's single precision.
+    """Hits of (N,) rays, in the ray caster's single precision.
 
     Attributes:
-        distance: (N,) in lengths of the ray's direction; inf where nothing was met.
-        solid: (N,) index into the traced solids; -1 where nothing was met.
+        distance: (N,) in lengths of the ray's direction; inf for no hit.
+        solid: (N,) index into the traced solids; -1 for no hit.
         face: (N,) triangle within the solid.
         barycentric: (N, 2) weights of the triangle's second and third vertex.
         normal: (N, 3) unit geometric normal, as the mesh has it.
@@ -44,7 +44,7 @@ class Hits:
 
     @property
     def met(self) -> Bool[np.ndarray, " N"]:
-        """(N,) bool."""
+        """(N,) bool: rays that hit a solid."""
         return self.solid >= 0
 
     def take(self, rays: Shaped[np.ndarray, " M"]) -> Hits:
@@ -53,7 +53,7 @@ class Hits:
 
 
 class Tracer:
-    """Solids in a ray-casting structure that is built once; rays are cast by one thread, since cameras run side by side
+    """Solids in a ray-casting structure that is built once; one thread casts, because cameras run in parallel
     instead."""
 
     def __init__(self, solids: Sequence[Mesh]) -> None:
@@ -79,7 +79,7 @@ class Tracer:
     def blocked(
         self, origins_m: Float[np.ndarray, "... 3"], targets_m: Float[np.ndarray, "... 3"]
     ) -> Bool[np.ndarray, " N"]:
-        """(N,) bool: something stands between the points and their targets."""
+        """(N,) bool: a solid is between the points and their targets."""
         return self._scene.run(*_rays(origins_m, targets_m - origins_m), _TO_THE_TARGET, query="OCCLUDED") >= 0
 
 
@@ -128,7 +128,7 @@ def lamp_gain(
 
 
 def ambient_light(points_m: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
-    """(N,) light bounced by the room: brighter on what faces up, darker in its edges and corners (closed form, no
+    """(N,) light reflected by the room: brighter on upward surfaces, darker in its edges and corners (closed form, no
     rays)."""
     light = _AMBIENT * (1 + 0.22 * normals[:, 2])
     for axis, half in ((0, HALF_X_M), (1, HALF_Y_M)):
@@ -140,15 +140,15 @@ def ambient_light(points_m: Float[np.ndarray, "N 3"], normals: Float[np.ndarray,
 
 
 def _rays(origins_m: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    # Two arrays of one length: embreex reads as many directions as there are origins without looking.
+    # Two arrays of one length: embreex reads as many directions as there are origins without a check.
     directions = np.ascontiguousarray(directions, dtype=np.float32)
     return np.ascontiguousarray(np.broadcast_to(np.asarray(origins_m, dtype=np.float32), directions.shape)), directions
 
 
 @dataclass(frozen=True)
 class TracedSurface:
-    """The surfaces that rays met: points (N, 3), unit normals (N, 3) towards the ray's side, albedo (N, 3), emission
-    and mirror (N,)."""
+    """The surfaces at the rays' hits: points (N, 3), unit normals (N, 3) towards the ray's side, albedo (N, 3),
+    emission and mirror (N,)."""
 
     points_m: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
@@ -160,8 +160,8 @@ class TracedSurface:
 def surfaces(
     solids: Sequence[Mesh], hits: Hits, origins_m: Float[np.ndarray, "... 3"], directions: Float[np.ndarray, "N 3"]
 ) -> TracedSurface:
-    """What is at the hits, which must all have met something; solid by solid, so that each paints its own points at
-    once."""
+    """Surfaces at the hits, all of which must have hit a solid; evaluated solid by solid, so that each paints its
+    points at once."""
     points = origins_m + directions * hits.distance[:, None]
     normals = hits.normal.astype(points.dtype)
     albedo = np.zeros_like(points)
@@ -180,7 +180,7 @@ def surfaces(
             local = (points[here] - solid.world_from_solid[:3, 3].astype(points.dtype)) @ rotation
         albedo[here] = solid.texture(local, normals[here] @ rotation)
         emission[here], mirror[here] = solid.emission, solid.mirror
-    # Thin walls are seen from one side only, but a mesh's winding need not know which.
+    # Thin walls are seen from one side only, but a mesh's winding may be the other.
     normals = np.where((np.einsum("ij,ij->i", hits.normal, directions) > 0)[:, None], -normals, normals)
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     return TracedSurface(points, normals, albedo, emission, mirror)
@@ -195,8 +195,8 @@ def radiance(
     lamps: Float[np.ndarray, "M 4"],
     bounces: int = 1,
 ) -> Float[np.ndarray, "N 3"]:
-    """(N, 3) light that comes back along the rays: diffuse under the lamps and the room's bounced light, plus one
-    mirror bounce."""
+    """(N, 3) light that returns along the rays: diffuse under the lamps and the room's reflected light, plus one mirror
+    bounce."""
     surface = surfaces(solids, hits, origins_m, directions)
     light = lamp_light(surface.points_m, surface.normals, lamps, tracer) + ambient_light(
         surface.points_m, surface.normals

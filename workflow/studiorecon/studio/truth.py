@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exact truth of one camera, by one ray through every pixel's centre of the ideal pinhole: depth, who is where,
-motion."""
+"""Exact truth of one camera, by one ray through every pixel's centre of the ideal pinhole: depth, masks, motion."""
 
 from __future__ import annotations
 
@@ -31,9 +30,9 @@ class TruthFrames:
     Attributes:
         room_depth_m: (H, W) float32 z-depth of the empty room.
         masks: per frame (H, W) uint8: 0 room, k + 1 person k, 255 props.
-        depths: per frame (H, W) uint16 millimetres, when wanted.
+        depths: per frame (H, W) uint16 millimetres, when configured.
         flows: per frame (H, W, 2) float16 motion to the next frame in pixels, NaN where the point leaves the picture's
-            side of the camera, when wanted.
+            side of the camera, when configured.
     """
 
     def __init__(self, lens: Lens, solids: list[Mesh], options: TruthOptions) -> None:
@@ -79,7 +78,7 @@ class TruthFrames:
             self.flows.append(flow.reshape(*self._shape, 2).astype(np.float16))
 
     def write(self, folder: Path, fps: float) -> None:
-        """Write ``masks/``, and ``depth_frames/`` and ``flow/`` when wanted."""
+        """Write ``masks/``, and ``depth_frames/`` and ``flow/`` when configured."""
         name = self.lens.name
         write_lossless(folder / "masks" / f"{name}.mkv", self.masks, fps)
         if self.depths:
