@@ -18,13 +18,13 @@ def angle_z_deg(rotation: np.ndarray) -> np.ndarray:
     return np.rad2deg(np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0]))
 
 
-def slerp_of_equal() -> None:
+def test_r01_slerp_of_equal() -> None:
     # Naive: sin 0 / sin 0, NaN.
     q = rotations.exp([0.3, -0.2, 0.9])
     np.testing.assert_allclose(rotations.slerp(q, q, 0.37), q, atol=1e-12)
 
 
-def slerp_of_rounded_rotations() -> None:
+def test_r02_slerp_of_rounded_rotations() -> None:
     # Naive: q·q > 1 in 20 % of float32 quaternions, arccos NaN.
     rounded = Rotation.random(2000, random_state=0).as_matrix().astype(np.float32)
     middle = rotations.slerp(rounded, rounded, np.full(2000, 0.5))
@@ -35,7 +35,7 @@ def slerp_of_rounded_rotations() -> None:
     np.testing.assert_allclose(rotations.slerp(exact, exact, np.full(2000, 0.5)), exact, atol=1e-12)
 
 
-def slerp_of_opposite_quaternions() -> None:
+def test_r03_slerp_of_opposite_quaternions() -> None:
     # Naive: q and −q cancel, norm 0. Matrices do not know the sign; quaternions enter through from_quaternion.
     q = np.array([0.5, 0.5, -0.5, 0.5])
     np.testing.assert_allclose(
@@ -43,12 +43,12 @@ def slerp_of_opposite_quaternions() -> None:
     )
 
 
-def slerp_takes_the_short_way() -> None:
+def test_r04_slerp_takes_the_short_way() -> None:
     # Naive: 0° and 60° given as −q has its middle at −150°.
     assert angle_z_deg(rotations.slerp(about_z(0), about_z(60), 0.5)) == pytest.approx(30, abs=1e-10)
 
 
-def slerp_of_half_a_turn_is_deterministic() -> None:
+def test_r05_slerp_of_half_a_turn_is_deterministic() -> None:
     # Naive: −90° or +90° by the sign of the noise.
     middles = [
         angle_z_deg(rotations.slerp(about_z(0), about_z(180 + np.rad2deg(noise)), 0.5)) for noise in (-1e-9, 0.0, 1e-9)
@@ -59,7 +59,7 @@ def slerp_of_half_a_turn_is_deterministic() -> None:
     np.testing.assert_allclose(level[0], level[1], atol=1e-6)
 
 
-def slerp_of_tiny_angles() -> None:
+def test_r06_slerp_of_tiny_angles() -> None:
     # Naive float32 at 3e-4 rad: 2.3 % off.
     for tiny in (1e-3, 3e-4, 1e-9, 0.0):
         assert rotations.angle(
@@ -67,7 +67,7 @@ def slerp_of_tiny_angles() -> None:
         ) == pytest.approx(tiny / 2, rel=1e-6)
 
 
-def exp_at_zero_and_its_generators() -> None:
+def test_r09_exp_at_zero_and_its_generators() -> None:
     # Naive: θ in the denominator, NaN.
     np.testing.assert_array_equal(rotations.exp(np.zeros(3)), np.eye(3))
     for axis in np.eye(3):
@@ -75,14 +75,14 @@ def exp_at_zero_and_its_generators() -> None:
         np.testing.assert_allclose(generator, rotations.cross_matrix(axis), atol=1e-9)
 
 
-def exp_keeps_the_second_order_term() -> None:
+def test_r10_exp_keeps_the_second_order_term() -> None:
     # Naive: (1 − cos θ)/θ² is 0.477 at 1e-3 and 0 at 1e-4 in float32.
     for angle in (1e-3, 3e-4, 1e-4, 1e-6, 1e-9):
         x, y, _ = axis_angle = angle * np.array([0.6, 0.8, 0.0])
         assert rotations.exp(axis_angle)[0, 1] / (x * y) == pytest.approx(0.5, rel=1e-6)
 
 
-def log_of_small_float32_rotations() -> None:
+def test_r11_log_of_small_float32_rotations() -> None:
     # Naive arccos: 0 at 3e-4 in float32, NaN for 0.3 % of RᵀR.
     rotation = rotations.exp([3e-4, 0, 0]).astype(np.float32)
     assert np.linalg.norm(rotations.log(rotation)) == pytest.approx(3e-4, rel=1e-3)
@@ -92,7 +92,7 @@ def log_of_small_float32_rotations() -> None:
     assert np.abs(near_zero).max() < 1e-6
 
 
-def log_near_half_a_turn() -> None:
+def test_r12_log_near_half_a_turn() -> None:
     # Naive: error 0.108 at π − 1e-3, 3597 at π − 1e-4 (float32), 12.1 at π (float64).
     axis = np.array([0.48, -0.6, 0.64])
     for short, tolerance, kind in (
@@ -107,7 +107,7 @@ def log_near_half_a_turn() -> None:
         np.testing.assert_allclose(found, (np.pi - short) * axis, atol=tolerance)
 
 
-def quaternion_near_half_a_turn() -> None:
+def test_r13_quaternion_near_half_a_turn() -> None:
     # Naive trace branch: norm 0.965, inf, NaN.
     for short in (1e-3, 1e-4, 0.0):
         for axis in np.vstack([np.eye(3), [[0.6, 0.0, 0.8]]]):
@@ -116,13 +116,13 @@ def quaternion_near_half_a_turn() -> None:
             np.testing.assert_allclose(np.abs(q[1:]), np.abs(axis) * np.cos(short / 2), atol=1e-9)
 
 
-def quaternion_of_length_zero() -> None:
+def test_r14_quaternion_of_length_zero() -> None:
     # Naive: NaN at 0, inf and NaN at 1e-23.
     for length in (0.0, 1e-23):
         np.testing.assert_array_equal(rotations.from_quaternion(np.full(4, length)), np.eye(3))
 
 
-def distance_of_equal_rotations_has_a_gradient() -> None:
+def test_r15_distance_of_equal_rotations_has_a_gradient() -> None:
     # Naive arccos of the trace: gradient −inf; clamped at 1 − 1e-7 the value floors at 4.9e-4 rad and the gradient is
     # 0.
     start = rotations.exp([0.3, -0.2, 0.9])
@@ -136,7 +136,7 @@ def distance_of_equal_rotations_has_a_gradient() -> None:
     assert rotations.angle(start, start @ rotations.exp([np.pi, 0, 0])) == pytest.approx(np.pi, abs=1e-7)
 
 
-def parallel_vectors_still_span_a_rotation() -> None:
+def test_r20_parallel_vectors_still_span_a_rotation() -> None:
     # Naive: the camera's right is forward × up, NaN once it is normalised where it looks straight up or down.
     eye = np.array([0.4, -1.0, 2.0])
     for down in ([0, 0, -2.0], [0, 0, 3.0], [1e-9, 0, -2.0], [0, 0, 0]):
@@ -147,7 +147,7 @@ def parallel_vectors_still_span_a_rotation() -> None:
             np.testing.assert_allclose(found[:, 2], down / np.linalg.norm(down), atol=1e-9)
 
 
-def mean_does_not_mind_signs() -> None:
+def test_r16_mean_does_not_mind_signs() -> None:
     # Naive component mean of q(10°) and −q(12°): −169°.
     half = np.deg2rad([5.0, 6.0])
     quaternions = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=-1) * np.array([[1], [-1]])
@@ -156,12 +156,12 @@ def mean_does_not_mind_signs() -> None:
     assert angle_z_deg(mean) == pytest.approx(11, abs=1e-9)
 
 
-def mean_of_thirds_is_undetermined() -> None:
+def test_r17_mean_of_thirds_is_undetermined() -> None:
     # Naive: an arbitrary 90°.
     assert not rotations.mean(about_z(np.array([0.0, 120, 240])))[1]
 
 
-def long_products_are_repaired() -> None:
+def test_r18_long_products_are_repaired() -> None:
     # Naive: |RᵀR − I| 7.7e-4 after 1e5 float32 products.
     step, product = rotations.exp([0.01, 0.02, 0.03]).astype(np.float32), np.eye(3, dtype=np.float32)
     for _ in range(100_000):
@@ -171,7 +171,7 @@ def long_products_are_repaired() -> None:
     assert np.linalg.det(repaired) == pytest.approx(1, abs=1e-12)
 
 
-def kabsch_of_a_planar_torso() -> None:
+def test_r19_kabsch_of_a_planar_torso() -> None:
     # Naive: det < 0 in 49 % of noisy draws, 100 % of exactly planar ones.
     rng = np.random.default_rng(0)
     torso = np.array([[0.2, 0.5, 0], [-0.2, 0.5, 0], [0.12, 0, 0], [-0.12, 0, 0]])
@@ -184,120 +184,9 @@ def kabsch_of_a_planar_torso() -> None:
         assert np.rad2deg(rotations.angle(rotation, truth)).max() < (1e-4 if noise == 0 else 20)
 
 
-def pitch_crosses_ninety() -> None:
+def test_r21_pitch_crosses_ninety() -> None:
     # Naive Euler angles: 108° error; rotation vectors 0.43°.
     pitch = np.deg2rad(np.linspace(80, 100, 41))
     turns = rotations.exp([0, 0, 0.5]) @ rotations.exp(pitch[:, None] * np.array([0, 1.0, 0]))
     smooth = smoothing.smooth_rotations(turns, 0.5, 1.0)
     assert np.rad2deg(rotations.angle(smooth, turns))[18:-18].max() < 1e-9
-
-
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(slerp_of_equal, id="R01"),
-        pytest.param(slerp_of_rounded_rotations, id="R02"),
-        pytest.param(slerp_of_opposite_quaternions, id="R03"),
-        pytest.param(slerp_takes_the_short_way, id="R04"),
-        pytest.param(slerp_of_half_a_turn_is_deterministic, id="R05"),
-        pytest.param(slerp_of_tiny_angles, id="R06"),
-        pytest.param(exp_at_zero_and_its_generators, id="R09"),
-        pytest.param(exp_keeps_the_second_order_term, id="R10"),
-        pytest.param(log_of_small_float32_rotations, id="R11"),
-        pytest.param(log_near_half_a_turn, id="R12"),
-        pytest.param(quaternion_near_half_a_turn, id="R13"),
-        pytest.param(quaternion_of_length_zero, id="R14"),
-        pytest.param(distance_of_equal_rotations_has_a_gradient, id="R15"),
-        pytest.param(mean_does_not_mind_signs, id="R16"),
-        pytest.param(mean_of_thirds_is_undetermined, id="R17"),
-        pytest.param(long_products_are_repaired, id="R18"),
-        pytest.param(kabsch_of_a_planar_torso, id="R19"),
-        pytest.param(parallel_vectors_still_span_a_rotation, id="R20"),
-        pytest.param(pitch_crosses_ninety, id="R21"),
-    ],
-)
-def test_rotation(case) -> None:
-    case()
-
-
-def alternating_across_half_a_turn() -> None:
-    # Naive on axis-angle: 39..77° for a truth of 180°.
-    smooth = smoothing.smooth_rotations(about_z(np.where(np.arange(30) % 2, 179.0, -179.0)), 0.5, 1.0)
-    assert np.rad2deg(rotations.angle(smooth, about_z(180))).max() < 1
-
-
-def slow_turn_through_half_a_turn() -> None:
-    # Naive: 132° error; canonical quaternions 6.0°, sign-continued 1.5°.
-    turns = about_z(np.linspace(150, 210, 61))
-    error = np.rad2deg(rotations.angle(smoothing.smooth_rotations(turns, 0.5, 1.0), turns))
-    assert error[18:-18].max() < 1e-9
-    assert error.max() <= 2
-
-
-def constant_keeps_its_value_at_the_ends() -> None:
-    # Naive zero padding: 0.70 of the value.
-    np.testing.assert_allclose(smoothing.smooth_vectors(np.ones(9), 0.5, 1.0), 1, rtol=1e-14)
-
-
-def short_clips() -> None:
-    # Naive: at T = 2 the motion shrinks to 29 %, filtfilt raises at 3.
-    for frames in (0, 1, 2):
-        values = np.arange(frames, dtype=float)[:, None]
-        np.testing.assert_array_equal(smoothing.smooth_vectors(values, 0.5, 1.0), values)
-        assert smoothing.smooth_rotations(about_z(values[:, 0]), 0.5, 1.0).shape == (frames, 3, 3)
-    assert np.isfinite(smoothing.smooth_vectors(np.arange(3.0), 0.5, 1.0)).all()
-
-
-def one_missing_frame() -> None:
-    # Naive: NaN spreads over all ten frames.
-    values, valid = np.linspace(0, 9, 10), np.arange(10) != 4
-    with_gap = smoothing.smooth_vectors(smoothing.fill_vectors(np.where(valid, values, np.nan), valid), 0.5, 1.0)
-    np.testing.assert_allclose(with_gap, smoothing.smooth_vectors(values, 0.5, 1.0), atol=1e-12)
-
-
-def cascade_lowers_acceleration() -> None:
-    noise = np.random.default_rng(0).normal(size=40000)
-    before = np.diff(noise, n=2).std()
-    assert np.diff(smoothing.smooth_vectors(noise, 0.5, 0.0), n=2).std() / before == pytest.approx(0.147, abs=0.003)
-    assert np.diff(smoothing.smooth_vectors(noise, 0.5, 1.0), n=2).std() / before == pytest.approx(0.046, abs=0.002)
-
-
-def motion_that_survives() -> None:
-    for period, share in ((8, 0.34), (15, 0.68), (30, 0.90)):
-        assert smoothing.gain(0.5, 1.0, period) == pytest.approx(share, abs=0.005)
-        wave = np.sin(2 * np.pi * np.arange(600) / period)
-        assert np.abs(smoothing.smooth_vectors(wave, 0.5, 1.0)[100:-100]).max() == pytest.approx(share, abs=0.02)
-
-
-def first_frame_has_no_more_say() -> None:
-    # Naive averaged passes: total influence 1.25.
-    for alpha, sigma in ((0.5, 0.0), (0.5, 1.0), (0.7, 0.7)):
-        influence = smoothing.smooth_vectors(np.eye(60), alpha, sigma).sum(0)
-        assert influence.max() <= 1.05
-
-
-def large_bends_with_large_steps() -> None:
-    # Naive mean of rotation vectors: up to 2.7° off for a joint at 120° with steps of 30°. A constant turn must stay
-    # itself.
-    start = rotations.exp(np.deg2rad(120) * np.array([0.6, 0.8, 0.0]))
-    turns = start @ rotations.exp(np.deg2rad(5.0) * np.arange(60)[:, None] * np.array([0, 0.6, 0.8]))
-    error = np.rad2deg(rotations.angle(smoothing.smooth_rotations(turns, 0.5, 1.0), turns))
-    assert error[18:-18].max() < 1e-9
-
-
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(alternating_across_half_a_turn, id="F01"),
-        pytest.param(slow_turn_through_half_a_turn, id="F02"),
-        pytest.param(constant_keeps_its_value_at_the_ends, id="F03"),
-        pytest.param(short_clips, id="F04"),
-        pytest.param(one_missing_frame, id="F05"),
-        pytest.param(cascade_lowers_acceleration, id="F06"),
-        pytest.param(motion_that_survives, id="F07"),
-        pytest.param(first_frame_has_no_more_say, id="F08"),
-        pytest.param(large_bends_with_large_steps, id="F09"),
-    ],
-)
-def test_smoothing(case) -> None:
-    case()

@@ -5,28 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from studiorecon.geometry import rotations
-
-coordinates = st.floats(-1.8, 1.8)
-vectors = st.tuples(coordinates, coordinates, coordinates).map(np.array)
-
-
-@given(vectors)
-def test_log_inverts_exp_below_half_a_turn(w: np.ndarray) -> None:
-    if np.linalg.norm(w) < np.pi - 1e-6:
-        np.testing.assert_allclose(rotations.log(rotations.exp(w)), w, atol=1e-9)
-
-
-@given(vectors, vectors, st.floats(0, 1))
-def test_slerp_is_the_same_way_back(a: np.ndarray, b: np.ndarray, share: float) -> None:
-    first, second = rotations.exp(a), rotations.exp(b)
-    if rotations.angle(first, second) < np.pi - 1e-5:
-        forth, back = rotations.slerp(first, second, share), rotations.slerp(second, first, 1 - share)
-        np.testing.assert_allclose(forth, back, atol=1e-8)
-        np.testing.assert_allclose(rotations.angle(first, forth), share * rotations.angle(first, second), atol=1e-8)
 
 
 def test_exp_log_and_quaternions_agree_with_scipy() -> None:

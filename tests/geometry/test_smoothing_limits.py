@@ -105,6 +105,8 @@ def test_an_unfilled_gap_is_refused(bad: float) -> None:
         ValueError, match=r"values of shape \(10, 3\) has 1 values that are not finite, the first at \(4, 1\)"
     ):
         smoothing.smooth_vectors(values, *PAPER)
+    with pytest.raises(ValueError, match="no valid frame"):
+        smoothing.fill_vectors(np.zeros((10, 3)), np.zeros(10, dtype=bool))
     turns = about(Z, np.zeros(10))
     turns[4, 1, 1] = bad
     with pytest.raises(ValueError, match="not finite"):
@@ -186,3 +188,32 @@ def test_what_is_smoothed_follows_the_settings() -> None:
     np.testing.assert_allclose(faster[1], smoothing.smooth_vectors(trans, 1 - 0.5**0.5, 2.0))
     with pytest.raises(ValueError, match=r"trans_m has shape \(29, 3\)"):
         Smoothing(HALF_S, 1 / 30, "cascade", True, "rotations").smooth_body(local, trans[:29], 30.0)
+
+
+def test_no_smoothing_changes_nothing() -> None:
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(20, 4))
+    np.testing.assert_array_equal(smoothing.smooth_vectors(values, 1.0, 0.0), values)
+    turns = rotations.exp(rng.normal(size=(20, 5, 3)))
+    np.testing.assert_allclose(smoothing.smooth_rotations(turns, 1.0, 0.0), turns, atol=1e-14)
+
+
+def test_time_reversal_commutes() -> None:
+    values = np.random.default_rng(1).normal(size=(30, 3))
+    np.testing.assert_allclose(
+        smoothing.smooth_vectors(values[::-1], 0.5, 1)[::-1], smoothing.smooth_vectors(values, 0.5, 1), atol=1e-14
+    )
+
+
+@pytest.mark.parametrize("fps", [15.0, 60.0, 120.0])
+def test_smoothing_keeps_its_length_in_seconds(fps: float) -> None:
+    reference = Smoothing(1 / (30 * np.log(2)), 1 / 30, "cascade", True, "rotations")
+    alpha, sigma = smoothing.at_frame_rate(reference, fps)
+    # A motion of two seconds keeps the same share at every frame rate.
+    assert smoothing.gain(alpha, sigma, 2 * fps) == pytest.approx(smoothing.gain(0.5, 1.0, 60), abs=0.01)
+    assert smoothing.at_frame_rate(reference, 30.0) == pytest.approx((0.5, 1.0))
+
+
+def test_impossible_strengths_are_refused() -> None:
+    with pytest.raises(ValueError, match="alpha"):
+        smoothing.kernel(0.0, 1.0)

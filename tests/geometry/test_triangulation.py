@@ -45,30 +45,6 @@ def test_three_times_the_noise_is_nine_times_the_covariance():
     assert np.abs(three.covariance_m2 / one.covariance_m2 - 9).max() < 1e-6
 
 
-def test_moving_turning_and_scaling_the_world_moves_turns_and_scales_the_points():
-    points, cameras = cloud(100, RNG(3)), ring()
-    pixels = seen(cameras, points, 2.0, RNG(4))
-    rotation, shift = exp(np.array([0.3, -1.0, 2.0])), np.array([10.0, -20.0, 3.0])
-    turned = [moved(c, c.camera_from_world[:3, :3] @ rotation.T, 3.0 * rotation @ c.centre_m + shift) for c in cameras]
-    here = triangulate(pixels, ONES((4, 100)), cameras, LIMITS)
-    there = triangulate(pixels, ONES((4, 100)), turned, replace(LIMITS, near_m=0.3))
-    assert np.abs(3.0 * here.points_m @ rotation.T + shift - there.points_m).max() < 1e-6
-
-
-def test_permuting_views_permutes_the_answer_and_an_empty_view_changes_nothing():
-    points, cameras = cloud(100, RNG(5)), ring()
-    pixels = seen(cameras, points, 2.0, RNG(6))
-    order = [2, 0, 3, 1]
-    first = triangulate(pixels, ONES((4, 100)), cameras, LIMITS)
-    second = triangulate(pixels[order], ONES((4, 100)), [cameras[i] for i in order], LIMITS)
-    assert np.abs(first.points_m - second.points_m).max() < 1e-9
-    assert np.array_equal(first.inliers[order], second.inliers)
-    third = triangulate(
-        np.concatenate([pixels, np.full((1, 100, 2), np.nan)]), ONES((5, 100)), [*cameras, cameras[0]], LIMITS
-    )
-    assert np.array_equal(first.points_m, third.points_m)
-
-
 def test_no_points_are_no_points():
     found = triangulate(np.zeros((4, 0, 2)), np.zeros((4, 0)), ring(), LIMITS)
     assert found.points_m.shape == (0, 3)
@@ -83,23 +59,6 @@ def test_ray_distance_is_the_gap_and_rays_that_meet_behind_are_infinitely_far():
     assert meets[0] == pytest.approx(0.1)
     behind = ray_distances(origin, np.array([[-1.0, 0, 0]]), np.array([2.0, -1.0, 0.1]), np.array([[0, 1.0, 0]]))
     assert not np.isfinite(behind[0])
-
-
-def test_groups_do_not_depend_on_the_order_of_the_nodes():
-    rng = RNG(7)
-    person = np.repeat(np.arange(3), 4)
-    view = np.tile(np.arange(4), 3)
-    distance = np.where(person[:, None] == person[None], 0.03, 0.6) + rng.uniform(0, 0.02, (12, 12))
-    distance = (distance + distance.T) / 2
-    distance[view[:, None] == view[None]] = np.nan
-    moments = np.ones((12, 12))
-    order = rng.permutation(12)
-    plain = {frozenset(g) for g in groups_of(distance, view, moments, 0.15)}
-    shuffled = {
-        frozenset(int(order[n]) for n in g)
-        for g in groups_of(distance[np.ix_(order, order)], view[order], moments, 0.15)
-    }
-    assert plain == shuffled == {frozenset(np.flatnonzero(person == p).tolist()) for p in range(3)}
 
 
 def test_bundle_adjustment_brings_a_turned_camera_back_and_leaves_the_world_where_it_was():

@@ -31,8 +31,7 @@ def test_similarity_of_flat_pictures_is_the_luminance_term_alone(level: int, oth
     assert metrics.ssim(similarity) == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize("case", [pytest.param("", id="I02")])
-def test_the_range_is_never_inferred_from_a_dark_pair(case: str) -> None:
+def test_i02_the_range_is_never_inferred_from_a_dark_pair() -> None:
     # Naive, range from the data: SSIM 0.747 for 0.877 and PSNR 26.0 for 36.5.
     from skimage.metrics import structural_similarity
 
@@ -57,8 +56,7 @@ def test_the_range_is_never_inferred_from_a_dark_pair(case: str) -> None:
     assert metrics.psnr(noisy, dark) == pytest.approx(10 * np.log10(255**2 / squares), abs=1e-9)
 
 
-@pytest.mark.parametrize("case", [pytest.param("", id="I03")])
-def test_identical_pictures_count_a_hundred_decibels_and_are_counted(case: str) -> None:
+def test_i03_identical_pictures_count_a_hundred_decibels_and_are_counted() -> None:
     # Naive: infinite, and so is every mean it enters.
     picture = np.random.default_rng(0).integers(0, 256, SHAPE, dtype=np.uint8)
     noisy = (picture ^ 1).astype(np.uint8)
@@ -69,8 +67,7 @@ def test_identical_pictures_count_a_hundred_decibels_and_are_counted(case: str) 
     assert entry["value"] == pytest.approx((100 + 20 * np.log10(255)) / 2)
 
 
-@pytest.mark.parametrize("case", [pytest.param("", id="I04")])
-def test_values_beyond_white_are_clamped_first(case: str) -> None:
+def test_i04_values_beyond_white_are_clamped_first() -> None:
     # Naive: 5 % of the pixels 0.6 too bright score 17.4 dB, clamped 18.7 in the table's example.
     rng = np.random.default_rng(0)
     photo = rng.integers(102, 204, (100, 100, 3)).astype(np.float64) / 255
@@ -90,8 +87,7 @@ def test_squared_errors_are_exact_whatever_the_width_of_the_pictures(width: type
     assert error == pytest.approx((3 / 255) ** 2, rel=1e-12)
 
 
-@pytest.mark.parametrize("case", [pytest.param("", id="I07-metric")])
-def test_a_frame_without_a_single_pixel_is_skipped_and_counted(case: str) -> None:
+def test_i07_metric_a_frame_without_a_single_pixel_is_skipped_and_counted() -> None:
     # Naive: 0/0, a NaN that swallows the mean of the film.
     rng = np.random.default_rng(0)
     photo = rng.integers(0, 256, SHAPE, dtype=np.uint8)
@@ -104,8 +100,7 @@ def test_a_frame_without_a_single_pixel_is_skipped_and_counted(case: str) -> Non
         assert np.isfinite(entry["value"])
 
 
-@pytest.mark.parametrize("case", [pytest.param("", id="I08-metric")])
-def test_an_error_inside_a_person_does_not_reach_the_similarity_outside(case: str) -> None:
+def test_i08_metric_an_error_inside_a_person_does_not_reach_the_similarity_outside() -> None:
     # Naive, map averaged outside the undilated mask: 0.991.
     photo = np.random.default_rng(0).integers(0, 256, SHAPE, dtype=np.uint8)
     person = np.zeros(SHAPE[:2], bool)
@@ -115,8 +110,7 @@ def test_an_error_inside_a_person_does_not_reach_the_similarity_outside(case: st
     assert similarity[~person].mean() < 0.999
 
 
-@pytest.mark.parametrize("case", [pytest.param("", id="I09-metric")])
-def test_masked_similarity_divides_by_the_mask(case: str) -> None:
+def test_i09_metric_masked_similarity_divides_by_the_mask() -> None:
     # Naive, person blanked in both and the whole map averaged: 0.513 for a true 0.475.
     rng = np.random.default_rng(0)
     photo = rng.integers(0, 256, SHAPE, dtype=np.uint8)
@@ -155,8 +149,7 @@ def test_a_training_depth_that_is_none_sees_nothing(depth: float) -> None:
     assert not truth.seen_by(points, known, camera, np.full_like(real, depth), (0.05,))[0][0].any()
 
 
-@pytest.mark.parametrize("case", [pytest.param("", id="V02")])
-def test_the_seen_test_is_relative_to_the_training_depth_and_its_sensitivity_is_told(case: str) -> None:
+def test_v02_the_seen_test_is_relative_to_the_training_depth_and_its_sensitivity_is_told() -> None:
     # 4.77 m against a training depth of 5.02 m: 4.98 % of the training depth, 5.24 % of the other.
     camera = ring([0.0], "c")[0]
     pixels = camera.pixel_centres()[30:50, 50:80]
@@ -221,8 +214,7 @@ def test_constant_speed_with_a_gap_has_no_jitter(filler: float) -> None:
     assert (found["used"], found["skipped"]) == (15, 3)
 
 
-@pytest.mark.parametrize("case", [pytest.param("", id="V05")])
-def test_a_steady_turn_through_half_a_turn_has_no_jitter(case: str) -> None:
+def test_v05_a_steady_turn_through_half_a_turn_has_no_jitter() -> None:
     # Naive, differences of axis-angles: mean 37.9, largest 360 °/frame².
     turn = np.radians(np.arange(150.0, 211.0))[:, None] * np.array([0, 0, 1.0])
     principal = rotations.log(rotations.exp(turn))
@@ -232,8 +224,7 @@ def test_a_steady_turn_through_half_a_turn_has_no_jitter(case: str) -> None:
     assert found["pose_deg_f2"] < 1e-9
 
 
-@pytest.mark.parametrize("case", [pytest.param("", id="V05-noise")])
-def test_jitter_of_known_noise_and_of_free_fall_is_what_it_should_be(case: str) -> None:
+def test_v05_noise_jitter_of_known_noise_and_of_free_fall_is_what_it_should_be() -> None:
     rng = np.random.default_rng(0)
     noise = rng.normal(0, 0.001, (3000, 24, 3))
     found = jitter.jitter(noise, np.zeros((3000, 72)), np.ones(3000, bool), 30.0)
@@ -260,7 +251,6 @@ def test_statistics_of_nothing_are_undetermined(values: list[float | None]) -> N
     }
 
 
-@pytest.mark.parametrize("case", [pytest.param("", id="V06-one-nan")])
-def test_one_value_that_is_none_does_not_take_the_others_along(case: str) -> None:
+def test_v06_one_nan_one_value_that_is_none_does_not_take_the_others_along() -> None:
     # Naive: the mean of values with one NaN is NaN.
     assert metrics.mean_of_measured([1.0, np.nan, 3.0, None]) == 2.0

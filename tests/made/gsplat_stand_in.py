@@ -2,8 +2,7 @@
 """``gsplat.rasterization`` as of version 1.5.3 in the eyes of its caller, computed by the float64 reference on a CPU.
 
 The names, shapes and meanings of arguments and results are gsplat's, and what gsplat would assert is asserted here.
-Written from its documentation; the reference's projection and harmonics are gsplat's own torch pieces' to rounding
-(test_gsplat_pieces.py, where gsplat can be imported), and tests/gpu compares with the real kernels.
+Written from its documentation; tests/gpu compares with the real kernels.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.survey import coverage
 
 from tests.made.cameras import LIMITS, adjust, look_at, ring, seen
-from tests.properties.moved_worlds import FEW, MANY, World, level_worlds, numbers, rigid_worlds, turns, vectors, worlds
+from tests.properties.moved_worlds import FEW, MANY, World, level_worlds, numbers, turns, worlds
 
 UNEVEN = [
     look_at(f"c{i}", np.array([r * np.cos(a), r * np.sin(a), h]), [0.1, -0.2, 1.0])
@@ -33,30 +33,12 @@ def cloud(seed: int, count: int = 12) -> np.ndarray:
 
 
 @MANY
-@given(worlds(), numbers(1, 1279), numbers(1, 703), numbers(0.2, 50))
-def test_unprojecting_a_projection_is_the_identity(world: World, u: float, v: float, depth_m: float) -> None:
-    camera = world.camera(UNEVEN[0])
-    point = camera.unproject(np.array([u, v]), np.array(depth_m))
-    pixel, depth = camera.project(point)
-    assert depth == pytest.approx(depth_m, abs=1e-9)
-    np.testing.assert_allclose(pixel, [u, v], atol=1e-7)
-
-
-@MANY
 @given(turns(), turns(), numbers(0, 1))
 def test_slerp_of_equals_stays_and_runs_the_same_both_ways(a: np.ndarray, b: np.ndarray, share: float) -> None:
     np.testing.assert_allclose(rotations.slerp(a, a, share), a, atol=1e-12)
     assume(rotations.angle(a, b) < np.pi - 1e-3)
     np.testing.assert_allclose(rotations.slerp(a, b, share), rotations.slerp(b, a, 1 - share), atol=1e-9)
     assert rotations.angle(a, rotations.slerp(a, b, share)) == pytest.approx(share * rotations.angle(a, b), abs=1e-7)
-
-
-@MANY
-@given(vectors(1.0), numbers(0, np.pi - 1e-6))
-def test_the_logarithm_undoes_the_exponential(direction: np.ndarray, angle: float) -> None:
-    assume(np.linalg.norm(direction) > 1e-3)
-    turn = angle * direction / np.linalg.norm(direction)
-    np.testing.assert_allclose(rotations.log(rotations.exp(turn)), turn, atol=1e-9)
 
 
 @FEW
@@ -187,10 +169,3 @@ def test_smoothing_turns_with_body_and_world_and_keeps_constants(
     places = rng.normal(size=(20, 3))
     turned = smoothing.smooth_vectors(places @ world.T + 5.0, alpha, sigma)
     np.testing.assert_allclose(turned, smoothing.smooth_vectors(places, alpha, sigma) @ world.T + 5.0, atol=1e-12)
-
-
-@FEW
-@given(rigid_worlds(), st.permutations(range(4)))
-def test_the_scene_s_centre_moves_with_a_rigid_world(world: World, order: list[int]) -> None:
-    moved: list[Camera] = [world.camera(UNEVEN[i]) for i in order]
-    np.testing.assert_allclose(scene_centre(moved), world.points(scene_centre(UNEVEN)), atol=1e-8)

@@ -17,11 +17,9 @@ from studiorecon.images.plate import temporal_modes
 from studiorecon.images.regions import dilated, signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import mesh_depth
 from studiorecon.images.transfer import Transfer, source
-from studiorecon.images.warp import sample
 from studiorecon.models.protocols import Moment
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.room import RoomBox
-from studiorecon.splatting.train.targets import scene_extent
 from studiorecon.views import forward
 
 from tests.made.cameras import ring
@@ -127,26 +125,6 @@ def test_a_rendered_picture_does_not_depend_on_where_its_world_stands(world: Wor
 
 
 @FEW
-@given(st.integers(0, 20), st.randoms(use_true_random=False))
-def test_a_rendered_picture_does_not_depend_on_the_order_of_gaussians(seed: int, shuffle: object) -> None:
-    gaussians, view = room(400, seed), camera(64, 40)
-    order = np.array(shuffle.sample(range(gaussians.count), gaussians.count))
-    mixed = Gaussians(
-        *(getattr(gaussians, name)[order] for name in ("means_m", "quaternions", "log_scales", "logit_opacities", "sh"))
-    )
-    one, other = rasterise(gaussians, view, near_m=0.1), rasterise(mixed, view, near_m=0.1)
-    np.testing.assert_allclose(one.rgb, other.rgb, atol=1e-5)
-    np.testing.assert_allclose(one.alpha, other.alpha, atol=1e-5)
-
-
-@FEW
-@given(worlds())
-def test_o08_the_extent_that_scales_step_sizes_grows_with_the_scene(world: World) -> None:
-    moved = [world.camera(c) for c in ring(4)]
-    assert scene_extent(moved) == pytest.approx(world.scale * scene_extent(ring(4)), rel=1e-9)
-
-
-@FEW
 @given(level_worlds())
 def test_depth_to_the_room_box_turns_with_the_room(world: World) -> None:
     yaw = float(np.arctan2(world.rotation[1, 0], world.rotation[0, 0]))
@@ -217,17 +195,6 @@ def test_the_silhouette_of_a_mesh_does_not_depend_on_where_the_world_stands(worl
     here = mesh_depth(vertices, faces, view)
     there = mesh_depth(world.points(vertices), faces, world.camera(view), near_m=0.05 * world.scale)
     np.testing.assert_allclose(there, world.scale * here, rtol=1e-5, atol=1e-6)
-
-
-@FEW
-@given(st.integers(0, 1000))
-def test_reading_at_pixel_centres_is_the_picture(seed: int) -> None:
-    image = np.random.default_rng(seed).random((9, 13)).astype(np.float32)
-    centres = np.stack(np.meshgrid(np.arange(13) + 0.5, np.arange(9) + 0.5), axis=-1)
-    for how in ("nearest", "linear", "cubic"):
-        values, valid = sample(image, centres, how)
-        np.testing.assert_array_equal(values, image)
-        assert valid.all()
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])

@@ -130,21 +130,6 @@ def test_gradient_growth_chooses_the_gaussians_that_the_cpu_chooses() -> None:
     assert on_cuda.psnr_db == pytest.approx(on_cpu.psnr_db, abs=1)
 
 
-def test_nothing_is_added_after_the_last_step() -> None:
-    begin, targets = lesson()
-    settings = replace(
-        SETTINGS,
-        iterations=6,
-        densify="gradient",
-        densify_every=6,
-        densify_from=6,
-        densify_until=6,
-        densify_gradient=0.0,
-    )
-    trained = train_on_tensors(begin, targets, settings, np.random.default_rng(0), extent_m=1.0)
-    assert trained.gaussians.count == begin.count
-
-
 KILLED = {
     "fixed number": {"sh_degree_every": 3},
     "gradient": {

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.cpu.rasterise import Rasteriser, Rendering
 from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
 
-from tests.made.gaussians import camera, from_values, hard, rasterise, room, with_colours
+from tests.made.gaussians import camera, from_values, hard, rasterise, room
 from tests.made.gsplat_stand_in import rasterization
 from tests.made.splatting_gradients import BACKGROUND, FIELDS, NEAR_M, SCENES, Pictures, reference
 
@@ -69,31 +68,6 @@ def test_the_gsplat_back_end_hands_over_and_takes_back_what_the_cpu_does(
     assert np.linalg.norm(gradients.screen - screen) < 1e-4 * np.linalg.norm(screen)
     with pytest.raises(ValueError, match="each takes one"):
         theirs.backward(by[..., :3])
-
-
-def test_the_autograd_function_agrees_with_float64_autograd() -> None:
-    import torch
-
-    from tests.made.torch_rasterise import rasterise as rasterise_tensors
-
-    gaussians, view = hard(600, 1), camera(96, 56)
-    by = np.random.default_rng(3).normal(size=(*view.hw, 5)).astype(np.float32)
-    # Double inputs too: gradients come back in the inputs' own type, and scaling the inputs' gradient chains through.
-    leaves = {name: torch.tensor(getattr(gaussians, name), dtype=torch.float64, requires_grad=True) for name in FIELDS}
-    background = torch.tensor(BACKGROUND, requires_grad=True)
-    pictures = rasterise_tensors(
-        *(2 * (leaf / 2) for leaf in leaves.values()), view, background, near_m=NEAR_M, threads=2
-    )
-    weights = torch.from_numpy(by)
-    sum(
-        (picture * weight).sum()
-        for picture, weight in zip(pictures, (weights[..., :3], weights[..., 3], weights[..., 4]))
-    ).backward()
-    found = SimpleNamespace(
-        **{name: leaf.grad.numpy() for name, leaf in leaves.items()}, background_rgb=background.grad.numpy()
-    )
-    assert_close(Rendering(*(picture.detach().numpy() for picture in pictures)), found, reference(gaussians, view, by))
-    assert leaves["sh"].grad.dtype == torch.float64
 
 
 def back_ends(antialias: bool = False) -> list[Rasteriser | GsplatRasteriser]:
@@ -198,11 +172,3 @@ def test_buffers_do_not_remember_an_earlier_scene() -> None:
     fresh.forward(small, view)
     for name in FIELDS:
         np.testing.assert_array_equal(getattr(reused.backward(by), name), getattr(fresh.backward(by), name))
-
-
-def test_feature_colours_render_as_a_map_of_classes() -> None:
-    gaussians, view = room(1500, 5), camera(96, 56)
-    labels = (gaussians.means_m[:, :1] > 0).astype(np.float32).repeat(3, axis=1)
-    shown = rasterise(with_colours(gaussians, labels), view, near_m=NEAR_M, threads=1)
-    none = rasterise(with_colours(gaussians, 1 - labels), view, near_m=NEAR_M, threads=1)
-    np.testing.assert_allclose(shown.rgb[..., 0] + none.rgb[..., 0], shown.alpha, atol=2e-6)
