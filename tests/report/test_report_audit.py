@@ -9,9 +9,7 @@ from pathlib import Path
 
 from studiorecon.configuration.settings import load
 from studiorecon.report import audit as step
-from studiorecon.report.metrics.rendered_effects import (
-    appearance,
-)
+from studiorecon.report.audit import appearance
 from studiorecon.scene.decisions import Decision, read_decisions, write_decisions
 from studiorecon.scene.effects import ENHANCEMENT, INJECTION
 from studiorecon.scene.files import write_npz

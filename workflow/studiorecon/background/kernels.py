@@ -77,7 +77,7 @@ def _as_a_person(threads: int) -> None:
     back = rasteriser.backward_planes(view.gradient)
     by_means, _, by_sh = posing.back(back.means_m, back.quaternions, back.sh)
     posing.wrenches(own.means_m, back.means_m, transforms)
-    Adam({"network": network.flat}, (0.9, 0.999), 1e-15).step(
+    Adam({"network": network.flat}).step(
         {"network": network.gradient(by_sh[:, 0], back.logit_opacities)}, {"network": 0.0}
     )
-    Adam({"means": means}, (0.9, 0.999), 1e-15).step({"means": by_means}, {"means": 0.0}, back.screen > 0)
+    Adam({"means": means}).step({"means": by_means}, {"means": 0.0}, back.screen > 0)

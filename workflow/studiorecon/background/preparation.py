@@ -30,15 +30,13 @@ from studiorecon.scene.room import RoomBox, read_room
 from studiorecon.scene.support import support_weight
 from studiorecon.splatting.cpu.harmonics import degree_supported
 from studiorecon.splatting.discs import discs
-from studiorecon.splatting.seeds import finest, random_volume, seeds_from_depth
+from studiorecon.splatting.seeds import FLATNESS, finest, random_volume, seeds_from_depth
 from studiorecon.splatting.train.targets import Target
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-_FLATNESS = 0.15  # of a wall's discs
 _WIDTH_SHARE = 0.75  # of the grid step: neighbours overlap enough to be opaque together
-_FILL_OPACITY = 0.9
 # How far into a hole its rim is trusted, as a share of the picture's width.
 _RIM_SHARE = 0.01
 _SAME_PLACE_M, _SAME_ANGLE_RAD = 0.01, 0.01
@@ -128,7 +126,7 @@ def seeds(
     for own in painted:
         points_m, rgb = own.points_m[~own.seen], own.rgb[~own.seen]
         normals = np.tile(own.face.normal, (len(points_m), 1))
-        sets.append(discs(points_m, normals, rgb, own.step_m * _WIDTH_SHARE, _FLATNESS, _FILL_OPACITY, degree))
+        sets.append(discs(points_m, normals, rgb, own.step_m * _WIDTH_SHARE, FLATNESS, sh_degree=degree))
         marks.append(np.full(len(normals), INVENTED))
     return concatenate(sets), np.concatenate(marks).astype(np.uint8)
 

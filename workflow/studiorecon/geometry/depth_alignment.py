@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from studiorecon.arrays import require
+from studiorecon.geometry.statistics import SIGMA_OF_MAD
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
@@ -83,7 +84,7 @@ def align_depth(
     shift = float(np.median(y - scale * x))
     for _ in range(_ROUNDS):
         residual = (y - scale * x - shift) / np.sqrt(1 + scale**2)
-        sigma = max(1.4826 * float(np.median(np.abs(residual))), 1e-9)
+        sigma = max(SIGMA_OF_MAD * float(np.median(np.abs(residual))), 1e-9)
         size = np.abs(residual) / sigma
         # Huber, then nothing beyond twice its limit: Huber alone bounds an outlier's pull but never ends it.
         weight = np.where(size < 2 * _HUBER, np.minimum(1, _HUBER / np.maximum(size, 1e-12)), 0)

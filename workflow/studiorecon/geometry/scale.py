@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.arrays import require
+from studiorecon.geometry.statistics import SIGMA_OF_MAD
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
@@ -97,7 +98,7 @@ def scene_scale(
         if len(np.unique(bone[own])) >= _MIN_BONES:
             ratios[p] = fit_scale(seen[own], expected[own], variance[own]) / scale
     off = (seen - variance / (scale * expected)) / (scale * expected) - 1
-    return SceneScale(scale, 1.4826 * float(np.median(np.abs(off))), kinds, ratios, "")
+    return SceneScale(scale, SIGMA_OF_MAD * float(np.median(np.abs(off))), kinds, ratios, "")
 
 
 def fit_scale(

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 # Standard errors on either side: 95 % for one number, and 99.7 % for the worst of several cameras.
 _ONE, _WORST = 2.0, 3.0
+SIGMA_OF_MAD = 1.4826
+"""Standard deviation of normal errors over their median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ def median(values: Num[np.ndarray, " N"], least: int) -> Estimate:
     if len(known) < max(least, 2):
         return NOTHING
     middle = float(np.median(known))
-    error = 1.25 * 1.4826 * float(np.median(np.abs(known - middle))) / np.sqrt(len(known))
+    error = 1.25 * SIGMA_OF_MAD * float(np.median(np.abs(known - middle))) / np.sqrt(len(known))
     return Estimate(middle, (middle - _ONE * error, middle + _ONE * error))
 
 

@@ -18,8 +18,6 @@ from studiorecon.splatting.train.optimiser import Adam
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Shaped
 
-_BETAS, _EPSILON = (0.9, 0.999), 1e-15
-
 
 @dataclass(frozen=True)
 class OverTime:
@@ -73,7 +71,7 @@ class Appearance:
         self.settings, self.network, self.seen = settings, network, seen
         self.decision: Decision | None = None
         self._judge, self._active = judge, False
-        self._adam = Adam({"network": network.flat}, _BETAS, _EPSILON)
+        self._adam = Adam({"network": network.flat})
 
     @property
     def trained(self) -> TemporalNetwork | None:

@@ -33,7 +33,6 @@ from studiorecon.splatting.cpu.harmonics import degree_supported
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-_BONES_KEPT = 4
 NEIGHBOURS = 8
 """Surface neighbours that an unseen Gaussian takes its colour from."""
 # Number of pictures for initial colours: enough to see every side of a turning person, few enough to take a second.
@@ -54,7 +53,7 @@ def skinning_weights(
     The grid mixes parts nearer than a voxel (3 cm at 64³), such as fingers and thighs (L06); the surface does not.
     """
     if settings.skinning == "surface":
-        return *strongest(samples.weights, _BONES_KEPT), None
+        return *strongest(samples.weights), None
     grid = build_weight_grid(vertices_m, weights, settings.grid_resolution, settings.grid_margin)
     return *every_bone(grid, samples.points_m), grid
 

@@ -11,14 +11,10 @@ import scipy
 
 from studiorecon.humans.start_settings import Started
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.splatting.discs import discs
+from studiorecon.splatting.discs import DISC_WIDTH, discs
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
-
-# A disc's sigma as a share of the spacing, so that neighbours just overlap, and its thickness as a share of that.
-_WIDTH, _FLATNESS = 0.6, 0.33
-_OPACITY = 0.9
 
 
 @dataclass(frozen=True)
@@ -107,7 +103,7 @@ def _vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> tuple[np.ndarr
 def gaussians_on(samples: SurfaceSamples, sh_degree: int) -> Gaussians:
     """Grey discs on the samples, facing along their normals."""
     grey = np.full_like(samples.points_m, 0.5)
-    return discs(samples.points_m, samples.normals, grey, samples.spacing_m * _WIDTH, _FLATNESS, _OPACITY, sh_degree)
+    return discs(samples.points_m, samples.normals, grey, samples.spacing_m * DISC_WIDTH, sh_degree=sh_degree)
 
 
 def neighbours(samples: SurfaceSamples, count: int) -> Integer[np.ndarray, "N K"]:

@@ -37,7 +37,7 @@ from studiorecon.splatting.train.trainer import Preview
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num, Shaped
 
-_BETAS, _EPSILON, _GREY = (0.9, 0.999), 1e-15, np.full(3, 0.5)
+_GREY = np.full(3, 0.5)
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ class PersonInTraining:
             "colour": start.sh[:, :1].copy(),
             "harmonics": start.sh[:, 1:].copy(),
         }
-        self.adam = Adam(self._own, _BETAS, _EPSILON)
+        self.adam = Adam(self._own)
         self._limits, self._growing, self._additions = limits, growing or Growing(), additions or Additions()
         self._grid = grid
         self.source = np.arange(start.count)

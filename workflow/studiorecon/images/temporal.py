@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
+from studiorecon.images.warp import SLACK_PX
+
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
-
-# A pixel that rounding errors of the flow move beyond the outermost centre stays inside.
-_SLACK_PX = 1e-6
 
 
 @numba.njit(cache=True, nogil=True)
@@ -31,10 +30,10 @@ def forward_backward_consistent(
             at_x, at_y = x + u, y + v
             # Written so that NaN fails the test.
             if not (
-                at_x >= -_SLACK_PX
-                and at_y >= -_SLACK_PX
-                and at_x <= width - 1 + _SLACK_PX
-                and at_y <= height - 1 + _SLACK_PX
+                at_x >= -SLACK_PX
+                and at_y >= -SLACK_PX
+                and at_x <= width - 1 + SLACK_PX
+                and at_y <= height - 1 + SLACK_PX
             ):
                 continue
             at_x, at_y = min(max(at_x, 0.0), width - 1.0), min(max(at_y, 0.0), height - 1.0)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _FILTERS = {"nearest": cv2.INTER_NEAREST, "linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC}
 _LONGEST_SIDE, _FOLD = 32767, 4096
 # A coordinate on the outermost centre up to rounding counts as inside.
-_SLACK_PX = 1e-6
+SLACK_PX = 1e-6
 
 
 def sample(
@@ -71,7 +71,7 @@ def _pulled_inside(
     height, width = hw
     x, y = pixels[..., 0], pixels[..., 1]
     finite = np.isfinite(x) & np.isfinite(y)
-    least = margin_px - _SLACK_PX
+    least = margin_px - SLACK_PX
     inside = finite & (x >= least) & (x <= width - least) & (y >= least) & (y <= height - least)
     return np.clip(np.where(finite, x, 0.0), 0.0, width), np.clip(np.where(finite, y, 0.0), 0.0, height), inside
 
@@ -119,7 +119,7 @@ def _displaced(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
                 x[i, j], y[i, j], inside[i, j] = -0.5, -0.5, False
                 continue
             inside[i, j] = (
-                u >= -_SLACK_PX and v >= -_SLACK_PX and u <= width - 1 + _SLACK_PX and v <= height - 1 + _SLACK_PX
+                u >= -SLACK_PX and v >= -SLACK_PX and u <= width - 1 + SLACK_PX and v <= height - 1 + SLACK_PX
             )
             x[i, j], y[i, j] = min(max(u, -0.5), width - 0.5), min(max(v, -0.5), height - 0.5)
     return x, y, inside

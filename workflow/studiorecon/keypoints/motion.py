@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from studiorecon.geometry.statistics import SIGMA_OF_MAD
+
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
@@ -21,7 +23,6 @@ _SIGMAS, _MIN_LEVELS = 6.0, 12.0
 # Distance in pixels at which a keypoint no longer counts as on motion; nearer ones count in part. Detectors err by a
 # percent.
 _REACH_PX = 4.0
-_SIGMA_OF_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def motion_of(frame: Sequence[int], pictures: Sequence[Integer[np.ndarray, "h w 
     apart = levels - np.median(levels, axis=0)
     apart -= np.median(apart, axis=(1, 2), keepdims=True)  # removes exposure that follows the scene
     apart = np.abs(apart).max(-1)
-    noise = _SIGMA_OF_MEDIAN * float(np.median(apart))
+    noise = SIGMA_OF_MAD * float(np.median(apart))
     differs = (apart > max(_SIGMAS * noise, _MIN_LEVELS)).astype(np.uint8)
     near = [
         np.clip(1 - cv2.distanceTransform(1 - cv2.medianBlur(one, 3), cv2.DIST_L2, 3) / _REACH_PX, 0, 1)

@@ -19,7 +19,7 @@ from studiorecon.geometry.lens import video_from_working
 from studiorecon.images.channels import channel_max
 from studiorecon.images.regions import signed_distance_px
 from studiorecon.images.silhouette import front_person
-from studiorecon.masks.tracks import overlaps
+from studiorecon.masks.tracks import MIN_SHARE, UNASSIGNED, overlaps
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.numbered import gaps_named, pictures_in
@@ -27,12 +27,9 @@ from studiorecon.scene.numbered import gaps_named, pictures_in
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
-_UNASSIGNED = 255
 # Lossy codecs turn 0 into 1 and smear borders: a video with more grey levels than this holds no exact labels and is
 # thresholded.
 _MAX_LABELS = 32
-# A label belongs to a person only if at least this share of its pixels is on them.
-_MIN_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -106,17 +103,17 @@ def identified(
     sizes = sum((np.bincount(label.ravel(), minlength=256) for label in labels), np.zeros(256, np.int64))
     values = [int(v) for v in np.flatnonzero(sizes) if v > 0]
     if not values or not people:
-        unknown = (np.where(label > 0, np.uint8(_UNASSIGNED), np.uint8(0)) for label in labels)
+        unknown = (np.where(label > 0, np.uint8(UNASSIGNED), np.uint8(0)) for label in labels)
         return unknown, "they show none of the fitted people"
     if len(values) == 1:
         by_body = (_by_body(label > 0, depth, gate_m, camera) for label, depth in zip(labels, depths_m, strict=True))
         return by_body, "bodies decide the identities"
     overlap = overlaps(labels, depths_m, people)[values, 1:].astype(np.float64)
     table = np.zeros(256, np.uint8)
-    table[values] = _UNASSIGNED
+    table[values] = UNASSIGNED
     matched = []
     for row, k in zip(*linear_sum_assignment(-overlap)):
-        if overlap[row, k] >= _MIN_SHARE * sizes[values[row]]:
+        if overlap[row, k] >= MIN_SHARE * sizes[values[row]]:
             table[values[row]] = k + 1
             matched.append(f"{values[row]} = p{k}")
     told = "values were matched by overlap with the bodies: " + (", ".join(matched) or "none")
@@ -132,7 +129,7 @@ def _by_body(region: np.ndarray, depths_m: np.ndarray, gate_m: float, camera: Ca
             )
     front = front_person(depths_m)
     owner = np.where(front > 0, front, distance_m.argmax(axis=0) + 1)
-    owner = np.where(distance_m.max(axis=0) < -gate_m, _UNASSIGNED, owner)
+    owner = np.where(distance_m.max(axis=0) < -gate_m, UNASSIGNED, owner)
     return np.where(region, owner, 0).astype(np.uint8)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 UNASSIGNED = 255
 # A number belongs to a person only if at least this share of its pixels is on them; clothes are wider than bodies.
-_MIN_SHARE = 0.3
+MIN_SHARE = 0.3
 
 
 def assigned(
@@ -34,7 +34,7 @@ def assigned(
     matched = []
     for value in np.flatnonzero(sizes[1:]) + 1:
         best = int(overlap[value, 1:].argmax()) if people else 0
-        sure = people > 0 and overlap[value, 1 + best] >= _MIN_SHARE * sizes[value]
+        sure = people > 0 and overlap[value, 1 + best] >= MIN_SHARE * sizes[value]
         table[value] = best + 1 if sure else UNASSIGNED
         if sure:
             matched.append(f"{value} = p{best}")

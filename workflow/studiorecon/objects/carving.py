@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The surface of an object of any shape, carved on a grid from crops in its own frame.
-
-``rigid.hull`` models round objects only: a board is not star-shaped enough for directions around its middle.
-"""
+"""The surface of an object of any shape, carved on a grid from crops in its own frame."""
 
 from __future__ import annotations
 
@@ -17,7 +14,7 @@ from studiorecon.images.warp import sample
 from studiorecon.objects.residual import ROOM
 from studiorecon.objects.rigid import ObjectCrop, coloured, reached_m
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.splatting.discs import discs
+from studiorecon.splatting.discs import DISC_WIDTH, discs
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -30,8 +27,6 @@ _OUTSIDE, _FEW = 0.06, 8
 _FARTHEST, _ROOM = 0.98, 1.15
 # Sigma, in cells, of the blur whose gradient is the normal.
 _SLOPE = 1.0
-# A disc's sigma over the cells' width, its thickness over its own width, its opacity.
-_WIDTH, _FLATNESS, _OPACITY = 0.6, 0.4, 0.9
 
 
 def reach_m(looks: Sequence[ObjectCrop]) -> float:
@@ -106,7 +101,7 @@ def init_carved_surface(looks: Sequence[ObjectCrop], count: int) -> tuple[Gaussi
     rgb, seen = coloured(points, normals, _spread(looks))
     if seen.any():
         rgb[~seen] = rgb[seen][scipy.spatial.cKDTree(points[seen]).query(points[~seen])[1]]
-    return discs(points, normals, rgb, _WIDTH * cell_m, _FLATNESS, _OPACITY, 0), seen
+    return discs(points, normals, rgb, DISC_WIDTH * cell_m), seen
 
 
 def _spread(looks: Sequence[ObjectCrop]) -> list[ObjectCrop]:

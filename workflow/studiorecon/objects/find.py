@@ -31,7 +31,6 @@ from studiorecon.objects.rigid import (
     ObjectCrop,
     ShapeSettings,
     at_pose,
-    init_surface,
     mean_squared_errors,
     train_object,
     unoccluded_crops,
@@ -132,8 +131,11 @@ def objects_in(
         where = f"frames {track[0][0]} to {track[-1][0]}"
         looks = unoccluded_crops(result, cameras) if isinstance(result, ObjectTrack) else []
         if isinstance(result, ObjectTrack) and looks:
-            made_objects.append(_made(f"o{len(made_objects)}", result, looks, cameras, fps, settings, threads))
-        elif len(track) > 2:
+            thing = _made(f"o{len(made_objects)}", result, looks, cameras, fps, settings, threads)
+            if thing is not None:
+                made_objects.append(thing)
+                continue
+        if len(track) > 2:
             say(f"a thing in {where} is left out: {result if isinstance(result, str) else 'no crop shows all of it'}")
     if not made_objects:
         say(
@@ -152,12 +154,15 @@ def _made(
     fps: float,
     settings: Settings,
     threads: int,
-) -> RigidObject:
+) -> RigidObject | None:
+    """The model of a track; None where its outlines leave nothing."""
     apart = validation_split(looks)
     keys = {(look.frame, look.view) for look in apart}
     taught = [look for look in looks if (look.frame, look.view) not in keys]
     rng = np.random.default_rng([settings.seed, int(name[1:])])
-    start = init_surface(taught, track.radius_m, settings.shape.gaussians)
+    start = carving.init_carved_surface(taught, settings.shape.gaussians)
+    if start is None:
+        return None
     gaussians, provenance = train_object(taught, start, track.radius_m, settings.shape, rng, threads, name)
     still = RigidObject(name, gaussians, provenance, track.centres_m, track.valid, track.present, track.radius_m)
     thing, told = _turning(still, track, looks, keys, cameras, fps, settings, threads) or (

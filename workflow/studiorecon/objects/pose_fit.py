@@ -18,6 +18,7 @@ import numpy as np
 from studiorecon.footage.video import to_float
 from studiorecon.geometry import rotations
 from studiorecon.objects.residual import LOOSE, UNKNOWN
+from studiorecon.objects.rigid import NEAR_M
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.cpu.rasterise import Rasteriser
@@ -31,7 +32,6 @@ _HUBER, _NOISE = 0.25, 0.4
 # Step of the derivatives, radians, and metres per metre of reach; convergence threshold, radians.
 _STEP_RAD, _STEP_SHARE, _ENOUGH_RAD = 0.02, 0.03, 2e-3
 _DAMPING = (1e-2, 1e3)
-NEAR_M = 0.05
 
 
 @dataclass(frozen=True)

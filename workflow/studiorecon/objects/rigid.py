@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shape and colours of a tracked object: discs on the hull of its outlines, trained on crops from all frames.
+"""The colours of a tracked object: its crops, and the training of its discs (``carving``) on crops from all frames.
 
 All pictures are transformed to the object's frame: its motion is applied to the cameras, so that one still set of
 Gaussians is trained on all frames. Without a known rotation (``rotation`` estimates it) the object is assumed not to
-rotate; its colours and its hull are then a mean.
+rotate; its colours and its shape are then a mean.
 """
 
 from __future__ import annotations
@@ -20,12 +20,11 @@ from studiorecon.footage.video import to_float
 from studiorecon.images.channels import channel_sum
 from studiorecon.images.warp import sample
 from studiorecon.objects.object_tracks import ObjectTrack
-from studiorecon.objects.residual import LOOSE, ROOM, UNKNOWN, ResidualRegion, outline_points
+from studiorecon.objects.residual import LOOSE, UNKNOWN, ResidualRegion, outline_points
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.provenance import INFERRED, MEASURED
 from studiorecon.splatting.cpu.rasterise import Rasteriser
-from studiorecon.splatting.discs import discs
 from studiorecon.splatting.train.schedule import TrainingSettings
 from studiorecon.splatting.train.still import train_still
 from studiorecon.splatting.train.targets import Target
@@ -35,20 +34,12 @@ if TYPE_CHECKING:
 
 # Number of crops for training, spread over the track; every so-many-th is for validation.
 _LOOKS, _JUDGED = 160, 8
-# A position is outside when more than this share of the crops shows the room there: outlines are a pixel off, and the
-# middle a little.
-_OUTSIDE = 0.25
-# Quantiles of the outlines' distances from the middle between which the surface is: the rest are errors.
-_BETWEEN = (0.1, 0.9)
-# Range of the surface's distance from the middle, in radii, and number of steps of its search.
-_REACH, _STEPS = (0.3, 2.2), 64
-# A disc's sigma over the spacing, its thickness over its width, its opacity at the start.
-_WIDTH, _FLATNESS, _OPACITY = 0.6, 0.3, 0.9
 # Least cosine between the surface's normal and the direction of a camera that gives it colour.
 _FACING = 0.35
 # Largest factor between the areas of an object's regions and its sphere's.
 _ONE_AREA, _ONE_AREA_OBLONG = 1.6, 6.0
-_NEAR_M = 0.05
+NEAR_M = 0.05
+"""Nothing nearer to a camera is drawn: a lens does not focus there."""
 
 
 @dataclass(frozen=True)
@@ -107,32 +98,6 @@ def validation_split(looks: Sequence[ObjectCrop]) -> list[ObjectCrop]:
     return list(looks[_JUDGED - 1 :: _JUDGED])
 
 
-def hull(
-    looks: Sequence[ObjectCrop], radius_m: float, count: int
-) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
-    """(N, 3) points of a star-shaped hull around the middle, metres, and (N, 3) their unit directions.
-
-    In each direction the surface is where a quarter of the crops show the room, but no further away than the outlines
-    are. This removes the corners of the cones that few cameras cannot carve away, and keeps parts that look like a
-    shadow.
-    """
-    turn = np.arange(count) * np.pi * (3 - np.sqrt(5))
-    height = 1 - (2 * np.arange(count) + 1) / count
-    level = np.sqrt(1 - height**2)
-    directions = np.stack([level * np.cos(turn), level * np.sin(turn), height], axis=1)
-    steps_m = radius_m * np.linspace(*_REACH, _STEPS)
-    points = directions[:, None] * steps_m[None, :, None]
-    outside = np.zeros(points.shape[:2])
-    for look in looks:
-        pixels, _ = look.camera.project(points)
-        outside += _sampled(look.state, pixels, ROOM) == ROOM
-    inside = np.logical_and.accumulate(outside / max(len(looks), 1) <= _OUTSIDE, axis=1)
-    last = np.maximum(inside.sum(axis=1) - 1, 0)
-    reached = np.concatenate([reached_m(look) for look in looks])
-    nearest_m, farthest_m = np.quantile(reached, _BETWEEN) if len(reached) else (radius_m, radius_m)
-    return directions * np.clip(steps_m[last], nearest_m, farthest_m)[:, None], directions
-
-
 def reached_m(look: ObjectCrop) -> Float[np.ndarray, " K"]:
     """(K,) distances from the middle at which the rays through a crop's outline pass."""
     points = outline_points(look.state)
@@ -170,7 +135,7 @@ def train_object(
     threads: int,
     label: str,
 ) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
-    """Gaussians of an object in its own frame, trained on crops from a ``start`` (``init_surface``), and their
+    """Gaussians of an object in its own frame, trained on crops from a ``start`` (``init_carved_surface``), and their
     provenance (N,)."""
     discs_there, seen = start
     targets = [_target(look, i) for i, look in enumerate(looks)]
@@ -190,18 +155,10 @@ def train_object(
     return replace(trained.gaussians, sh=sh), provenance
 
 
-def init_surface(looks: Sequence[ObjectCrop], radius_m: float, count: int) -> tuple[Gaussians, Bool[np.ndarray, " N"]]:
-    """Discs on the hull of a round object in the crops' colours, and (N,) bool whether a crop shows them."""
-    points, normals = hull(looks, radius_m, count)
-    rgb, seen = coloured(points, normals, looks)
-    width_m = _WIDTH * np.sqrt(4 * np.pi / len(points)) * np.linalg.norm(points, axis=1)
-    return discs(points, normals, rgb, width_m, _FLATNESS, _OPACITY, 0), seen
-
-
 def mean_squared_errors(gaussians: Gaussians, looks: Sequence[ObjectCrop], threads: int) -> tuple[float, float]:
     """Mean squared errors of crops: inside the object, and of the whole crop, with outlines and surroundings; NaN
     without any."""
-    rasteriser, squares, counts = Rasteriser(near_m=_NEAR_M, threads=threads), np.zeros(2), np.zeros(2)
+    rasteriser, squares, counts = Rasteriser(near_m=NEAR_M, threads=threads), np.zeros(2), np.zeros(2)
     for look in looks:
         target = _target(look, 0)
         drawn = rasteriser.forward(gaussians, look.camera, target.background_rgb).rgb.clip(0, 1)
@@ -252,6 +209,6 @@ def _schedule(iterations: int, largest_m: float) -> TrainingSettings:
         adam_epsilon=1e-6,
         sh_degree=0,
         warmup_half_resolution=0.0,
-        near_m=_NEAR_M,
+        near_m=NEAR_M,
         largest_scale_m=largest_m,
     )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 import scipy
 
+from studiorecon.geometry.statistics import SIGMA_OF_MAD
 from studiorecon.render.occlusion import Groups, hidden, nearness, sky_hidden
 from studiorecon.render.room_light import Lamps
 from studiorecon.scene.room import RoomBox
@@ -120,7 +121,7 @@ def strengths(
             left[part] = 1 - _columns(lost, relative, part)[..., on] @ found[on] / total[part, None]
         own = own_levels(seen, left, weight)
         residual = np.abs(seen - own[:, None] * left)
-        usual = max(1.4826 * float(np.median(residual[known])), 1e-4)
+        usual = max(SIGMA_OF_MAD * float(np.median(residual[known])), 1e-4)
         weight = known * np.minimum(1, _HUBER * usual / np.maximum(residual, 1e-9))
         total = np.maximum(1 + (relative - 1) @ found[2:], 0.25)
     return found

@@ -8,17 +8,14 @@ this step collects them.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from studiorecon.body.avatar.avatar_files import read_decision
 from studiorecon.progress import say
-from studiorecon.report.metrics.rendered_effects import (
-    appearance,
-)
 from studiorecon.scene.decisions import Decision, forced, read_decisions, write_decisions
-from studiorecon.scene.effects import FILMED, TRAINED, force, thresholds
+from studiorecon.scene.effects import FILMED, TEMPORAL_APPEARANCE, TRAINED, force, thresholds
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -40,6 +37,25 @@ class Settings:
 def decisions_of(avatars: Sequence[Path]) -> dict[str, Decision | None]:
     """The decision that human training made for every person."""
     return {path.stem: read_decision(path) for path in avatars}
+
+
+def appearance(found: Mapping[str, Decision | None], threshold: float) -> Decision:
+    """One decision from the people's own (name → decision of human training, None without one): that of the strongest
+    case.
+
+    ``threshold`` is reported when no person has a decision.
+    """
+    asked = {name: (d.value, d) for name, d in found.items() if d is not None and d.value is not None}
+    if not asked:
+        why = (
+            "no person was trained"
+            if not found
+            else f"human training did not ask, or followed too little of {', '.join(found)}"
+        )
+        return TEMPORAL_APPEARANCE.decide(None, None, f"not measured here: {why}", threshold=threshold)
+    _, most = max(asked.values(), key=lambda pair: (pair[1].called_for, pair[0]))
+    detail = {name: {"value": value, "verdict": d.verdict} for name, (value, d) in asked.items()}
+    return replace(most, obeyed_by=TEMPORAL_APPEARANCE.obeyed_by, detail=detail)
 
 
 def of_films(files: Sequence[Path]) -> list[Decision]:

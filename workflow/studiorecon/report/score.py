@@ -39,6 +39,7 @@ from studiorecon.report.metrics.measures import (
     measure_sequence,
     summaries,
 )
+from studiorecon.report.metrics.truth import WIDE_PX
 from studiorecon.scene.files import write_json
 
 if TYPE_CHECKING:
@@ -51,12 +52,11 @@ _NO_BODIES = "needs fitted and true bodies, which folders of pictures do not hav
 # The defaults of config/config.yaml, so that this command and a run print the same numbers.
 _FLOW_PRESET = "fast"
 _BOOTSTRAP = Bootstrap(samples=1000, seed=0)
-_WIDE_PX = 21
 
 
 def people_regions(mask: Bool[np.ndarray, "H W"]) -> dict[str, Bool[np.ndarray, "H W"]]:
     """The regions of measurement from a mask (H, W) bool of people."""
-    return {"people": mask, "people_wide": dilated(mask, _WIDE_PX), "background": ~mask}
+    return {"people": mask, "people_wide": dilated(mask, WIDE_PX), "background": ~mask}
 
 
 def score_camera(

@@ -13,14 +13,18 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Num
 
 
+DISC_WIDTH = 0.6
+"""A disc's standard deviation as a share of the spacing of discs: neighbours just overlap."""
+
+
 def discs(
     points_m: Num[np.ndarray, "N 3"],
     normals: Num[np.ndarray, "N 3"],
     rgb: Num[np.ndarray, "N 3"],
     width_m: Num[np.ndarray, " N"] | float,
-    flatness: float,
-    opacity: float,
-    sh_degree: int,
+    flatness: float = 0.33,
+    opacity: float = 0.9,
+    sh_degree: int = 0,
 ) -> Gaussians:
     """Discs at (N, 3) points facing ± (N, 3) normals with (N, 3) colours.
 

@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Num
 
 # Thickness of a flat Gaussian as a share of its width: thin enough for grazing views, thick enough to keep a gradient.
-_FLATNESS = 0.15
+FLATNESS = 0.15
 # At a larger jump in depth than this share there is no Gaussian: its normal would tilt between two surfaces.
 _EDGE_SHARE = 0.24
 # Surfaces of two photos that are nearer to each other than this share of their depth are one.
-_SAME_SURFACE = 0.03
+SAME_SURFACE = 0.03
 # Opacity of Gaussians at random positions: low enough for gradients to reach those behind them.
 _FAINT = 0.1
 
@@ -50,7 +50,7 @@ def seeds_from_depth(
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     facing = np.maximum(np.abs(np.sum(normals[at] * rays, axis=1)), 0.2)
     spacing_m = depth_m[at] / np.mean(camera.focal_px) * stride
-    made = discs(points[at], normals[at], rgb[at], spacing_m * size / np.sqrt(facing), _FLATNESS, opacity, sh_degree)
+    made = discs(points[at], normals[at], rgb[at], spacing_m * size / np.sqrt(facing), FLATNESS, opacity, sh_degree)
     return made, np.stack(at, axis=1)
 
 
@@ -76,7 +76,7 @@ def finest(
             pixels, distance_m = camera.project(points)
             depth_m, inside = sample(depths_m[second], pixels, "nearest")
             started, _ = sample(fine[second] > 0, pixels, "nearest")
-            same = inside & (distance_m > 0) & (np.abs(depth_m - distance_m) < _SAME_SURFACE * distance_m)
+            same = inside & (distance_m > 0) & (np.abs(depth_m - distance_m) < SAME_SURFACE * distance_m)
             best &= ~(same & started & (_pixels_per_m2(camera, points, normals) > fine[first]))
         wanted.append(best)
     return wanted

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.geometry.statistics import SIGMA_OF_MAD
 from studiorecon.images.exposure import Overlap, compare, solve_gains
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
@@ -79,5 +80,5 @@ def disagreement(
 def _standard_error(first: np.ndarray, second: np.ndarray, overlap: Overlap) -> float:
     """Standard error of the median log ratio: 1.25 robust deviations over the root of the count."""
     ratio = np.log(np.maximum(first, 1e-3)) - np.log(np.maximum(second, 1e-3)) - overlap.log_ratio
-    deviation = 1.4826 * float(np.median(np.abs(ratio)))
+    deviation = SIGMA_OF_MAD * float(np.median(np.abs(ratio)))
     return 1.25 * deviation / np.sqrt(overlap.pixels)

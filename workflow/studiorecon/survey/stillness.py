@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from studiorecon.arrays import require
+from studiorecon.geometry.statistics import SIGMA_OF_MAD
 from studiorecon.images.exposure import BRIGHTEST, DARKEST
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ def worst_shift(shifts: Float[np.ndarray, "T B 2"]) -> tuple[float, float]:
 
 def _median_vector(vectors: np.ndarray) -> tuple[float, float]:
     middle = np.median(vectors, axis=0)
-    error = 1.25 * 1.4826 * np.median(np.abs(vectors - middle), axis=0) / np.sqrt(len(vectors))
+    error = 1.25 * SIGMA_OF_MAD * np.median(np.abs(vectors - middle), axis=0) / np.sqrt(len(vectors))
     return float(np.hypot(*middle)), float(np.hypot(*error))
 
 
@@ -112,7 +113,7 @@ def light(
                 middles.append(_densest(level[t][here][both] - level[0][here][both]))
         if len(middles) >= _MIN_BLOCKS:
             value[t] = np.median(middles)
-            error[t] = 1.25 * 1.4826 * np.median(np.abs(np.array(middles) - value[t])) / np.sqrt(len(middles))
+            error[t] = 1.25 * SIGMA_OF_MAD * np.median(np.abs(np.array(middles) - value[t])) / np.sqrt(len(middles))
     return value, error
 
 

@@ -14,15 +14,13 @@ from numba import njit
 from studiorecon.geometry.depth_surface import depth_breaks
 from studiorecon.images.blur import gaussian_blur
 from studiorecon.scene.camera import Camera
+from studiorecon.splatting.seeds import SAME_SURFACE
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 # Nothing nearer than this is drawn: a view inside a surface would be covered by one pixel.
 _NEAR_M = 0.1
-# Between sources, a surface this much deeper than the nearest is another one (two depth maps never agree as one does
-# with itself).
-_SAME_SURFACE = 0.03
 # Detail is what is left of a picture without its means over so many pixels of the view: side and standard deviation.
 _BLUR_PX, _DETAIL_PX = 11, 2.0
 # More samples of a photo in a pixel than this show nothing finer. Less of a mean than that is none.
@@ -98,7 +96,7 @@ def close_pinholes(
     inverse = np.where(covered, 1 / np.where(covered, depth_m, 1.0), 0)
     nearest = cv2.dilate(inverse, ones, borderType=cv2.BORDER_REPLICATE)
     farthest = -cv2.dilate(np.where(covered, -inverse, -np.inf), ones, borderType=cv2.BORDER_REPLICATE)
-    pinhole = ~covered & (around >= 5) & (nearest < farthest * (1 + 2 * _SAME_SURFACE))
+    pinhole = ~covered & (around >= 5) & (nearest < farthest * (1 + 2 * SAME_SURFACE))
     share = np.maximum(around, 1)
     mean_rgb = (
         cv2.filter2D(np.where(covered[..., None], rgb, 0), -1, ones, borderType=cv2.BORDER_CONSTANT) / share[..., None]
@@ -184,7 +182,7 @@ def blend(
     coarse, weight, support = np.zeros((*camera.hw, 3)), np.zeros(camera.hw), np.zeros(camera.hw)
     fine, sharpness = np.zeros((*camera.hw, 3)), np.zeros(camera.hw)
     for photo, (rgb, depth_m, count) in zip(sources, carried):
-        shows = np.isfinite(depth_m) & (depth_m <= nearest * (1 + _SAME_SURFACE))
+        shows = np.isfinite(depth_m) & (depth_m <= nearest * (1 + SAME_SURFACE))
         smooth = _local_mean(rgb, shows)
         angle = ray_angles_rad(camera, depth_m, photo.camera.centre_m)
         # A floor under the weights keeps the only witness of a surface, however oblique.

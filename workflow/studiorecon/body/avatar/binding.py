@@ -24,7 +24,6 @@ from studiorecon.scene.gaussians import Gaussians
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
-_BONES_KEPT = 4
 _FITTED_ON = 2000
 _ROUNDS = 40
 # Clothes and hair are about this far from the body; points more than three times as far pull no harder.
@@ -108,7 +107,7 @@ def surface_weights(
     distance, index = scipy.spatial.cKDTree(vertices_m).query(np.asarray(points_m, np.float64), k=4)
     share = 1 / np.maximum(distance, 1e-4) ** 2
     mixed = np.einsum("nk,nkj->nj", share / share.sum(axis=1, keepdims=True), weights[index].astype(np.float64))
-    return strongest(mixed, _BONES_KEPT)
+    return strongest(mixed)
 
 
 def _outside(model: BodyModel) -> np.ndarray:

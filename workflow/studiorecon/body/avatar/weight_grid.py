@@ -102,7 +102,7 @@ def build_weight_grid(
 
 
 def strongest(
-    weights: Num[np.ndarray, "N B"], keep: int
+    weights: Num[np.ndarray, "N B"], keep: int = 4
 ) -> tuple[Integer[np.ndarray, "N keep"], Float[np.ndarray, "N keep"]]:
     """The ``keep`` largest weights of every row: joints, uint8, and weights, float32 summing to 1.
 

@@ -14,8 +14,6 @@ from studiorecon.geometry import rotations
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-_JOINTS = 24
-
 
 def runs_of_three(valid: Bool[np.ndarray, " T"]) -> Bool[np.ndarray, " T-2"]:
     """(T - 2,) bool: frames t whose neighbours t - 1 and t + 1 were measured too (V04: a gap is no motion)."""
@@ -60,7 +58,7 @@ def jitter(
     finite = np.isfinite(joints_m).all(axis=(1, 2)) & np.isfinite(poses).all(axis=1)
     use = valid & finite
     moved = translation_jitter(np.where(use[:, None, None], joints_m, 0.0), use)
-    turned = rotation_jitter(rotations.exp(np.where(use[:, None], poses, 0.0).reshape(-1, _JOINTS, 3)), use)
+    turned = rotation_jitter(rotations.exp(np.where(use[:, None], poses, 0.0).reshape(-1, 24, 3)), use)
     used = len(moved)
     root, joints, pose = (float(v.mean()) if used else None for v in (moved[:, 0], moved, turned))
     return {

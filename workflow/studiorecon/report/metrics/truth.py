@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _PROPS = 255
 # The second variant of the people mask, 10 px wider all around, includes the silhouettes (evaluation 1.2).
-_WIDE_PX = 21
+WIDE_PX = 21
 # The studio stores depth with people in whole millimetres.
 _DEPTH_UNITS_PER_M = 1000
 
@@ -129,7 +129,7 @@ def regions(
             for total, each in zip(seen, visible):
                 total |= each & clear
         people = (labels > 0) & (labels < _PROPS)
-        found = {"people": people, "people_wide": dilated(people, _WIDE_PX), "background": background}
+        found = {"people": people, "people_wide": dilated(people, WIDE_PX), "background": background}
         for suffix, each in zip(("", "_strict", "_loose"), seen):
             found |= {f"seen{suffix}": background & each, f"unseen{suffix}": background & ~each}
         if moving is not None:

@@ -30,7 +30,10 @@ class Adam:
     """
 
     def __init__(
-        self, parameters: Mapping[str, Float[np.ndarray, " ..."]], betas: tuple[float, float], epsilon: float
+        self,
+        parameters: Mapping[str, Float[np.ndarray, " ..."]],
+        betas: tuple[float, float] = (0.9, 0.999),
+        epsilon: float = 1e-15,
     ) -> None:
         for name, value in parameters.items():
             if not value.flags.c_contiguous or value.dtype not in (np.float32, np.float64):

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.geometry.statistics import NOTHING, Estimate, median
+from studiorecon.geometry.statistics import NOTHING, SIGMA_OF_MAD, Estimate, median
 from studiorecon.images.channels import channel_sum
 from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
@@ -32,7 +32,7 @@ _TOGETHER = 8
 # Scenes before the cameras differ in sharpness by this share of the blur, one standard deviation: 0.05 to 0.2 in a real
 # room and four synthetic ones. With this many cameras the spread is measured instead; a normal distribution's standard
 # deviation is 1.4826 median deviations.
-_APART, _MANY, _NORMAL = 0.1, 6, 1.4826
+_APART, _MANY = 0.1, 6
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:
@@ -57,7 +57,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
     usual = float(np.median(blur[known]))
     worst = max(known, key=lambda k: blur[k] - error[k])
     # Some camera always sees softer things than the others: its blur must exceed that usual spread.
-    shown = _NORMAL * float(np.median(np.abs(blur[known] - usual))) if len(known) >= _MANY else 0.0
+    shown = SIGMA_OF_MAD * float(np.median(np.abs(blur[known] - usual))) if len(known) >= _MANY else 0.0
     spread = max(_APART * usual, shown)
     extra = _beyond(blur[worst], error[worst], 2 * spread, usual)
     reason = (
