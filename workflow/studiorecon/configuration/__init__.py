@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings, each declared once: a field of the dataclass that its step takes.
 
-In come the ``Settings`` of the steps (``setting``: default, meaning, unit, bounds, the paper's value); out go
+In: the ``Settings`` of the steps (``setting``: default, meaning, unit, bounds, the paper's value); out:
 config/config.yaml, its schema and the tables of config/README.md (``written``). Read ``setting`` (one declaration),
-``planned`` (what no step reads), ``sections`` (the order), ``schema_of``, ``written``, ``catalogue`` (all of them with
-their meaning, for people), and ``paper_settings`` (docs/paper.md: every setting of which the paper speaks, and whether
-its presets take the paper at its word).
+``planned`` (settings that no step reads), ``sections`` (the order), ``schema_of``, ``written``, ``catalogue`` (all
+settings with their meaning, for people), and ``paper_settings`` (docs/paper.md: every setting that the paper mentions,
+and whether the presets use the paper's value).
 
-On the way back, ``overlays`` opens the files that a user lays over the defaults, ``schema`` checks what a user wrote,
-``step_settings`` takes of it what one step reads, and ``settings`` makes the step's dataclass of that.
+When a run starts, ``overlays`` opens the files that a user lays over the defaults, ``schema`` checks the user's values,
+``step_settings`` selects those that one step reads, and ``settings`` makes the step's dataclass from them.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every setting with its meaning and default, as config.yaml's comments and the schema tell them."""
+"""Every setting with its meaning and default, from config.yaml's comments and the schema."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import yaml
 
 from studiorecon.configuration.schema import part_of
 
-# A key of block style, and what stands behind it on its line.
+# A key of block style, and the rest of its line.
 _KEY = re.compile(r"( *)([\w-]+):(?:\s+(.*))?$")
 _MARKER = re.compile(r"# (----|\(end of )")
 
@@ -28,7 +28,7 @@ class Setting:
         name: dotted, ``people.fit.iterations``.
         meaning: in words; may be empty for a section.
         default: as YAML, None for a section.
-        choices: the values it may have, where they are words.
+        choices: the possible values, if they are words.
     """
 
     name: str
@@ -38,8 +38,10 @@ class Setting:
 
 
 def settings_of(configuration: Path, schema: Mapping[str, Any]) -> list[Setting]:
-    """Every setting of config.yaml in its order, sections before what they hold; the comment there counts before the
-    schema's words."""
+    """Every setting of config.yaml in its order, sections before their settings.
+
+    The comment in config.yaml takes precedence over the schema's description.
+    """
     text = configuration.read_text(encoding="utf-8")
     values, comments = yaml.safe_load(text), dict(_comments(text))
     found = []
@@ -54,8 +56,9 @@ def settings_of(configuration: Path, schema: Mapping[str, Any]) -> list[Setting]
 
 
 def films_of(kinds: Mapping[str, type], schema: Mapping[str, Any]) -> list[Setting]:
-    """What a film of every kind may say, as ``render.shots.NAME (kind orbit).frames``; the defaults are those of its
-    dataclass."""
+    """The settings of every kind of film, such as ``render.shots.NAME (kind orbit).frames``, with the defaults of its
+    dataclass.
+    """
     found = []
     for kind, settings in kinds.items():
         described, name = schema["$defs"][kind]["properties"], f"render.shots.NAME (kind {kind})"
@@ -99,8 +102,9 @@ def _written(value: Any) -> str:
 
 
 def _comments(text: str) -> Iterator[tuple[str, str]]:
-    """(dotted name, comment) of every key that has one: the lines right above it at its own indentation, then what
-    stands behind it."""
+    """(dotted name, comment) of every key with one: the lines right above it at its own indentation, then the end of
+    its line.
+    """
     path: list[tuple[int, str]] = []
     above: list[str] = []
     for line in text.splitlines():

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper to the letter: every setting that it speaks of, its words, and whether the presets take it at them.
+"""The paper's settings: every setting that it mentions, its value, and whether the presets use it.
 
 ``python -m studiorecon.configuration.paper_settings`` writes docs/paper.md from the settings' declarations and from
-``config/presets/paper.yaml`` with ``networks.yaml`` over it; a test compares it with what stands there.
+``config/presets/paper.yaml`` with ``networks.yaml`` over it; a test compares it with the file.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ WITHOUT: Mapping[str, str] = {
     "background.fill",
     "render.shots": "which cameras are held out is the dataset's to say (held_out in capture.yaml)",
 }
-"""Why a setting of which the paper speaks has no value that is its word."""
+"""The reason why a setting that the paper mentions cannot have the paper's value."""
 
 BUT: Mapping[str, str] = {
     "humans.gaussians": "read where humans.placed is evenly: SMPL has as many vertices",
@@ -37,7 +37,7 @@ BUT: Mapping[str, str] = {
     "camera: there noise moves the minimum of Eq. 2 by metres",
     "people.association.affinity": "σ_p 0.3 m and σ_θ 0.5 rad a joint are ours, the paper gives none",
 }
-"""What is still to be said of a setting that has the paper's word."""
+"""Remarks on settings that do have the paper's value."""
 
 CONSTANTS: tuple[tuple[str, str, Any, str], ...] = (
     ("people.association.affinity:AssociationLimits", "position_weight", 0.9, "w_p, appendix B"),
@@ -69,7 +69,7 @@ CONSTANTS: tuple[tuple[str, str, Any, str], ...] = (
     ("humans.appearance:OverTime", "layers", 8, "8 layers, appendix D"),
     ("report.evaluate:Settings", "seen_tolerance", 0.05, "Seen/Unseen Fidelity; U57"),
 )
-"""Numbers of the paper that stand beside the code because nobody turns them: place, name, the paper's value, where."""
+"""The paper's numbers that are constants in the code: place, name, the paper's value, source."""
 
 _HEAD = """\
 # The paper to the letter
@@ -91,7 +91,7 @@ Numbers that no setting turns; a test holds them to the paper's.
 
 
 def paper_values() -> Iterator[tuple[str, Setting]]:
-    """Every setting of which the paper speaks, by its dotted name."""
+    """Every setting that the paper mentions, by its dotted name."""
     yield from ((setting.name, setting) for setting in general() if setting.described.paper)
     for section in SECTIONS:
         yield from _inside(section.settings(), section.name)
@@ -107,7 +107,7 @@ def _inside(settings: Iterable[Setting], above: str) -> Iterator[tuple[str, Sett
 
 
 def merged(names: Iterable[str] = PRESETS) -> Mapping[str, Any]:
-    """The configuration with these presets laid over it, one over the other, as Snakemake lays them."""
+    """The configuration with these presets laid over it in turn, as Snakemake does it."""
     whole: dict[str, Any] = dict(defaults())
     for name in names:
         preset = yaml.safe_load((CONFIGURATION.parent / "presets" / name).read_text(encoding="utf-8"))
@@ -129,7 +129,7 @@ def value_at(config: Mapping[str, Any], name: str) -> Any:
 
 
 def state(name: str, setting: Setting, config: Mapping[str, Any]) -> str:
-    """literal, or why not, of one setting in a configuration."""
+    """ "literal" or the difference from the paper, for one setting in a configuration."""
     letter = setting.described.paper_value
     if letter is None:
         return f"no literal option: {WITHOUT[name]}"
@@ -140,7 +140,7 @@ def state(name: str, setting: Setting, config: Mapping[str, Any]) -> str:
 
 
 def constant(place: str, name: str) -> Any:
-    """The value of a constant that a dataclass of a stage holds."""
+    """The value of a constant in a dataclass of a stage."""
     return next(field.default for field in fields(_class(place)) if field.name == name)
 
 

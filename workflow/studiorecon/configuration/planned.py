@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings that are read when a run is planned, by no step: where things lie, and which way data takes."""
+"""Settings that only the plan of a run reads, and no step: paths, and the choice between sources of data."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ else:
 
 @dataclass(frozen=True)
 class General:
-    """What stands at the top of the configuration, in no section."""
+    """Settings at the top of the configuration, outside any section."""
 
     dataset: str = setting(
         "resources/studio/demo.yaml",
@@ -64,7 +64,7 @@ class General:
 
 @dataclass(frozen=True)
 class Detect:
-    """What looks for people, and where files of a network lie."""
+    """The source of detections, and the path of a network's files."""
 
     detector: Literal["blazepose_heavy", "blazepose"] = setting(
         "blazepose_heavy",
@@ -87,7 +87,7 @@ class Detect:
 
 @dataclass(frozen=True)
 class People:
-    """Who is who, in the user's own words."""
+    """The user's own table of identities."""
 
     identities: str = setting(
         "",
@@ -98,14 +98,14 @@ class People:
 
 @dataclass(frozen=True)
 class Depth:
-    """Where depth of a network lies, and what it waits for."""
+    """The path of a network's depth, and its input."""
 
     precomputed: str = setting("", "Folder with <camera>.exr, .npy, .npz or 16-bit .png (millimetres) of every camera.")
 
 
 @dataclass(frozen=True)
 class Masks:
-    """Where masks of others lie."""
+    """The path of masks from other tools."""
 
     precomputed: str = setting(
         "",
@@ -115,7 +115,7 @@ class Masks:
 
 @dataclass(frozen=True)
 class Views:
-    """Where films of a network lie."""
+    """The path of a network's films."""
 
     precomputed: str = setting(
         "", "Folder with <segment>.mkv or .mp4 (00, 01, …) of 1280×704 or the working size, one picture per view."
@@ -124,7 +124,7 @@ class Views:
 
 @dataclass(frozen=True)
 class Enhance:
-    """Where films of an enhancer lie."""
+    """The path of an enhancer's films."""
 
     precomputed: str = setting(
         "", "Folder with <shot>.mkv or .mp4 of every shot, made from render/<shot>.mkv picture by picture."
@@ -133,7 +133,7 @@ class Enhance:
 
 @dataclass(frozen=True)
 class Render:
-    """What else is made of a film."""
+    """Further outputs of a film."""
 
     exr: bool = setting(
         False,

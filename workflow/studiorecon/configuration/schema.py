@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The configuration against its schema: values read as what the schema says they are, and mistakes as sentences.
+"""Checks the configuration against its schema: converts values to the schema's types, and describes mistakes in
+sentences.
 
-Snakemake reads what stands inside ``--config section='{...}'`` as text, YAML reads an unquoted ``off`` as false and
-``1e-4`` as text. What such a value was meant to be is a matter of the setting, not of how it was written: ``typed``
-takes the reading that the schema allows.
+Snakemake reads values inside ``--config section='{...}'`` as text, YAML reads an unquoted ``off`` as false and ``1e-4``
+as text. The type of such a value depends on the setting, not on how it was written: ``typed`` uses the interpretation
+that the schema allows.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ _WORDS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "o
 
 
 def typed(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any] | None = None) -> Any:
-    """A copy of ``value`` in which every setting has the type that ``schema`` gives it, as far as it can be read so.
+    """A copy of ``value`` in which every setting has the type that ``schema`` gives it, as far as possible.
 
-    What no reading makes valid is left as it is, for ``mistakes`` to tell. ``root`` is the schema that references point
-    into.
+    A value without a valid interpretation stays as it is, for ``mistakes`` to report. ``root`` is the schema that
+    references point into.
     """
     root = schema if root is None else root
     schema = _resolved(schema, root)
@@ -40,17 +41,19 @@ def typed(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any] | None 
         return [typed(item, items, root) for item in value]
     readings = list(_readings(value, schema))
     kind = {"type": schema.get("type", [])}
-    # A number out of bounds is still a number, and is refused as one.
+    # A number out of bounds is still a number, and is refused as a number.
     return next((r for part in (schema, kind) for r in readings if _valid(r, part, root)), value)
 
 
 def mistakes(config: Mapping[str, Any], schema: Mapping[str, Any]) -> list[str]:
-    """A sentence for every setting that breaks the schema; names that no setting has come first, with the nearest that
-    one has."""
+    """A sentence for every setting that breaks the schema.
+
+    Unknown names come first, with the nearest known name.
+    """
     found = sorted(
         _validator(schema, schema).iter_errors(config), key=lambda error: error.validator != "additionalProperties"
     )
-    # Of one place the first mistake is enough: what has the wrong type breaks other rules as well.
+    # One mistake per place is enough: a value of the wrong type breaks other rules as well.
     first = {(str(error.absolute_path), error.validator == "additionalProperties"): error for error in reversed(found)}
     return list(
         dict.fromkeys(sentence for error in found if error in first.values() for sentence in _sentences(error, schema))
@@ -67,14 +70,14 @@ def named(schema: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
 
 
 def part_of(schema: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    """What describes one setting, by its dotted name; empty where the schema says nothing of it."""
+    """The part of the schema for one setting, by its dotted name; empty if the schema has none."""
     for step in name.split("."):
         schema = _property(schema, step)
     return schema
 
 
 def _readings(value: Any, schema: Mapping[str, Any]) -> Iterator[Any]:
-    """What a scalar may have meant, likeliest first."""
+    """Possible interpretations of a scalar, likeliest first."""
     if isinstance(value, float) and value.is_integer() and schema.get("type") == "integer":
         yield int(value)
     yield value
@@ -182,8 +185,9 @@ def _choices(schema: Mapping[str, Any], name: str) -> str:
 
 
 def _nearest(name: str, path: list[str], known: list[str], schema: Mapping[str, Any]) -> str:
-    """What a name that no setting has was meant to be: a neighbour that is spelt like it, or a setting of that name
-    elsewhere."""
+    """The probable meaning of an unknown name: a neighbour with a similar spelling, or the same name in another
+    section.
+    """
     near = [".".join([*path, close]) for close in difflib.get_close_matches(name, known, 1)]
     elsewhere = [full for full, _ in named(schema) if full.rpartition(".")[2] == name]
     inside = [full for full in elsewhere if path and full.startswith(f"{path[0]}.")]

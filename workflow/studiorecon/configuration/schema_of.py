@@ -38,7 +38,7 @@ def _shape(setting: Setting) -> dict[str, Any]:
         return {"description": told.meaning, **told.shape}
     if choices := choices_of(setting):
         return {"description": told.meaning, "enum": list(choices)}
-    # What else code may put there (an array) is nothing that a configuration can hold.
+    # Other types that code may put there (an array) cannot be in a configuration.
     kinds = [kind for kind in options_of(setting.kind) if kind in _TYPES or typing.get_origin(kind)]
     options = [_typed(kind, setting) for kind in kinds]
     if len(options) > 1 and all(set(option) == {"type"} for option in options):

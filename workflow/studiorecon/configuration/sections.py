@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sections of the configuration in the order of the data, and the dataclasses that declare what each holds."""
+"""The sections of the configuration in the order of the data, and the dataclasses that declare their settings."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Section:
 
     Attributes:
         name: of the stage.
-        about: what its settings are about.
-        declared_in: ``module:Class`` of the dataclasses that declare its settings, in the order in which they stand.
-            Stages are named, not imported: most steps need libraries that the configuration does without.
+        about: the subject of its settings.
+        declared_in: ``module:Class`` of the dataclasses that declare its settings, in their order. Stages are named,
+            not imported: most steps need libraries that the configuration does without.
     """
 
     name: str
@@ -144,7 +144,7 @@ SECTIONS: tuple[Section, ...] = (
 
 
 def general() -> list[Setting]:
-    """The settings at the top, in no section."""
+    """The settings at the top, outside any section."""
     return list(settings_in(General))
 
 
@@ -155,6 +155,6 @@ def _class(place: str) -> type:
 
 
 def defaults() -> Mapping[str, Any]:
-    """The configuration of somebody who sets nothing, as config.yaml holds it."""
+    """The default configuration, as in config.yaml."""
     top = {setting.name: plain(setting.default) for setting in general()}
     return top | {s.name: {setting.name: plain(setting.default) for setting in s.settings()} for s in SECTIONS}

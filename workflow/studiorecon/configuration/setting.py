@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a setting is declared: a field of a frozen dataclass with its default, meaning, unit, bounds and the paper's
-value.
+"""Declares a setting: a field of a frozen dataclass with its default, meaning, unit, bounds and the paper's value.
 
-A field without ``setting`` is a constant beside its code: it has a value, and no place in the configuration. A field
-whose type is a dataclass with settings of its own is a section; without any it is a group of constants.
+A field without ``setting`` is a constant of its code, and not in the configuration. A field whose type is a dataclass
+with settings of its own is a section; a dataclass without any is a group of constants.
 """
 
 from __future__ import annotations
@@ -20,19 +19,19 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Described:
-    """What is known of a setting beside its type and its default.
+    """The description of a setting, in addition to its type and default.
 
     Attributes:
-        meaning: in words; of a section, what it is about.
-        unit: of the value, as it is written behind a number.
-        minimum, maximum: least and greatest value, or of every entry of a list.
-        above, below: the same, themselves excluded.
-        paper: the paper's value and where it stands, and the reading (U04) of an ambiguous passage.
-        paper_value: the value that is the paper's word; None = there is none, and ``configuration.paper_settings`` says
+        meaning: in words; of a section, its subject.
+        unit: of the value, as it is written after a number.
+        minimum, maximum: smallest and largest value, or of every entry of a list.
+        above, below: the same, exclusive.
+        paper: the paper's value with its source, and the reading (U04) of an ambiguous passage.
+        paper_value: the value that the paper gives; None = there is none, and ``configuration.paper_settings`` says
             why.
         odd: only odd numbers.
-        choices: the values a text may have, where its type does not name them.
-        shape: JSON schema that says what the type cannot.
+        choices: the possible values of a text, if its type does not name them.
+        shape: JSON schema for constraints that the type cannot express.
     """
 
     meaning: str
@@ -50,13 +49,13 @@ class Described:
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting or section, wherever it is declared.
+    """One setting or section, independent of the place of its declaration.
 
     Attributes:
         name: its key.
         kind: its type, as annotated.
-        default: its value when nobody sets it; the default dataclass for a section.
-        described: what it means.
+        default: its default value; the default dataclass for a section.
+        described: its description.
     """
 
     name: str
@@ -70,12 +69,12 @@ class Setting:
         return dataclasses.is_dataclass(self.default)
 
     def inner(self) -> list[Setting]:
-        """The settings of a section, with the defaults that this one gives them."""
+        """The settings of a section, with the defaults from this one."""
         return list(settings_in(type(self.default), self.default))
 
 
 def setting(default: Any, meaning: str, **described: Any) -> Any:
-    """A dataclass field that is a setting; see ``Described`` for what else can be said of it."""
+    """A dataclass field that is a setting; see ``Described`` for the other arguments."""
     metadata = {"setting": Described(meaning, **described)}
     if isinstance(default, (dict, list)):
         return dataclasses.field(default_factory=lambda: copy.deepcopy(default), metadata=metadata)
@@ -88,9 +87,9 @@ def is_setting(field: dataclasses.Field[Any]) -> bool:
 
 
 def settings_in(kind: type, values: Any = None, declared: bool = False) -> Iterator[Setting]:
-    """The settings of a dataclass in their order; ``values`` gives other defaults than its own.
+    """The settings of a dataclass in their order; ``values`` replaces its own defaults.
 
-    With ``declared`` only those of its own body, none that it inherits.
+    With ``declared`` only those of its own body, without inherited ones.
     """
     hints = typing.get_type_hints(kind)
     for field in dataclasses.fields(kind):
@@ -108,7 +107,7 @@ def default_of(field: dataclasses.Field[Any]) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """A default as YAML and JSON hold it: sections as mappings of their settings, tuples as lists."""
+    """A default in the types of YAML and JSON: sections as mappings of their settings, tuples as lists."""
     if dataclasses.is_dataclass(value):
         return {inner.name: plain(inner.default) for inner in settings_in(type(value), value)}
     if isinstance(value, Mapping):
@@ -122,7 +121,7 @@ def options_of(kind: Any) -> tuple[Any, ...]:
 
 
 def choices_of(setting: Setting) -> tuple[str, ...]:
-    """The words a setting may be, where it may be nothing else."""
+    """The words that a setting may have, if it allows nothing else."""
     if setting.described.choices:
         return setting.described.choices
     return typing.get_args(setting.kind) if typing.get_origin(setting.kind) is typing.Literal else ()

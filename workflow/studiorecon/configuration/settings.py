@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""JSON settings of one step → a frozen dataclass, with errors that are sentences.
+"""Converts the JSON settings of one step to a frozen dataclass, with errors in sentences.
 
-Defaults stand in the dataclasses, and nowhere else (``configuration.setting``).
+Defaults are in the dataclasses only (``configuration.setting``).
 """
 
 from __future__ import annotations
@@ -24,11 +24,10 @@ T = TypeVar("T", bound="DataclassInstance")
 def load(cls: type[T], values: Mapping[str, Any], where: str, default: T | None = None) -> T:
     """The dataclass ``cls`` filled from ``values``; ``where`` (``"depth.sweep"``) names the place in messages.
 
-    What ``values`` lacks is taken from ``default``, else from the fields' own.
-
-    A section of the configuration may serve several steps, so keys that ``cls`` does not have are ignored here: the
-    configuration schema is what refuses misspelt keys. Nested dataclasses are filled from nested mappings. Raises
-    UserError for a missing key of a field without a default, or a value of the wrong type.
+    Missing values come from ``default``, else from the fields' own defaults. A section of the configuration may serve
+    several steps, so keys that ``cls`` does not have are ignored here; the configuration schema refuses misspelt keys.
+    Nested dataclasses are filled from nested mappings. Raises UserError for a missing key of a field without a default,
+    or a value of the wrong type.
     """
     hints = typing.get_type_hints(cls)
     filled = {}
@@ -92,14 +91,15 @@ def _convert(value: Any, kind: Any, where: str, default: Any = None) -> Any:
 
 
 def named_keys(kind: Any) -> tuple[str, ...]:
-    """The keys that ``Mapping[Literal["a", "b"], V]`` names: what a step reads of a mapping that several steps share.
-    Else none."""
+    """The keys that ``Mapping[Literal["a", "b"], V]`` names, for a step that reads part of a shared mapping;
+    else none.
+    """
     keys = typing.get_args(kind)[:1]
     return typing.get_args(keys[0]) if keys and typing.get_origin(keys[0]) is typing.Literal else ()
 
 
 def _scalar(value: Any, kind: type, where: str) -> Any:
-    # bool is an int in Python and YAML writes 1e-4 as a string: both are user errors worth a sentence of their own.
+    # bool is an int in Python, and YAML reads 1e-4 as a string: both user errors deserve a sentence of their own.
     if kind is float and isinstance(value, (int, float)) and not isinstance(value, bool):
         return float(value)
     if kind is int and isinstance(value, int) and not isinstance(value, bool):

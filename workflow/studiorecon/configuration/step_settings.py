@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one step is told of the configuration: the settings that its ``Settings`` reads, and nothing else.
+"""The settings that one step reads, selected from the configuration by the step's ``Settings``.
 
-A rule's params hold this, so that a changed setting re-runs the steps that read it and no other.
+A rule's params hold this, so that a changed setting reruns only the steps that read it.
 """
 
 from __future__ import annotations
@@ -23,19 +23,20 @@ from studiorecon import code
 from studiorecon.configuration.setting import is_setting
 from studiorecon.configuration.settings import named_keys
 
-# Name → what is read below it; None = the value as a whole.
+# Name → the fields read below it; None = the value as a whole.
 Fields = dict[str, Any]
-# Steps imported before; more than this many are forgotten, oldest first.
+# Number of steps whose fields are cached; the oldest are dropped first.
 _REMEMBERED = 500
 
 
 def told(step: str, section: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a stage's ``section`` of the configuration that ``"stage.step"`` reads; empty for a step without
-    settings."""
+    settings.
+    """
     return only(section, read_by(step))
 
 
-# Steps whose settings stand in more than the section of their own stage, which they share with earlier ones.
+# Steps with settings in the sections of earlier stages, in addition to their own stage's.
 _SECTIONS = {
     "clocks": ("capture", "clocks"),
     "tracks": ("detect",),
@@ -47,19 +48,18 @@ _SECTIONS = {
 
 
 def section_of(step: str, config: Mapping[str, Any]) -> dict[str, Any]:
-    """What of the configuration stands where ``"stage.step"`` looks: its stage's section, after those of earlier stages
-    that it shares."""
+    """The configuration of ``"stage.step"``: its stage's section, after those of earlier stages that it shares."""
     return {key: value for name in sections_of(step) for key, value in config.get(name, {}).items()}
 
 
 def sections_of(step: str) -> tuple[str, ...]:
-    """The sections of the configuration in which ``"stage.step"`` looks."""
+    """The sections of the configuration with settings of ``"stage.step"``."""
     stage = step.partition(".")[0]
     return _SECTIONS.get(step, _SECTIONS.get(stage, (stage,)))
 
 
 def only(values: Mapping[str, Any], fields: Fields) -> dict[str, Any]:
-    """``values`` cut down to ``fields``, at every level; what ``values`` does not have is left out."""
+    """``values`` restricted to ``fields``, at every level; fields missing in ``values`` are left out."""
     cut: dict[str, Any] = {}
     for name, below in fields.items():
         if name in values:
@@ -69,8 +69,7 @@ def only(values: Mapping[str, Any], fields: Fields) -> dict[str, Any]:
 
 
 def read_by(step: str) -> Fields:
-    """The settings that a step reads. The step is imported for it once; what it said is remembered until its code
-    changes.
+    """The settings that a step reads, from importing the step once; the result is cached until its code changes.
 
     Raises FileNotFoundError when there is no such step.
     """
@@ -83,8 +82,10 @@ def read_by(step: str) -> Fields:
 
 
 def fields_of(kind: type) -> Fields:
-    """The settings of a dataclass, without its constants; groups of settings are dataclasses, or mappings whose keys
-    the annotation names."""
+    """The settings of a dataclass, without its constants.
+
+    Groups of settings are dataclasses, or mappings whose keys the annotation names.
+    """
     hints = typing.get_type_hints(kind)
     return {field.name: _below(hints[field.name]) for field in dataclasses.fields(kind) if is_setting(field)}
 
@@ -100,14 +101,16 @@ def _below(hint: Any) -> Fields | None:
 
 
 def _memory() -> Path:
-    """Beside the byte code, as what ``code`` remembers: importing every step takes seconds, which Snakemake would spend
-    at every start."""
+    """The cache file, next to the byte code as the cache of ``code``.
+
+    Importing every step takes seconds, which Snakemake would spend at every start.
+    """
     return code.PACKAGE / "__pycache__" / f"settings.{sys.implementation.cache_tag}.json"
 
 
 @cache
 def _known(memory: Path) -> dict[str, Fields]:
-    # No file, or none that can be read: steps are imported.
+    # Without a readable file the steps are imported.
     with suppress(OSError, ValueError):
         stored = json.loads(memory.read_text(encoding="ascii"))
         return stored if isinstance(stored, dict) else {}
@@ -115,7 +118,7 @@ def _known(memory: Path) -> dict[str, Fields]:
 
 
 def _remember(known: dict[str, Fields]) -> None:
-    # As Python does for byte code: where nothing can be written, nothing is remembered.
+    # As with Python's byte code, a read-only place means no cache.
     with suppress(OSError):
         memory = _memory()
         memory.parent.mkdir(exist_ok=True)

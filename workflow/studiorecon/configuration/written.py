@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is written from the settings' declarations: config.yaml, its schema and the tables of config/README.md.
+"""Writes the files generated from the settings' declarations: config.yaml, its schema and the tables of
+config/README.md.
 
-``python -m studiorecon.configuration.written`` writes all three; a test compares them with what stands there.
+``python -m studiorecon.configuration.written`` writes all three; a test compares them with the files.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ def configuration() -> str:
 
 
 def schema(there: str) -> str:
-    """The text of the schema; of ``there``, what stands in it now, the shapes of films (``$defs``) stay."""
+    """The text of the schema; the shapes of films (``$defs``) are taken from ``there``, its present text."""
     top = section_schema(general(), "Settings of studiorecon; config/README.md explains them in prose.")
     for section in SECTIONS:
         top["required"].append(section.name)
@@ -55,7 +56,7 @@ def schema(there: str) -> str:
 
 
 def prose(there: str) -> str:
-    """The text of config/README.md with its tables as the declarations have them."""
+    """The text of config/README.md with tables generated from the declarations."""
     for name, settings in [("general", general()), *((s.name, s.settings()) for s in SECTIONS)]:
         before, start, rest = there.partition(f"<!-- settings: {name} -->\n")
         after = "".join(rest.partition(f"<!-- end: {name} -->")[1:])
@@ -63,15 +64,15 @@ def prose(there: str) -> str:
     return there
 
 
-# Each file, and its text from what stands in it now.
+# Each file, and the function that makes its new text from its present one.
 FILES: Mapping[Path, Callable[[str], str]] = {CONFIGURATION: lambda _: configuration(), SCHEMA: schema, README: prose}
 
 
 class _Plain(yaml.SafeDumper):
-    """Repeats what stands twice instead of pointing at it."""
+    """A YAML dumper that repeats equal parts instead of using references."""
 
     def ignore_aliases(self, data: Any) -> bool:
-        """Always: a schema is for reading."""
+        """Always true: the schema is for people to read."""
         return True
 
 
@@ -106,7 +107,7 @@ def _comment(words: str, indent: int) -> list[str]:
 
 
 def value_text(value: Any) -> str:
-    """A default as it stands in YAML."""
+    """A default as YAML text."""
     if value == "":
         return '""'
     text = yaml.safe_dump(plain(value), default_flow_style=True, allow_unicode=True, width=1000)
@@ -130,7 +131,7 @@ def _table(settings: Iterable[Setting], above: str = "") -> Iterator[str]:
 
 
 def allowed(setting: Setting) -> str:
-    """What a setting may be, in short: its words, or its bounds and unit."""
+    """The allowed values of a setting, in short: its words, or its bounds and unit."""
     told = setting.described
     if choices := choices_of(setting):
         return ", ".join(f"`{choice}`" for choice in choices)
