@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The colours of a body's surface, from the Gaussians that were trained on it: for programs that draw meshes."""
+"""The colours of a body's surface, from the Gaussians that were trained on it, for programs that draw meshes."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from studiorecon.scene.gaussians import SH_C0
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# A surface is several Gaussians deep: clothes, and now and then a stray of the wall behind, which few others outvote.
+# A surface is several Gaussians deep: clothes, and sometimes a wrong Gaussian of the wall behind, which this many
+# outvote.
 _NEAREST = 8
-# Weight of a Gaussian that nobody sees, so that a place where all are faint has their colour too.
+# Weight of an invisible Gaussian, so that vertices with only faint ones get their colour too.
 _MIN_WEIGHT = 1e-3
 
 
@@ -34,8 +35,10 @@ class BodyColours:
 
 
 def body_colours(avatar: Avatar) -> BodyColours | None:
-    """What the Gaussians nearest to each vertex show in the rest pose, the more opaque the more it counts; from all
-    sides and at all times alike. None for a person without Gaussians."""
+    """The colour at each vertex from the nearest Gaussians in the rest pose, weighted by opacity.
+
+    It is the same from all sides and at all times. None for a person without Gaussians.
+    """
     own = avatar.gaussians
     if not own.count:
         return None

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``deliver.export``: the result in formats other tools read, in one folder, with a manifest that names and digests
-every file."""
+"""``deliver.export``: writes the result in other tools' formats into one folder, with a manifest that has every file's
+digest.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ from studiorecon.signature import Written
 
 @dataclass(frozen=True)
 class Settings:
-    """What is written for other programs."""
+    """Settings of the exports to other programs."""
 
     pictures: Literal["first", "all", "none"] = setting(
         "first",
@@ -66,9 +67,9 @@ Limits: the Gaussians show what the cameras' pictures support. Surfaces that no 
 invented (the report shows where), and a PLY cannot say which. The people's PLY files show one frame; their motion is
 in bodies/.
 """
-# What other steps leave in the same folder, or are about to: a file that is being written bears a longer name.
+# Files that other steps write into the same folder; a file being written has a longer name.
 OF_OTHER_STEPS = ("room.glb", "scene.glb", "scene.usdc", "player.html", "player.jpg")
-# Of the merged scene of background and people: the first, which every capture has.
+# Frame of the merged scene of background and people: the first, which every capture has.
 _STILL_FRAME = 0
 _STILL = "still.ply         the room and everybody in it at frame {frame}, for viewers of static scenes\n"
 _KEYPOINTS = (
@@ -92,8 +93,10 @@ _PERSONS = (
 
 
 def gaussian_files(background: Gaussians, people: Sequence[Avatar], frame: int) -> dict[str, Gaussians]:
-    """File name → Gaussians: the room, and with people also each of them, and everybody who is there together, at one
-    frame; who is away then is alone as they came in."""
+    """File name → Gaussians: the room, each person, and the room with all persons present, at one frame.
+
+    A person who is absent at that frame is exported alone, in the first frame of presence.
+    """
     posed = {
         f"people/{person.person}.ply": person.posed(frame if person.there(frame) else int(person.present.argmax()))
         for person in people
@@ -113,7 +116,7 @@ def readme(
     layouts: Sequence[str] = (),
     settings: Settings | None = None,
 ) -> str:
-    """The text that says what is what; it mentions only what is there."""
+    """The text that explains the files; it mentions only those that exist."""
     chosen = settings or Settings()
     unit = {"m": "metres", "cm": "centimetres"}[chosen.bvh_unit]
     return README.format(
@@ -151,8 +154,10 @@ def motion(
     colours: BodyColours | None = None,
     bvh_unit: Literal["m", "cm"] = "m",
 ) -> list[Path]:
-    """One person's motion in every format, ``<folder>/<person>.<ending>``, the mesh grey without ``colours``; raises
-    UserError when the fit is of another body model."""
+    """One person's motion in every format, ``<folder>/<person>.<ending>``, the mesh grey without ``colours``.
+
+    Raises UserError when the fit is of another body model.
+    """
     if person.body != body.identity:
         raise UserError(
             f"{person.name} was fitted with the body model {person.body}, but "
@@ -183,8 +188,9 @@ def run(
     blender: Path,
     contents: Written,
 ) -> None:
-    """Fill the folder of ``contents`` (its manifest.json), and remove what an earlier export left there and this one
-    does not have."""
+    """Fill the folder of ``contents`` (its manifest.json), and remove files of an earlier export that are not in this
+    one.
+    """
     capture, folder = read_manifest(manifest), contents.parent
     people: list[Avatar] = []
     motions: list[Path] = []

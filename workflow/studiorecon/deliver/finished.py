@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The finished 4D scene in memory: room, people and loose things as Gaussians, with all that moves and films them."""
+"""The finished 4D scene in memory: room, people and objects as Gaussians, with their motion and the cameras."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FinishedScene:
-    """What a run made of one capture.
+    """The result of a run on one capture.
 
     Attributes:
         name: the scene's.
         capture: its frames, frame rate and footage.
         cameras: training cameras.
-        room: N static Gaussians in the world, as the plates show them.
-        provenance: (N,) uint8 of the room's, see ``scene/provenance.py``; people and things bring their own.
-        people: everybody, canonical with their motion.
-        things: loose things with theirs.
+        room: N static Gaussians in the world, with the plates' colours.
+        provenance: (N,) uint8 of the room's, see ``scene/provenance.py``; people and objects have their own.
+        people: all persons, canonical, with their motion.
+        things: objects with their motion.
         paths: film → its steps, in the order of its pictures.
     """
 
@@ -50,7 +50,7 @@ class FinishedScene:
 
     @property
     def contents(self) -> str:
-        """What is in it, for people."""
+        """A summary of the scene for people."""
         return (
             f"the room as {self.room.count} Gaussians, {len(self.people)} people, {len(self.things)} things and "
             f"{len(self.cameras)} cameras over {self.capture.frames} frames"
@@ -61,8 +61,8 @@ def read_finished(manifest: Path, model: Path, files: SceneFiles, paths: Sequenc
     """The scene from its files: ``model`` is images.txt of the training cameras, ``paths`` the films'
     ``render/<shot>.json``.
 
-    Raises UserError when files are missing or belong to different scenes, and for a Gaussian that holds a value that is
-    no number: no other program skips it as ours does.
+    Raises UserError when files are missing or belong to different scenes, and for a Gaussian with a non-finite value,
+    which other programs do not skip.
     """
     capture, (room, marks) = read_manifest(manifest), files.room()
     people, things = files.people(), files.things()
@@ -76,8 +76,10 @@ def read_finished(manifest: Path, model: Path, files: SceneFiles, paths: Sequenc
 
 
 def finite(gaussians: Gaussians, source: Path) -> Gaussians:
-    """The Gaussians as given; raises UserError naming ``source`` and the first one that holds a value that is no
-    number. An infinite logit is one: an opacity of 0 or 1."""
+    """The Gaussians as given; raises UserError with ``source`` and the first one that has a non-finite value.
+
+    An infinite logit, an opacity of 0 or 1, counts as non-finite.
+    """
     rows = np.concatenate(
         [
             gaussians.means_m,

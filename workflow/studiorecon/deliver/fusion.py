@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands in the room as one coloured surface: rendered depth of many viewpoints in a truncated signed distance
+"""The contents of the room as one coloured surface: depth rendered from many viewpoints, in a truncated signed distance
 field (open3d).
 
 Curless and Levoy (SIGGRAPH 1996): every depth map moves the voxels near its surface; the surface is where their mean is
-zero, so noise of single maps averages out and what no map shows stays open.
+zero, so noise of single maps averages out and parts that no map shows stay open.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 NEAR_M = 0.2
 OPAQUE = 0.9
-"""Least alpha of a pixel whose depth counts: below it the blended depth lies between surfaces."""
+"""Smallest alpha of a pixel whose depth counts: below it the blended depth is between surfaces."""
 _EDGE = 0.04
-# Half the thickness of the band around a surface in which a depth map moves voxels, in voxels.
+# Half the thickness, in voxels, of the band around a surface in which a depth map moves voxels.
 _BAND_VOXELS = 4.0
-# Voxels are kept in cubes of this many a side, as many cubes as a hall's surfaces take; more are found room for as they
-# come.
+# Voxels are stored in cubes of this side, initially as many as a hall's surfaces take; space for more is allocated when
+# needed.
 _BLOCK, _BLOCKS = 16, 20_000
 _MIN_VIEWS = 1.5
 _ACROSS_CLUSTER_M = 0.15
@@ -41,10 +41,10 @@ _ACROSS_CLUSTER_M = 0.15
 
 @dataclass(frozen=True)
 class FusedView:
-    """The room as one viewpoint shows it.
+    """The room from one viewpoint.
 
     Attributes:
-        camera: from where.
+        camera: the viewpoint.
         rgb: (H, W, 3) float32 in [0, 1].
         depth_m: (H, W) float32, 0 where the pixel is not opaque, invented, or at an edge in depth.
     """
@@ -68,7 +68,7 @@ class FusedSurface:
 
 
 def look(background: Gaussians, provenance: Integer[np.ndarray, " N"], cameras: Sequence[Camera]) -> list[FusedView]:
-    """The Gaussians of the room, ``provenance`` (N,) of each, from every camera."""
+    """The views of the room's Gaussians from every camera; ``provenance`` (N,) is that of each Gaussian."""
     draw = rasteriser("cpu", near_m=NEAR_M)
     invented = (provenance == INVENTED).astype(np.float32)[:, None]
     seen = []
@@ -84,10 +84,8 @@ def look(background: Gaussians, provenance: Integer[np.ndarray, " N"], cameras: 
 
 
 def open3d() -> Any:
-    """The library, imported late because it takes seconds; where it cannot be loaded, a UserError that says how to get
-    it."""
-    # numba's threads must have started: the TBB that open3d brings is too old for numba, which would say so at its next
-    # kernel.
+    """The library, imported late because it takes seconds; raises UserError with a remedy when it cannot be loaded."""
+    # numba's threads must start first: the TBB of open3d is too old for numba, which would warn at its next kernel.
     numba.get_num_threads()
     try:
         import open3d as o3d
@@ -104,7 +102,7 @@ def open3d() -> Any:
 
 
 def fused(views: Sequence[FusedView], voxel_m: float) -> FusedSurface:
-    """The zero of the signed distance field of all views; empty where they show nothing."""
+    """The zero level of the signed distance field of all views; empty when they show nothing."""
     o3d = open3d()
     core = o3d.core
     grid = o3d.t.geometry.VoxelBlockGrid(
@@ -118,7 +116,7 @@ def fused(views: Sequence[FusedView], voxel_m: float) -> FusedSurface:
     )
     for view in views:
         farthest = float(view.depth_m.max()) + voxel_m
-        # open3d has the first pixel's centre at 0.
+        # In open3d the first pixel's centre is at 0.
         lens = core.Tensor(view.camera.intrinsics - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
         pose = core.Tensor(np.ascontiguousarray(view.camera.camera_from_world))
         depth, colour = (
@@ -133,12 +131,14 @@ def fused(views: Sequence[FusedView], voxel_m: float) -> FusedSurface:
 
 
 def without(surface: FusedSurface, dropped: Bool[np.ndarray, " V"]) -> FusedSurface:
-    """The surface without the triangles whose three vertices are all ``dropped`` (V,), without crumbs below 15 cm, in a
-    fixed order."""
+    """The surface without the triangles whose three vertices are all ``dropped`` (V,), and without pieces below 15 cm.
+
+    Vertices and triangles have a fixed order.
+    """
     triangles = surface.triangles[~dropped[surface.triangles].all(axis=1)]
     triangles = triangles[_large(surface.vertices_m, triangles)]
     used, back = np.unique(triangles, return_inverse=True)
-    # open3d's volume is a hash map: its order is sorted out, so that the same scene gives the same bytes.
+    # open3d's volume is a hash map without a stable order: sorting makes the same scene give the same bytes.
     order = np.lexsort(surface.vertices_m[used].T)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
@@ -150,7 +150,9 @@ def without(surface: FusedSurface, dropped: Bool[np.ndarray, " V"]) -> FusedSurf
 
 
 def decimated(surface: FusedSurface, triangles: int) -> FusedSurface:
-    """At most ``triangles`` of them, by quadric error (Garland and Heckbert 1997); flat parts give up theirs first."""
+    """The surface with at most ``triangles``, by quadric error (Garland and Heckbert 1997); flat parts lose theirs
+    first.
+    """
     if len(surface.triangles) <= triangles:
         return surface
     o3d = open3d()

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A person as a binary glTF 2.0 (``.glb``): skinned mesh, skeleton and animation, for Blender, Unity and web viewers.
+"""Writes a person as a binary glTF 2.0 (``.glb``): skinned mesh, skeleton and animation, for Blender, Unity and web
+viewers.
 
 glTF is y up, metres, (x, y, z, w) quaternions, little endian; everything is in one file. The specification allows four
-bones per vertex in one attribute set, so that of each vertex' weights the four largest are kept and renormalised.
+bones per vertex in one attribute set, so the four largest weights of each vertex are kept and renormalised.
 """
 
 from __future__ import annotations
@@ -42,8 +43,9 @@ class Buffer:
         self.accessors: list[dict[str, Any]] = []
 
     def add(self, values: Num[np.ndarray, "N ..."], kind: str, component: int, target: int | None = None) -> int:
-        """Index of a new accessor over ``values`` (count, …); minima and maxima are given, as positions and times
-        require."""
+        """Index of a new accessor over ``values`` (count, …), with the minima and maxima that positions and times
+        require.
+        """
         raw = np.ascontiguousarray(values).tobytes()
         view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw)}
         self.views.append(view | ({"target": target} if target else {}))
@@ -58,7 +60,8 @@ class Buffer:
 
 def strongest_bones(weights: Float[np.ndarray, "V 24"]) -> tuple[Integer[np.ndarray, "V 4"], Float[np.ndarray, "V 4"]]:
     """(V, 4) uint8 joints and (V, 4) float32 weights with sum 1; joints of zero weight are 0, as the specification
-    asks."""
+    requires.
+    """
     joints = np.argsort(-weights, axis=1, kind="stable")[:, :_BONES]
     kept = np.take_along_axis(weights, joints, axis=1).astype(np.float64)
     kept /= kept.sum(axis=1, keepdims=True)
@@ -77,7 +80,7 @@ def vertex_normals(vertices_m: Float[np.ndarray, "V 3"], faces: Integer[np.ndarr
 
 
 def linear(rgb: Num[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
-    """Colours as displayed (sRGB, IEC 61966-2-1) as glTF wants those of vertices: proportional to light."""
+    """Displayed colours (sRGB, IEC 61966-2-1) converted to linear light, as glTF requires for vertices."""
     rgb = np.clip(rgb, 0, 1)
     return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
@@ -88,8 +91,9 @@ def add_colours(
     provenance: Integer[np.ndarray, " V"],
     opacities: Float[np.ndarray, " V"] | None = None,
 ) -> dict[str, int]:
-    """``COLOR_0`` and ``_PROVENANCE`` of V vertices: rgb (V, 3) as displayed, provenance (V,), opacities (V,) in
-    0..1."""
+    """``COLOR_0`` and ``_PROVENANCE`` of V vertices: rgb (V, 3) as displayed, provenance (V,), opacities (V,)
+    in 0..1.
+    """
     colours = np.full((len(rgb), 4), 65535, np.uint16)
     colours[:, :3] = np.rint(linear(rgb) * 65535)
     if opacities is not None:
@@ -103,8 +107,11 @@ def add_colours(
 def add_body(
     buffer: Buffer, body: BodyModel, betas: Float[np.ndarray, " B"], colours: BodyColours | None
 ) -> tuple[dict[str, Any], list[dict[str, Any]], int]:
-    """A primitive of the shaped body in its T-pose, the nodes of its 24 joints (children counted from the first), and
-    the accessor of their inverse bind matrices."""
+    """A primitive of the shaped body in its T-pose, the nodes of its 24 joints, and the accessor of their inverse bind
+    matrices.
+
+    Children are counted from the first node.
+    """
     rest, joints = body.rest_vertices(betas), body.rest_joints(betas)
     bones, weights = strongest_bones(body.weights)
     attributes = {
@@ -127,8 +134,10 @@ def add_body(
 
 
 def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours | None = None) -> None:
-    """Write the shaped body in its T-pose, bound to 24 joints that move as the person did; filled frames are
-    included, and while the person is away the body has no size. Grey without ``colours``."""
+    """Write the shaped body in its T-pose, bound to 24 joints with the person's motion; grey without ``colours``.
+
+    Interpolated frames are included; while the person is away the body has size zero.
+    """
     buffer = Buffer()
     primitive, nodes, bind = add_body(buffer, body, person.betas, colours)
     document = {
@@ -153,8 +162,9 @@ def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours 
 
 
 def write_document(path: Path, document: dict[str, Any], buffer: Buffer) -> None:
-    """A ``.glb`` of a document and the binary chunk that its accessors point into; UserError when it is larger than
-    the format can say."""
+    """Write a ``.glb`` of a document and the binary chunk of its accessors; raises UserError when it exceeds the
+    format's limit.
+    """
     held = {"accessors": buffer.accessors, "bufferViews": buffer.views, "buffers": [{"byteLength": len(buffer.data)}]}
     text = json.dumps(document | held, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
@@ -171,10 +181,11 @@ def write_document(path: Path, document: dict[str, Any], buffer: Buffer) -> None
 
 
 def motion_of(buffer: Buffer, person: Person | Avatar, first: int = 0) -> dict[str, Any]:
-    """Samplers and channels that move 24 joints, the nodes from ``first`` on, as a person of the z-up world moved.
+    """Samplers and channels that animate 24 joints, the nodes from ``first`` on, with the motion of a person in the
+    z-up world.
 
-    While somebody is away their root is scaled to nothing, which the specification names as the way to animate what is
-    seen; whoever is always there has no such channel.
+    While a person is away the root is scaled to zero, which the specification names as the way to animate visibility; a
+    person who is always present has no such channel.
     """
     times = buffer.add((np.arange(len(person.poses)) / person.fps).astype(np.float32).reshape(-1, 1), "SCALAR", _FLOAT)
     turned = rotations.exp(person.poses.reshape(-1, 24, 3))

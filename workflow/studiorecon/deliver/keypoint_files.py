@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""2D keypoints with identities in the files of other tools: OpenPose JSON and EasyMocap annots, in pixels of the
-exported cameras."""
+"""Writes 2D keypoints with identities for other tools: OpenPose JSON and EasyMocap annots, in pixels of the exported
+cameras.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +21,10 @@ _CENTRE = 0.5
 
 
 def openpose(folder: Path, seen: Detections, camera: Camera, frames: int, people: Mapping[int, int]) -> list[Path]:
-    """``<camera>_json/<camera>_<frame>_keypoints.json``, one per frame, empty ones too; ``person_id`` is the identity
-    or -1."""
+    """Writes ``<camera>_json/<camera>_<frame>_keypoints.json``, one per frame, including empty ones.
+
+    ``person_id`` is the identity or -1.
+    """
     written = []
     for frame in range(frames):
         entries = [
@@ -38,7 +41,9 @@ def openpose(folder: Path, seen: Detections, camera: Camera, frames: int, people
 
 
 def easymocap(folder: Path, seen: Detections, camera: Camera, frames: int, people: Mapping[int, int]) -> list[Path]:
-    """``annots/<camera>/<frame>.json``, one per frame, empty ones too; ``personID`` is the identity or -1."""
+    """Writes ``annots/<camera>/<frame>.json``, one per frame, including empty ones; ``personID`` is the
+    identity or -1.
+    """
     written = []
     for frame in range(frames):
         annots = []
@@ -74,12 +79,12 @@ WRITERS: dict[str, Callable[[Path, Detections, Camera, int, Mapping[int, int]], 
 
 
 def numbers_of(camera: str, identities: Mapping[tuple[str, int], str], people: Sequence[str]) -> dict[int, int]:
-    """track → place of its person in ``people``; rejected tracks are absent."""
+    """track → index of its person in ``people``; rejected tracks are absent."""
     return {track: people.index(p) for (name, track), p in identities.items() if name == camera and p in people}
 
 
 def _triples(seen: Detections, d: int) -> np.ndarray:
-    """(K, 3) x, y, confidence; a missing point is 0, 0, 0, as both tools have it."""
+    """(K, 3) x, y, confidence; a missing point is 0, 0, 0, as in both tools."""
     present = seen.keypoints[d, :, 2] > 0
     shifted = seen.keypoints[d] - [_CENTRE, _CENTRE, 0.0]
     return np.where(present[:, None], shifted, 0.0)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``deliver.mesh``: the room as one coloured mesh, ``deliver/room.glb``, for Blender, Unreal and collision; made on
-request.
+"""``deliver.mesh``: writes the room as one coloured mesh, ``deliver/room.glb``, for Blender, Unreal and collision; only
+on request.
 
-Floor and walls are the fitted room's own planes; between them stands what rendered depth shows (``deliver.fusion``). y
-up, metres.
+Floor and walls are the fitted room's own planes; the objects between them come from rendered depth
+(``deliver.fusion``). y up, metres.
 """
 
 from __future__ import annotations
@@ -28,19 +28,20 @@ from studiorecon.signature import Written
 
 VOXEL_M = 0.02
 VIEWPOINTS = 48
-"""Of the way between the training cameras, beside these themselves."""
+"""Number of viewpoints on the path between the training cameras, in addition to these."""
 TRIANGLES = 60_000
-"""Of what stands in the room: an engine takes this for collision as it is."""
+"""Number of triangles of the room's contents: few enough for an engine's collision mesh."""
 PLANE_STEP_M, PLANE_VERTICES = 0.05, 40_000
-# What lies this near a plane that is kept is that plane, seen with noise.
+# Surface this near a plane of the mesh is a noisy copy of that plane.
 _OF_PLANE_M = 0.06
 _FLOAT, _UINT = 5126, 5125
 _ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
 
 
 def write_room(path: Path, surfaces: list[Plane], standing: FusedSurface, left_out: list[str]) -> None:
-    """One node per plane and one for what stands in the room; ``_PROVENANCE`` of every vertex is 0 measured or 2
-    invented."""
+    """Write one node per plane and one for the room's contents; ``_PROVENANCE`` of every vertex is 0 measured or 2
+    invented.
+    """
     buffer, meshes = Buffer(), []
     parts = [(p.name, p.vertices_m, p.triangles, p.rgb, p.provenance) for p in surfaces]
     if len(standing.triangles):
@@ -63,7 +64,7 @@ def write_room(path: Path, surfaces: list[Plane], standing: FusedSurface, left_o
                 "left out: not in the photos": left_out,
             },
         },
-        # The colours are light that was filmed: a viewer's lamps would light the room twice.
+        # The colours are filmed light: a viewer's lamps would light the room twice.
         "extensionsUsed": ["KHR_materials_unlit"],
         "scene": 0,
         "scenes": [{"nodes": list(range(len(meshes)))}],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A person's motion in the files of other tools: AMASS npz, BVH, TRC, C3D and OpenPose's 3D JSON.
+"""Writes a person's motion for other tools: AMASS npz, BVH, TRC, C3D and OpenPose's 3D JSON.
 
 BVH, TRC and glTF viewers have y up, this project has z up: their files hold the world turned by −90 degrees about x,
 and say so.
@@ -24,21 +24,22 @@ from studiorecon.scene.people import Person
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Carries the z-up world to a y-up one: (x, y, z) → (x, z, −y).
+# Rotation from the z-up world to a y-up one: (x, y, z) → (x, z, −y).
 Y_UP_FROM_Z_UP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
 # Points of TRC and OpenPose files, in OpenPose's order and under OpenPose's names.
 _BODY_25 = LAYOUTS["body_25"].keypoints
 _C3D_FRAMES = 65_535
-"""Most frames of a C3D file: its header and POINT:FRAMES count with 16 bits. Programs write longer ones in ways of
-their own, of which ezc3d reads Vicon's only and Mokka none."""
+"""Most frames of a C3D file: its header and POINT:FRAMES count with 16 bits. Programs store longer motions in their own
+ways, of which ezc3d reads Vicon's only and Mokka none.
+"""
 
 
 def amass(path: Path, person: Person, body: BodyModel) -> list[Path]:
-    """``poses (T, 72) trans (T, 3) betas mocap_framerate gender`` with SMPL's own ``trans``: pelvis = J(betas)₀ +
-    trans.
+    """Writes ``poses (T, 72) trans (T, 3) betas mocap_framerate gender`` with SMPL's own ``trans``: pelvis = J(betas)₀
+    + trans.
 
-    The project's own files have the pelvis itself as ``trans``; programs that load AMASS expect this one. A person who
-    has a size beside the shape (``people.fit.scale``) brings ``scale``: multiply the shaped model with it.
+    In the project's own files ``trans`` is the pelvis itself; programs that load AMASS expect this one. A person with a
+    size in addition to the shape (``people.fit.scale``) has ``scale``: multiply the shaped model by it.
     """
     betas, scale = shape_and_size(person.betas, body.shapes)
     arrays = {
@@ -57,12 +58,13 @@ def amass(path: Path, person: Person, body: BodyModel) -> list[Path]:
 
 
 def bvh(path: Path, person: Person, body: BodyModel, unit: Literal["m", "cm"] = "m") -> list[Path]:
-    """Biovision hierarchy: the skeleton in its T-pose, then one line of channels per frame; y up, ``unit``, degrees.
+    """Writes a Biovision hierarchy: the skeleton in its T-pose, then one line of channels per frame; y up, ``unit``,
+    degrees.
 
-    Channels are ``Zrotation Xrotation Yrotation``, applied in that order to column vectors as R = Rz Rx Ry. Filled
-    frames are included, a film must not blink, and so are those in which the person is away, which the format cannot
-    say: there the skeleton goes from where they left to where they come back. A BVH file names no unit: Blender reads
-    metres, as every other file here has them, Unreal and MotionBuilder read centimetres.
+    Channels are ``Zrotation Xrotation Yrotation``, applied in that order to column vectors as R = Rz Rx Ry.
+    Interpolated frames are included so that a film does not flicker, and so are those in which the person is away,
+    which the format cannot mark: there the skeleton moves from the place of leaving to the place of return. A BVH file
+    names no unit: Blender reads metres, which every other file here has, Unreal and MotionBuilder read centimetres.
     """
     per_m = {"m": 1.0, "cm": 100.0}[unit]
     rest = per_m * body.rest_joints(person.betas)
@@ -85,7 +87,7 @@ def bvh(path: Path, person: Person, body: BodyModel, unit: Literal["m", "cm"] = 
         for child in children[joint]:
             describe(child, depth + 1)
         if not children[joint]:
-            # A leaf ends half as far beyond it as its own bone is long.
+            # The end of a leaf joint extends its bone by half of its length.
             lines.extend([f"{pad}\tEnd Site", pad + "\t{", f"{pad}\t\tOFFSET {_numbers(0.5 * offset)}", pad + "\t}"])
         lines.append(pad + "}")
 
@@ -101,12 +103,13 @@ def bvh(path: Path, person: Person, body: BodyModel, unit: Literal["m", "cm"] = 
 
 
 def trc(path: Path, person: Person, body: BodyModel) -> list[Path]:
-    """OpenSim's marker file: the body's surface points under OpenPose BODY_25 names; y up, metres, frames from 1.
+    """Writes OpenSim's marker file: the body's surface points under OpenPose BODY_25 names; y up, metres, frames from
+    1.
 
-    Frames that were not measured are left empty, which OpenSim reads as missing.
+    Unmeasured frames are empty, which OpenSim reads as missing.
     """
     points = body.keypoints(_BODY_25, person.poses, person.betas, person.trans) @ Y_UP_FROM_Z_UP.T
-    # A program that counts time by the rate must still be right after hours: 29.97 for 30000/1001 is not enough.
+    # A program that computes time from the rate must be right after hours: 29.97 for 30000/1001 is not enough.
     count, fps = len(_BODY_25), f"{person.fps:.10g}"
     names = "\t".join(f"{name}\t\t" for name in map(openpose_name, _BODY_25))
     axes = "\t".join(f"X{i}\tY{i}\tZ{i}" for i in range(1, count + 1))
@@ -126,12 +129,12 @@ def trc(path: Path, person: Person, body: BodyModel) -> list[Path]:
 
 
 def c3d(path: Path, person: Person, body: BodyModel) -> list[Path]:
-    """C3D of biomechanics (Vicon, Qualisys, Visual3D, OpenSim, Mokka): the points of ``trc``, millimetres, z up as in
-    laboratories, frames from 1.
+    """Writes C3D for biomechanics (Vicon, Qualisys, Visual3D, OpenSim, Mokka): the points of ``trc``, millimetres, z
+    up, frames from 1.
 
-    A frame that was not measured has no points: not a number, with the residual -1 that means so. Points come from
-    pictures and have no residual of their own: 0. The format counts frames with 16 bits: a longer motion is written as
-    several files, each of which every reader reads whole, ``<name>_frames_<first>-<last>.c3d``.
+    An unmeasured frame has NaN points with the residual -1 that marks them. Points come from pictures and have no
+    residual of their own: 0. The format counts frames with 16 bits: a longer motion becomes several files that every
+    reader can read, ``<name>_frames_<first>-<last>.c3d``.
     """
     frames = len(person.valid)
     if frames <= _C3D_FRAMES:
@@ -151,7 +154,7 @@ def c3d(path: Path, person: Person, body: BodyModel) -> list[Path]:
 
 
 def _c3d_of(path: Path, person: Person, body: BodyModel, frames: slice) -> None:
-    import ezc3d  # a fifth of a second, which only this format needs
+    import ezc3d  # takes 0.2 s, and only this format needs it
 
     valid = person.valid[frames]
     points_m = body.keypoints(_BODY_25, person.poses[frames], person.betas, person.trans[frames])
@@ -175,10 +178,10 @@ def _c3d_of(path: Path, person: Person, body: BodyModel, frames: slice) -> None:
 
 
 def openpose_3d(path: Path, person: Person, body: BodyModel) -> list[Path]:
-    """OpenPose's JSON with ``pose_keypoints_3d`` (BODY_25, metres, z up, confidence 1 or, in frames that were filled,
-    0).
+    """Writes OpenPose's JSON with ``pose_keypoints_3d``: BODY_25, metres, z up, confidence 1, or 0 in interpolated
+    frames.
 
-    One file for the clip, a list with one OpenPose document per frame, with nobody in it while the person is away.
+    One file for the clip: a list with one OpenPose document per frame, empty while the person is away.
     """
     points = body.keypoints(_BODY_25, person.poses, person.betas, person.trans)
     confident = np.broadcast_to(person.valid[:, None, None].astype(np.float64), (*points.shape[:2], 1))
@@ -206,7 +209,7 @@ WRITERS: dict[str, Callable[[Path, Person, BodyModel], list[Path]]] = {
 def euler_zxy_deg(rotation: Float[np.ndarray, "... 3 3"]) -> Float[np.ndarray, "... 3"]:
     """(..., 3) angles about z, x, y in degrees with R = Rz Rx Ry; where x is ±90 degrees y is 0.
 
-    Only for BVH, whose channels are Euler angles (nothing here computes with them, R21).
+    Only for BVH, whose channels are Euler angles; no computation uses them (R21).
     """
     sine = np.clip(rotation[..., 2, 1], -1, 1)
     locked = np.abs(sine) > 1 - 1e-12

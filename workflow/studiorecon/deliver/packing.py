@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers in few bytes: arrays in one run of bytes, each described by what a reader in a browser needs.
+"""Packs arrays into one compressed run of bytes, with a description of each for the reader in a browser.
 
-Bytes lie in planes (all first bytes of a column, then all second ones), so that what changes slowly along an array
-compresses. ``Bytes`` writes; the page's own reader is ``unpacked`` in ``resources/player/scene.js``. A description's
-``packed`` says what its bytes are: ``levels`` and ``floats`` are numbers, ``whole`` whole numbers, ``turns`` unit
-quaternions, and a ``file`` stays bytes.
+Bytes are stored in planes (all first bytes of a column, then all second ones), so that slowly varying arrays compress
+well. ``Bytes`` writes; the page's own reader is ``unpacked`` in ``resources/player/scene.js``. A description's
+``packed`` gives the type: ``levels`` and ``floats`` are numbers, ``whole`` whole numbers, ``turns`` unit quaternions,
+and a ``file`` stays bytes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
-# A unit quaternion's three smaller numbers are at most this.
+# Largest possible value of a unit quaternion's three smaller numbers.
 _SMALLER = np.sqrt(0.5)
 _QUATERNION_BITS = 10
 # An even number, so that 0 is one of the levels.
@@ -26,7 +26,7 @@ _STEPS = 1022
 
 
 class Bytes:
-    """Arrays one after the other; every method adds one and returns its description."""
+    """Arrays stored in sequence; every method adds one and returns its description."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -63,8 +63,10 @@ class Bytes:
         return self._add("floats", values.tobytes(), count=len(values), columns=values.shape[1])
 
     def quaternions(self, values: Num[np.ndarray, "N 4"]) -> dict[str, Any]:
-        """(N, 4) quaternions of any length, one 32-bit number each: which number is the largest, and the other three,
-        within 0.2 degrees."""
+        """(N, 4) quaternions of any length, one 32-bit number each, within 0.2 degrees.
+
+        A number holds the index of the largest component, and the other three.
+        """
         values = np.asarray(values, np.float64)
         length = np.linalg.norm(values, axis=1, keepdims=True)
         unit = np.where(length < 1e-12, [1.0, 0, 0, 0], values / np.where(length < 1e-12, 1, length))
@@ -82,7 +84,7 @@ class Bytes:
         return self._add("file", content, count=len(content))
 
     def text(self) -> str:
-        """Everything, compressed, in letters that a page may hold."""
+        """All bytes, compressed, as letters that a page may contain."""
         return base64.b64encode(gzip.compress(bytes(self.data), 9, mtime=0)).decode("ascii")
 
     def _add(self, kind: str, raw: bytes, **shape: int) -> dict[str, Any]:
@@ -98,8 +100,10 @@ def _table(values: np.ndarray, kind: Any) -> np.ndarray:
 
 
 def whole_shares(weights: Float[np.ndarray, "N K"]) -> Integer[np.ndarray, "N K"]:
-    """(N, K) uint8 that add up to exactly 255 in every row, nearest to ``weights`` (N, K) that add up to 1: a splat
-    whose shares add up to less is pulled towards the origin of the world."""
+    """(N, K) uint8 that add up to exactly 255 in every row, nearest to ``weights`` (N, K) that add up to 1.
+
+    A splat whose shares add up to less would be pulled towards the origin of the world.
+    """
     exact = np.asarray(weights, np.float64) * 255
     found = np.floor(exact + 1e-9)
     missing = np.rint(255 - found.sum(axis=1)).astype(int)
@@ -110,7 +114,7 @@ def whole_shares(weights: Float[np.ndarray, "N K"]) -> Integer[np.ndarray, "N K"
 
 
 def along_a_curve(points_m: Float[np.ndarray, "N 3"]) -> Integer[np.ndarray, " N"]:
-    """(N,) the order in which points (N, 3) follow one another so that neighbours stay near: Morton's curve."""
+    """(N,) the order of points (N, 3) along Morton's curve, in which neighbours stay near."""
     if not len(points_m):
         return np.zeros(0, np.int64)
     low, high = np.percentile(points_m, (1, 99), axis=0)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``deliver.player``: the 4D scene as one page that moves: opened from disk, without a network, in any browser with
-WebGL2."""
+"""``deliver.player``: writes the moving 4D scene as one page for any browser with WebGL2, opened from disk, without a
+network.
+"""
 
 from __future__ import annotations
 
@@ -32,11 +33,12 @@ from studiorecon.splatting.scene_files import SceneFiles
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
-# In the order in which they are read: each uses only those before it.
+# In the order of loading: each uses only those before it.
 SCRIPTS = ("scene", "sort", "shaders", "draw", "camera", "play", "link", "panel", "hands")
-# Films of the cameras that lie over the scene are this wide at most; longer ones are told by some photos each.
+# Largest width of camera films shown over the scene, most frames and bytes; a longer film is replaced by this many
+# photos.
 FILM_WIDTH, FILM_FRAMES, FILM_BYTES, PHOTOS = 640, 600, 2_500_000, 8
-# A key frame every twelve, so that the slider finds its picture soon.
+# A key frame every twelve, so that the slider seeks quickly.
 _FILM = Codec(
     "libx264",
     "rgb24",
@@ -47,14 +49,14 @@ _FILM = Codec(
 )
 _POSTER_WIDTH = 960
 QUALITY = 82
-"""Of the pictures in the page, as JPEG files."""
+"""JPEG quality of the pictures in the page."""
 _ALWAYS = ("colours are those before enhancement; only the films show what enhancement adds",)
 
 
 def filmed(
     held: Bytes, cameras: Sequence[dict[str, Any]], videos: Sequence[Path], frames: int, fps: float
 ) -> list[str]:
-    """Adds to each camera what it filmed: its film where all of them fit, else some photos; says in sentences which."""
+    """Adds to each camera its film if all of them fit, else some photos; returns sentences that say which."""
     if not videos:
         return []
     if frames <= FILM_FRAMES:
@@ -80,7 +82,7 @@ def _film(video: Path, path: Path, frames: int, fps: float) -> bytes:
 
 
 def narrowed(picture: Integer[np.ndarray, "H W 3"], width: int = FILM_WIDTH) -> Integer[np.ndarray, "h w 3"]:
-    """A picture (H, W, 3) uint8, no wider than ``width``, of even sides, as H.264 asks."""
+    """A picture (H, W, 3) uint8, at most ``width`` wide, with even sides, as H.264 requires."""
     wide = min(picture.shape[1], width)
     size = max(wide // 2 * 2, 2), max(round(picture.shape[0] * wide / picture.shape[1] / 2) * 2, 2)
     if size == (picture.shape[1], picture.shape[0]):
@@ -89,8 +91,9 @@ def narrowed(picture: Integer[np.ndarray, "H W 3"], width: int = FILM_WIDTH) -> 
 
 
 def poster_of(scene: FinishedScene) -> Integer[np.ndarray, "H W 3"]:
-    """(H, W, 3) uint8 the scene in the middle of the capture, from the middle of its first film, or its first
-    camera."""
+    """(H, W, 3) uint8 view of the scene in the middle of the capture, from the middle of its first film, or its first
+    camera.
+    """
     steps = next((steps for steps in scene.paths.values() if steps), None)
     camera = steps[len(steps) // 2].camera if steps else scene.cameras[0]
     frame = steps[len(steps) // 2].frame if steps else (scene.capture.frames - 1) / 2
@@ -101,8 +104,7 @@ def poster_of(scene: FinishedScene) -> Integer[np.ndarray, "H W 3"]:
 
 
 def page_of(title: str, told: dict[str, Any], held: Bytes, poster: bytes, parts: Sequence[Path]) -> str:
-    """The page with everything in it, from its ``parts`` (page.html and the scripts). Nothing of a capture's names is
-    read as a part of the page."""
+    """The complete page from its ``parts`` (page.html and the scripts); names from the capture are escaped."""
     source = {path.stem: path.read_text(encoding="utf-8") for path in parts}
     page, scripts = source["page"], "\n".join(source[name] for name in SCRIPTS)
     filled = {
@@ -130,8 +132,11 @@ def run(
     page: Written,
     poster: Written,
 ) -> None:
-    """Write the ``page`` and its ``poster``, a JPEG that other pages show; ``videos`` are what the training cameras
-    filmed, ``exposure`` what their pictures are divided by, ``shade`` who darkens the floor when."""
+    """Write the ``page`` and its ``poster``, a JPEG that other pages show.
+
+    ``videos`` are the training cameras' footage, ``exposure`` the factors that divide their pictures, ``shade`` the
+    shadows on the floor over time.
+    """
     finished = read_finished(manifest, model, files, paths)
     held, factors = Bytes(), read_factors(exposure, finished.capture.frames)
     shaded = None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All that the player is told of a scene: Gaussians in few bytes, motion, cameras, films, and what was left out."""
+"""The player's data of a scene: packed Gaussians, motion, cameras, films, and notes on omitted parts."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from studiorecon.splatting.conventions import ALPHA_LOG2_MIN, ALPHA_MAX, DILATIO
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
-# Bytes of everybody's motion, of colours over time and of shades: beyond, they are told at fewer moments.
+# Most bytes of all motion, of colours over time and of shades: beyond them, fewer moments are stored.
 MOTION_BYTES, CHANGES_BYTES, SHADE_BYTES = 3_000_000, 1_500_000, 3_000_000
 _POSE_BYTES = 24 * 8 + 12
 # Brightness of a shaded Gaussian, as a multiple of its own.
@@ -36,7 +36,7 @@ NEAR_M = 0.2
 
 @dataclass(frozen=True)
 class Shade:
-    """What people's shadows leave of the light: (M,) indices of the room's Gaussians, (K,) moments, (K, M) factors."""
+    """Shadows of people as factors on the light: (M,) indices of the room's Gaussians, (K,) moments, (K, M) factors."""
 
     at: Integer[np.ndarray, " M"]
     times: Num[np.ndarray, " K"]
@@ -46,7 +46,9 @@ class Shade:
 def described(
     scene: FinishedScene, held: Bytes, exposure: Factors, shade: Shade | None = None
 ) -> tuple[dict[str, Any], list[str]]:
-    """What the page reads beside ``held``, which is filled; and sentences: what was left out, or stands for more."""
+    """The description that the page reads with the bytes in ``held``, which this fills; and sentences on omitted or
+    simplified parts.
+    """
     told: list[str] = []
     frames = scene.capture.frames
     bodies = max(len(scene.people) + len(scene.things), 1)
@@ -102,7 +104,7 @@ def described(
 def gaussians(
     held: Bytes, own: Gaussians, provenance: Integer[np.ndarray, " N"]
 ) -> tuple[dict[str, Any], Integer[np.ndarray, " N"]]:
-    """The Gaussians as the page reads them, and the order (N,) in which they now stand."""
+    """The description of the packed Gaussians, and their new order (N,)."""
     order = along_a_curve(own.means_m)
     own = own.take(order)
     found = {
@@ -119,13 +121,13 @@ def gaussians(
     if own.sh_degree:
         reach = float(np.abs(own.sh[:, 1:]).max(initial=1e-6))
         rest = own.sh[:, 1:].reshape(own.count, (own.sh.shape[1] - 1) * 3)
-        # The page's shader spreads them between -reach and reach.
+        # The page's shader maps them to the range from -reach to reach.
         found |= {"harmonics": held.whole(np.rint((rest / reach + 1) * 127.5), 8), "reach": reach}
     return found, order
 
 
 def shades(held: Bytes, shade: Shade, order: Integer[np.ndarray, " N"], told: list[str]) -> dict[str, Any]:
-    """The room's shade over time, of the Gaussians that ever have some."""
+    """The room's shade over time, for the Gaussians that are ever shaded."""
     some = (np.abs(shade.factors - 1) > 0.5 * _SHADE_MAX / 255).any(axis=0)
     place = np.argsort(order, kind="stable")[shade.at[some]]
     sorting = np.argsort(place, kind="stable")
@@ -141,15 +143,16 @@ def shades(held: Bytes, shade: Shade, order: Integer[np.ndarray, " N"], told: li
 
 
 def camera_json(camera: Camera, held: Bytes, exposure: Factors) -> dict[str, Any]:
-    """A camera, with what its pictures were brighter by than the scene: one factor, or one a frame."""
+    """A camera, with the brightness of its pictures relative to the scene: one factor, or one per frame."""
     found = camera.as_json()
     found = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in found.items()}
     return found | ({"exposure": held.floats(exposure.of[camera.name])} if camera.name in exposure.of else {})
 
 
 def film_rows(steps: Sequence[PathStep]) -> Float[np.ndarray, "P 14"]:
-    """(P, 14) of every picture: size, focal lengths, principal point, turn (w, x, y, z) and centre of its camera, and
-    the frame it shows."""
+    """(P, 14) per picture: size, focal lengths, principal point, rotation (w, x, y, z) and centre of its camera, and
+    the frame it shows.
+    """
     turns = rotations.to_quaternion(np.stack([step.camera.world_from_camera[:3, :3] for step in steps]))
     rows = [
         [*step.camera.wh, *step.camera.focal_px, *step.camera.principal_px, *turn, *step.camera.centre_m, step.frame]
@@ -159,8 +162,9 @@ def film_rows(steps: Sequence[PathStep]) -> Float[np.ndarray, "P 14"]:
 
 
 def read_shade(path: Path, count: int) -> Shade:
-    """The shade that ``render/room.shade.npz`` holds of a room of ``count`` Gaussians; raises UserError as
-    ``intermediate.read`` does."""
+    """The shade in ``render/room.shade.npz`` of a room of ``count`` Gaussians; raises UserError as
+    ``intermediate.read`` does.
+    """
     schema: Schema = {
         "at": whole("M", low=0, high=count - 1),
         "times": whole("K", low=0, such=ASCENDING),

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What moves in the player: skeletons, things, and colours that change over time, at even moments of the capture."""
+"""Motion in the player: skeletons, objects, and colours that change over time, at evenly spaced moments of
+the capture.
+"""
 
 from __future__ import annotations
 
@@ -18,21 +20,23 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
 _BONES = 4
-# A network that is asked at every Gaussian is asked here at so many places of the body.
+# Number of body points at which the player evaluates a network that the renderer evaluates at every Gaussian.
 _PLACES = 512
 
 
 def moments(frames: int, most: int) -> Float[np.ndarray, " K"]:
-    """At most ``most`` evenly spread times of the capture, both ends among them: all frames where they fit."""
+    """At most ``most`` evenly spaced times of the capture, including both ends: all frames if they fit."""
     return np.linspace(0, frames - 1, max(min(frames, most), 1)) if frames > 1 else np.zeros(1)
 
 
 def skeleton(held: Bytes, person: Avatar, times: Num[np.ndarray, " K"]) -> dict[str, Any]:
-    """A person's joints at rest and their turns at ``times`` (K,): 16 bits a number, 0.002 degrees; and, of somebody
-    who is away now and then, at which of them they are there."""
+    """A person's joints at rest and their rotations at ``times`` (K,): 16 bits a number, 0.002 degrees.
+
+    A person who is away at times also has the moments of presence.
+    """
     poses, roots_m = zip(*(person.pose_at(float(time)) for time in times))
     turns = rotations.to_quaternion(rotations.exp(np.array(poses).reshape(-1, 24, 3)))
-    # The same turn from one moment to the next: what changes slowly compresses.
+    # The sign of a quaternion is chosen near the previous one: slow changes compress.
     flips = np.cumprod(np.where((turns[1:] * turns[:-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=0)
     turns[1:] *= flips[..., None]
     there = np.array([person.there(float(time)) for time in times], np.uint8)
@@ -46,7 +50,7 @@ def skeleton(held: Bytes, person: Avatar, times: Num[np.ndarray, " K"]) -> dict[
 
 
 def rigid(held: Bytes, thing: RigidObject, times: Num[np.ndarray, " K"]) -> dict[str, Any]:
-    """A thing's places and turns at ``times`` (K,), and in which of them it is somewhere."""
+    """An object's positions and rotations at ``times`` (K,), and the times at which they are known."""
     there = [thing.centre_at(float(time)) for time in times]
     turns = rotations.to_quaternion(np.stack([thing.turn_at(float(time)) for time in times]))
     return {
@@ -60,7 +64,9 @@ def rigid(held: Bytes, thing: RigidObject, times: Num[np.ndarray, " K"]) -> dict
 
 
 def skin(held: Bytes, bones: Integer[np.ndarray, "N J"], weights: Float[np.ndarray, "N J"]) -> dict[str, Any]:
-    """The four bones (N, 4) that carry each Gaussian most, and their shares, which add up to exactly one."""
+    """The four bones (N, 4) with the largest weights of each Gaussian, and their shares, which add up to
+    exactly one.
+    """
     count, given = weights.shape
     if given < _BONES:
         bones = np.concatenate([bones, np.zeros((count, _BONES - given), bones.dtype)], axis=1)
@@ -74,9 +80,11 @@ def skin(held: Bytes, bones: Integer[np.ndarray, "N J"], weights: Float[np.ndarr
 def changes(
     held: Bytes, person: Avatar, order: Integer[np.ndarray, " N"], times: Num[np.ndarray, " K"]
 ) -> tuple[dict[str, Any], float]:
-    """What a person's network adds to colour and logit at ``times`` (K,), as values of some places of the body that
-    the Gaussians in ``order`` listen to; and the largest colour, in 0..1, by which that is off in the middle of the
-    capture."""
+    """The changes of colour and logit by a person's network at ``times`` (K,), and the largest error of colour, 0..1.
+
+    They are evaluated at some points of the body, to which the Gaussians in ``order`` are assigned; the error is that
+    in the middle of the capture.
+    """
     network, seen = person.network, person.drifting
     assert network is not None
     means = person.gaussians.means_m[seen]
@@ -89,7 +97,7 @@ def changes(
     shares = np.zeros((person.gaussians.count, 4))
     near[seen], shares[seen] = control.near, control.shares
     shares[~seen, 0] = 1.0
-    # Gaussians that no camera measured listen to one more place, where nothing ever changes.
+    # Gaussians that no camera measured are assigned to one more point, which never changes.
     near[~seen] = len(control.points_m)
     values = np.concatenate([values, np.zeros((len(times), 1, 4), values.dtype)], axis=1)
     middle = float(times[len(times) // 2])

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Floor, walls and ceiling of the mesh: the fitted room's own rectangles, coloured by what the viewpoints see of
-them."""
+"""Floor, walls and ceiling of the mesh: the fitted room's own rectangles, with colours from the viewpoints."""
 
 from __future__ import annotations
 
@@ -19,7 +18,7 @@ from studiorecon.scene.room import FACES, RoomBox
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# A point of a plane is seen where the rendered depth agrees with its own within this share and these metres.
+# A point of a plane is visible where the rendered depth agrees with its own within this share and these metres.
 _AGREE_SHARE, _AGREE_M = 0.02, 0.02
 
 
@@ -32,8 +31,8 @@ class Plane:
         vertices_m: (V, 3) float64, corners included.
         triangles: (F, 3) int64, counter-clockwise from inside the room.
         rgb: (V, 3) float64 in [0, 1] as displayed.
-        provenance: (V,) uint8, ``MEASURED`` where a viewpoint sees it, ``INVENTED`` where its colour is its nearest
-            seen neighbours'.
+        provenance: (V,) uint8, ``MEASURED`` where a viewpoint sees it, ``INVENTED`` where its colour comes from its
+            nearest visible neighbours.
     """
 
     name: str
@@ -44,13 +43,14 @@ class Plane:
 
 
 def kept(room_box: RoomBox) -> list[int]:
-    """Indices of the faces that are in the mesh: the floor, and what was found in the photos; a default wall may stand
-    anywhere."""
+    """Indices of the faces in the mesh: the floor, and faces fitted to the photos; the position of a default wall is
+    arbitrary.
+    """
     return [index for index, name in enumerate(FACES) if name == "floor" or room_box.fitted[index]]
 
 
 def distance_m(room_box: RoomBox, points_m: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
-    """(N,) from points (N, 3) to the nearest face that is kept; 0 for what lies beyond one."""
+    """(N,) distance from points (N, 3) to the nearest face of the mesh; 0 for points beyond one."""
     apart = np.full(len(points_m), np.inf)
     for index in kept(room_box):
         normal, offset = room_box.faces[index, :3], room_box.faces[index, 3]
@@ -60,7 +60,9 @@ def distance_m(room_box: RoomBox, points_m: Float[np.ndarray, "N 3"]) -> Float[n
 
 
 def planes(room_box: RoomBox, views: Sequence[FusedView], step_m: float, vertices: int) -> list[Plane]:
-    """The kept faces as grids of about ``step_m``, coarser where all together would have more than ``vertices``."""
+    """The faces of the mesh as grids of about ``step_m``, coarser where all together would have more than
+    ``vertices``.
+    """
     size = room_box.high_m - room_box.low_m
     area = sum(np.prod(np.delete(size, index // 2)) for index in kept(room_box))
     step_m = max(step_m, float(np.sqrt(area / vertices)))
@@ -93,8 +95,7 @@ def _grid(room_box: RoomBox, index: int, step_m: float) -> tuple[np.ndarray, np.
     )
     corner = np.arange(a.size).reshape(a.shape)
     p, q, r, s = (part.ravel() for part in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]))
-    # first × second is the axis itself: counter-clockwise as seen from its positive side, which is inside for the low
-    # faces.
+    # first × second is the axis itself: counter-clockwise from its positive side, which is inside for the low faces.
     triangles = np.concatenate([np.stack([p, q, r], 1), np.stack([p, r, s], 1)])
     return local @ room_box.axes, triangles[:, ::-1] if far else triangles
 

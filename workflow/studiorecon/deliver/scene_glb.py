@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``deliver.scene_glb``: the 4D scene as one binary glTF, ``deliver/scene.glb``, for three.js, PlayCanvas, Babylon.js
-and Blender.
+"""``deliver.scene_glb``: writes the 4D scene as one binary glTF, ``deliver/scene.glb``, for three.js, PlayCanvas,
+Babylon.js and Blender.
 
-The room and loose things are points with ``KHR_gaussian_splatting`` (ratified by Khronos), which programs that do not
-know it show as coloured points; people are skinned meshes in the colours of their Gaussians, the training cameras
-glTF's. y up, metres. The Gaussians keep their own axes below nodes that turn them: harmonics need no rotation then.
+The room and objects are points with ``KHR_gaussian_splatting`` (ratified by Khronos), which programs without that
+extension show as coloured points. People are skinned meshes in the colours of their Gaussians; the training cameras are
+glTF cameras. y up, metres. The Gaussians keep their own axes below nodes that rotate them, so harmonics need no
+rotation.
 """
 
 from __future__ import annotations
@@ -44,7 +45,10 @@ _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 def splats(buffer: Buffer, own: Gaussians, provenance: Integer[np.ndarray, " N"]) -> dict[str, Any]:
     """A primitive of N Gaussians: linear scales, opacities in 0..1, unit quaternions (x, y, z, w), harmonics as
-    trained (they show display-referred sRGB); ``COLOR_0``, linear, for who draws points."""
+    trained.
+
+    The harmonics give display-referred sRGB; ``COLOR_0``, linear, is for programs that draw points.
+    """
     opacities = own.opacities
     values = {
         "POSITION": (own.means_m, "VEC3"),
@@ -67,8 +71,11 @@ def splats(buffer: Buffer, own: Gaussians, provenance: Integer[np.ndarray, " N"]
 
 
 def camera_of(camera: Camera) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A glTF camera and its node. glTF has no principal point: it is in the camera's ``extras``, in pixels, with the
-    focal lengths and the size of the picture."""
+    """A glTF camera and its node.
+
+    glTF has no principal point: it is in the camera's ``extras``, in pixels, with the focal lengths and the size of the
+    picture.
+    """
     (width, height), (_, fy) = camera.wh, camera.focal_px
     shown = {"yfov": 2 * float(np.arctan(height / (2 * fy))), "aspectRatio": width / height, "znear": _NEAR_M}
     told = {"wh": list(camera.wh), "focal_px": list(camera.focal_px), "principal_px": list(camera.principal_px)}
@@ -79,8 +86,10 @@ def camera_of(camera: Camera) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def thing_motion(buffer: Buffer, thing: RigidObject, fps: float, node: int) -> dict[str, Any] | None:
-    """A loose thing's place and turn in the frames in which it is known, from which programs continue over those in
-    which it is not; None where it is never known."""
+    """An object's position and rotation in the frames in which they are known; None if they never are.
+
+    Programs interpolate over the other frames.
+    """
     known = np.flatnonzero(thing.present)
     if not len(known):
         return None
@@ -99,7 +108,7 @@ def thing_motion(buffer: Buffer, thing: RigidObject, fps: float, node: int) -> d
 
 
 def document_of(scene: FinishedScene, buffer: Buffer) -> dict[str, Any]:
-    """The glTF document of a scene, whose numbers go into ``buffer``; one animation, ``capture``, moves everybody."""
+    """The glTF document of a scene, with its numbers in ``buffer``; one animation, ``capture``, moves everything."""
     nodes: list[dict[str, Any]] = []
     meshes: list[dict[str, Any]] = []
     skins: list[dict[str, Any]] = []

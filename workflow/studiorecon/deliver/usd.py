@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``deliver.usd``: the 4D scene as one OpenUSD stage, ``deliver/scene.usdc``, for usdview, Houdini, Omniverse and
-Unreal; made on request.
+"""``deliver.usd``: writes the 4D scene as one OpenUSD stage, ``deliver/scene.usdc``, for usdview, Houdini, Omniverse
+and Unreal; only on request.
 
 z up, metres, one time code per frame. The room is a ``ParticleField3DGaussianSplat`` (OpenUSD 26.03), people are
-``UsdSkel`` bodies in the colours of their Gaussians, loose things particle fields that move, cameras ``UsdGeom``'s.
+``UsdSkel`` bodies in the colours of their Gaussians, objects are moving particle fields, cameras ``UsdGeom``'s.
 """
 
 from __future__ import annotations
@@ -31,17 +31,18 @@ from studiorecon.splatting.scene_files import SceneFiles
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
-# Width of every camera's film, as UsdGeom counts lengths; only its ratio to the focal length shows.
+# Width of every camera's film in UsdGeom's unit; only its ratio to the focal length matters.
 _APERTURE = 36.0
 _CLIPPING_M = 0.05, 1000.0
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-# Deviations within which a Gaussian is drawn by other programs.
+# Standard deviations within which other programs draw a Gaussian.
 _REACH = 3.0
 
 
 def pxr() -> Any:
-    """The library, imported late because few ask for it; where it cannot be loaded, a UserError that says how to get
-    it."""
+    """The library, imported late because it is rarely needed; raises UserError with a remedy when it cannot
+    be loaded.
+    """
     try:
         import pxr
         from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, UsdVol, Vt  # noqa: F401
@@ -83,8 +84,11 @@ def add_gaussians(stage: Any, path: str, own: Gaussians, provenance: Integer[np.
 
 
 def add_body(stage: Any, path: str, person: Avatar) -> None:
-    """The shaped body in its T-pose with its skeleton and motion, filled frames included, invisible while the person is
-    away; all the weights of every vertex. Pose correctives of an SMPL file have no place in UsdSkel."""
+    """The shaped body in its T-pose with its skeleton and motion, interpolated frames included, invisible while the
+    person is away.
+
+    All weights of every vertex are kept. UsdSkel cannot represent pose correctives of an SMPL file.
+    """
     usd, body = pxr(), person.model
     root = usd.UsdSkel.Root.Define(stage, path)
     if not person.present.all():
@@ -134,7 +138,7 @@ def add_body(stage: Any, path: str, person: Avatar) -> None:
 
 
 def add_thing(stage: Any, path: str, thing: RigidObject) -> None:
-    """A loose thing where it is in every frame, and invisible in frames in which its place is unknown."""
+    """An object at its position in every frame, invisible in frames in which its position is unknown."""
     usd = pxr()
     splat = add_gaussians(stage, path, thing.gaussians, thing.provenance)
     place, seen = splat.AddTransformOp(), splat.CreateVisibilityAttr()
@@ -184,7 +188,7 @@ def run(
         for thing in finished.things:
             add_thing(made, f"/scene/things/{thing.person}", thing)
         for index, camera in enumerate(finished.cameras):
-            # A prim's name is a word; what the user calls the camera is what usdview shows.
+            # A prim's name must be a word; usdview shows the user's name of the camera.
             path = f"/scene/cameras/camera{index}"
             add_camera(made, path, camera)
             made.GetPrimAtPath(path).SetDisplayName(camera.name)
@@ -198,7 +202,7 @@ def _vectors(values: np.ndarray) -> Any:
 
 
 def _quaternions(wxyz: np.ndarray) -> Any:
-    """The library keeps the real part last."""
+    """Quaternions of the library, which stores the real part last."""
     return pxr().Vt.QuatfArray.FromNumpy(np.ascontiguousarray(wxyz[:, [1, 2, 3, 0]], np.float32))
 
 
@@ -207,6 +211,6 @@ def _whole(values: np.ndarray) -> Any:
 
 
 def _places(points_m: np.ndarray) -> Any:
-    """One transform per point that moves the origin there."""
+    """One transform per point that moves the origin to it."""
     gf = pxr().Gf
     return pxr().Vt.Matrix4dArray([gf.Matrix4d(1).SetTranslate(gf.Vec3d(*map(float, point))) for point in points_m])
