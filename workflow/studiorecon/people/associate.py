@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``people.associate``: which tracks of which cameras are the same person, and who is a person of this scene at all."""
+"""``people.associate``: groups the cameras' tracks into persons, and decides which groups are people of this scene."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from studiorecon.scene.people import Detections, read_detections, usable, write_
 from studiorecon.scene.readouts import Readout, write_readouts
 from studiorecon.signature import Written
 
-# Keypoints that are less sure only cost time where readouts are estimated.
+# Less confident keypoints only cost time where readouts are estimated.
 _SURE = 0.3
 
 
 @dataclass(frozen=True)
 class Settings(Triangulated):
-    """Limits of agreement, of association and of the pictures' say."""
+    """Limits of agreement, of association and of the pictures' evidence."""
 
     association: AssociationLimits = setting(
         AssociationLimits(), "Which tracks of different cameras are one person, and who counts as one."
@@ -64,12 +64,12 @@ def run(
     """Write ``people`` (people.tsv, in order of appearance) and ``identities`` (camera, track → person, empty =
     rejected).
 
-    ``association`` (json) says why, per track, for the identity page. The folder ``who`` has a file per person, so that
-    a change of one person's tracks is no change of another's: <person>.tsv, that person's lines of ``identities``; and
-    readouts.json, by how much every camera's rows look one after the other.
-    ``corrected`` is the user's own identities.tsv, or nothing: it is taken as it stands. The detector's files
-    ``found`` with their masks, and the user's clean ``plates``, each <camera>.npz or .png of the cameras that have one,
-    confirm people who change no picture; ``calibration`` says where in the footage they are.
+    ``association`` (json) holds the reasons per track, for the identity page. The folder ``who`` has a file per person,
+    so that a change of one person's tracks does not affect another's: <person>.tsv, that person's lines of
+    ``identities``; and readouts.json, every camera's readout. ``corrected`` is the user's own identities.tsv, or
+    nothing: it is used unchanged. The detector's files ``found`` with their masks, and the user's clean ``plates``,
+    each <camera>.npz or .png of the cameras that have one, confirm people who change no picture; ``calibration``
+    locates them in the footage.
     """
     cameras, footage = read_model(model.parent), read_manifest(manifest)
     given: Sequence[Detections] = [read_detections(p) for p in detections]
@@ -105,7 +105,7 @@ def run(
             "into capture.yaml if the room is empty"
         )
     elif not rows and not missed:
-        # Who was left out with a name is told below.
+        # Rejected people with a name are reported below.
         reasons = Counter(verdict.reason for verdict in verdicts.values())
         warn(
             f"nobody of this scene was found: {sum(len(d.frame) for d in given)} detections in {len(verdicts)} "
@@ -131,7 +131,7 @@ def run(
             "readouts": [asdict(one) for one in rows_look],
         },
     )
-    # Also where nobody is.
+    # Also without people.
     who.mkdir(parents=True, exist_ok=True)
     for name, *_ in rows:
         write_identities(who / f"{name}.tsv", {key: person for key, person in table.items() if person == name})
@@ -142,7 +142,7 @@ def run(
 def _witnesses(
     cameras: Sequence[Camera], footage: Manifest, calibration: Path | None, found: list[Path], plates: list[Path]
 ) -> list[CameraEvidence | None]:
-    """What every camera has beside its film; None where that is nothing."""
+    """Every camera's evidence other than its film; None without any."""
     masks, pictures = ({path.stem: path for path in paths} for paths in (found, plates))
     return [
         CameraEvidence(lens_of(calibration, c.name), footage.of(c.name), masks.get(c.name), pictures.get(c.name))
@@ -155,7 +155,7 @@ def _witnesses(
 def _readouts(
     given: Sequence[Detections], whose: Mapping[tuple[str, int], str], cameras: Sequence[Camera], footage: Manifest
 ) -> list[Readout]:
-    """Every camera's readout, from the keypoints of everybody who is known by name; those that are used are told."""
+    """Every camera's readout, from the keypoints of all identified people; those in use are logged."""
     people = sorted({person for person in whose.values() if person})
     seen = tracks(given, whose, people, footage.frames, _SURE)
     found = readouts(seen.pixels, cameras, footage.fps)
@@ -171,7 +171,7 @@ def _readouts(
 def _as_json(
     verdicts: dict[tuple[str, int], TrackVerdict], given: Sequence[Detections], corrected: bool
 ) -> dict[str, Any]:
-    """What the identity page shows of every track: whose it is and why, when it is seen, how sure that is."""
+    """The identity page's data of every track: its person with the reason, its frames, its confidence."""
     tracks = []
     for d in given:
         for t in np.unique(d.track):

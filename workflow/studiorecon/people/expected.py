@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the other cameras say that somebody is in one camera's pictures, what of its detections agrees, and where to
-look again."""
+"""Predicts a person's keypoints in one camera from the other cameras, and plans where to detect again."""
 
 from __future__ import annotations
 
@@ -19,35 +18,40 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
 
-# A landmark agrees when it lies this near to where the other cameras see the joint, as a share of the person's extent
-# in the picture (of somebody standing about 10 cm).
+# A landmark agrees when it is this near to the other cameras' joint, as a share of the person's extent in the picture
+# (about 10 cm when standing).
 _NEAR_SHARE = 0.06
-# Landmarks less sure than this have no say.
+# Less confident landmarks do not count.
 _SURE = 0.3
-# Shares of landmarks that agree: from which somebody found is left alone, a new look is believed, and below which it is
-# somebody else.
+# Shares of landmarks that agree: above the first a detection is left unchanged, above the second a new one is accepted,
+# below the third it is another person.
 _GOOD, BELIEVED, _ELSEWHERE = 0.6, 0.6, 0.3
-# By how much another look, or left and right exchanged, must agree better.
+# By how much a new detection, or exchanged left and right, must agree better.
 BETTER = 0.25
-# A skeleton of nobody's of which this share lies within so much of a known person's extent of their limbs is a mixture
-# of theirs: the network's region jumped between two people. (The demo: 0.68 to 1; whatever else is nobody's: 0.)
+# A skeleton without a person is a mixture if this share of it is within so much of known people's extent of their
+# limbs: the network's region jumped between two people. (The demo: 0.68 to 1; other false detections: 0.)
 _MIXED, _BESIDE_SHARE = 0.65, 0.1
-# So many joints must be known, and be inside the picture.
+# So many joints must be known and inside the picture.
 _MIN = 8
 
 
 @dataclass(frozen=True)
 class Expected:
-    """Where the other cameras say that one person is: pixels (T, K, 2), NaN where they do not know, of the camera's
-    layout; a landmark agrees within ``near_share`` of the person's extent."""
+    """One person's predicted pixels (T, K, 2) from the other cameras, NaN where unknown, in the camera's layout.
+
+    A landmark agrees within ``near_share`` of the person's extent.
+    """
 
     person: str
     pixels: Float[np.ndarray, "T K 2"]
     near_share: float = _NEAR_SHARE
 
     def at(self, frame: int, late_frames: Float[np.ndarray, " K"] | float = 0.0) -> Float[np.ndarray, "K 2"] | None:
-        """(K, 2) pixels so long after one frame (of all joints, or of each (K,); at most one frame), on the line to the
-        frame beside it; None where too few joints are known."""
+        """(K, 2) pixels ``late_frames`` after a frame, interpolated to the neighbouring frame; None with too few
+        joints.
+
+        The delay is one number or (K,), at most one frame.
+        """
         pixels = self.pixels[frame]
         late = np.broadcast_to(late_frames, len(pixels))
         for way in (-1, 1):
@@ -68,7 +72,7 @@ def project_expected(
     frames: int,
     limits: Triangulation,
 ) -> Expected:
-    """Where all cameras but ``view`` see the joints of ``person``, projected into that camera."""
+    """The joints of ``person`` from all cameras but ``view``, projected into that camera."""
     names, keypoints = observations(person, list(detections), identities, body, frames)
     others = [v for v in range(len(cameras)) if v != view]
     points = lift(names, keypoints[others], [cameras[v] for v in others], limits, 0.0)
@@ -85,8 +89,11 @@ def project_expected(
 def agreement(
     keypoints: Num[np.ndarray, "K 3"], pixels: Num[np.ndarray, "K 2"], near_share: float = _NEAR_SHARE
 ) -> float:
-    """Share of the sure landmarks (K, 3) that lie where they are expected (K, 2), within that share of the extent; 0
-    when too few can be compared."""
+    """Share of the confident landmarks (K, 3) that are near their predictions (K, 2), within ``near_share`` of the
+    extent.
+
+    0 with too few to compare.
+    """
     known = (keypoints[:, 2] >= _SURE) & np.isfinite(pixels[:, 0])
     if known.sum() < _MIN:
         return 0.0
@@ -95,8 +102,8 @@ def agreement(
 
 
 def share_on_others(keypoints: Num[np.ndarray, "K 3"], people: Sequence[Num[np.ndarray, "K 2"]], layout: str) -> float:
-    """Share of the sure landmarks (K, 3) that lie beside a limb of somebody of ``people`` (K, 2 each, NaN unknown); 0
-    when there are too few."""
+    """Share of the confident landmarks (K, 3) that are near a limb of ``people`` (K, 2 each, NaN unknown); 0 with too
+    few."""
     sure = keypoints[keypoints[:, 2] >= _SURE, :2]
     if len(sure) < _MIN:
         return 0.0
@@ -125,12 +132,13 @@ def swap_left_right(layout: str, values: Num[np.ndarray, "... K C"]) -> Num[np.n
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be done with one camera's detections before looking again.
+    """Changes of one camera's detections before it detects again.
 
     Attributes:
         track: (D,) tracks, some given to the person that they agree with.
-        swapped, dropped: (D,) bool: left and right are to be exchanged; somebody else, found twice, or mixed of two.
-        looks: (frame, index of the person, detection to be replaced or -1) where the network is to look again.
+        swapped, dropped: (D,) bool: left and right are to be exchanged; another person, a duplicate, or a mixture of
+            two.
+        looks: (frame, index of the person, detection to replace or -1) where the network is to run again.
     """
 
     track: Integer[np.ndarray, " D"]
@@ -140,7 +148,7 @@ class Plan:
 
 
 def planned(found: Detections, people: Sequence[Expected], identities: dict[tuple[str, int], str], frames: int) -> Plan:
-    """Which detections of a camera stay, change sides, or go, and where to look again."""
+    """Which detections of a camera stay, change sides, or go, and where to detect again."""
     count = len(found.frame)
     track, swapped, dropped = found.track.copy(), np.zeros(count, bool), np.zeros(count, bool)
     owner = [identities.get((found.camera, int(t)), "") for t in found.track]
@@ -166,7 +174,7 @@ def planned(found: Detections, people: Sequence[Expected], identities: dict[tupl
             free = [i for i, d in enumerate(here) if not owner[d] and scores[i, k] >= BELIEVED]
             best = max(own, key=lambda i: scores[i, k], default=None)
             if best is None and free and len(usual[person.person]):
-                # Found, but left over by the association: it goes to the person's track nearest in number.
+                # Detected, but not associated: it goes to the person's track nearest in number.
                 best = max(free, key=lambda i: scores[i, k])
                 track[here[best]] = usual[person.person][0]
             if best is None:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One person's body over time: fit the body model to the triangulated keypoints of all cameras, fill gaps, smooth.
+"""One person's body over time: fits the body model to the triangulated keypoints of all cameras, fills gaps, smooths.
 
-Paper §fitting and appendix (smoothing). Shape is shared over the sequence (U39); the world is in metres, so there is no
-scale to estimate unless ``scale`` asks for the paper's s* per person (Eq. 3): the ratio of measured to fitted limbs is
-reported as a check (U36).
+Paper §fitting and appendix (smoothing). Shape is shared over the sequence (U39). The world is in metres, so no scale is
+estimated unless ``scale`` requests the paper's s* per person (Eq. 3). The ratio of measured to fitted limbs is reported
+as a check (U36).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Bool
 
-# Share of the fitted frames that must lie near their keypoints; chance agreements of wrong points pass in an eighth of
+# Share of the fitted frames that must be near their keypoints; chance agreements of wrong points pass in an eighth of
 # them.
 _MIN_PLAUSIBLE = 0.5
 
@@ -48,13 +48,13 @@ _FITTED = {f.name for f in fields(fitting.FitSettings)}
 
 @dataclass(frozen=True)
 class BodyFit:
-    """How the body is fitted; see ``body/fitting/fit.FitSettings`` for all between ``solver`` and
+    """Settings of the body's fit; see ``body/fitting/fit.FitSettings`` for all between ``solver`` and
     ``unverified_sigma_m``.
 
     Attributes:
-        unverified_sigma_m: deviation added to points that only two cameras agree on: their residual says nothing (T13).
-        max_frame_m: frames whose median point lies further from the body count as not measured.
-        max_beta: deviations from the mean shape beyond which the points are no person's, or the lengths no metres.
+        unverified_sigma_m: sigma added to points that only two cameras agree on: their residual proves nothing (T13).
+        max_frame_m: frames whose median point is further from the body count as not measured.
+        max_beta: sigmas from the mean shape beyond which the points are no person's, or the lengths no metres.
     """
 
     solver: Literal["levenberg_marquardt", "paper"] = setting(
@@ -120,7 +120,7 @@ class BodyFit:
 
 @dataclass(frozen=True)
 class Settings(Triangulated, Smoothed):
-    """How points are made, fitted and smoothed."""
+    """How points are computed, fitted and smoothed."""
 
     fit: BodyFit = setting(BodyFit(), "Fit of the body to the triangulated keypoints.")
 
@@ -199,8 +199,10 @@ def _person(
     fps: float,
     settings: Settings,
 ) -> Person:
-    """Fill frames that are not ``valid`` (T,), smooth, and pose the body; ``sigma_m`` (T, 24) counts where valid. Some
-    camera has the person in frames that are ``seen`` (T,)."""
+    """The person with frames that are not ``valid`` (T,) filled, smoothed and posed.
+
+    ``sigma_m`` (T, 24) counts where valid. A camera has the person in frames that are ``seen`` (T,).
+    """
     present = presence(valid, seen, fps)
     local, trans = settings.smooth.smooth_body(*filled(local, trans_m, valid, present), fps)
     poses = rotations.log(local).reshape(len(valid), 72)
@@ -220,7 +222,7 @@ def _person(
 
 
 def report_filled_frames(fitted: Person) -> None:
-    """Say in which frames somebody's pose lies between measured ones, and in which they are away."""
+    """Log in which frames a person's pose is interpolated, and in which they are away."""
     guessed = fitted.present & ~fitted.valid
     if guessed.any():
         say(f"{fitted.name}: frames {frame_ranges(guessed)} are filled from their neighbours and marked not valid")
@@ -254,8 +256,7 @@ def run(
 ) -> None:
     """Fit one person's body to the keypoints of all training cameras.
 
-    ``identities`` says which tracks are the person's, ``readouts`` by how much rows look one after the other, if at
-    all.
+    ``identities`` holds the person's tracks, ``readouts`` the cameras' readouts, if any.
     """
     cameras = {c.name: c for c in read_model(model.parent)}
     footage = read_manifest(manifest)

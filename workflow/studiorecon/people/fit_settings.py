@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings that several steps of the stage are told."""
+"""Settings that several steps of the stage share."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from studiorecon.people.fitting.points import Triangulation
 
 @dataclass(frozen=True)
 class Triangulated:
-    """How points are made of keypoints."""
+    """How keypoints are triangulated."""
 
     triangulation: Triangulation = setting(Triangulation(), "What counts as agreement of views.")
 

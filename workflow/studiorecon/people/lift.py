@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``people.lift``: one camera's pelvises at the depth of the scene, the paper's place of a person (Eq. S1).
+"""``people.lift``: one camera's pelvises at the scene's depth, the paper's position of a person (Eq. S1).
 
-Depth of the first moment is that of the network that found the cameras. Every later frame is a monocular network's,
-put to the first one's metres by one alignment per camera: people walk through single frames' fits, and a depth that
-breathes from frame to frame would move everybody (U22, D06).
+Depth of the first moment is from the network that estimated the cameras. Every later frame's is from a monocular
+network, aligned to the first one's metres by one alignment per camera: people walk through single frames' fits, and
+depth that fluctuates from frame to frame would move everybody (U22, D06).
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _HIPS = ("left_hip", "right_hip")
 # A person's clothes and shadow reach this share of their height beyond their keypoints.
 _WIDER = 0.15
 _INSTEAD = "set people.association.position to rays"
-# Half the still pixels must be within this factor after alignment, or the two do not show the same thing.
+# Half the still pixels must be within this factor after alignment, or the two show different scenes.
 _WORST_GAP = 0.25
 _NEAR_M = 0.1
 
 
 @dataclass(frozen=True)
 class Lifting:
-    """How a pixel of a person becomes a place.
+    """Conversion of a person's pixel to a position.
 
     Attributes:
         patch_px: side of the square in which the depth is read (paper: the pixel's own).
@@ -86,7 +86,7 @@ def pelvis_pixels(seen: Detections) -> Float[np.ndarray, "D 2"]:
 
 
 def still(hw: tuple[int, int], people: Num[np.ndarray, "P K 3"]) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: outside of the boxes about people's keypoints (P, K, 3), widened for what keypoints do not reach."""
+    """(H, W) bool: outside of the boxes around people's keypoints (P, K, 3), widened for clothes and shadows."""
     out = np.ones(hw, bool)
     for points in people:
         known = points[points[:, 2] > 0, :2]
@@ -100,11 +100,11 @@ def still(hw: tuple[int, int], people: Num[np.ndarray, "P K 3"]) -> Bool[np.ndar
 def aligned_to_first(
     predicted: Mapping[int, Float[np.ndarray, "H W"]], first_m: Float[np.ndarray, "H W"], seen: Detections
 ) -> Alignment:
-    """The one alignment that puts a monocular network's depth maps (H, W) by frame to the first moment's depth (H, W)
-    in metres.
+    """The one alignment of a monocular network's depth maps (H, W) by frame to the first moment's depth (H, W) in
+    metres.
 
-    Every frame is fitted on pixels that nobody hides, in it or at the first moment; the camera stands still, so its
-    frames share one scale and shift.
+    Every frame is fitted on pixels without people in it and at the first moment; the camera is static, so its frames
+    share one scale and shift.
     """
     rng, nobody = np.random.default_rng(0), still(first_m.shape, seen.keypoints[seen.frame == 0])
     fits = [
@@ -183,7 +183,7 @@ def run(
     """Write one camera's ``detections`` with pelvises at the scene's depth.
 
     ``first``: depth (EXR, metres of the model ``found``) of the first moment; ``network``: a monocular one for the
-    later frames of ``video``. Depth maps of all frames with people lie in a file meanwhile: 4 bytes a pixel.
+    later frames of ``video``. Depth maps of all frames with people are in a temporary file: 4 bytes a pixel.
     """
     cameras = read_model(model.parent)
     own = next((c for c in cameras if c.name == camera), None)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the detector's metric guess says where cameras cannot tell: whether left and right are exchanged, and where in a
-second camera somebody is whom only one other sees.
+"""The detector's metric guess, used where cameras do not suffice: swapped left and right, and people seen by one other
+camera.
 
-A guess is of somebody of usual size. Laid on the landmarks it was made with, its depth is known but for that size,
-which two cameras give wherever both see the person: on the made studio it then lies within 3 to 6 % of the body's
-extent from where another camera sees the landmarks, in the median, and left to right points within 37° of the truth for
+A guess assumes a person of usual size. Aligned with the landmarks that it was made with, its depth is known up to that
+size, which two cameras give wherever both see the person. On the synthetic studio it is then within 3 to 6 % of the
+body's extent of another camera's landmarks, in the median, and the left-right direction is within 37° of the truth for
 nine in ten.
 """
 
@@ -23,22 +23,21 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
-# A landmark agrees with a guess when it lies this near to it, as a share of the person's extent in the picture.
+# A landmark agrees with a guess when it is this near to it, as a share of the person's extent in the picture.
 _NEAR_SHARE = 0.1
-# Landmarks less sure than this have no say; so many are needed.
+# Less confident landmarks do not count; so many are needed.
 _SURE, _MIN = 0.3, 6
-# Within this time of a moment somebody faces about the same way, seconds; so many other sights must say so, and from
-# this cosine on they contradict one.
+# Time within which a person faces about the same way, seconds; number of other detections that must agree; cosine below
+# which they contradict one.
 _STEADY_S, _SIGHTS, _CONTRADICTED = 0.5, 3, -0.5
-# How alike those other sights must be among themselves, length of their mean.
+# Least agreement of those other detections among themselves, length of their mean.
 _CLEAR = 0.5
 # The rays of a landmark must meet at this angle for the depth they give, radians.
 _MIN_ANGLE_RAD = 0.17
 
 
 def right_to_left(found: Detections, camera: Camera) -> Num[np.ndarray, "D 3"]:
-    """(D, 3) level unit vectors of the world from everybody's right to their left, by the guess; NaN where there is
-    none."""
+    """(D, 3) level unit vectors of the world from each person's right to their left, by the guess; NaN without one."""
     names = LAYOUTS[found.layout].keypoints
     ends = [f"{side}_{joint}" for joint in ("shoulder", "hip") for side in ("left", "right")]
     if found.points_m is None or not set(ends) <= set(names):
@@ -53,8 +52,8 @@ def right_to_left(found: Detections, camera: Camera) -> Num[np.ndarray, "D 3"]:
 def is_left_right_swapped(
     found: Detections, camera: Camera, owners: Sequence[str], fps: float
 ) -> Bool[np.ndarray, " D"]:
-    """(D,) whether a detection's left and right are contradicted by all that this camera sees of its owner shortly
-    before and after."""
+    """(D,) bool: detections whose left and right contradict the same person's neighbouring detections in this
+    camera."""
     direction, whose = right_to_left(found, camera), np.array(owners, dtype=object)
     out = np.zeros(len(found.frame), bool)
     for person in sorted({str(owner) for owner in owners if owner}):
@@ -69,8 +68,10 @@ def is_left_right_swapped(
 
 
 def guess_in_world(found: Detections, camera: Camera) -> Num[np.ndarray, "D K 3"]:
-    """(D, K, 3) world points of every detection's guess, where its landmarks see it best (linear least squares); NaN
-    where too few are sure."""
+    """(D, K, 3) world points of every detection's guess, fitted to its landmarks (linear least squares).
+
+    NaN where too few are confident.
+    """
     out = np.full((*found.keypoints.shape[:2], 3), np.nan)
     if found.points_m is None:
         return out
@@ -99,8 +100,10 @@ def project_guess(
     identities: Mapping[tuple[str, int], str],
     frames: int,
 ) -> Expected:
-    """Where the other one of two cameras sees ``person``, in pixels of camera ``view``, by its guess; NaN where it does
-    not, or where no moment tells the person's size."""
+    """The other camera's guess of ``person``, in pixels of camera ``view``; NaN without one.
+
+    Also NaN where no moment determines the person's size.
+    """
     other = 1 - view
     found, camera = detections[other], cameras[other]
     rows = {v: _best_detections(person, detections[v], identities) for v in (view, other)}
@@ -122,7 +125,7 @@ def project_guess(
 
 
 def _best_detections(person: str, found: Detections, identities: Mapping[tuple[str, int], str]) -> dict[int, int]:
-    """Frame → detection of a person, the surer one where there are two."""
+    """Frame → a person's detection, the more confident one of two."""
     best: dict[int, int] = {}
     for d, (frame, track) in enumerate(zip(found.frame, found.track)):
         if identities.get((found.camera, int(track)), "") != person:
@@ -134,8 +137,11 @@ def _best_detections(person: str, found: Detections, identities: Mapping[tuple[s
 
 
 def _depth_factor(points_m: np.ndarray, keypoints: np.ndarray, camera: Camera, view: Camera) -> float:
-    """By what the distances of guessed points (K, 3) from ``camera`` must be multiplied so that ``view`` sees them at
-    its landmarks (K, 3): the median over those whose rays meet at an angle; NaN where there are too few."""
+    """Factor on the distances of guessed points (K, 3) from ``camera`` with which ``view`` sees them at its landmarks
+    (K, 3).
+
+    The median over those whose rays meet at an angle; NaN where there are too few.
+    """
     sure = (keypoints[:, 2] >= _SURE) & np.isfinite(points_m).all(1)
     if sure.sum() < _MIN:
         return float("nan")
@@ -146,7 +152,7 @@ def _depth_factor(points_m: np.ndarray, keypoints: np.ndarray, camera: Camera, v
     second /= np.linalg.norm(second, axis=1, keepdims=True)
     cosine = (first * second).sum(1)
     baseline = view.centre_m - camera.centre_m
-    # Where along the first ray the second passes nearest.
+    # Position along the first ray where the second passes nearest.
     along = (first @ baseline - cosine * (second @ baseline)) / np.maximum(1 - cosine**2, 1e-9)
     usable = (np.sqrt(np.maximum(1 - cosine**2, 0)) > np.sin(_MIN_ANGLE_RAD)) & (along > 0)
     return float(np.median(along[usable] / distance[usable])) if usable.sum() >= _MIN else float("nan")

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``people.overlay``: one camera's footage with the detected keypoints and everybody's fitted skeleton, as a film that
-plays anywhere.
+"""``people.overlay``: one camera's footage with keypoints and fitted skeletons, as a film that plays in any player.
 
-Dots are what the detector saw, lines are the body: thick where the frame was measured, thin where it was filled in,
-absent where the body is behind the camera. One colour per person; rejected detections are grey.
+Dots are detected keypoints, lines are the body: thick where the frame was measured, thin where it was filled in, absent
+where the body is behind the camera. One colour per person; rejected detections are grey.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 
 # cv2 draws in sixteenths of a pixel, counted from pixel centres.
 _SHIFT = 4
-# Lines are this thick per pixel of picture width.
+# Thickness of lines per pixel of picture width.
 _THICKNESS = 1 / 320
 _NEAR_M = 0.05
 
@@ -40,7 +39,7 @@ _NEAR_M = 0.05
 def bones_px(
     camera: Camera, joints_m: Num[np.ndarray, "24 3"]
 ) -> list[tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]]:
-    """Both ends (2,) in pixels of every bone of (24, 3) joints that lies wholly in front of the camera."""
+    """Both ends (2,) in pixels of every bone of (24, 3) joints that is wholly in front of the camera."""
     pixels, depth = camera.project(joints_m)
     return [(pixels[a], pixels[b]) for a, b in LAYOUTS["smpl24"].edges if min(depth[a], depth[b]) > _NEAR_M]
 
@@ -91,7 +90,7 @@ def run(
     fits: list[Path],
     film: Written,
 ) -> None:
-    """Write one camera's overlay film; ``detections`` is its file, or nothing where only plates show who is there.
+    """Write one camera's overlay film; ``detections`` is its file, or nothing where only plates determine the people.
 
     Raises UserError when a fit has another length than the capture.
     """

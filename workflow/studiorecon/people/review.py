@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``people.review``: one page that shows who is who, doubtful tracks first, so that a person can correct identities.tsv
-by eye."""
+"""``people.review``: one page of all identities, doubtful tracks first, so that a user can correct identities.tsv by
+eye."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
-# Colours that colour-blind readers tell apart; one per person, again from the start after eight.
+# Distinguishable for colour-blind readers; one per person, repeated after eight.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#4d4d4d")
 _NOBODY = "#999999"
-_MARGIN_SHARE = 0.18  # how much more than the keypoints' box is shown
-# Of every person and camera, large enough to know somebody by: a picture takes about 5 kB.
+_MARGIN_SHARE = 0.18  # margin around the keypoints' box
+# Per person and camera, large enough to recognise a person: a picture takes about 5 kB.
 _PICTURES = 6
 _HEIGHT_PX = 150
-# Tracks of nobody that are shown, the longest first.
+# Rejected tracks that are shown, the longest first.
 _MAX_REJECTED = 40
 _SOURCES = {
     "keypoints": "found by keypoints",
@@ -111,7 +111,7 @@ class Wanted:
 
 
 def choose_pictures(found: Detections, view: int, tracks: Sequence[int], pictures: int) -> list[Wanted]:
-    """Evenly spread detections of ``tracks``, one per frame, the surer one where two share a frame."""
+    """Evenly spread detections of ``tracks``, one per frame, the more confident one where two share a frame."""
     mine = np.flatnonzero(np.isin(found.track, tracks))
     chosen = []
     for t in sampled_frames(found.frame[mine], pictures):
@@ -192,7 +192,7 @@ def run(
     videos: list[Path],
     page: Written,
 ) -> None:
-    """Write ``page`` (html that needs no network) from who was found, and why, in ``association``."""
+    """Write ``page`` (html that needs no network) from the identities and reasons in ``association``."""
     told, rows = read(association, Named(Anything())), people_rows(people)
     found = [read_detections(p) for p in detections]
     view = {d.camera: v for v, d in enumerate(found)}

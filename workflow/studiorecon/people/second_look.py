@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``people.second_look``: one camera's pictures once more, where the other cameras say that somebody must be.
+"""``people.second_look``: detects again in one camera's pictures, where the other cameras predict a person.
 
-What the other cameras agree on, this one left out, is projected into this camera. Where nobody of that name was found
-there, or somebody whose landmarks lie elsewhere, the landmark network looks at the place. Of two cameras each gives
-places in the other by its network's metric guess. What agrees with the other cameras is kept; what lies on somebody
-else, or was found twice, is removed. One camera alone cannot tell a hidden person from a missed one; several calibrated
-ones can.
+The other cameras' agreement is projected into this camera. The landmark network runs where no person of that name was
+detected, or one with other landmarks. With two cameras, each predicts the other's people by its network's metric guess.
+Detections that agree with the other cameras are kept; those on another person, and duplicates, are removed. One camera
+alone cannot distinguish a hidden person from a missed one; several calibrated ones can.
 """
 
 from __future__ import annotations
@@ -56,13 +55,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Settings(Triangulated):
-    """What counts as agreement of views."""
+    """Limits of agreement of views."""
 
 
 @dataclass(frozen=True)
 class SecondLook:
-    """Somebody found by looking again: frame, index of the person, detection that is replaced (-1 = none), and in
-    working pixels (K, 3)."""
+    """A new detection: frame, index of the person, detection that is replaced (-1 = none), and working pixels (K,
+    3)."""
 
     frame: int
     person: int
@@ -79,14 +78,14 @@ def looked_again(
     own: Detections,
     view: CameraPictures,
 ) -> list[SecondLook]:
-    """What the network finds in ``pictures`` (those of the frames of ``plan.looks``, in order) and the other cameras
-    agree with."""
+    """New detections in ``pictures`` (those of the frames of ``plan.looks``, in order) that agree with the other
+    cameras."""
     results = []
     names = LAYOUTS[LAYOUT].keypoints
     frames = sorted({frame for frame, _, _ in plan.looks})
     for frame, picture in zip(frames, pictures):
         for _, k, before in (look for look in plan.looks if look[0] == frame):
-            # Where they were when the picture was taken; the landmarks go back to the frame's own moment with them.
+            # Predicted at the time of the picture; the landmarks are then moved to the frame's own time.
             now = people[k].at(frame)
             place = people[k].at(frame, view.late_frames(frame, now)) if now is not None else None
             region = (

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who of those that the keypoints agree on is a person of this scene, and for every track why it is whose it is, or
-nobody's."""
+"""Decides which groups of tracks are people of this scene, and for every track its person, or none, with the reason."""
 
 from __future__ import annotations
 
@@ -36,19 +35,19 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _ENOUGH_CAMERAS = 3
-# Cameras that see somebody one after the other count where each does for so many of the times that two must agree for.
+# Cameras that see a person one after the other count if each does for so many times the time that two must agree.
 _LONG = 2.0
 
 
 @dataclass(frozen=True)
 class TrackVerdict:
-    """What is known about one track.
+    """The decision on one track.
 
     Attributes:
-        person: ``p0``, …, or "" for nobody.
+        person: ``p0``, …, or "" for none.
         margin: by how much it prefers its group to the next best one (A12), NaN without a group.
         agreement: share of its group's keypoints in this camera that agree, NaN without a group.
-        reason: why it is nobody's, or why its person is doubtful; "" when neither.
+        reason: why it has no person, or why its person is doubtful; "" when neither.
     """
 
     person: str
@@ -62,9 +61,9 @@ def judge(group: Group, cameras: Sequence[Camera], frames: int, fps: float, limi
     least = min(limits.min_s * fps, 0.5 * frames)
     if len(group.frames) < least:
         return f"two cameras agree for {len(group.frames) / fps:.2f} s only, {least / fps:.2f} s are needed"
-    # Where rays of three cameras meet for a while, somebody stands, however many more cameras are blocked or look
-    # elsewhere; one after the other they count only where each agrees for long: of few pictures a second two that agree
-    # by chance are already a while.
+    # Where rays of three cameras meet for a while, a person is there, however many other cameras are blocked or face
+    # another way. One after the other they count only where each agrees for long: at a low frame rate two that agree by
+    # chance already do so for a while.
     needed = min(int(np.ceil(limits.camera_share * len(cameras))), _ENOUGH_CAMERAS)
     at_once = group.seen & (group.seen.sum(0) >= needed)
     seen_by = int(((at_once.sum(1) >= least / 2) | (group.seen.sum(1) >= _LONG * least)).sum())
@@ -79,8 +78,11 @@ def judge(group: Group, cameras: Sequence[Camera], frames: int, fps: float, limi
 def supports(
     groups: Sequence[Group], cameras: Sequence[Camera], videos: Sequence[Path], fps: float, limits: EvidenceLimits
 ) -> tuple[Float[np.ndarray, "G V"], Float[np.ndarray, "G V 4"]]:
-    """Share of the places every group's joints left or reached that changed in the pictures, NaN where too little
-    moved: of all joints (G, V), and of each arm and leg (G, V, 4)."""
+    """Share of the positions that every group's joints left or reached that changed in the pictures, NaN with too
+    little motion.
+
+    For all joints (G, V), and for each arm and leg (G, V, 4).
+    """
     picked = [sampled_frames(group.frames, limits.frames) for group in groups]
     points_m = np.stack([group.points_m for group in groups])
     least = [steps_m(group.points_m, fps, limits) for group in groups]
@@ -96,7 +98,7 @@ def supports(
 
 
 def name_people(groups: Sequence[Group]) -> list[int]:
-    """Order of the groups as p0, p1, …: by first frame seen by two cameras, then by how long, then by x."""
+    """Order of the groups as p0, p1, …: by first frame seen by two cameras, then by duration, then by x."""
     return sorted(
         range(len(groups)),
         key=lambda i: (groups[i].frames[0], -len(groups[i].frames), float(np.nanmedian(groups[i].centres_m[:, 0]))),
@@ -114,10 +116,10 @@ def identities_from_keypoints(
     fps: float,
     witnesses: Sequence[CameraEvidence | None] = (),
 ) -> tuple[dict[tuple[str, int], TrackVerdict], list[tuple[str, int, str, float, str]], list[RejectedPerson]]:
-    """Of everybody the keypoints of two cameras or more agree on: a verdict for every (camera, track), the lines of
-    people.tsv, and whom they leave out.
+    """Verdicts for every (camera, track), the lines of people.tsv, and the rejected groups.
 
-    ``witnesses``: what every camera has beside its film, asked of whom the pictures contradict.
+    Candidates are all groups on which the keypoints of two cameras or more agree. ``witnesses``: every camera's
+    evidence other than its film, used for those that the pictures contradict.
     """
     groups = group_tracks(given, cameras, frames, fps, association, triangulation)
     margins = track_margins(groups, given, cameras, association)
@@ -177,8 +179,7 @@ def _without_ghosts(
     fps: float,
     agree: Limits,
 ) -> list[str]:
-    """The reasons with those of ``false_positives`` added, looked for from whom most cameras see longest to whom fewest
-    do."""
+    """The reasons, with those of ``false_positives`` added; groups that most cameras see longest come first."""
     out, centres_m = list(why), np.array([c.centre_m for c in cameras])
     order = sorted(range(len(groups)), key=lambda i: (bool(why[i]), -int(groups[i].seen.sum()), groups[i].members))
     for n, i in enumerate(order):
@@ -199,8 +200,11 @@ def _contradicted(
     cameras: Sequence[Camera],
     limits: EvidenceLimits,
 ) -> list[str]:
-    """For everybody how the pictures contradict the keypoints, from the shares (G, V) that changed; "" where they do
-    not (``told`` is None), or where what cameras ``told`` beside confirms somebody."""
+    """A sentence per group on how pictures contradict its keypoints, from the shares (G, V) that changed; "" where they
+    do not.
+
+    They do not where ``told`` is None, or where the cameras' other evidence ``told`` confirms the person.
+    """
     reasons = []
     for share, others in zip(shares, told):
         if others is None:
@@ -224,7 +228,7 @@ def _contradicted(
 
 
 def _nor(told: Sequence[ImageEvidence]) -> str:
-    """What else does not confirm somebody, as the end of a sentence; "" where nothing else was there to do so."""
+    """The other evidence that fails to confirm a person, as the end of a sentence; "" without other evidence."""
     masks = max((one.covered for one in told if np.isfinite(one.covered)), default=float("nan"))
     plates = max((one.differs for one in told if np.isfinite(one.differs)), default=float("nan"))
     parts = [f"the detector's masks cover {masks:.0%}" * bool(np.isfinite(masks))]

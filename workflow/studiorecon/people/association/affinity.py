@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Affinity of two detections, or of two tracks, from how far apart they are and how much their poses differ.
+"""Affinity of two detections, or of two tracks, from their distance and the difference of their poses.
 
-Paper, equation of the affinity and appendix: A = w_p exp(-d/σ_p) + w_θ exp(-θ/σ_θ). d in metres (A04, A05), θ
-the mean angle over the body joints without the root (A06-A08, U27); a pair past its gate has no affinity, before any
-assignment (U29, A03).
+Paper, equation of the affinity and appendix: A = w_p exp(-d/σ_p) + w_θ exp(-θ/σ_θ). d in metres (A04, A05), θ the mean
+angle over the body joints without the root (A06-A08, U27); a pair past its gate has no affinity, before any assignment
+(U29, A03).
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class AssociationLimits:
-    """How tracks become people, and who counts as one.
+    """Limits of grouping tracks into people.
 
     Attributes:
         pelvis_gate_m, pose_gate_rad: pelvises further apart are two people before any assignment (paper: 0.3, appendix;
-            U28, U29); so are poses further apart than this mean angle where the pose decides alone (paper: not given).
+            U28, U29); so are poses further apart than this mean angle where the pose alone decides (paper: not given).
         position_weight, pose_weight: of position and pose (paper: 0.9 and 0.1, appendix).
         sigma_m, sigma_rad: scale of the affinity in position, and in pose, mean joint angle without the root (paper:
             not given; U27); for a norm of 23 axis-angles that is a σ_θ of √23 times as much.
@@ -35,8 +35,8 @@ class AssociationLimits:
         track_agreement: share of its keypoints that must agree with the triangulated person for a track to stay.
         min_s: time in which at least two cameras must agree, seconds; never more than half the clip.
         torso_m: plausible distance from the middle of the shoulders to that of the hips: children to giants.
-        reentry_speed_m_s, reentry_s: growth of the gate while nobody sees a person (A14), and for how long one is
-            looked for (U31: people may come and go at any frame).
+        reentry_speed_m_s, reentry_s: growth of the gate while no camera sees a person (A14), and for how long (U31:
+            people may come and go at any frame).
     """
 
     method: Literal["tracks", "star"] = setting(
@@ -83,7 +83,7 @@ class AssociationLimits:
     sigma_rad: float = 0.5
     undecided_margin: float = 0.05
     track_agreement: float = 0.5
-    # Of the training cameras, that must see a person for some time; fewer make a bystander, three never do.
+    # Share of the training cameras that must see a person for some time; fewer make a bystander, three never do.
     camera_share: float = 0.6
     min_s: float = 0.4
     torso_m: tuple[float, float] = (0.2, 0.8)
@@ -92,7 +92,7 @@ class AssociationLimits:
 
 
 def gated(distance: Num[np.ndarray, " ..."], gate: float) -> Float[np.ndarray, " ..."]:
-    """``distance`` where it is finite and below ``gate``, else NaN: what is past its gate was never a candidate (A02,
+    """``distance`` where it is finite and below ``gate``, else NaN: pairs past the gate are no candidates (A02,
     A03)."""
     with np.errstate(invalid="ignore"):
         return np.where(np.isfinite(distance) & (distance < gate), distance, np.nan)
@@ -104,9 +104,8 @@ def affinities(
     """The paper's affinity in [0, 1] of gated pairs (any shape); exactly 0 for pairs that must not be matched (A02,
     A03, A13).
 
-    With ``affinity: both`` the position must pass its gate; a pair whose poses are unknown is judged by its position
-    alone, on the same scale. ``position`` and ``pose`` use one term, with its own gate (``gate_m``,
-    ``limits.pose_gate_rad``).
+    With ``affinity: both`` the position must pass its gate; a pair with unknown poses is judged by its position alone,
+    on the same scale. ``position`` and ``pose`` use one term, with its own gate (``gate_m``, ``limits.pose_gate_rad``).
     """
     near, alike = gated(distance_m, gate_m), gated(pose_rad, np.inf)
     position = np.exp(-near / limits.sigma_m)
@@ -119,7 +118,7 @@ def combined(
     pose_rad: Float[np.ndarray, " ..."],
     limits: AssociationLimits,
 ) -> Float[np.ndarray, " ..."]:
-    """Weighted sum of similarities, NaN = unknown or refused; ``pose_rad`` is the gated angle, which decides alone for
+    """Weighted sum of similarities, NaN = unknown or refused; ``pose_rad`` is the gated angle, which alone decides for
     ``pose``."""
     if limits.affinity == "pose":
         return np.where(np.isfinite(pose_rad), np.nan_to_num(pose), 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Identities that the user corrected: which track of which camera is whom, taken as they stand."""
+"""Identities that the user corrected: the person of every track, used unchanged."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PERSON = re.compile(r"p\d+")
 
 
 def read_corrected(path: Path, detections: Sequence[Detections]) -> dict[tuple[str, int], str]:
-    """(camera, track) → person for every track that was detected; tracks the file leaves out belong to nobody.
+    """(camera, track) → person for every detected track; tracks that the file leaves out have no person.
 
     Raises UserError, naming the line's camera and track, for a track that does not exist, a person that is not called
     p0, p1, …, or one who is in fewer than two cameras.

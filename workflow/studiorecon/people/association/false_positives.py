@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Things that look like people from all sides and are none: a picture on a wall, a screen, a mirror's image, somebody
-found twice."""
+"""Detects objects that look like people from all sides: a picture on a wall, a screen, a mirror image, a duplicate."""
 
 from __future__ import annotations
 
@@ -18,18 +17,17 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Who stands where another person stands, within this in the median over joints and shared frames, metres, is found
-# twice.
+# Skeletons within this distance of each other in the median over joints and shared frames, metres, are duplicates.
 _SAME_PLACE_M = 0.12
-# Somebody's joints, nose, ears, heels and toes leave their common plane by more than this, metres (root mean square;
-# the bundled body with its arms hanging by 69 mm, filmed people by 84 to 270 mm). A poster's and a screen's leave it by
-# noise (filmed: 16 and 25 mm).
+# A person's joints, nose, ears, heels and toes deviate from their common plane by more than this, metres (root mean
+# square; the bundled body with its arms hanging by 69 mm, filmed people by 84 to 270 mm). A poster's and a screen's
+# deviate by noise (filmed: 16 and 25 mm).
 _FLAT_M = 0.045
 _DEEP = ("nose", "left_ear", "right_ear", "left_heel", "right_heel", "left_big_toe", "right_big_toe")
-# Joints are averaged over so long before that, seconds: noise is no depth.
+# Joints are averaged over so long before that, seconds, so that noise does not count as depth.
 _CALM_S = 0.25
 _MIN_JOINTS = 8
-# A mirror's image follows somebody within this, metres, who must have moved by so much across, and for so long, metres
+# A mirror image follows a person within this, metres, who must have moved by so much across, and for so long, metres
 # and seconds.
 _MIRRORED_M, _MOVED_M, _LASTING_S = 0.1, 0.3, 1.0
 FOUND_TWICE = "it stands where somebody else stands: one person, found twice"
@@ -41,15 +39,14 @@ _OTHER_SIDE = [
 
 
 def is_duplicate(points_m: Float[np.ndarray, "T 12 3"], other_m: Float[np.ndarray, "T 12 3"]) -> bool:
-    """Whether two skeletons (T, 12, 3) are at the same place wherever both are known."""
+    """Whether two skeletons (T, 12, 3) are at the same position wherever both are known."""
     apart = np.linalg.norm(points_m - other_m, axis=-1)
     apart = apart[np.isfinite(apart)]
     return len(apart) >= _MIN_JOINTS and float(np.median(apart)) < _SAME_PLACE_M
 
 
 def flatness_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> float:
-    """RMS distance of joints (T, K, 3) of the whole clip from the one plane that fits them best; NaN where too few are
-    known."""
+    """RMS distance of joints (T, K, 3) of the whole clip from their best-fitting plane; NaN where too few are known."""
     length = max(1, round(_CALM_S * fps))
     moments = []
     for block in np.array_split(points_m, max(1, len(points_m) // length)):
@@ -64,10 +61,9 @@ def flatness_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> float:
 
 
 def is_flat(points_m: Float[np.ndarray, "T 12 3"], deep_m: Float[np.ndarray, "T D 3"], fps: float) -> bool:
-    """Whether all joints (T, 12, 3) and what stands out from them (T, D, 3) lie in one plane in all frames: a picture,
-    or a screen.
+    """Whether all joints (T, 12, 3) and extremities (T, D, 3) are in one plane in all frames: a picture, or a screen.
 
-    Joints alone do not tell: somebody with the arms spread is flat to 8 mm.
+    Joints alone do not decide: a person with spread arms is flat to 8 mm.
     """
     told = np.isfinite(deep_m).all(-1).mean(0) >= 0.5
     return told.any() and flatness_m(np.concatenate([points_m, deep_m[:, told]], axis=1), fps) < _FLAT_M
@@ -80,8 +76,8 @@ def deep_points_m(
     frames: int,
     agree: Limits,
 ) -> Float[np.ndarray, "T 7 3"]:
-    """(T, 7, 3) nose, ears, heels and toes of the tracks ``members`` (view, track), NaN where two cameras do not
-    tell."""
+    """(T, 7, 3) nose, ears, heels and toes of the tracks ``members`` (view, track), NaN unless two cameras determine
+    them."""
     pixels = np.full((len(cameras), frames, len(_DEEP), 3), [np.nan, np.nan, 0.0])
     for view, track in members:
         found = detections[view]
@@ -101,11 +97,11 @@ def is_mirror_image(
     centres_m: Float[np.ndarray, "V 3"],
     fps: float,
 ) -> bool:
-    """Whether ``points_m`` (T, 12, 3) are what a plane mirror makes of ``other_m``, left for right, with all cameras on
-    the latter's side.
+    """Whether ``points_m`` (T, 12, 3) are a plane mirror's image of ``other_m``, left for right, with all cameras on
+    one side.
 
-    ``centres_m`` (V, 3): the cameras. Only somebody who moved before the mirror can be told from somebody who happens
-    to stand so.
+    ``centres_m`` (V, 3): the cameras, on the side of ``other_m``. Only a person who moved in front of the mirror can be
+    distinguished from two people in symmetric positions.
     """
     true = other_m[:, _OTHER_SIDE]
     known = np.isfinite(points_m).all(-1) & np.isfinite(true).all(-1)
@@ -135,9 +131,9 @@ def rejection_reason(
     centres_m: Float[np.ndarray, "V 3"],
     fps: float,
 ) -> str:
-    """Why a skeleton is not somebody, as the end of a sentence; "" when it may be.
+    """Why a skeleton is not a person, as the end of a sentence; "" when it may be.
 
-    ``people_m``: skeletons that were believed before it; ``others_m``: all others that may be people.
+    ``people_m``: skeletons accepted before it; ``others_m``: all others that may be people.
     """
     if any(is_duplicate(points_m, other_m) for other_m in people_m):
         return FOUND_TWICE

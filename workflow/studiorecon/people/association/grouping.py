@@ -21,13 +21,12 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Tracks with detections for less than this time, seconds, found no group; they join where their keypoints lie on a
-# group's points.
+# Tracks with less time of detections than this, seconds, are not grouped; they join where their keypoints fit a group's
+# points.
 _LONG_S = 0.15
-# A camera sees somebody in a frame where so many of the stable keypoints agree with the others'.
+# A camera sees a person in a frame where so many of the stable keypoints agree with the others'.
 _AGREEING = 3
-# Such a track needs so many keypoints to compare with, and must agree so much better with one group than with any
-# other.
+# Such a track needs so many comparable keypoints, and must agree so much better with one group than with any other.
 _COMPARABLE, _CLEARLY = 6, 0.25
 
 
@@ -70,10 +69,10 @@ def group_tracks(
     limits: AssociationLimits,
     agree: Limits,
 ) -> list[Group]:
-    """All groups of at least two cameras, whoever they are; ``judge`` decides who counts.
+    """All groups of at least two cameras; ``judge`` decides which are people.
 
     ``limits.method`` "tracks": whole tracks of all views together, checked by triangulation, joined over gaps. "star":
-    the paper's single frame and reference view, as it stands.
+    the paper's single frame and reference view, unchanged.
     """
     stable = stable_detections(detections)
     seen = sights(detections, stable, cameras, limits)
@@ -83,7 +82,7 @@ def group_tracks(
     groups = []
     long = np.flatnonzero(pairs.detections >= min(max(2.0, _LONG_S * fps), pairs.detections.max(initial=0)))
     between = np.ix_(long, long)
-    # Who is there all the time is not outvoted by what a detector took for somebody in short stretches.
+    # A person who is always present is not outvoted by false detections in short stretches.
     affinity = pairs.affinity[between] * pairs.moments[between]
     for nodes in groups_by_affinity(affinity, pairs.forbidden[between]):
         members = [(int(pairs.view[n]), int(pairs.track[n])) for n in long[nodes]]
@@ -99,8 +98,10 @@ def group_tracks(
 def track_margins(
     groups: Sequence[Group], detections: Sequence[Detections], cameras: Sequence[Camera], limits: AssociationLimits
 ) -> dict[tuple[int, int], float]:
-    """By how much every grouped (view, track) prefers its group to the next best one (A12); below ``undecided_margin``
-    it is undecided."""
+    """By how much every grouped (view, track) prefers its group to the next best one (A12).
+
+    Below ``undecided_margin`` it is undecided.
+    """
     stable = stable_detections(detections)
     pairs: TrackPairs = track_pairs(sights(detections, stable, cameras, limits), stable, cameras, limits)
     node = {(int(v), int(t)): n for n, (v, t) in enumerate(zip(pairs.view, pairs.track))}
@@ -151,7 +152,7 @@ def _observed(
 def track_agreements(
     group: Group, stable: Sequence[Detections], cameras: Sequence[Camera], agree: Limits
 ) -> dict[tuple[int, int], float]:
-    """Share of every member's keypoints that lie within the outlier limit of the group's points."""
+    """Share of every member's keypoints that are within the outlier limit of the group's points."""
     return {m: _fit(m, group, stable, cameras, agree)[0] for m in group.members}
 
 
@@ -198,11 +199,10 @@ def _with_leftovers(
     limits: AssociationLimits,
     agree: Limits,
 ) -> list[Group]:
-    """Groups with the tracks that no pair of rays placed, where their keypoints lie on a group's projected points
-    (A14).
+    """Groups with the tracks that no pair of rays placed, where their keypoints fit a group's projected points (A14).
 
-    Two people one behind the other both fit a detection of one of them: the clearest tracks are placed first, and one
-    that still fits two groups alike is nobody's rather than the wrong one's.
+    Two people in line with a camera both fit a detection of one of them: the clearest tracks are placed first. A track
+    that still fits two groups equally gets no person rather than a wrong one.
     """
     taken = {m for g in groups for m in g.members}
     left = [(v, int(t)) for v, d in enumerate(stable) for t in np.unique(d.track) if (v, int(t)) not in taken]
@@ -243,8 +243,8 @@ def _joined_over_gaps(
     limits: AssociationLimits,
     agree: Limits,
 ) -> list[Group]:
-    """Groups that follow each other, as one: the gate grows with the time nobody was seen (A14); the nearest pair
-    first."""
+    """Groups that follow each other joined as one, the nearest pair first; the gate grows with the unseen time
+    (A14)."""
     while True:
         best: tuple[float, int, int] | None = None
         for i, first in enumerate(groups):

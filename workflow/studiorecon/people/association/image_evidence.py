@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is in the pictures though nothing moves: what the detector's masks and the user's clean plates say of somebody.
+"""Image evidence for people who do not move: from the detector's masks and the user's clean plates.
 
-Somebody who stands or sits still changes no picture, and keypoints that tremble over them look like those of nobody.
-Whom one camera confirms in another way is not doubted: its network covers the places where the cameras' rays meet, and
-is sure that somebody is there; or the picture differs at these places from the room without anybody.
+A person who does not move changes no picture, and their jittering keypoints look like false ones. So a person is
+accepted if one camera confirms them in another way. Either its network's mask covers the positions where the cameras'
+rays meet, with high confidence, or the picture differs there from the empty room.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from studiorecon.scene.raw_detections import RawDetections, read_raw_detections
 
 @dataclass(frozen=True)
 class CameraEvidence:
-    """What one camera has beside its film.
+    """One camera's evidence other than its film.
 
     Attributes:
-        lens, footage: how its working pixels lie in its footage.
-        masks: the detector's file, or None where it did not look.
+        lens, footage: the map from its working pixels to its footage.
+        masks: the detector's file, or None without one.
         plate: the user's clean plate at the working size, or None.
     """
 
@@ -51,18 +51,18 @@ class CameraEvidence:
 
     @cached_property
     def found(self) -> RawDetections | None:
-        """The detector's file with its masks, read when it is first asked for: hundreds of megabytes of a long take."""
+        """The detector's file with its masks, read on first use: hundreds of megabytes for a long take."""
         return read_raw_detections(self.masks, masks=True) if self.masks else None
 
 
 @dataclass(frozen=True)
 class ImageEvidence:
-    """What one camera says of somebody beside motion; NaN where it has nothing to say.
+    """One camera's evidence for a person other than motion; NaN without data.
 
     Attributes:
-        covered: share of the places where rays meet that its network's mask covers.
-        presence: how sure that network is that somebody is there, in the median.
-        differs: share of these places where the picture differs from the clean plate.
+        covered: share of the positions where rays meet that its network's mask covers.
+        presence: that network's median confidence in the person's presence.
+        differs: share of these positions where the picture differs from the clean plate.
     """
 
     covered: float
@@ -70,7 +70,7 @@ class ImageEvidence:
     differs: float
 
     def confirms(self, limits: EvidenceLimits) -> bool:
-        """Whether that is enough for a person."""
+        """Whether the evidence suffices for a person."""
         by_mask = self.covered >= limits.covered_share and self.presence >= limits.presence
         return by_mask or self.differs >= limits.present_share
 
@@ -84,7 +84,7 @@ def evidence_in_camera(
     witness: CameraEvidence,
     limits: EvidenceLimits,
 ) -> ImageEvidence:
-    """What the camera of number ``view``, whose detections are ``found``, says of somebody."""
+    """The evidence of camera ``view``, with detections ``found``, for a group."""
     covered, presence = _by_mask(group, view, found, camera, witness, limits)
     return ImageEvidence(covered, presence, _by_plate(group, camera, video, witness, limits))
 
@@ -92,7 +92,7 @@ def evidence_in_camera(
 def _by_mask(
     group: Group, view: int, found: Detections, camera: Camera, witness: CameraEvidence, limits: EvidenceLimits
 ) -> tuple[float, float]:
-    """(share of places under the mask, median presence); NaN where the network did not see them."""
+    """(share of positions under the mask, median presence); NaN where the network did not detect them."""
     if witness.found is None or found.row is None:
         return float("nan"), float("nan")
     tracks = [track for v, track in group.members if v == view]
@@ -117,7 +117,8 @@ def _by_mask(
 
 
 def _by_plate(group: Group, camera: Camera, video: Path, witness: CameraEvidence, limits: EvidenceLimits) -> float:
-    """Share of the places where the picture differs from the clean plate; NaN without one, or with too few places."""
+    """Share of the positions where the picture differs from the clean plate; NaN without one, or with too few
+    positions."""
     if witness.plate is None:
         return float("nan")
     plate, measured = read_plate(witness.plate)
@@ -139,7 +140,7 @@ def evidence_in_cameras(
     witnesses: Sequence[CameraEvidence | None],
     limits: EvidenceLimits,
 ) -> list[ImageEvidence | None]:
-    """What every camera says of somebody; None of a camera that has nothing beside its film."""
+    """Every camera's evidence for a group; None for a camera that only has its film."""
     return [
         evidence_in_camera(group, v, detections[v], cameras[v], videos[v], witness, limits) if witness else None
         for v, witness in enumerate(witnesses)

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is somebody in the picture where the keypoints say so? Where a limb has left, or arrived, the picture must have
-changed.
+"""Checks people's keypoints against the film: where a limb has left or arrived, the picture must have changed.
 
-No plate is needed, and who stands still is not judged: only limbs that moved by decimetres in the world count, where
-the person's own body, and everybody else's, is away from the place in the other picture. A skeleton of nobody (left
-over from another take) moves over a picture that stays the same; it can be consistent in all views to a pixel, so
-geometry alone cannot tell. Keypoints that wander over somebody who stands say nothing: their cameras do not agree on
-where they went.
+No plate is needed, and people who do not move are not judged. Only limbs that moved by decimetres in the world count,
+at positions away from the bodies of all people in the other picture. A false skeleton (left over from another take)
+moves over an unchanged picture; it can be consistent in all views to a pixel, so geometry alone cannot reject it.
+Keypoints that wander over a still person are no evidence: their cameras do not agree on the motion.
 """
 
 from __future__ import annotations
@@ -28,15 +26,15 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
 _BLUR_PX = 1.5
-# Between noise, of which a change must be this many deviations, and what anybody would see: grey levels of 255.
+# A change must be this many noise sigmas, but never more than visible ones: grey levels of 255.
 _NOISES, _FAINTEST = 6.0, 10.0
-# A joint's place is looked at within this of it, metres; limbs, and trunk and head, reach this far from their bones.
+# Radius of the search around a joint's position, metres; radii of limbs, and of trunk and head, around their bones.
 _PLACE_M, _LIMB_M, _TRUNK_M = 0.03, 0.05, 0.15
-# Other people count as so much wider: clothes, hair, shadows.
+# Factor on other people's radii: clothes, hair, shadows.
 _CLOTHED = 2.0
-# A joint has moved when it did by so many deviations of its wandering, taken where nine tenths are below. It wanders
-# where it leaves the cubic through its places so far apart in time, seconds: landmarks drift for longer than a picture
-# lasts, and within that time an arm that swings is a cubic.
+# A joint has moved when it did by so many times its wandering, the 90 % quantile. It wanders where it leaves the cubic
+# through its positions so far apart in time, seconds: landmarks drift for longer than a picture lasts, and within that
+# time an arm that swings is a cubic.
 _WANDERINGS, _WANDERING_S = 4.0, 0.1
 _MIN_PLACES = 20
 _MIN_VIEWS = 2
@@ -60,8 +58,8 @@ _TRUNK = [
 ]
 # The head is as far beyond the middle of the shoulders as this share of the trunk.
 _HEAD_SHARE = 0.6
-# Both ends of each part of a skeleton, and how far it reaches; after the joints come the middles of shoulders and hips,
-# and the head.
+# Both ends of each part of a skeleton, and its radius; after the joints come the middles of shoulders and hips, and the
+# head.
 _SHOULDERS, _HIPS, _HEAD = len(STABLE_KEYPOINTS) + np.arange(3)
 _THIN = [*_LIMBS, *((k, k) for k in range(len(STABLE_KEYPOINTS)))]
 _WIDE = [*_TRUNK, (_SHOULDERS, _HIPS), (_SHOULDERS, _HEAD)]
@@ -76,13 +74,13 @@ class EvidenceLimits:
     Attributes:
         frames: pictures of every camera that are compared: where a joint has moved, the picture must have changed; 0 =
             no test.
-        step_m: how far a joint must have moved between two pictures, metres.
+        step_m: least motion of a joint between two pictures, metres.
         difference: grey levels (of 255) by which the picture must have changed there; less in cameras with little
             noise.
-        absent_share, present_share: below the first on average nobody is there, unless one camera is above the second:
-            there somebody is; so is somebody of whom a single limb is above it.
-        covered_share, presence: nor is somebody doubted of whom the mask of one camera's network covers at least this
-            share, where it is at least so sure that somebody is there.
+        absent_share, present_share: a mean below the first rejects a person, unless one camera, or a single limb, is
+            above the second.
+        covered_share, presence: a person is also accepted where one camera's network has a mask over at least this
+            share, with at least this confidence.
     """
 
     frames: int = 8
@@ -103,10 +101,10 @@ def sampled_frames(frames: Integer[np.ndarray, " N"], wanted: int) -> Integer[np
 
 
 def steps_m(points_m: Float[np.ndarray, "T K 3"], fps: float, limits: EvidenceLimits) -> Float[np.ndarray, " K"]:
-    """(K,) how far each of the points (T, K, 3) must have moved to count, metres: well beyond how it wanders, whatever
-    the frame rate.
+    """(K,) least motion for each of the points (T, K, 3) to count, metres: well beyond its wandering, at any frame
+    rate.
 
-    Noise and hasty motion alike: either way a smaller step says nothing about where somebody is.
+    This covers noise and hasty motion: in both cases a smaller step is no evidence of a position.
     """
     weights = (1, -4, 6, -4, 1)
     apart = max(1, min(round(_WANDERING_S * fps), (len(points_m) - 1) // (len(weights) - 1)))
@@ -126,11 +124,11 @@ def motion_support(
     camera: Camera,
     limits: EvidenceLimits,
 ) -> Num[np.ndarray, "12 2"]:
-    """(12, 2) how many places that each joint of person ``who`` left or reached show a change, and how many places
-    there are.
+    """(12, 2) how many positions that each joint of person ``who`` left or reached show a change, and how many there
+    are.
 
-    ``pictures`` are (H, W, 3) uint8 of ``camera``, ``points_m`` (G, F, 12, 3) everybody's stable keypoints in each of
-    them, NaN where unknown; ``step_m`` (12,) is how far each must have moved. Every two pictures are compared, after a
+    ``pictures`` are (H, W, 3) uint8 of ``camera``, ``points_m`` (G, F, 12, 3) all people's stable keypoints in each of
+    them, NaN where unknown; ``step_m`` (12,) is the least motion of each. Every two pictures are compared, after a
     little blur and without their median colour (exposure).
     """
     smooth = [even(picture) for picture in pictures]
@@ -173,8 +171,11 @@ def change_threshold(apart: Float[np.ndarray, "H W"], limits: EvidenceLimits) ->
 def places_changed(
     apart: Float[np.ndarray, "H W"], points_m: Float[np.ndarray, "N 3"], camera: Camera, limits: EvidenceLimits
 ) -> Num[np.ndarray, "N 2"]:
-    """(N, 2) of points (N, 3), NaN unknown: whether the difference ``apart`` (H, W; NaN unknown) of two pictures of
-    ``camera`` shows a change there, and whether it can tell, as 0 and 1."""
+    """(N, 2) per point (N, 3): whether the difference of two pictures shows a change there, and whether it is known, as
+    0 and 1.
+
+    ``apart`` (H, W; NaN unknown) is the difference in ``camera``; unknown points are NaN.
+    """
     pixels, depth = camera.project(points_m)
     there = np.isfinite(pixels).all(-1) & (depth > 0)
     counts = np.zeros((len(points_m), 2), dtype=int)
@@ -199,13 +200,13 @@ def _body_segments(skeletons: np.ndarray) -> np.ndarray:
 
 
 def _outside(places: np.ndarray, parts: np.ndarray, metre_px: np.ndarray) -> np.ndarray:
-    """(N,) which places (N, 2) are outside of all known ``parts`` (S, P, 2, 2) of some skeletons; ``metre_px`` (S,)
+    """(N,) which positions (N, 2) are outside of all known ``parts`` (S, P, 2, 2) of some skeletons; ``metre_px`` (S,)
     pixels."""
     first, along = parts[..., 0, :], parts[..., 1, :] - parts[..., 0, :]
     from_first = places[:, None, None] - first  # (N, S, P, 2)
     share = ((from_first * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-9)).clip(0, 1)
     apart = np.linalg.norm(from_first - share[..., None] * along, axis=-1)
-    # A part that is not known is at no distance, and nothing is inside of it.
+    # An unknown part has no distance, and nothing is inside of it.
     inside = (apart <= _REACHES_M * metre_px[:, None]).any((1, 2))
     return np.isfinite(places).all(-1) & ~inside
 
@@ -213,8 +214,11 @@ def _outside(places: np.ndarray, parts: np.ndarray, metre_px: np.ndarray) -> np.
 def changed(
     apart: Float[np.ndarray, "H W"], places: Num[np.ndarray, "N 2"], radius: int, threshold: float
 ) -> Num[np.ndarray, "N 2"]:
-    """(N, 2) whether the difference ``apart`` (H, W; NaN unknown) exceeds ``threshold`` within ``radius`` pixels of
-    each place (N, 2), and whether anything is known there, as 0 and 1."""
+    """(N, 2) whether ``apart`` exceeds ``threshold`` within ``radius`` pixels of each position, and whether it is known
+    there.
+
+    Values are 0 and 1; ``apart`` (H, W) is a difference with NaN for unknown, positions are (N, 2).
+    """
     counts = np.zeros((len(places), 2), dtype=int)
     for k, (column, row) in enumerate(np.floor(places).astype(int)):
         if 0 <= column < apart.shape[1] and 0 <= row < apart.shape[0]:
@@ -226,7 +230,7 @@ def changed(
 
 
 def view_shares(counts: Num[np.ndarray, "... 2"]) -> Float[np.ndarray, " ..."]:
-    """(...,) supported share from (..., 2) counts; NaN with fewer than twenty places to judge."""
+    """(...,) supported share from (..., 2) counts; NaN with fewer than twenty positions."""
     judged = counts[..., 1] >= _MIN_PLACES
     return np.where(judged, counts[..., 0] / np.maximum(counts[..., 1], 1), np.nan)
 
@@ -237,11 +241,11 @@ def limb_counts(counts: Num[np.ndarray, "... 12 2"]) -> Num[np.ndarray, "... 4 2
 
 
 def absent(shares: Float[np.ndarray, "G V"], limbs: Float[np.ndarray, "G V 4"], limits: EvidenceLimits) -> list[bool]:
-    """For every person, from the shares of every view, of all joints (G, V) and of each limb (G, V, 4), whether the
-    pictures say that nobody is there.
+    """For every group, whether the pictures show that no person is there, from all joints' (G, V) and limbs' (G, V, 4)
+    shares.
 
-    Only where two views can judge, none of them confirms, not even one limb, and the same views confirm somebody else:
-    videos that are badly lit, or out of step with the keypoints, contradict everybody, and then contradict nobody.
+    Only where two views can judge, none of them confirms, not even one limb, and the same views confirm another person.
+    Videos that are badly lit, or out of step with the keypoints, contradict all people, and so reject none.
     """
     out = []
     for g, own in enumerate(shares):

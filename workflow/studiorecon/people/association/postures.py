@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How alike two postures are: of monocular bodies joint by joint, else where limbs point, by the detector's guess.
+"""Similarity of two postures: joint by joint for monocular bodies, else by limb directions from the detector's guess.
 
-The guess is metres in axes that look along the ray to the person. Turned with that ray and with the camera it says
-where limbs, shoulders and face point, left apart from right; how far away somebody is it does not say.
+The guess is in metres, in axes along the ray to the person. Rotated with that ray and with the camera it gives the
+directions of limbs, shoulders and face, left and right distinguished. It does not give the person's distance.
 """
 
 from __future__ import annotations
@@ -48,15 +48,18 @@ def limb_directions(found: Detections, camera: Camera) -> Float[np.ndarray, "D 1
 def joint_differences_rad(
     first: Float[np.ndarray, "... J 3 3"], second: Float[np.ndarray, "... J 3 3"]
 ) -> Float[np.ndarray, " ..."]:
-    """Mean angle between body rotations (…, J, 3, 3) and (…, J, 3, 3), broadcast, the root not among them (A06-A08)."""
+    """Mean angle between body rotations (…, J, 3, 3) and (…, J, 3, 3), broadcast, without the root (A06-A08)."""
     return rotations.angle(first, second).mean(-1)
 
 
 def parameter_differences_rad(
     first: Float[np.ndarray, "... J 3"], second: Float[np.ndarray, "... J 3"]
 ) -> Float[np.ndarray, " ..."]:
-    """‖θa − θb‖ of axis-angles (…, J, 3) and (…, J, 3), broadcast, over √J: as large as the mean angle where all joints
-    differ alike, and larger where one axis-angle goes round the other way (paper, Eq. 1)."""
+    """‖θa − θb‖ of axis-angles (…, J, 3) and (…, J, 3), broadcast, over √J (paper, Eq. 1).
+
+    As large as the mean angle where all joints differ equally, and larger where one axis-angle goes round the other
+    way.
+    """
     return np.linalg.norm(first - second, axis=(-2, -1)) / np.sqrt(first.shape[-2])
 
 
@@ -69,7 +72,7 @@ def limb_differences_rad(
 
 
 def _world_from_guess(found: Detections, camera: Camera) -> np.ndarray:
-    """(D, 3, 3) turn of the guess's axes, which look at the person, into the world's."""
+    """(D, 3, 3) rotation of the guess's axes, which point at the person, into the world's."""
     seen = found.keypoints[..., 2:] > 0
     count = seen.sum(1)
     middle = np.where(seen, found.keypoints[..., :2], 0.0).sum(1) / np.maximum(count, 1)

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a skeleton has a person's proportions: a dog's shoulders and hips are narrow for its trunk, its forelegs no
-arms, and landmarks that are no joints do not keep their distances.
+"""Checks whether a skeleton has a person's proportions: a dog has narrow shoulders and hips for its trunk.
 
-People of all ages and sizes lie well within the bounds; a measured skeleton may be off in one of them, where an arm
-hides a shoulder, but not in two.
+Its forelegs are not arms, and false landmarks do not keep their distances. People of all ages and sizes are well within
+the bounds. A measured skeleton may be off in one of them, where an arm hides a shoulder, but not in two.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Shares of the trunk (middle of the shoulders to that of the hips). The real man and the made studio's people: 0.65 to
-# 0.71, 0.35 to 0.41, 0.47 to 0.57, 0.44 to 0.52, 0.71 to 0.87, 0.68 to 0.88; dogs on four legs: 0.15 to 0.35, 0.09 to
-# 0.35, 0.21 to 0.45, 0.24 to 0.46, 0.41 to 0.98, 0.38 to 0.95.
+# Shares of the trunk (middle of the shoulders to that of the hips). The real man and the synthetic studio's people:
+# 0.65 to 0.71, 0.35 to 0.41, 0.47 to 0.57, 0.44 to 0.52, 0.71 to 0.87, 0.68 to 0.88; dogs on four legs: 0.15 to 0.35,
+# 0.09 to 0.35, 0.21 to 0.45, 0.24 to 0.46, 0.41 to 0.98, 0.38 to 0.95.
 _BOUNDS = {
     "shoulders": (0.45, 1.2),
     "hips": (0.27, 0.75),
@@ -37,17 +36,20 @@ _ENDS = {
     "thighs": [("left_hip", "left_knee"), ("right_hip", "right_knee")],
     "shins": [("left_knee", "left_ankle"), ("right_knee", "right_ankle")],
 }
-# Bones keep their length: the median over them of how much they differ from their own median (people: 0.01 to 0.03;
+# Bones have constant length: the median over them of their difference from their own median (people: 0.01 to 0.03;
 # dogs: 0.08 to 0.27).
 _UNSTEADY = 0.08
 _MAX_OUTSIDE = 1
-# A length is known from so many frames, or from half of those in which anything is.
+# A length needs so many frames, or half of those with any known point.
 _MIN_FRAMES = 3
 
 
 def lengths_m(points_m: Float[np.ndarray, "T 12 3"]) -> dict[str, list[Float[np.ndarray, " F"]]]:
     """Lengths of a skeleton's bones (T, 12, 3; NaN unknown), metres, in the frames in which they are known; "trunk" as
-    well. What is hardly ever known is left out."""
+    well.
+
+    Bones that are hardly ever known are left out.
+    """
     at = {name: k for k, name in enumerate(STABLE_KEYPOINTS)}
     middles = [
         np.mean([points_m[:, at[f"{side}_{joint}"]] for side in ("left", "right")], axis=0)
@@ -63,8 +65,8 @@ def lengths_m(points_m: Float[np.ndarray, "T 12 3"]) -> dict[str, list[Float[np.
 
 
 def shares(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> dict[str, float]:
-    """Medians over time as shares of the trunk, {} where that is not known; of a pair of limbs the one with the less
-    likely length counts."""
+    """Medians over time as shares of the trunk, {} without a trunk; of a pair of limbs the less likely length
+    counts."""
     if "trunk" not in lengths:
         return {}
     trunk_m = float(np.median(lengths["trunk"][0]))
@@ -77,13 +79,13 @@ def shares(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> dict[str
 
 
 def unsteadiness(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> float:
-    """By which share of its own median a bone's length usually differs from it; 0 where none is known."""
+    """Median relative difference of a bone's length from its own median; 0 where none is known."""
     own = [np.median(np.abs(v - np.median(v))) / np.median(v) for values in lengths.values() for v in values]
     return float(np.median(own)) if own else 0.0
 
 
 def proportion_fault(points_m: Float[np.ndarray, "T 12 3"]) -> str:
-    """Why a skeleton (T, 12, 3) has not a person's proportions, as the end of a sentence; "" when it has."""
+    """Why a skeleton (T, 12, 3) lacks a person's proportions, as the end of a sentence; "" when it has them."""
     lengths = lengths_m(points_m)
     told = [
         f"{part} {share:.2f} of its trunk"

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's association: one frame, one reference view, the Hungarian algorithm between it and every other view
+"""The paper's association: one frame, one reference view, and the Hungarian algorithm for every other view
 (§association).
 
-Kept to compare with. Whoever the reference view does not see at that frame never gets an identity (A15), and one
-frame's noise decides (A11). Tracks that begin later are given to the person they are nearest to at their first frame,
-where the other views see that person now (A14).
+Kept for comparison. A person whom the reference view does not see at that frame never gets an identity (A15), and one
+frame's noise decides (A11). Tracks that begin later go to the person nearest at their first frame, as the other views
+see them then (A14).
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from studiorecon.people.association.track_pairs import Sights, detection_affinit
 
 
 def star_groups(seen: Sequence[Sights], limits: AssociationLimits) -> list[list[tuple[int, int]]]:
-    """(view, track) pairs of every person that more than the reference view sees, in order of the reference view's
+    """(view, track) pairs of every person with more than the reference view, in order of the reference view's
     tracks."""
     frames = [int(s.frame.min()) for s in seen if len(s.frame)]
     if not frames:
         return []
-    start = min(frames)  # the paper's t₀ = 0, or the first frame in which there is anybody (U31)
+    start = min(frames)  # the paper's t₀ = 0, or the first frame with a person (U31)
     now = [np.flatnonzero(s.frame == start) for s in seen]
     reference = max(range(len(seen)), key=lambda v: (len(now[v]), -v))
     owner = {(reference, int(seen[reference].track[d])): k for k, d in enumerate(now[reference])}
@@ -33,7 +33,7 @@ def star_groups(seen: Sequence[Sights], limits: AssociationLimits) -> list[list[
         if v == reference:
             continue
         affinity = detection_affinities(seen[reference], now[reference], seen[v], now[v], limits)
-        # No affinity is no match, however the assignment comes out (A03, A13).
+        # No affinity is no match, whatever the assignment (A03, A13).
         for k, d in match(1 - affinity, 1.0):
             owner[v, int(seen[v].track[now[v][d]])] = k
     _later_tracks(seen, start, owner, people, limits)
@@ -70,8 +70,8 @@ def _to_people(
     people: int,
     limits: AssociationLimits,
 ) -> np.ndarray:
-    """(A, people) mean affinity of new detections of a view to every person as the other views see them in this frame;
-    0 if taken."""
+    """(A, people) mean affinity of new detections of a view to every person in the other views of this frame; 0 if
+    taken."""
     total, count = np.zeros((len(detections), people)), np.zeros(people)
     taken = {owner.get((view, int(t))) for t in seen[view].track[seen[view].frame == frame]}
     for v, s in enumerate(seen):

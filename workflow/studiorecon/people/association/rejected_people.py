@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whom association left out though two cameras saw them for a while: told to the user, with what takes them in."""
+"""Reports people whom association left out although two cameras saw them for a while, with the lines that accept
+them."""
 
 from __future__ import annotations
 
@@ -12,19 +13,19 @@ from studiorecon.people.association.grouping import Group
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Camera
 
-# Two cameras must have agreed for so long, seconds, or for half of a clip that is shorter than twice that.
+# Two cameras must have agreed for so long, seconds, or for half of a clip shorter than twice that.
 _LONG_S = 1.0
-# So many lines for identities.tsv are said; the page has them all.
+# At most so many lines for identities.tsv are logged; the page has them all.
 _SAID = 12
 
 
 @dataclass(frozen=True)
 class RejectedPerson:
-    """Somebody, or something, that is not a person of this scene.
+    """A group that was rejected as a person of this scene.
 
     Attributes:
-        name: ``r0``, ``r1``, … in order of how long two cameras agreed.
-        frames: how many frames those are; seconds: the same in time.
+        name: ``r0``, ``r1``, … in order of the time in which two cameras agreed.
+        frames: number of those frames; seconds: the same in time.
         cameras: names of those that see it; tracks: (camera, track id) of all of them.
         confidence: share of its keypoints that agree; reason: why it is left out, as the end of a sentence.
     """
@@ -49,8 +50,7 @@ class RejectedPerson:
 def list_rejected(
     rejected: Sequence[tuple[Group, str]], cameras: Sequence[Camera], frames: int, fps: float
 ) -> list[RejectedPerson]:
-    """Those of the rejected groups, each with its reason, that two cameras agreed on for a second, or half of a shorter
-    clip."""
+    """The rejected groups, with reasons, on which two cameras agreed for a second, or half of a shorter clip."""
     long = [(g, reason) for g, reason in rejected if len(g.frames) >= min(_LONG_S * fps, frames / 2)]
     long.sort(key=lambda one: (-len(one[0].frames), one[0].members))
     return [
@@ -68,7 +68,7 @@ def list_rejected(
 
 
 def report_rejected(those: Sequence[RejectedPerson], next_person: str) -> None:
-    """Say who was left out and why, and the lines that take each of them in as ``next_person``."""
+    """Log the rejected groups with their reasons, and the lines that accept each of them as ``next_person``."""
     for one in those:
         lines = one.lines(next_person)
         warn(

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known about every two tracks, or every two detections, that may be one person: how far apart, how different
-in pose.
+"""Distance and difference in pose of every two tracks, or every two detections, that may be one person.
 
-Three sources of position. ``rays``: how close the rays of shared keypoints pass; needs no depth, and says nothing about
-pairs that share too few keypoints, where depth-lifted pelvises stand in if the detections bring them. ``pelvis``:
-the pelvis joint of the monocular body at its own depth (U26), averaged over the frames that two tracks share (A11).
-``scene``: the same joint at the scene's depth, the paper's, which ``people.lift`` has put in its place.
+Three sources of position. ``rays``: the distance between the rays of shared keypoints; needs no depth. Pairs with too
+few shared keypoints use depth-lifted pelvises instead, if the detections have them. ``pelvis``: the pelvis joint of the
+monocular body at its own depth (U26), averaged over the frames that two tracks share (A11). ``scene``: the same joint
+at the scene's depth, the paper's, computed by ``people.lift``.
 """
 
 from __future__ import annotations
@@ -51,15 +50,15 @@ _BY_PELVIS = ("pelvis", "scene")
 
 @dataclass(frozen=True)
 class Sights:
-    """One camera's detections, ready to be compared with another's.
+    """One camera's detections, prepared for comparison.
 
     Attributes:
-        camera: where they were seen from; frame, track: (D,).
+        camera: the camera; frame, track: (D,).
         directions: (D, K, 3) unit rays of the stable keypoints, ``present`` (D, K).
-        pelvis_m: (D, 3) world pelvis joint, NaN where no monocular depth is known.
-        pose: (D, 23, 3, 3) body joints of the monocular body, NaN where there is none.
-        limbs: (D, 12, 3) where limbs point in the world by the detector's guess, NaN where there is none.
-        parameters: (D, 23, 3) the monocular body's axis-angles as it gave them, where those are to be compared.
+        pelvis_m: (D, 3) world pelvis joint, NaN without monocular depth.
+        pose: (D, 23, 3, 3) body joints of the monocular body, NaN without one.
+        limbs: (D, 12, 3) limb directions in the world by the detector's guess, NaN without one.
+        parameters: (D, 23, 3) the monocular body's original axis-angles, where those are to be compared.
     """
 
     camera: Camera
@@ -74,15 +73,17 @@ class Sights:
 
     @property
     def postures(self) -> bool:
-        """Whether any detection says how somebody holds their limbs."""
+        """Whether any detection has a posture."""
         return bool(np.isfinite(self.pose).any() or np.isfinite(self.limbs).any())
 
 
 def posture_angle_rad(
     first: Sights, i: Integer[np.ndarray, " ..."], second: Sights, j: Integer[np.ndarray, " ..."]
 ) -> Float[np.ndarray, " ..."]:
-    """Angle in radians between the postures of detections ``i`` of one camera and ``j`` of another, broadcast against
-    one another: of body joints where both have bodies, else of where limbs point; NaN where neither is known."""
+    """Angle in radians between the postures of detections ``i`` of one camera and ``j`` of another, broadcast.
+
+    Of body joints where both have bodies, else of limb directions; NaN where neither is known.
+    """
     limbs = limb_differences_rad(first.limbs[i], second.limbs[j])
     if not (np.isfinite(first.pose).any() and np.isfinite(second.pose).any()):
         return limbs
@@ -96,7 +97,7 @@ def posture_angle_rad(
 def sights(
     detections: Sequence[Detections], stable: Sequence[Detections], cameras: Sequence[Camera], limits: AssociationLimits
 ):
-    """One ``Sights`` per camera; raises UserError when the settings ask for what no detection brings."""
+    """One ``Sights`` per camera; raises UserError when the settings need data that no detection has."""
     if limits.position == "scene" and limits.affinity != "pose" and not any(_some(d.pelvis) for d in detections):
         raise UserError(
             "people.association.position is scene, but no pelvis lies where the scene's depth is known; set it to rays"
@@ -125,7 +126,7 @@ def _sights(detections: Detections, stable: Detections, camera: Camera, as_given
     poses = np.full((count, 23, 3), np.nan) if detections.body_pose is None else detections.body_pose
     known = np.isfinite(poses).all((1, 2))
     matrices = rotations.exp(np.where(known[:, None, None], poses, 0.0))
-    # The depth is the joint's own: nothing is added to reach inside the body (C11).
+    # The depth is the joint's own: no offset into the body is added (C11).
     world = lift_joint(pelvis[:, 2], pelvis[:, :2], camera, 0.0)
     return Sights(
         camera,
@@ -167,12 +168,12 @@ def detection_affinities(
 
 @dataclass(frozen=True)
 class TrackPairs:
-    """What is known about every two of M tracks.
+    """Pairwise affinities of M tracks.
 
     Attributes:
         view, track: (M,) camera number and track id.
         affinity: (M, M) 0..1, 0 = no link; measured: (M, M) bool, False where the two share nothing to compare.
-        forbidden: (M, M) bool: these two are not one person. moments: (M, M) in how many frames both are seen.
+        forbidden: (M, M) bool: these two are not one person. moments: (M, M) number of frames in which both are seen.
     """
 
     view: Integer[np.ndarray, " M"]
@@ -184,7 +185,7 @@ class TrackPairs:
 
     @property
     def detections(self) -> Integer[np.ndarray, " M"]:
-        """(M,) how many detections a track has."""
+        """(M,) number of detections of each track."""
         return np.diagonal(self.moments)
 
 
@@ -230,7 +231,7 @@ def margins(pairs: TrackPairs, groups: Sequence[Sequence[int]]) -> Float[np.ndar
 
 
 def _closeness(pairs: TrackPairs, node: int, group: Sequence[int]) -> float:
-    """Mean affinity to the group's tracks, weighted by their length, where there is anything to compare; 0 without."""
+    """Mean affinity to the group's comparable tracks, weighted by their length; 0 without any."""
     known = [n for n in group if pairs.measured[node, n]]
     return float(np.average(pairs.affinity[node, known], weights=pairs.detections[known])) if known else 0.0
 

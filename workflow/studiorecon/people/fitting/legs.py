@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Legs that no camera shows, of people at a table or behind a counter: bent until their feet stand on the floor.
+"""Unseen legs of people at a table or behind a counter: bent until their feet are on the floor.
 
-The pose prior lets unseen legs hang from the pelvis, and those of somebody who sits hang through the floor. What is
-known is the height of the pelvis: shanks upright, thighs as steep as reaches the floor. It is a guess, and the fit's
-deviations say so.
+The pose prior lets unseen legs hang from the pelvis; those of a seated person then pass through the floor. The pelvis's
+height is known: shanks upright, thighs as steep as reaches the floor. It is a guess, which the fit's sigmas show.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
 _SIDES = ("left", "right")
 _BELOW = ("knee", "ankle", "heel", "big_toe", "small_toe")
-# Feet deeper than this below the floor, metres, are not where they stand: floors are known to a few centimetres.
+# Feet deeper than this below the floor, metres, are wrong: floors are known to a few centimetres.
 _UNDER_M = 0.1
 # From ankle to sole, metres.
 _SOLE_M = 0.07
@@ -35,8 +34,8 @@ def seated(
     points_m: Float[np.ndarray, "T K 3"],
     body: BodyModel,
 ) -> tuple[Float[np.ndarray, "T 24 3 3"], Bool[np.ndarray, "T 2"]]:
-    """``local`` (T, 24, 3, 3) with unseen legs bent where they would hang through the floor z = 0, and (T, 2) which
-    legs those are.
+    """``local`` (T, 24, 3, 3) with unseen legs bent where they would pass through the floor z = 0, and (T, 2) bool
+    which.
 
     ``points_m`` (T, K, 3) are the triangulated keypoints ``names``, NaN where unknown; left leg first. Frames that are
     not finite stay.
@@ -68,10 +67,10 @@ def seated(
 
 
 def _level(root: np.ndarray) -> np.ndarray:
-    """(T, 3, 3) the upright turn (y up, z ahead) of bodies that face where ``root`` (T, 3, 3) faces."""
+    """(T, 3, 3) the upright rotation (y up, z ahead) of bodies with the heading of ``root`` (T, 3, 3)."""
     up = np.array([0.0, 0.0, 1.0])
     ahead = root[:, :, 2] - (root[:, :, 2] @ up)[:, None] * up
-    # Somebody who lies faces up or down: where the head points serves as well.
+    # A person lying down faces up or down: the direction of the head replaces the heading.
     ahead = np.where(
         np.linalg.norm(ahead, axis=1, keepdims=True) > 1e-3, ahead, root[:, :, 1] * [1, 1, 0] + [1e-9, 0, 0]
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long somebody's bones are: the paper's s* of one person, and the check of measured against fitted limbs."""
+"""Lengths of a person's bones: the paper's s*, and the check of measured against fitted limbs."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from studiorecon.scene.people import Person
 
 
 def _pairs(*limbs: tuple[str, str]) -> tuple[tuple[str, str], ...]:
-    """Ends of ``limbs`` on both sides, as keypoints on the body's surface and as joints inside it are called."""
+    """Ends of ``limbs`` on both sides, by their names as keypoints on the surface and as joints inside."""
     return tuple((f"{s}_{a}{k}", f"{s}_{b}{k}") for k in ("", "_joint") for s in ("left", "right") for a, b in limbs)
 
 
 _LIMBS = _pairs(("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"))
-# Between neighbouring joints: however somebody bends, they stay as long (Eq. 3, "reliable bone pairs").
+# Between neighbouring joints: their length is constant in any pose (Eq. 3, "reliable bone pairs").
 _BONES = (*_LIMBS, *_pairs(("elbow", "wrist")))
 
-# A toddler and the tallest who ever lived, over a mean adult.
+# A toddler and the tallest person on record, over a mean adult.
 _SIZES = 0.4, 1.6
 
 
 def body_scale(person: str, points: Points, body: BodyModel) -> float:
-    """s* of one person: triangulated over template bones (paper, Eq. 3); 1, and said, where too few bones are seen.
+    """s* of one person: triangulated over template bones (paper, Eq. 3); 1, with a message, where too few bones are
+    seen.
 
-    Raises UserError for a size that nobody has."""
+    Raises UserError for an impossible size.
+    """
     known = [name for name in points.names if name in body.keypoint_names]
     rows = [points.names.index(name) for name in known]
     bones = [(known.index(a), known.index(b)) for a, b in _BONES if a in known and b in known]

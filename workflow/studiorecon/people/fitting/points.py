@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all cameras together say about one person: keypoints by name, and their points in the world (paper
-§triangulation)."""
+"""One person's keypoints in all cameras by name, and their points in the world (paper §triangulation)."""
 
 from __future__ import annotations
 
@@ -23,9 +22,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Triangulation(Limits):
-    """What counts as agreement of views, wider than for cameras: within it the Huber norm bounds what a view that is
-    off does, and bones keep their lengths better where no view comes and goes (15.5 mm instead of 16.7 on a real
-    take); see ``geometry.triangulation.triangulate``."""
+    """Limits of agreement between views, wider than for cameras; see ``geometry.triangulation.triangulate``.
+
+    Within them the Huber norm bounds the pull of a wrong view, and bones keep their lengths better where no view comes
+    and goes (15.5 mm instead of 16.7 on a real take).
+    """
 
     solver: Solver = setting(
         "robust",
@@ -73,7 +74,8 @@ def observations(
             frame = int(seen.frame[d])
             if identities.get((seen.camera, int(seen.track[d])), "") != person or not 0 <= frame < frames:
                 continue
-            # Two tracks of one person may overlap for a frame where one takes over: the more confident one counts.
+            # Two tracks of one person may overlap for a frame where one continues the other: the more confident one
+            # counts.
             if np.nansum(seen.keypoints[d, source, 2]) > out[view, frame, :, 2].sum():
                 out[view, frame] = [np.nan, np.nan, 0.0]
                 out[view, frame, target] = seen.keypoints[d, source]
@@ -81,7 +83,7 @@ def observations(
 
 
 def off_m(names: Sequence[str], detections: Sequence[Detections]) -> Num[np.ndarray, " K"]:
-    """(K,) how far the detectors' points lie from the body's, metres: the layout that is furthest off counts."""
+    """(K,) distance of the detectors' points from the body's, metres: the largest of the layouts' counts."""
     layouts = [LAYOUTS[name] for name in sorted({d.layout for d in detections})]
     return np.array([max((one.off_m(name) for one in layouts), default=0.0) for name in names])
 
@@ -94,8 +96,10 @@ def lift(
     unverified_sigma_m: float,
     off: Num[np.ndarray, " K"] | float = 0.0,
 ) -> Points:
-    """World points of all frames at once from keypoints (V, T, K, 3); those of two cameras only get
-    ``unverified_sigma_m`` on top (T13), all of them ``off`` (``off_m``)."""
+    """World points of all frames at once from keypoints (V, T, K, 3).
+
+    Those of only two cameras get ``unverified_sigma_m`` added (T13), all of them ``off`` (``off_m``).
+    """
     views, frames, count = keypoints.shape[:3]
     flat = keypoints.reshape(views, frames * count, 3)
     result = triangulate(flat[..., :2], flat[..., 2], cameras, settings, solver=settings.solver)

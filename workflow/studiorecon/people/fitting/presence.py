@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""In which frames somebody is there: where the body was measured, shortly around that, and in between as long as some
-camera sees them now and then.
+"""Frames in which a person is present: measured ones, a short margin, and gaps in which a camera sees them at times.
 
-Whoever walks in at the third second was nowhere before, and whoever comes back after ten did not glide across the room
-meanwhile. All limits are seconds, so that any frame rate gives the same answer.
+A person who walks in at the third second was not present before, and one who comes back after ten did not glide across
+the room meanwhile. All limits are seconds, so that any frame rate gives the same result.
 """
 
 from __future__ import annotations
@@ -19,23 +18,23 @@ from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
-# Around measured frames somebody stays so long: a detector that is a few frames late must not make them blink.
+# Margin around measured frames: a detector that is a few frames late must not make people blink.
 STAYS_S = 0.5
-# Seen by nobody for longer than this, somebody is away.
+# A person whom no camera sees for longer than this is away.
 UNSEEN_S = 2.0
-# Times of frames are no exact numbers: 0.5 s are 15 frames at 30 per second.
+# Times of frames are not exact: 0.5 s are 15 frames at 30 per second.
 _EXACT_S = 1e-9
 
 
 def presence(measured: Bool[np.ndarray, " T"], seen: Bool[np.ndarray, " T"], fps: float) -> Bool[np.ndarray, " T"]:
-    """(T,) bool: frames in which somebody is there, whose body is ``measured`` in some and whom any camera has ``seen``
-    in some, maybe others.
+    """(T,) bool: frames in which a person is present, from frames with a ``measured`` body and frames ``seen`` by any
+    camera.
 
-    They are there up to ``STAYS_S`` before and after every measured frame. A gap between two is bridged where no
-    stretch of it without a sighting is longer than ``UNSEEN_S``; else they are away in all of it but those margins,
-    since a pose between two so far apart is no longer theirs. One camera's sightings before the first measured frame,
-    or after the last, count for nothing: they do not say where somebody stands. Raises ValueError for other shapes,
-    and a frame rate that is not positive.
+    They are present up to ``STAYS_S`` before and after every measured frame. A gap between two is bridged if no stretch
+    of it without a sighting is longer than ``UNSEEN_S``. Otherwise they are away in all of it but those margins, since
+    a pose interpolated so far is no longer theirs. One camera's sightings before the first measured frame, or after the
+    last, do not count: they do not determine a position. Raises ValueError for other shapes, and a frame rate that is
+    not positive.
     """
     sizes = require("measured", measured, ("T",))
     require("seen", seen, ("T",), sizes)
@@ -71,11 +70,11 @@ def filled(
     measured: Bool[np.ndarray, " T"],
     there: Bool[np.ndarray, " T"],
 ) -> tuple[Num[np.ndarray, "T 24 3 3"], Num[np.ndarray, "T 3"]]:
-    """Joints' rotations and pelvis positions with frames that were not ``measured`` filled between those that were.
+    """Joints' rotations and pelvis positions with frames that were not ``measured`` filled between measured ones.
 
-    Every stretch in which somebody is ``there`` is filled by itself: who is about to leave stands still at its end, and
-    does not start towards where they will come back. In what lies between, one goes over into the other: a camera
-    that follows them gets there in time. Raises ValueError when no frame is measured, and for other shapes.
+    Every stretch in which a person is ``there`` is filled separately: before leaving they stop, and do not start
+    towards their point of return. Between stretches the pose is interpolated, so that a camera that follows them
+    arrives in time. Raises ValueError when no frame is measured, and for other shapes.
     """
     local = np.where(measured[:, None, None, None], local, np.eye(3))
     trans_m = np.where(measured[:, None], trans_m, 0.0)

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whose rows look one after the other, as everybody who moves tells. Bodies are fitted to keypoints that are moved by
-it; the pictures stay as they were taken.
+"""Rolling shutters, measured on moving people; bodies are fitted to corrected keypoints, pictures stay unchanged.
 
-A rolling shutter shows feet later than heads: who walks past leans, by as much more as the camera is nearer. A readout
-is believed only when the whole clip and each half of it say the same, when it is one that sensors have, and when it
-moves somebody by a pixel: what is believed wrongly bends bodies that were straight.
+A rolling shutter shows feet later than heads: a person who walks past leans, the more the nearer the camera. A readout
+is accepted only if the whole clip and each half agree, if sensors have such a readout, and if it moves a person by a
+pixel: a false one bends bodies that were straight.
 """
 
 from __future__ import annotations
@@ -22,14 +21,14 @@ from studiorecon.scene.readouts import Readout
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-# What counts as agreement of rays (U34).
+# Limits of agreement of rays (U34).
 _LIMITS = Limits(min_confidence=0.0, huber_share=0.005, outlier_units=3.0, min_angle_deg=2.0, near_m=0.05)
 _MOMENTS = 60
-# Standard errors that the whole clip, and each half, must be away from none.
+# Standard errors by which the whole clip, and each half, must differ from 0.
 _CLEAR, _HALF_CLEAR = 3.0, 1.5
-# Rows of video sensors take 5 to 33 ms; no frame lasts shorter than its readout.
+# Rows of video sensors take 5 to 33 ms; no frame is shorter than its readout.
 _LONGEST_S, _LONGEST_FRAMES = 0.04, 1.05
-# Less than this, at 1280 wide, is not worth moving anything for; who moves slower than so much a second tells nothing.
+# A smaller shift, pixels at 1280 wide, is not worth correcting; slower motion than this per second is no evidence.
 _SHIFT_PX, _SLOWEST_PX_S, _AT_WIDTH = 1.0, 60.0, 1280.0
 
 

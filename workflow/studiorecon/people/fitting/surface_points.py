@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Surface points of one person from the bodies that a network saw in every camera (paper: the vertex term;
-U33).
+"""Surface points of one person from a network's bodies in every camera (paper: the vertex term; U33).
 
-Nobody detects vertices: these are projections of monocular bodies, a prior that all cameras happen to agree on or not.
-They are triangulated as keypoints are, and the fit lets all of them together count for at most as much as the
-keypoints.
+Vertices are not detected: these are projections of monocular bodies, a prior on which cameras agree by chance or not.
+They are triangulated as keypoints are, and the fit weighs all of them together at most as much as the keypoints.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# Points that are triangulated at once: what those of a minute take would fill gigabytes.
+# Points that are triangulated at once: those of a minute's take would fill gigabytes.
 _AT_ONCE = 500_000
 
 
@@ -40,11 +38,11 @@ def triangulate_surface(
     unverified_sigma_m: float,
     count: int,
 ) -> SurfacePoints | None:
-    """Triangulated points of the skin, where networks brought bodies; None where they did not, or for another shape
-    space than theirs.
+    """Triangulated points of the skin from networks' bodies; None without bodies, or for another shape space than
+    theirs.
 
     ``cameras`` belong to the ``detections``. Shapes of SMPL mean nothing in another body's shape space. ``count``
-    vertices stand for all; 0 = all of them.
+    vertices represent all; 0 = all of them.
     """
     seen = [
         d.body_pose is not None and d.body_root is not None and d.body_shape is not None and d.pelvis is not None
@@ -81,7 +79,7 @@ def triangulate_surface(
 def surest(
     person: str, found: Detections, identities: Mapping[tuple[str, int], str], frames: int
 ) -> dict[int, tuple[int, float]]:
-    """Frame → which detection of the person has the surest keypoint there, and how sure it is; the first of equals."""
+    """Frame → the person's detection with the most confident keypoint, and that confidence; the first of equals."""
     surest: dict[int, tuple[int, float]] = {}
     assert found.pelvis is not None
     for d in range(len(found.frame)):
@@ -95,8 +93,7 @@ def surest(
 def skin_px(
     found: Detections, detection: int, camera: Camera, body: BodyModel, vertices: Integer[np.ndarray, " S"]
 ) -> Float[np.ndarray, "S 2"]:
-    """(S, 2) pixels of some ``vertices`` (S,) of the body that a network saw as one ``detection``; NaN for those behind
-    the camera."""
+    """(S, 2) pixels of ``vertices`` (S,) of a network's body for one ``detection``; NaN for those behind the camera."""
     assert found.body_root is not None
     assert found.body_pose is not None
     assert found.pelvis is not None
