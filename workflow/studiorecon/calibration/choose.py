@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``calibration.choose``: which camera of a calibration is which film, and where a film's pixels lie in the calibrated
-picture, where names and sizes leave that open: people decide.
+"""``calibration.choose``: matches films to cameras, and locates a film's pixels in the calibrated picture.
 
-Right readings let the rays of people's joints meet. Where nobody shows it the usual reading is taken, and said.
+Where names and sizes are ambiguous, people decide: under the right reading the rays of their joints meet. Without
+evidence the usual reading is used, with a message.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 _FRAMES = 24
-# As where cameras are judged on people; loose, since a calibration may be a little off and is still the right one.
+# As where cameras are judged on people; wide, since a calibration may be slightly off and still be the right one.
 _GATE_M = 0.25
 _LIMITS = Limits(outlier_units=9.0)
-# What detectors err, as a share of the longer side (6 of 1920 px).
+# Error of detectors, as a share of the longer side (6 of 1920 px).
 _NOISE_SHARE = 0.003
 # Standard errors by which a reading must be better than the usual one: 1 in 700 by chance.
 _SURE = 3.0
@@ -61,8 +61,8 @@ class Choice:
 def agreement(
     lenses: Sequence[Lens], sizes: Sequence[tuple[int, int]], people: Sequence[Detections]
 ) -> Float[np.ndarray, " F"]:
-    """(F,) how well people's joints fit the lenses in each of 24 frames: the logarithm of how much likelier each
-    keypoint is than at random, summed. 0 where nothing meets."""
+    """(F,) log-likelihood ratio of people's joints in each of 24 frames, lenses against chance, summed; 0 where no rays
+    meet."""
     last = max((int(d.frame.max()) for d in people if len(d.frame)), default=-1)
     frames = evenly_spread(last + 1, _FRAMES) if last >= 0 else np.zeros(0, int)
     total = np.zeros(len(frames))
@@ -85,7 +85,7 @@ def agreement(
 
 
 def best(candidates: Sequence[T], fit: Callable[[T], Float[np.ndarray, " F"]]) -> tuple[int, bool]:
-    """The place of the candidate that people show to be right, else 0; and whether they show it."""
+    """Index of the candidate that people show to be right, else 0; and whether they do."""
     scores = [fit(candidate) for candidate in candidates]
     order = np.argsort([-s.sum() for s in scores], kind="stable")
     first = int(order[0])
@@ -96,7 +96,7 @@ def best(candidates: Sequence[T], fit: Callable[[T], Float[np.ndarray, " F"]]) -
 
     if all(clearly(scores[first], scores[int(other)]) for other in order[1:]):
         return first, len(scores) > 1
-    # Of several that fit about equally well the likeliest, unless people show that it is wrong.
+    # Of several that fit about equally well the likeliest one, unless people show that it is wrong.
     equal = [i for i in range(len(scores)) if not clearly(scores[first], scores[i])]
     return equal[0], False
 
@@ -111,10 +111,10 @@ def chosen(
     settings: Settings,
     stored: Sequence[tuple[int, int]] = (),
 ) -> Choice:
-    """The lenses of ``cameras``, whose films have ``sizes`` as shown and ``stored`` ones where those differ, as
-    names, sizes and ``people`` (by frames of the films) have them.
+    """The lenses of ``cameras`` by names, sizes and ``people`` (by frames of the films).
 
-    Raises UserError for names that neither match nor are decided by people, and for sizes of other shapes.
+    Their films have ``sizes`` as shown and ``stored`` ones where those differ. Raises UserError for names that neither
+    match nor are decided by people, and for sizes of other shapes.
     """
 
     def read(pairing: Pairing) -> tuple[list[Lens], list[str], bool]:
@@ -145,8 +145,10 @@ def chosen(
 def _placed(
     lenses: Sequence[Lens], sizes: Sequence[tuple[int, int]], people: Sequence[Detections]
 ) -> tuple[list[Lens], list[str]]:
-    """The lenses with the place of each film, and the sentences about those that had to be assumed. Films of one pair
-    of sizes lie alike: one program made them."""
+    """The lenses with the position of each film, and sentences about assumed ones.
+
+    Films with the same pair of sizes have the same position: one program made them.
+    """
     options = [places(lens, wh) for lens, wh in zip(lenses, sizes, strict=True)]
     kinds = sorted({(lens.wh, wh) for lens, wh, of in zip(lenses, sizes, options) if len(of) > 1})
     counts = [len(next(of for lens, wh, of in zip(lenses, sizes, options) if (lens.wh, wh) == kind)) for kind in kinds]
@@ -175,8 +177,11 @@ def run(
     picture_fps: float,
     calibration: Written,
 ) -> None:
-    """Write ``calibration`` (JSON): the lenses of ``cameras``, whose films are ``sources``, of the calibration that was
-    ``read``, as the people of ``sightings`` have it."""
+    """Write ``calibration`` (JSON): the lenses of ``cameras`` from the ``read`` calibration, chosen by the people of
+    ``sightings``.
+
+    ``sources`` are the cameras' films.
+    """
     content, reading = intermediate.read(
         read,
         Named(Anything()),

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``calibration.doctor``: before anything expensive, does the calibration fit the people, and what does the capture
-lack?
+"""``calibration.doctor``: checks whether the calibration fits the people, and what the capture lacks, before a long
+run.
 
-It always ends with a page: a calibration that does not fit is a finding, not a failure. ``cameras.refine`` is what
-refuses.
+It always ends with a page: a calibration that does not fit is a result, not a failure. ``cameras.refine`` raises the
+error.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 _FRAMES = 24
 _LAG_FRAMES = 6
-# Frames of a long take that the clocks are compared on: enough for any lag, and a second of work.
+# Frames of a long take on which the clocks are compared: enough for any lag, and a second of work.
 _CLOCK_FRAMES = 200
 _NOBODY_REACH_M = 2.0
 _PICTURE_ROWS = 480
@@ -64,7 +64,7 @@ Readings = Mapping[str, tuple[Sequence[Camera], Sequence[Detections]]]
 
 @dataclass(frozen=True)
 class Settings(AgreementLimits, CalibrationPrior):
-    """When cameras agree with people, and how far those given are trusted."""
+    """Limits of agreement between cameras and people, and the trust in given cameras."""
 
 
 def examined(
@@ -78,13 +78,13 @@ def examined(
     rooms: Sequence[RoomPicture | None] = (),
     keypoints: Mapping[str, Sequence[str]] | None = None,
 ) -> tuple[dict[str, Any], Float[np.ndarray, "N 3"]]:
-    """The report (what goes into doctor.json) and the triangulated points (N, 3) of the frame that shows most of them.
+    """The report (written to doctor.json) and the triangulated points (N, 3) of the frame with most of them.
 
-    ``detections`` of cameras without keypoints are empty. ``lens_readings``: cameras and detections if the lens were
-    another model, by the names of ``hypotheses.LENS_READINGS``. ``sync``: what was found about clocks before
-    (``sentences``, and the ``refusal`` that awaits the footage, or ""). ``doubts``: what the calibration says of
-    itself. ``keypoints``: what their comparison with the films says, sentences of what was ``refused`` and ``told``.
-    ``rooms``: the room without people as each camera sees it, None where nobody looked.
+    ``detections`` of cameras without keypoints are empty. ``lens_readings``: cameras and detections under other lens
+    models, by the names of ``hypotheses.LENS_READINGS``. ``sync``: results about clocks (``sentences``, and the
+    ``refusal`` that the footage will raise, or ""). ``doubts``: the calibration's own. ``keypoints``: sentences from
+    their comparison with the films, ``refused`` and ``told``. ``rooms``: the room without people in each camera, None
+    where it was not computed.
     """
     names = [c.name for c in cameras]
     frames = min(int(a["frames"]) for a in about)
@@ -102,7 +102,7 @@ def examined(
     if people and (median is None or median > 0.5 * limit_px):
         swap = best_swap(cameras, detections, few, settings.gate_m)
         if swap is not None:
-            # On a regular ring a swap is nearly a mirror image: rays agree about as well, pixels tell.
+            # On a regular ring a swap is nearly a mirror image: rays agree about as well, pixels decide.
             px = None if median is None else _median_px(swap[1], detections, chosen, settings)
             table.append({**swap[0], **({} if px is None else {"median_px": px})})
     for name, (cams, found) in (lens_readings or {}).items():
@@ -117,7 +117,7 @@ def examined(
     if people and (median is None or any(e is None or e > limit_px for e in each)):
         odd = find_outlier_camera(cameras, detections, chosen, settings.gate_m, settings.limits)
         if odd is not None and (not odd.cause or odd.turned) and refined is not None and refined.elsewhere:
-            odd = None  # cameras that were moved explain it
+            odd = None  # moved cameras explain it
     shown, shown_points = _best_frame(cameras, seen, settings.limits)
     middle, reach = _volume(cameras, points)
     half = min(frames, _CLOCK_FRAMES) // 2
@@ -159,7 +159,7 @@ def examined(
 def _wrong_lengths(
     cameras: Sequence[Camera], detections: Sequence[Detections], seen: Observations, few: np.ndarray, settings: Settings
 ) -> str | None:
-    """What ``cameras.refine`` would refuse about people's size, or None."""
+    """The refusal of ``cameras.refine`` about people's size, or None."""
     try:
         if check_human_size(cameras, seen, settings.limits) is None:
             check_units(cameras, detections, few, settings.gate_m, settings.limits)
@@ -169,7 +169,7 @@ def _wrong_lengths(
 
 
 def _metres_per_px(cameras: Sequence[Camera], points_m: np.ndarray) -> list[float]:
-    """What a pixel of every camera is at the points, metres."""
+    """Size of a pixel of every camera at the points, metres."""
     return [float(np.median(c.project(points_m)[1])) / float(np.mean(c.focal_px)) for c in cameras]
 
 
@@ -199,7 +199,7 @@ def _best_frame(cameras: Sequence[Camera], seen: Observations, limits: Limits) -
 
 
 def _volume(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Middle (2,) and radius in metres of where people are, or of what the cameras look at."""
+    """Middle (2,) and radius in metres of the people's volume, or of the cameras' common view."""
     if len(points):
         middle = np.median(points[:, :2], axis=0)
         return middle, float(np.quantile(np.linalg.norm(points[:, :2] - middle, axis=-1), 0.95)) + 0.5
@@ -208,7 +208,7 @@ def _volume(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, 
 
 
 def straightened(picture: Integer[np.ndarray, "H W 3"], lens: Lens, camera: Camera) -> Integer[np.ndarray, "H W 3"]:
-    """The picture (H, W, 3) of a video as the pinhole ``camera`` of ``undistorted`` sees it, 480 rows high."""
+    """The picture (H, W, 3) of a video as seen by the pinhole ``camera`` of ``undistorted``, 480 rows high."""
     small = camera.resized((round(_PICTURE_ROWS * camera.wh[0] / camera.wh[1]), _PICTURE_ROWS))
     place = video_from_working(small.pixel_centres(), lens, camera.wh, small.intrinsics).astype(np.float32) - 0.5
     return cv2.remap(picture, place[..., 0], place[..., 1], cv2.INTER_AREA, borderMode=cv2.BORDER_CONSTANT)
@@ -221,8 +221,11 @@ def _rooms(
     moments: Sequence[Integer[np.ndarray, " T"]],
     asked: Sequence[bool],
 ) -> list[RoomPicture | None]:
-    """The room without people as the pinhole ``cameras`` see it at the ``moments`` (frames) of their footage, filmed
-    through ``lenses``; None where it is not ``asked`` for, or cannot be read."""
+    """The room without people in the pinhole ``cameras`` at the ``moments`` (frames) of their footage, filmed through
+    ``lenses``.
+
+    None where it is not ``asked`` for, or cannot be read.
+    """
     names = [c.name for c in cameras]
     wanted, paths = zip(*((n, path) for n, path, a in zip(names, sources, asked, strict=True) if a))
     found = rooms_of(wanted, paths, {c.name: c.wh for c in cameras}, dict(zip(names, moments, strict=True)))
@@ -239,8 +242,7 @@ def marks(seen: Detections, frame: int | None) -> Float[np.ndarray, "N 2"]:
 
 
 def usable(common: Clocks) -> Clocks:
-    """``common``, or the footage as it was filmed where the videos share no moment: there is still something to look
-    at."""
+    """``common``, or the footage as filmed where the videos share no moment, because it can still be checked."""
     if common.frames:
         return common
     as_filmed = tuple(replace(c, offset_s=0.0, drift_ppm=0.0) for c in common.cameras)
@@ -248,13 +250,13 @@ def usable(common: Clocks) -> Clocks:
 
 
 def first_frame(common: Clocks, camera: str) -> float:
-    """Where between the frames of a camera's footage the scene's first moment lies."""
+    """The fractional frame of a camera's footage at the scene's first moment."""
     position = common.positions(camera)
     return float(np.interp(0.0, position, np.arange(len(position))))
 
 
 def nobody(camera: str) -> Detections:
-    """The sightings of a camera without keypoints."""
+    """The empty detections of a camera without keypoints."""
     return Detections(camera, "coco17", np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 17, 3)))
 
 
@@ -274,9 +276,9 @@ def run(
 ) -> None:
     """Write ``report`` (JSON) and ``doctor`` (HTML) for ``cameras`` and their videos ``sources``.
 
-    ``clocks`` say which of their frames are used, ``sync`` how that was found. ``sightings`` and ``sizes`` are there
-    for the cameras with keypoints, in any order. Cameras that people did not place are not there to be examined.
-    ``notes`` (JSON): sentences on what the capture's folder holds and is not used.
+    ``clocks`` give their frames in use, ``sync`` how those were determined. ``sightings`` and ``sizes`` exist for the
+    cameras with keypoints, in any order. Cameras that people did not place are not examined. ``notes`` (JSON):
+    sentences about unused files in the capture's folder.
     """
     calibrated = read_calibration(calibration)
     lenses, left_out = calibrated.lenses, calibrated.left_out
@@ -307,7 +309,7 @@ def run(
         for c, film, pictures in zip(cameras, films, looks, strict=True)
     ]
 
-    # Before anything slow: what the files alone say.
+    # Before anything slow: results from the files alone.
     for a in about:
         say(
             f"camera {a['camera']}: {a['wh'][0]}×{a['wh'][1]}, {a['fps']:g} fps, "
@@ -329,7 +331,7 @@ def run(
         name: read(model) for name, model in LENS_READINGS.items() if any(lenses[c].model != model for c in cameras)
     }
     told = {"sentences": [f["sentence"] for f in found["cameras"]], "refusal": read_clocks(clocks).refusal}
-    # Cameras that filmed people, or all: held-out pictures are not looked at for the room's sake.
+    # Cameras that filmed people, or all: the room in held-out pictures is not used.
     asked = [c in seen or not seen for c in cameras]
     rooms = _rooms(sources, pinholes, [lenses[c] for c in cameras], moments, asked)
     compared = {
@@ -348,7 +350,7 @@ def run(
     result["notes"] = json.loads(notes)
     write_json(report, result)
     write_text(doctor, page(scene, result, pictured))
-    # The clocks' sentences stand in their own step's words.
+    # The step that estimates the clocks writes their sentences.
     for sentence in result["notes"]:
         say(sentence)
     say(f"VERDICT: {result['verdict']}")

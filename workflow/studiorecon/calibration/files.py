@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``calibration.files``: the user's calibration files → cameras of one kind, in the files' own world and unit; and what
-makes lenses of them in the metric world, z up."""
+"""``calibration.files``: reads the user's calibration files, and converts them to lenses in the metric world, z up.
+
+A read calibration is in the files' own world and unit.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,7 @@ else:
 
 @dataclass(frozen=True)
 class Settings:
-    """What the file cannot say."""
+    """Settings of properties that the file does not contain."""
 
     format: FormatName = setting("auto", "Format of the calibration files; auto = the first that recognises them.")
     poses: Literal["as_read", "world_from_camera", "opengl", "world_from_camera_opengl"] = setting(
@@ -64,8 +66,8 @@ class Settings:
 
 
 def read_calibration(files: Sequence[Path], wanted: str = "auto") -> Reading:
-    """The calibration in the format ``wanted``, or whatever format it is; raises UserError when there is none or nobody
-    can read it."""
+    """The calibration in the format ``wanted``, or in any format; raises UserError when there is none or it is
+    unreadable."""
     if not files:
         raise UserError(
             "the dataset has no calibration, and cameras this far apart cannot be "
@@ -88,8 +90,7 @@ def read_calibration(files: Sequence[Path], wanted: str = "auto") -> Reading:
 
 
 def pairings_of(reading: Reading, cameras: Sequence[str], source: str) -> list[Pairing]:
-    """Every way in which the names of a calibration may fit those of the footage, the likeliest first; UserError where
-    none does."""
+    """Every way to match a calibration's names to the footage's, the likeliest first; UserError where none fits."""
     names = [c.name for c in reading.cameras]
     return pairings(cameras, names, source) if reading.named else pairings_in_order(cameras, len(names), source)
 
@@ -102,8 +103,11 @@ def lenses_of(
     settings: Settings,
     pairing: Pairing | None = None,
 ) -> tuple[list[Lens], list[str], bool]:
-    """Lenses in the order of ``cameras`` by ``pairing`` (default: the likeliest), the sentences about every change, and
-    whether z = 0 is known to be the floor."""
+    """Lenses in the order of ``cameras`` by ``pairing``, sentences about every change, and whether z = 0 is known to be
+    the floor.
+
+    ``pairing`` is the likeliest by default.
+    """
     pairing = pairing or pairings_of(reading, cameras, source)[0]
     matched, note = pairing.calibrated, pairing.sentence(source) if pairing.how else ""
     by_name = {c.name: c for c in reading.cameras}
@@ -145,7 +149,7 @@ def lenses_of(
 
 
 def meant(pose: Float[np.ndarray, "4 4"], poses: str) -> Float[np.ndarray, "4 4"]:
-    """(4, 4) ``camera_from_world`` with OpenCV axes of a pose that is really ``poses`` (see ``Settings``)."""
+    """(4, 4) ``camera_from_world`` with OpenCV axes of a pose in the convention ``poses`` (see ``Settings``)."""
     turned = _OPENGL @ pose if poses == "opengl" else pose
     if poses.startswith("world_from_camera"):
         turned = np.linalg.inv(pose @ _OPENGL if poses.endswith("opengl") else pose)
@@ -153,9 +157,9 @@ def meant(pose: Float[np.ndarray, "4 4"], poses: str) -> Float[np.ndarray, "4 4"
 
 
 def run(settings: Settings, files: list[Path], cameras: list[str], read: Written) -> None:
-    """Read the calibration ``files`` for the footage names ``cameras``; write ``read`` (JSON) as the files have it.
+    """Read the calibration ``files`` for the footage names ``cameras``; write ``read`` (JSON) in the files' own world.
 
-    Everything that can be refused without looking at people is refused here.
+    Every error that needs no people is raised here.
     """
     reading = read_calibration(files, settings.format)
     lenses_of(reading, files[0].name, cameras, {}, settings)

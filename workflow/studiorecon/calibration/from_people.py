@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``calibration.from_people``: cameras without any calibration, from the people they saw (not in the paper, which asks
-Pi3X)."""
+"""``calibration.from_people``: cameras without any calibration, from the people they saw (the paper uses Pi3X
+instead)."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# So many times the accepted standard deviations, and the bodies are not where the people were.
+# Beyond so many times the accepted sigmas, bodies are not where the people were.
 _HOPELESS = 6.0
-# Standard deviation of adults' sizes, as a share.
+# Sigma of adults' sizes, as a share.
 _OF_A_MEAN_BODY = 0.05
 _NO_LENGTHS = GivenLengths()
 _MIN_CAMERAS = 2
@@ -55,17 +55,16 @@ _WOULD_HELP = (
 
 @dataclass(frozen=True)
 class PeopleRigSettings:
-    """When cameras found from people are believed.
+    """When cameras estimated from people are accepted.
 
     Attributes:
-        frames: frames that are looked at, spread over the clip.
-        focal_sigma, focal_told_sigma, focal_unknown_sigma: standard deviation of a focal length, as a share: of a given
-            one, of one that the file tells, and of an unknown one, which starts at a guess.
+        frames: number of frames in use, spread over the clip.
+        focal_sigma, focal_told_sigma, focal_unknown_sigma: sigma of a focal length, as a share: of a given one, of one
+            in the file's metadata, and of an unknown one, which starts at a guess.
         max_focal_sigma: share up to which a focal length counts as determined by the people.
-        max_sigma_deg, max_sigma_m: standard deviations of turn and place past which the cameras are marked as
-            uncertain.
-        rival_share: another arrangement of the cameras with this share of the support is told, and what is known of
-            them covers it.
+        max_sigma_deg, max_sigma_m: sigmas of rotation and position beyond which the cameras are marked as uncertain.
+        rival_share: another arrangement of the cameras with this share of the support is reported, and the uncertainty
+            covers it.
     """
 
     frames: int = 60
@@ -80,7 +79,7 @@ class PeopleRigSettings:
 
 @dataclass(frozen=True)
 class Settings(AgreementLimits):
-    """When the cameras that people show are believed."""
+    """When the cameras that people determine are accepted."""
 
     people_rig: PeopleRigSettings = PeopleRigSettings()
 
@@ -101,10 +100,10 @@ def pose_cameras(
     """Cameras in metres, z up, floor at 0, and a report; raises UserError with "undetermined" when people show too
     little.
 
-    ``focal_px``: given focal lengths by camera name, ``told_px`` those that the files tell; the others are found along
-    with the poses, or kept as guessed when the people do not determine them. ``given``: lengths that were measured;
+    ``focal_px``: given focal lengths by camera name, ``told_px`` those in the files' metadata; the others are estimated
+    along with the poses, or kept as guessed when the people do not determine them. ``given``: measured lengths;
     ``stature``: height of the mean body, metres; ``edges``: (N, 4) ends of the room's straight edges, pixels, and
-    ``rooms``, pictures of it, of the cameras whose pictures were looked at.
+    ``rooms``, pictures of it, of the cameras in use.
     """
     known = {**(told_px or {}), **focal_px}
     about = settings.people_rig
@@ -118,7 +117,7 @@ def pose_cameras(
             "videos are synchronised, or bring a calibration"
         )
     names = [d.camera for d in found.seen.detections]
-    # Known focal lengths are pulled towards their value at every round; unknown ones are free.
+    # Known focal lengths have their value as prior in every round; unknown ones are free.
     wide = {n: about.focal_sigma if n in focal_px else about.focal_told_sigma for n in known}
     lens = LensPrior(np.array([wide.get(n, about.focal_unknown_sigma) for n in names]), 0.0)
     known_px = {v: known[n] for v, n in enumerate(names) if n in known}
@@ -178,7 +177,7 @@ def _uncertain(
     focal: np.ndarray,
     settings: PeopleRigSettings,
 ) -> list[str]:
-    """What is known worse than it should be, in sentences; raises UserError where no film could be made of it."""
+    """Sentences about parameters with too large a sigma; raises UserError where no film could be made."""
     found = []
     free = [(n, s) for n, s in zip(names, focal) if n not in given]
     unknown = [f"{n} ±{s:.0%}" for n, s in free if s > settings.max_focal_sigma]
@@ -201,13 +200,15 @@ def _uncertain(
 
 
 def mean_body(body: BodyModel) -> Float[np.ndarray, "12 3"]:
-    """(12, 3) stable keypoints of the body of mean shape, metres: adults' bones differ from it by about 5 %, and so may
-    the scene."""
+    """(12, 3) stable keypoints of the body of mean shape, metres: adults' bones differ from it by about 5 %.
+
+    The scene's scale may be off by as much.
+    """
     return body.keypoints(STABLE_KEYPOINTS, np.zeros((1, 72)), np.zeros(body.shapes), np.zeros((1, 3)))[0]
 
 
 def _of_two(found: PoseConsensus, degrees: np.ndarray) -> str:
-    """What is said of two arrangements that fit about equally well and differ by ``degrees`` (V,)."""
+    """A sentence about two arrangements that fit about equally well and differ by ``degrees`` (V,)."""
     assert found.rival is not None
     return (
         f"two arrangements of the cameras fit the people about equally well ({found.rig.support} and "
@@ -238,7 +239,7 @@ def _settled_in_the_world(
             )
         return found
 
-    # Who is p0 hangs on where people stand in the world that association will see.
+    # The order of p0, p1, … depends on people's positions in the world that association will use.
     turned = points @ upright(by_bones)[0][:3, :3].T
     measured = scale_from_lengths(given, result.cameras, turned, rig.points, rig.seen, template_m, stature)
     scale = measured or by_bones
@@ -251,7 +252,7 @@ def _settled_in_the_world(
 
 
 def _told_by_files(cameras: Sequence[str], sources: Sequence[Path], size: Mapping[str, tuple[int, int]]) -> dict:
-    """camera → focal length, pixels of its footage, that its file tells; of a folder its first picture."""
+    """camera → focal length in its file's metadata, pixels of its footage; a folder's first picture counts."""
     found = {}
     for camera, source in zip(cameras, sources):
         pictures = pictures_in(source) if source.is_dir() else []
@@ -275,12 +276,13 @@ def run(
     lengths: str,
     calibration: Written,
 ) -> None:
-    """Pose the cameras of ``sightings`` (npz, pixels of the videos whose ``sizes`` are JSON); write ``calibration``
+    """Estimate the cameras of ``sightings`` (npz, pixels of the videos whose ``sizes`` are JSON); write ``calibration``
     (JSON).
 
-    ``focal_px``: JSON, camera → focal length in pixels of the video, for as many cameras as the user knows; the footage
-    ``sources`` of ``cameras`` may tell others. ``lengths``: JSON, ``GivenLengths``. Cameras that people do not place
-    are not in ``calibration``, which is said; two of ``training`` there must be. ``lenses``: files with lenses alone.
+    ``focal_px``: JSON, camera → focal length in pixels of the video, for as many cameras as the user knows; the
+    metadata of the footage ``sources`` of ``cameras`` may hold others. ``lengths``: JSON, ``GivenLengths``. Cameras
+    that people do not place are missing in ``calibration``, with a message; at least two of ``training`` must be there.
+    ``lenses``: files with lenses alone.
     """
     common = read_clocks(clocks)
     if common.refusal:
@@ -352,7 +354,7 @@ def run(
         doubts.append(f"camera {camera} is left out of this reconstruction: {why}; {_WOULD_HELP}")
     for sentence in doubts:
         warn(sentence)
-    # In the pixels that the footage's maps speak of, so that everybody after this reads keypoints in the same ones.
+    # In the pixels of the footage's maps, so that all later steps read keypoints in the same ones.
     placed = [
         posed(known[c.name], c)
         if c.name in known

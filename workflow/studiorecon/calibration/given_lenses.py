@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lenses that are known where poses are not: people's points are straightened before poses are found from them."""
+"""Known lenses without poses: removes their distortion from people's points before poses are estimated."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from studiorecon.scene.people import Detections
 def lenses_of_cameras(
     files: Sequence[Path], sizes: Mapping[str, tuple[int, int]], maps: Mapping[str, Any]
 ) -> dict[str, Lens]:
-    """camera → its lens, in ``files`` without poses, at the identity; one lens alone is every camera's. Empty without
+    """camera → its lens at the identity, from ``files`` without poses; a single lens is every camera's. Empty without
     files."""
     if not files:
         return {}
@@ -51,13 +51,13 @@ def lenses_of_cameras(
 
 
 def ideal(lens: Lens, wh: tuple[int, int]) -> Camera:
-    """The pinhole with square pixels and its principal point in the middle of the film that poses are found for."""
+    """The pinhole with square pixels and a central principal point for which poses are estimated."""
     focal = float(lens.intrinsics[0, 0] / _scale(lens, wh))
     return Camera(lens.name, wh, np.array([[focal, 0, wh[0] / 2], [0, focal, wh[1] / 2], [0, 0, 1.0]]), np.eye(4))
 
 
 def straight(seen: Detections, lens: Lens, wh: tuple[int, int]) -> Detections:
-    """The sightings in pixels of ``ideal``; points that the lens cannot have seen are dropped."""
+    """The detections in pixels of ``ideal``; points outside of the lens's field are dropped."""
     camera, found = undistorted(seen, lens, wh)
     wanted = ideal(lens, wh)
     points = found.keypoints.copy()
@@ -67,12 +67,12 @@ def straight(seen: Detections, lens: Lens, wh: tuple[int, int]) -> Detections:
 
 
 def posed(lens: Lens, found: Camera) -> Lens:
-    """The lens at the pose of the camera that people show, and with its focal length."""
+    """The lens with the pose and focal length of the estimated camera."""
     intrinsics = lens.intrinsics.copy()
     intrinsics[[0, 1], [0, 1]] *= found.focal_px[0] / ideal(lens, found.wh).focal_px[0]
     return replace(lens, intrinsics=intrinsics, camera_from_world=found.camera_from_world)
 
 
 def _scale(lens: Lens, wh: tuple[int, int]) -> float:
-    """Calibration pixels along a pixel of the film."""
+    """Calibration pixels per pixel of the film."""
     return float(lens.calibration_from_video[0, 0]) if lens.has_place or 0 in lens.wh else lens.wh[0] / wh[0]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which camera of a calibration may belong to which video: every pairing that their names allow, the likeliest first.
+"""Candidate pairings of calibrated cameras and videos by their names, the likeliest first.
 
-What names share is weighed by how few names share it: of ``2024-05-11_take2_cam1`` only the last number tells cameras
-apart. Which of several pairings is right people decide (``calibration.choose``).
+A shared word weighs more the fewer names share it: of ``2024-05-11_take2_cam1`` only the last number distinguishes
+cameras. People decide between several pairings (``calibration.choose``).
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.scene.numbered import natural
 
-# One name being the other, or a run of whole words of it, counts more than all words that they share.
-# Of names that say nothing so many pairings are tried on people: all of four cameras.
+# If one name equals the other, or a run of whole words of it, that counts more than all shared words. If names do not
+# match at all, so many pairings are tried on people: all of four cameras.
 _MAX_TRIED = 24
 _SAME, _SAME_BUT_FOR_CASE, _PART = 16.0, 8.0, 2.0
 
@@ -31,8 +31,8 @@ class Pairing:
 
     Attributes:
         calibrated: video → name in the calibration.
-        how: what it goes by, in words; "" where the names are equal.
-        sure: whether names alone carry it; the others are taken only where people show that they are right.
+        how: its basis, in words; "" where the names are equal.
+        sure: whether names alone suffice; others are used only where people show that they are right.
     """
 
     calibrated: dict[str, str]
@@ -79,7 +79,7 @@ def pairings_in_order(footage: Sequence[str], count: int, source: str) -> list[P
     """The pairings of a calibration of ``count`` cameras without names: the sorted videos in its order.
 
     Numbers sort as numbers (cam2 before cam10) first, as text second. Raises UserError when the counts differ, since
-    then nobody knows which is missing.
+    the missing one is unknown.
     """
     if len(footage) != count:
         raise UserError(
@@ -94,14 +94,14 @@ def pairings_in_order(footage: Sequence[str], count: int, source: str) -> list[P
 
 
 def _weights(footage: Sequence[str], calibrated: Sequence[str]) -> np.ndarray:
-    """(videos, cameras) how much of what tells names apart each pair shares; 0: nothing."""
+    """(videos, cameras) weight of the distinctive words that each pair of names shares; 0 for none."""
     ours, theirs = [_words(name) for name in footage], [_words(name) for name in calibrated]
     counts = [Counter(word for words in side for word in words) for side in (ours, theirs)]
     weight = np.zeros((len(footage), len(calibrated)))
     for i, film in enumerate(footage):
         for j, camera in enumerate(calibrated):
             shared = ours[i] & theirs[j]
-            # Words that every name of a side has say nothing, unless there is but one name.
+            # Words in every name of a side do not count, unless there is only one name.
             weight[i, j] = sum(
                 1 / (counts[0][word] * counts[1][word])
                 for word in shared
@@ -115,8 +115,8 @@ def _weights(footage: Sequence[str], calibrated: Sequence[str]) -> np.ndarray:
 
 
 def _best(footage: Sequence[str], calibrated: Sequence[str], weight: np.ndarray) -> list[dict[str, str]]:
-    """The complete pairings with the largest sum of weights: one, or all single exchanges that are as good."""
-    from scipy.optimize import linear_sum_assignment  # 0.1 s, which equal names do without
+    """The complete pairings with the largest sum of weights: one, or all single exchanges with the same sum."""
+    from scipy.optimize import linear_sum_assignment  # 0.1 s, which equal names avoid
 
     if len(calibrated) < len(footage) or not len(calibrated):
         return []
@@ -138,8 +138,7 @@ def _best(footage: Sequence[str], calibrated: Sequence[str], weight: np.ndarray)
 
 
 def _shifted(footage: Sequence[str], calibrated: Sequence[str]) -> list[Pairing]:
-    """Pairings of names that differ by their numbers alone, counted from elsewhere: 0 to 3 in the one, 1 to 4 in the
-    other."""
+    """Pairings of names that differ by their numbers alone, with another first number: 0 to 3 and 1 to 4."""
     ours, theirs = _numbers(footage), _numbers(calibrated)
     if ours is None or theirs is None or len(calibrated) < len(footage):
         return []
@@ -149,14 +148,14 @@ def _shifted(footage: Sequence[str], calibrated: Sequence[str]) -> list[Pairing]
         # Numbers from 0 or from 1 only: another first number means other cameras.
         if abs(shift) <= 1 and all(number + shift in of_number for number in ours):
             pairs = {film: of_number[number + shift] for film, number in zip(footage, ours)}
-            # cam1 of the one being cam2 of the other is nothing to believe of names.
+            # That cam1 is cam2 of the other side cannot be trusted by names.
             sure = not set(footage) & set(calibrated)
             found.append(Pairing(pairs, f"by their numbers, {shift:+d}" if shift else "by their numbers", sure))
     return found
 
 
 def _numbers(names: Sequence[str]) -> list[int] | None:
-    """The number of each name in which the names differ; None where they differ otherwise, or in several."""
+    """The one number of each name in which the names differ; None where they differ otherwise, or in several."""
     split = [re.split(r"(\d+)", name.casefold()) for name in names]
     if len({len(parts) for parts in split}) != 1:
         return None
@@ -170,7 +169,7 @@ def _numbers(names: Sequence[str]) -> list[int] | None:
 
 
 def _telling(name: str) -> bool:
-    """Whether a name is more than a count of cameras: it has a letter, or the digits of a serial number."""
+    """Whether a name is more than a camera's number: it has a letter, or the digits of a serial number."""
     return not name.isdigit() or len(name) > 2
 
 

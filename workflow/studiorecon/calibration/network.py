@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``calibration.network``: cameras of a capture without calibration by an upstream network (the paper's way), as a
-COLMAP model.
+"""``calibration.network``: estimates uncalibrated cameras by an upstream network (the paper's way), as a COLMAP model.
 
-The network sees one picture of every camera. What it says of their depth is kept too, in metres: people are lifted by
-it. Its unit is put to metres by people's torsos, measured between keypoints
-on its own depth; ``calibration.files`` then reads the model like any other, finds which way is up, and
-``cameras.refine`` moves it on the people.
+The network sees one picture of every camera. Its depth maps are stored too, in metres: people are lifted by them. Its
+unit is converted to metres by people's torsos, measured between keypoints on its own depth. ``calibration.files`` then
+reads the model like any other and determines the up direction; ``cameras.refine`` refines it on the people.
 """
 
 from __future__ import annotations
@@ -47,7 +45,7 @@ _WIDEST = 1.6
 
 @dataclass(frozen=True)
 class Settings:
-    """Which network, and how sure a keypoint must be."""
+    """Which network, and the least confidence of a keypoint."""
 
     source: CalibrationSource = setting(
         "auto",
@@ -62,12 +60,12 @@ class Settings:
 def torso_lengths(
     found: Reconstruction, wh: Sequence[tuple[int, int]], detections: Sequence[Detections], sure: float
 ) -> Float[np.ndarray, " L"]:
-    """Lengths from the middle of the shoulders to the middle of the hips of everybody at frame 0, in the network's
+    """Distances from the middle of the shoulders to the middle of the hips of all people at frame 0, in the network's
     unit.
 
-    ``wh`` is the size of the pictures of the cameras that the network found, to which the keypoints (frame 0 of
-    ``detections``, of some of them) refer. Both middles lie as deep as their points' surfaces do in the median, so a
-    keypoint on a jump in depth does no harm.
+    ``wh`` is the size of the pictures of the cameras ``found`` by the network, to which the keypoints (frame 0 of
+    ``detections``, of some of them) refer. Both middles have the median depth of their points' surfaces, so a keypoint
+    on a jump in depth does no harm.
     """
     lengths, at = [], {camera.name: k for k, camera in enumerate(found.cameras)}
     for seen in detections:
@@ -92,7 +90,7 @@ def torso_lengths(
 
 
 def metres_per_unit(lengths: Float[np.ndarray, " L"], torso_m: float, metric: bool, title: str) -> tuple[float, str]:
-    """Metres per unit of the network, and a sentence; UserError when nothing says so."""
+    """Metres per unit of the network, and a sentence; UserError when undetermined."""
     usable = lengths[lengths > 0]
     if not len(usable):
         if metric:
@@ -121,7 +119,7 @@ def metres_per_unit(lengths: Float[np.ndarray, " L"], torso_m: float, metric: bo
 
 
 def in_metres(camera: Camera, wh: tuple[int, int], factor: float) -> Camera:
-    """A network's camera at the size of the footage, its lengths times ``factor``."""
+    """A network's camera at the size of the footage, with lengths multiplied by ``factor``."""
     pose = camera.camera_from_world.copy()
     pose[:3, 3] *= factor
     return replace(camera.resized(wh), camera_from_world=pose)
@@ -139,10 +137,10 @@ def run(
     model: Written,
     depths: list[Written],
 ) -> None:
-    """Write a COLMAP text model of ``cameras`` from the first moment of their ``sources``; ``sightings`` may be none,
-    or one of each camera that is trained on: what the held-out ones see of people measures nothing.
+    """Write a COLMAP text model of ``cameras`` from the first moment of their ``sources``.
 
-    ``depths``: of every camera, EXR of that moment's depth in metres and the network's confidence, at its own size.
+    ``sightings`` may be empty, or one of each training camera: those of held-out ones measure nothing. ``depths``: of
+    every camera, EXR of that moment's depth in metres and the network's confidence, at its own size.
     """
     common = read_clocks(clocks)
     if common.refusal:

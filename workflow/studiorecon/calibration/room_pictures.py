@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The empty room in every camera's footage, and its straight edges: what stays where it is while people pass."""
+"""The empty room in every camera's footage and its straight edges, from the static content while people pass."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from studiorecon.scene.camera import Camera, Lens
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# Pictures whose median is the room, spread over the footage; where half of them are so many grey levels beside it,
-# something moves.
+# Pictures whose median is the room, spread over the footage; a pixel moves where half of them differ from it by so many
+# grey levels.
 _PICTURES = 9
 _STILL_LEVELS = 12
 _STRIP_ROWS = 256
@@ -38,8 +38,10 @@ def rooms_of(
     size: Mapping[str, tuple[int, int]],
     moments: Mapping[str, Integer[np.ndarray, " T"]] | None = None,
 ) -> dict[str, RoomPicture]:
-    """camera → the room in the pixels of its footage of ``size``; without the cameras whose footage cannot be read,
-    which is said. ``moments``: camera → frames (T,) of its footage to look at; else all of it."""
+    """camera → the room in the pixels of its footage of ``size``; unreadable footage is skipped with a message.
+
+    ``moments``: camera → frames (T,) of its footage to use; else all of it.
+    """
     found = {}
     for camera, path in zip(cameras, sources):
         try:
@@ -58,8 +60,11 @@ def rooms_of(
 
 
 def _twice_the_median(pictures: Sequence[np.ndarray]) -> np.ndarray:
-    """(H, W) uint16 twice the median of a few (H, W) uint8 pictures at every pixel: whole pictures are exchanged until
-    they are in order, in a tenth of the time that numpy takes to sort each pixel's few values."""
+    """(H, W) uint16 twice the median of a few (H, W) uint8 pictures at every pixel.
+
+    Whole pictures are exchanged until they are in order, in a tenth of the time that numpy takes to sort each pixel's
+    few values.
+    """
     ordered = [picture.copy() for picture in pictures]
     for turn in range(len(ordered)):
         for k in range(turn % 2, len(ordered) - 1, 2):
@@ -70,11 +75,11 @@ def _twice_the_median(pictures: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def without_distortion(room: RoomPicture, lens: Lens, camera: Camera) -> RoomPicture:
-    """The room in footage filmed through ``lens`` as the pinhole ``camera`` of the same size sees it; unknown beyond
-    what was filmed."""
+    """The room filmed through ``lens``, as seen by the pinhole ``camera`` of the same size; unknown outside of the
+    footage."""
     grey, known = np.zeros(camera.wh[::-1], np.uint8), np.zeros(camera.wh[::-1], bool)
     filmed = room.known.astype(np.uint8)
-    # Strip by strip: where every pixel of a large picture comes from would take half a gigabyte.
+    # In strips: the map of every pixel of a large picture would take half a gigabyte.
     for first in range(0, camera.wh[1], _STRIP_ROWS):
         rows, columns = np.mgrid[first : min(first + _STRIP_ROWS, camera.wh[1]), : camera.wh[0]] + 0.5
         at = video_from_working(np.stack([columns, rows], axis=-1), lens, camera.wh, camera.intrinsics) - 0.5

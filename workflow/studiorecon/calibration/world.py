@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a calibration's own world and unit to ours: metres, z up, near the origin."""
+"""Converts a calibration's own world and unit to ours: metres, z up, near the origin."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 # Cameras of one room are 2 to 50 m apart in the median: more units than this are millimetres, or centimetres.
 _MILLIMETRE_SPREAD = 100.0
-# Millimetres among metres are a thousand times as long; cameras of one room are not a hundred times as far out.
+# Millimetres among metres are a thousand times as long; cameras of one room are never a hundred times as far out.
 _MIXED_UNITS, _MIXED_PAIRS = 100.0, 300.0
 _FAR_FROM_ORIGIN_M = 100.0
 _UP_TOLERANCE_DEG = 45.0
@@ -24,8 +24,10 @@ _EYE_HEIGHT_M = 1.5
 
 
 def refuse_mixed_units(names: Sequence[str], centres: Float[np.ndarray, "N 3"]) -> None:
-    """Raises UserError for cameras that stand a hundred times further out than the others: their lengths are of another
-    unit, or wrong, and would decide for all."""
+    """Raise UserError for cameras a hundred times further out than the others.
+
+    Their lengths are in another unit, or wrong, and would decide for all.
+    """
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
     # From the camera that has half of the others nearest.
     away = apart[np.argmin(np.sort(apart)[:, (len(apart) - 1) // 2])]
@@ -45,15 +47,15 @@ def refuse_mixed_units(names: Sequence[str], centres: Float[np.ndarray, "N 3"]) 
 def metres_per_unit(
     centres: Float[np.ndarray, "N 3"], unit: str, wanted: Literal["auto", "m", "cm", "mm"]
 ) -> tuple[float, str | None]:
-    """Factor to metres for camera centres (N, 3) in a file's unit ("m", "mm" or "unknown"), and a sentence when it was
+    """Factor to metres for camera centres (N, 3) in a file's unit ("m", "mm" or "unknown"), and a sentence if it was
     guessed."""
     factors = {"m": 1.0, "cm": 0.01, "mm": 0.001}
     if wanted != "auto":
         return factors[wanted], f"lengths were read as {wanted}, as the setting calibration.unit says"
     if unit in factors:
         return factors[unit], None
-    # How far half of the others are from most cameras: one far away, or wrong, does not decide the unit of all, nor do
-    # the two lenses of a stereo pair.
+    # The distance within which half of the others are from most cameras: one far away, or wrong, does not decide the
+    # unit of all, nor do the two lenses of a stereo pair.
     apart = np.sort(np.linalg.norm(centres[:, None] - centres[None], axis=-1))
     spread = float(np.median(apart[:, len(apart) // 2])) if len(apart) > 1 else 0.0
     is_mm = spread > _MILLIMETRE_SPREAD
@@ -65,11 +67,10 @@ def metres_per_unit(
 
 
 def camera_up(rotations_camera_from_world: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, " 3"]:
-    """(3,) unit vector that is up for cameras (N, 3, 3) held level: across all their x axes, on the side of their -y
-    axes.
+    """(3,) unit up vector for cameras (N, 3, 3) held level: across all their x axes, on the side of their -y axes.
 
-    Pitched cameras bias the mean of -y, level ones do not bias the cross direction. With rolled cameras, or x axes that
-    all lie in one line, the mean of -y is what remains.
+    Pitched cameras bias the mean of -y, but not the cross direction. With rolled cameras, or parallel x axes, the mean
+    of -y is used.
     """
     mean = -rotations_camera_from_world[:, 1].mean(0)
     values, vectors = np.linalg.eigh(sum(np.outer(x, x) for x in rotations_camera_from_world[:, 0]))
@@ -130,11 +131,11 @@ def _turn_to_z(up: np.ndarray) -> np.ndarray:
 def settled(
     poses: Sequence[Float[np.ndarray, "4 4"]], z_up: Float[np.ndarray, "3 3"], factor: float, floor_known: bool
 ) -> tuple[list[Float[np.ndarray, "4 4"]], list[str]]:
-    """``camera_from_world`` (4, 4) of all cameras in metres and z up, shifted when far away or without a floor, and
-    why.
+    """``camera_from_world`` (4, 4) of all cameras in metres and z up, and sentences about shifts.
 
-    Coordinates a hundred metres from the origin cost pixels in float32 (C08). Where the world was turned nobody knows
-    its floor: the cameras are put at eye height until people show where they stand.
+    They are shifted when far away or without a floor. Coordinates a hundred metres from the origin cost pixels in
+    float32 (C08). A world that was rotated has no known floor: the cameras are put at eye height until people determine
+    it.
     """
     moved = []
     for pose in poses:

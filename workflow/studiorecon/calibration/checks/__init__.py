@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is looked at before a long run: ``sanity`` of the files, ``clocks``, ``coverage``; what refinement would make of
-the cameras on people (``refined``) and on the room's straight ``edges``; the verdict and what to do about it
-(``advice``), and the ``doctor_page`` that says so. In come a calibration, what people say of it and pictures of the
-room; out come sentences.
+"""Checks of a calibration before a long run; inputs are cameras, people and pictures of the room, outputs are
+sentences.
+
+``sanity`` checks the files, ``clocks`` and ``coverage`` follow. ``refined`` and ``edges`` predict how people and the
+room's straight edges would refine the cameras. ``advice`` gives the verdict and remedies, ``doctor_page`` shows them.
 """

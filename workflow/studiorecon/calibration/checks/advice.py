@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The doctor's verdict, and what to check, in sentences."""
+"""The doctor's verdict, and sentences on what to check."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _UNEVEN_LIGHT = 1.5
 _BURNT = 0.1
 # From this level on in all channels a pixel counts as white.
 _WHITE = 250
-# What detectors err on real people with a careful calibration: 0.33 % of the longer side (6.3 of 1920 px, OpenPose).
+# Error of detectors on real people with a careful calibration: 0.33 % of the longer side (6.3 of 1920 px, OpenPose).
 _NOISE_SHARE = 0.004
-# Cameras that may be turned to one another by more than this, degrees, without people showing it: that is told. Two
-# people who walk past each other leave 1.6 open, one man on one spot 6 to 7.
+# If people leave the cameras' relative rotation uncertain by more degrees than this, a sentence says so. Two people who
+# walk past each other leave 1.6, one man in one place 6 to 7.
 _TOLD_DEG = 2.0
 
-# What each verdict means, as the page's headline.
+# The page's headline for each verdict.
 HEADLINES = {
     "good": "This capture is ready: calibration, clocks and footage agree.",
     "usable": "The calibration is roughly right: refinement will move the cameras on the "
@@ -38,17 +38,17 @@ HEADLINES = {
 
 
 def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
-    """("good", "usable", "check", "cannot tell" or "wrong", sentences what to check, the gravest first).
+    """("good", "usable", "check", "cannot tell" or "wrong", sentences on what to check, the gravest first).
 
-    ``report`` as ``doctor.examined`` makes it; ``limit_px`` is the median reprojection error that ``cameras.refine``
-    refuses.
+    ``report`` is as from ``doctor.examined``; ``limit_px`` is the median reprojection error above which
+    ``cameras.refine`` stops.
     """
     refused = [report["sync"]["refusal"]] if report["sync"]["refusal"] else []
     unit_known = any(
         row["hypothesis"].startswith("lengths") and row["score"] > _MIN_AGREEMENT for row in report["hypotheses"]
     )
     if report["lengths"] and not unit_known:
-        # Nothing else can be said in lengths that are not metres; a setting for their unit is said below.
+        # No other check is valid in lengths that are not metres; a sentence about their unit follows below.
         return "wrong", [*refused, report["lengths"]]
     with_keypoints = len(report["cameras"]) - len(report["without_keypoints"])
     alone = report["people"] and len(report["sees_nobody"]) >= with_keypoints - 1
@@ -75,7 +75,8 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
         ]
     off = _off(report)
     if report["refined"] is not None and report["refined"]["elsewhere"] and not _better_read(report):
-        # Cameras that were moved since: nothing fits as read, another reading may seem to, and refinement mends it.
+        # Cameras that were moved since: nothing fits as read, another reading may seem to fit, and refinement corrects
+        # it.
         wrong, unclear = [report["odd_one_out"]] if report["odd_one_out"] else [], []
     if report["edges"] is not None and report["edges"]["clear"] and not wrong:
         told = [sentence(report["edges"])]
@@ -85,13 +86,13 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
             off += told
         else:
             rest = told + rest
-    # Before any camera is blamed: what pictures say of keypoints.
+    # Before any camera is blamed: the check of the keypoints against the pictures.
     compared = report.get("keypoints", {"refused": [], "told": []})
     wrong, rest = compared["refused"] or wrong, rest + compared["told"]
     name = (
         "wrong" if wrong else "cannot tell" if unclear else "usable" if off else "check" if rest or refused else "good"
     )
-    # Held-out cameras need no keypoints: that alone is no reason to look again.
+    # Held-out cameras need no keypoints: that is no reason for a check.
     silent = report["without_keypoints"] if report["people"] else []
     remarks = _left_open(report) if not wrong else []
     remarks += [f"camera {c} has no keypoints: look whether the dots lie on people in its picture" for c in silent]
@@ -99,7 +100,7 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
 
 
 def agreeing(report: dict[str, Any]) -> str:
-    """What the room's edges say where it is nothing to check; "" where there is nothing to say."""
+    """A sentence about the room's edges where there is nothing to check; "" without one."""
     edges = report["edges"]
     return "" if edges is None or edges["clear"] or report["verdict"] == "wrong" else sentence(edges)
 
@@ -134,8 +135,8 @@ def _wrong(report: dict[str, Any], limit_px: float) -> list[str]:
 
 
 def _off(report: dict[str, Any]) -> list[str]:
-    """How far people are off, where that is more than a detector's noise: other poses explain them better, or it is
-    much of a picture."""
+    """Sentences about a reprojection error above a detector's noise: other poses explain people better, or it is
+    large."""
     px, refined = report["median_px"], report["refined"]
     if px is None and refined is None:
         return []
@@ -165,7 +166,7 @@ def _off(report: dict[str, Any]) -> list[str]:
 
 
 def _left_open(report: dict[str, Any]) -> list[str]:
-    """How far off cameras may be that people fit, where that is much."""
+    """Sentences about large errors of the cameras that people would not reveal."""
     refined = report["refined"]
     if refined is None or refined["between_deg"] is None:
         return []
@@ -186,7 +187,7 @@ def _left_open(report: dict[str, Any]) -> list[str]:
 
 
 def _better_read(report: dict[str, Any]) -> bool:
-    """Whether another reading of the files fits clearly better than cameras that were moved."""
+    """Whether another reading of the files fits clearly better than the assumption of moved cameras."""
     moved_px = report["refined"]["px"]
     return any(
         row.get("median_px") is not None and CLEAR_MARGIN * row["median_px"] < moved_px for row in report["hypotheses"]
@@ -256,8 +257,8 @@ def _footage(report: dict[str, Any]) -> list[str]:
 
 
 def light_of(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> dict[str, float]:
-    """Mean grey 0..1 (``brightness``) and the share of white pixels (``burnt``) of some (H, W, 3) uint8 pictures of a
-    camera, every fourth pixel of them."""
+    """Mean grey 0..1 (``brightness``) and share of white pixels (``burnt``) of a camera's (H, W, 3) uint8 pictures,
+    every fourth pixel."""
     grey = float(np.mean([p[::4, ::4].mean() for p in pictures]) / 255)
     return {
         "brightness": grey,
@@ -266,8 +267,8 @@ def light_of(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> dict[str, floa
 
 
 def of_footage(footage: list[dict[str, Any]]) -> list[str]:
-    """What is odd about the videos by themselves, in sentences; ``footage`` as ``doctor.examined`` is told about every
-    camera."""
+    """Sentences about faults of the videos themselves; ``footage`` holds the cameras' entries as for
+    ``doctor.examined``."""
     found = []
     for key, what, remedy in (
         (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do the cameras' clocks agree? People's rays meet when they do."""
+"""Checks whether the cameras' clocks agree: if so, people's rays meet."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from studiorecon.keypoints.correspondence import (
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
-# How far a calibration may be off where people are, metres: a gap between rays that stays the same says little about
+# Largest error of a calibration where people are, metres: a constant gap between rays below it is no evidence about
 # clocks.
 _CALIBRATION_M = 0.03
 _MIN_FRAMES = 8
 _MIN_SINE = 0.1
-# Lags inside the interval lose this much twice log-likelihood (95 %), and what chance alone makes of the best of a
-# dozen lags: N gaps of noise, paired anew at every lag, differ by the root of N.
+# Lags inside the interval lose at most this in twice log-likelihood (95 %), plus the effect of chance on the best of a
+# dozen lags: N gaps of noise, paired differently at every lag, differ by the root of N.
 _INTERVAL = 4.0
 _CHANCE = 4.0
 # Shutters of synchronised cameras differ by up to half a frame, and only whole frames can be cut.
@@ -34,9 +34,9 @@ _Groups = list[list[tuple[int, int]]]
 
 @dataclass(frozen=True)
 class KeypointLag:
-    """By how many frames a camera's keypoints come after the others' (positive: later), with its 95 % interval.
+    """Number of frames by which a camera's keypoints lag the others' (positive: later), with its 95 % interval.
 
-    ``valid`` is False where the people moved too little to tell, or where the best lag lies at the end of the search.
+    ``valid`` is False where the people moved too little, or where the best lag is at the end of the search.
     """
 
     camera: str
@@ -47,12 +47,12 @@ class KeypointLag:
 
 
 def lags(detections: Sequence[Detections], cameras: Sequence[Camera], search: int, gate_m: float) -> list[KeypointLag]:
-    """The lag of every camera at which its rays meet the others' best, for the same people at all lags.
+    """The lag of every camera at which its rays best meet the others', for the same people at all lags.
 
     A wrong lag makes the signed gap between two rays follow the joint's speed; a wrong calibration makes it constant.
-    So the gap's spread over time counts fully, its mean only against 3 cm of calibration error. Neighbouring frames of
-    a detector err alike: they count by the autocorrelation of their gaps. Against several cameras the median counts, so
-    that one late camera makes nobody else late.
+    So the gap's spread over time counts fully, its mean only against 3 cm of calibration error. A detector's errors in
+    neighbouring frames are correlated: frames count by the autocorrelation of their gaps. Against several cameras the
+    median counts, so that one late camera makes no other one late.
     """
     stable = stable_detections(detections)
     rays = [ray_directions(d.keypoints, c) for d, c in zip(stable, cameras)]
@@ -83,7 +83,7 @@ def _has(groups: _Groups, view: int) -> bool:
 
 
 def _groups(stable: Sequence[Detections], cameras: Sequence[Camera], gate_m: float) -> tuple[_Groups, float]:
-    """(view, track) of everybody whom several cameras see, and their summed affinity."""
+    """(view, track) of every person whom several cameras see, and their summed affinity."""
     graph = track_graph(stable, cameras)
     groups = groups_of(graph.distance_m, graph.view, graph.moments, gate_m)
     affinity = sum(group_affinity(g, graph.distance_m, gate_m) * len(g) for g in groups)
@@ -93,7 +93,7 @@ def _groups(stable: Sequence[Detections], cameras: Sequence[Camera], gate_m: flo
 def _groups_of_a_late_camera(
     stable: Sequence[Detections], cameras: Sequence[Camera], view: int, search: int, gate_m: float
 ) -> _Groups:
-    """Groups at the shift of camera ``view`` at which everybody agrees best."""
+    """Groups at the shift of camera ``view`` with the best agreement of all cameras."""
     tried = []
     for shift in range(-search, search + 1):
         moved = [replace(d, frame=d.frame - shift) if v == view else d for v, d in enumerate(stable)]
@@ -109,8 +109,8 @@ def _costs(
     groups: _Groups,
     search: int,
 ) -> tuple[np.ndarray, float]:
-    """(2 search + 1,) twice the negative log-likelihood of every lag of camera ``view``, the median over the other
-    views, and its count."""
+    """(2 search + 1,) twice the negative log-likelihood of every lag of camera ``view``, the median over views, and
+    their count."""
     nothing = np.zeros(2 * search + 1)
     cost, count = dict.fromkeys(range(len(cameras)), nothing), dict.fromkeys(range(len(cameras)), 0.0)
     for group in groups:
@@ -141,8 +141,10 @@ def _gaps(
     other: tuple[int, dict[int, int]],
     search: int,
 ) -> np.ndarray:
-    """(2 search + 1, T, 12) signed gaps between rays of two (view, series), metres, NaN unknown; the T frames have
-    partners at all lags."""
+    """(2 search + 1, T, 12) signed gaps between rays of two (view, series), metres, NaN unknown.
+
+    The T frames have partners at all lags.
+    """
     shifts = range(-search, search + 1)
     frames = [f for f in own[1] if all(f - s in other[1] for s in shifts)]
     mine = np.array([own[1][f] for f in frames], dtype=int)
@@ -156,8 +158,8 @@ def _gaps(
 
 
 def _misfit(gaps: np.ndarray) -> tuple[np.ndarray, float]:
-    """(S,) twice the negative log-likelihood of gaps (S, T, K) up to a constant, and how many independent ones they
-    are."""
+    """(S,) twice the negative log-likelihood of gaps (S, T, K) up to a constant, and their number of independent
+    samples."""
     known = np.isfinite(gaps[0])
     joints = known.sum(0) >= _MIN_FRAMES
     if not joints.any():

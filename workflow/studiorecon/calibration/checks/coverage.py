@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the cameras cover, and where nobody looks."""
+"""The volume that the cameras cover, and directions without a camera."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ _ROOM_HEIGHT_M = 2.2
 
 
 def coverage(cameras: Sequence[Camera], middle_m: Float[np.ndarray, " 2"], radius_m: float) -> list[float]:
-    """Share of the upright cylinder around ``middle_m`` (2,), 2.2 m high, that at least 1, 2, 3, 4 cameras have in
-    their picture."""
+    """Share of the upright cylinder around ``middle_m`` (2,), 2.2 m high, that at least 1, 2, 3, 4 cameras see."""
     x, y, z = np.meshgrid(
         *(np.linspace(-1, 1, _GRID),) * 2, np.linspace(0.05, _ROOM_HEIGHT_M, _GRID // 2), indexing="ij"
     )
@@ -39,8 +38,8 @@ def coverage(cameras: Sequence[Camera], middle_m: Float[np.ndarray, " 2"], radiu
 def blind_sectors(
     cameras: Sequence[Camera], middle_m: Float[np.ndarray, " 2"], least_deg: float = 90.0
 ) -> list[tuple[float, float]]:
-    """(from, to) in degrees, counter-clockwise from x, of directions around ``middle_m`` with no camera within the
-    sector, widest first."""
+    """(from, to) in degrees, counter-clockwise from x, of sectors around ``middle_m`` without a camera, widest
+    first."""
     offsets = np.array([c.centre_m[:2] - middle_m for c in cameras])
     angles = np.sort(np.degrees(np.arctan2(offsets[:, 1], offsets[:, 0])) % 360)
     gaps = [(float(a), float(b)) for a, b in zip(angles, np.append(angles[1:], angles[0] + 360)) if b - a > least_deg]

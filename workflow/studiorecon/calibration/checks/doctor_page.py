@@ -97,7 +97,7 @@ def _caption(report: dict[str, Any]) -> str:
 
 
 def _camera(report: dict[str, Any], camera: str) -> list[tuple[str, bool]]:
-    """A camera's cells, and whether each says that something is wrong."""
+    """A camera's cells, and whether each reports a problem."""
     a, facts, margin = report["footage"][camera], report["facts"][camera], report["margin"][camera]
     clear = margin is not None and margin >= CLEAR_MARGIN
     unclear = not clear and bool(report["people"]) and camera not in report["without_keypoints"]
@@ -140,7 +140,7 @@ def _number(value: float | None, form: str) -> str:
 
 
 def _lag(lag: dict[str, Any] | None) -> tuple[str, bool]:
-    """A camera's lag in words, and whether it is off."""
+    """A camera's lag in words, and whether it is wrong."""
     if lag is None or not lag["valid"]:
         return "undetermined", False
     return f"{lag['frames']:+.1f} ({lag['low']:+.1f} to {lag['high']:+.1f})", not lag["low"] <= 0 <= lag["high"]

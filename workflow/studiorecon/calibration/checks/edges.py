@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the room's straight edges say of a calibration that people accept, before refinement and after."""
+"""Checks a calibration that fits people against the room's straight edges, before refinement and after."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_refinement import edge_rotations
 from studiorecon.scene.camera import Camera
 
-# Past this a camera looks 20 cm beside what is three metres away: films would show it, whoever is right.
+# With a larger error a camera is 20 cm off at three metres: films would show it, whether edges or people are right.
 _FAR_DEG = 4.0
 
 
@@ -27,16 +27,16 @@ def by_edges(
     limits: Limits,
     bundle: BundleSettings,
 ) -> dict[str, Any] | None:
-    """By how much the edges in ``rooms`` contradict the ``given`` cameras, and once refinement has moved them, on
-    people and on the edges; None where there is no picture of the room.
+    """The edges' contradiction to the ``given`` cameras, and to them after refinement on people and edges.
 
-    ``people``: what refinement makes of the cameras on people, ``seen`` what these show where that is nothing.
-    ``clear``: the edges contradict the given cameras by more than they err by; ``mended``: not any more afterwards.
+    None without a picture of the room. ``people``: the cameras refined on people, ``seen`` their observations where
+    that is None. ``clear``: the edges contradict the given cameras by more than their noise; ``mended``: no longer
+    after refinement.
     """
     if all(room is None for room in rooms):
         return None
     seen = seen if people is None else people.seen
-    # Nothing is known of the others: held-out cameras, whose pictures are not looked at.
+    # The other cameras are unknown: the pictures of held-out ones are not used.
     known = [v for v, room in enumerate(rooms) if room is not None or (seen.confidence[v] > 0).any()]
     given, rooms, seen = [given[v] for v in known], [rooms[v] for v in known], seen.by(known)
     before = edge_contradiction(given, edge_rotations(given, rooms))
@@ -48,7 +48,7 @@ def by_edges(
     mended, after_deg, between_deg, worse = False, None, None, None
     if after is not None:
         mended, after_deg = before.clear and not after.clear, after.off_deg
-        # Where cameras were moved since, edges joined people already.
+        # For cameras that were moved since, the edges were already used together with people.
         if after.clear and len(seen.frame) and not (people is not None and people.elsewhere):
             right = refine_on_edges(given, cameras, seen, rooms, limits, bundle)
             if right is not None:
@@ -70,12 +70,12 @@ def by_edges(
 
 
 def beyond_mending(edges: dict[str, Any] | None) -> bool:
-    """Whether the edges contradict the calibration by much, and refinement would not mend it."""
+    """Whether the edges contradict the calibration by much, and refinement would not correct it."""
     return edges is not None and edges["clear"] and not edges["mended"] and edges["off_deg"] > _FAR_DEG
 
 
 def sentence(edges: dict[str, Any]) -> str:
-    """What ``by_edges`` found, in words."""
+    """The result of ``by_edges`` in a sentence."""
     if not edges["told"]:
         return (
             "the room's straight edges tell nothing of the calibration: they run along its three directions in fewer "

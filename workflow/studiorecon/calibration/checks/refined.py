@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What refinement would make of the cameras on the people: looked at before anything expensive, without moving any."""
+"""Predicts how people would refine the cameras, before anything expensive and without moving any."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
-# As many as ``cameras.refine`` looks at.
+# The same number as in ``cameras.refine``.
 _FRAMES = 96
-# People are to fit better by this share before they move a camera.
+# People must fit better by this share before they move a camera.
 _WORTH_REFINING = 0.1
 
 
 @dataclass(frozen=True)
 class Refined:
-    """Cameras as people would have them.
+    """Cameras after refinement on people.
 
     Attributes:
-        cameras: with those poses.
-        seen: what people show them.
-        px, elsewhere: the median error then, and whether they clearly stand elsewhere than they were given.
-        better: whether people fit clearly better with them, so that refinement takes them.
-        asked_deg, between_deg: what people leave open of how cameras are turned to one another
-            (``rotation_observability``); None where there is too little to say.
+        cameras: with the refined poses.
+        seen: the observations of people.
+        px, elsewhere: their median error, and whether the cameras are clearly at other poses than given.
+        better: whether people fit clearly better with them, so that refinement keeps them.
+        asked_deg, between_deg: uncertainty of the cameras' relative rotation (``rotation_observability``); None with
+            too few data.
     """
 
     cameras: list[Camera]
@@ -48,7 +48,7 @@ class Refined:
     between_deg: float | None
 
     def as_json(self, given: Sequence[Camera]) -> dict[str, Any]:
-        """The numbers, with every camera's move from where it was given."""
+        """The numbers, with every camera's move from its given pose."""
         return {
             "px": self.px,
             "elsewhere": self.elsewhere,
@@ -60,7 +60,7 @@ class Refined:
 
 
 def moves_told(cameras: Sequence[Camera], given: Sequence[Camera]) -> dict[str, dict[str, float]]:
-    """camera → degrees and metres that it was turned and moved by from where it was given."""
+    """camera → degrees and metres by which it was turned and moved from its given pose."""
     degrees, metres = pose_changes(cameras, given)
     return {
         c.name: {"turned_deg": float(d), "moved_m": float(m)} for c, d, m in zip(given, degrees, metres, strict=True)
@@ -79,11 +79,11 @@ def refined_on_people(
     bundle: BundleSettings,
     rooms: Sequence[RoomPicture | None] = (),
 ) -> Refined | None:
-    """What people in ``frames`` frames make of ``cameras``, of which they see those ``watched`` (indices); None where
-    they could do nothing.
+    """The refinement of ``cameras`` on people in ``frames`` frames; None where it would change nothing.
 
-    ``median_px``: their median error as given, None where no three cameras agree; ``allowed_px``: what it may be once
-    cameras that were moved are put right. ``rooms``: pictures of the room, where there are any.
+    ``watched`` are the indices of the cameras that see them. ``median_px``: their median error at the given poses, None
+    where no three cameras agree; ``allowed_px``: the limit once moved cameras are corrected. ``rooms``: pictures of the
+    room, where there are any.
     """
     if len(cameras) < 3 or len(watched) < 2:
         return None

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is odd about a calibration by itself, before anybody looks at a person: lenses nobody sells, cameras that look
-elsewhere."""
+"""Plausibility of a calibration without people: lenses that are not sold, cameras that face another way."""
 
 from __future__ import annotations
 
@@ -38,7 +37,7 @@ def facts(cameras: Sequence[Camera]) -> dict[str, dict[str, float]]:
 
 
 def oddities(cameras: Sequence[Camera]) -> list[str]:
-    """Sentences about what no capture of people in a room would have; empty for a calibration that could be true."""
+    """Sentences about properties that no capture of people in a room has; empty for a plausible calibration."""
     found = []
     for name, fact in facts(cameras).items():
         if not _FIELD_DEG[0] <= fact["field_deg"] <= _FIELD_DEG[1]:

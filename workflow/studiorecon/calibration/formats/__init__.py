@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calibrations that can be read: one file per format, each ending with its ``FORMAT``, listed here and nowhere else.
+"""Readers of calibration formats: one file per format, each ending with its ``FORMAT``, all listed here.
 
-In come the paths of a user's files; out goes a ``reading.Reading``: cameras in the file's own world and unit.
+A reader takes the paths of a user's files and returns a ``reading.Reading``: cameras in the file's own world and unit.
 ``plan.discovery`` finds files by this list, ``calibration.files`` reads them by it, and the setting
 ``calibration.format``, the sentences of refusals and the table of docs/capture.md are made from it. Begin with
 ``reading``; ``easymocap`` is a plain example. ``docs/contributing.md`` says how to add one.
@@ -28,7 +28,7 @@ from studiorecon.calibration.formats.train_meta import FORMAT as TRAIN_META
 from studiorecon.calibration.formats.vicon import FORMAT as VICON
 from studiorecon.calibration.formats.zju import FORMAT as ZJU
 
-# In the order in which files are looked for, and asked for what they are: the first format that answers counts.
+# In the order in which files are searched and recognised: the first format that matches counts.
 _LISTED = (
     EASYMOCAP,
     COLMAP,
@@ -52,7 +52,7 @@ FORMATS: dict[str, CalibrationFormat] = {form.name: form for form in _LISTED}
 
 
 def accepted() -> str:
-    """All that could be brought, in one phrase for a sentence."""
+    """All accepted files, as one phrase for a sentence."""
     return ", ".join(f"{form.files_in_words.replace('`', '')} ({form.made_by})" for form in FORMATS.values())
 
 

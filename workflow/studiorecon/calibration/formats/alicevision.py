@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""AliceVision's ``cameras.sfm`` (Meshroom): JSON of views, intrinsics and poses, whose numbers may stand as text.
+"""AliceVision's ``cameras.sfm`` (Meshroom): JSON of views, intrinsics and poses, with numbers possibly as text.
 
-The rotation is camera-from-world, column by column, beside the camera's centre. Lengths of the lens are in millimetres
+The rotation is camera-from-world, column by column, next to the camera's centre. Lengths of the lens are in millimetres
 of the sensor and the centre counts from the picture's middle; files before version 1.2.2 and 1.2.1 have pixels, and
 count from the corner (``sfmDataIO/jsonIO.cpp`` of AliceVision). The scale is arbitrary unless the scene was aligned.
 """
@@ -19,7 +19,7 @@ from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, ri
 from studiorecon.errors import UserError
 from studiorecon.scene.outside import read_json
 
-# Where OpenCV's k1 k2 p1 p2 k3 stand among the numbers of a distortion.
+# Indices of OpenCV's k1 k2 p1 p2 k3 in the numbers of a distortion.
 _AS_OPENCV = {
     "pinhole": (),
     "radial1": (0,),
@@ -36,7 +36,7 @@ def recognises(files: list[Path]) -> bool:
 
 
 def read(files: list[Path]) -> Reading:
-    """One camera per picture folder, or per picture where all lie in one; views without a pose are left out and named.
+    """One camera per picture folder, or per picture where all are in one; views without a pose are left out and named.
 
     Raises UserError for a file that is no JSON, a camera in a rig, and a distortion that OpenCV does not have.
     """
@@ -106,8 +106,8 @@ def _camera(name: str, pose: dict[str, Any], lens: dict[str, Any], version: tupl
 
 
 def _focal_px(lens: dict[str, Any], width: int, version: tuple[int, ...]) -> tuple[float, float]:
-    """Focal lengths along x and y; ``pixelRatio`` meant fx / fy until version 1.2.5 and means height over width of a
-    pixel since."""
+    """Focal lengths along x and y; ``pixelRatio`` is fx / fy until version 1.2.5 and height over width of a pixel
+    since."""
     if version < (1, 2, 2):
         both = np.broadcast_to(np.array(lens["pxFocalLength"], dtype=np.float64), 2)
         return float(both[0]), float(both[1])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """bioCV's ``*.calib``: one text file per camera with size, K, a 4×4 pose in millimetres and OpenCV's distortion.
 
-Width and height, one a line; three rows of K; three or four rows of [R | t], x_camera = R X + t; k1 k2 p1 p2 k3.
-Blank lines stand between them. Layout and unit as Pose2Sim's ``calib_biocv_fun`` reads them.
+Width and height, one a line; three rows of K; three or four rows of [R | t], x_camera = R X + t; k1 k2 p1 p2 k3. Blank
+lines separate them. Layout and unit as Pose2Sim's ``calib_biocv_fun`` reads them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Caliscope's ``camera_array.toml``: tables ``[cameras.N]`` with a rotation matrix, metres, videos named ``cam_N``.
 
-``rotation_count`` says by how many quarter turns Caliscope shows a picture to its tracker, whose points it turns back:
-films and numbers fit as they are stored.
+``rotation_count`` is the number of quarter turns by which Caliscope rotates a picture for its tracker, whose points it
+rotates back: films and numbers fit as they are stored.
 """
 
 from __future__ import annotations

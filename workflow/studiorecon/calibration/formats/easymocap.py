@@ -68,7 +68,7 @@ def read(files: list[Path]) -> Reading:
 
 
 def _lens(intri: dict, name: str, key: str, where: str) -> tuple[RawCamera, list[str]]:
-    """The camera at the identity, and what of it was not used."""
+    """The camera at the identity, and messages about unused entries."""
     fisheye, plain = _matrix_of(intri, f"rdist_{key}"), _matrix_of(intri, f"dist_{key}", f"D_{key}")
     notes = []
     if fisheye is not None and plain is not None:
@@ -93,7 +93,7 @@ def is_intri(path: Path) -> bool:
 
 
 def lenses_in(path: Path) -> list[RawCamera]:
-    """The lenses of an intrinsic file by itself."""
+    """The lenses of an intrinsic file without poses."""
     intri = load_storage(path)
     return [_lens(intri, k[2:], k[2:], f"camera {k[2:]} in {path}")[0] for k in intri if k.startswith("K_")]
 

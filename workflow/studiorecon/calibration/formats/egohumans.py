@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""EgoHumans and Harmony4D: a COLMAP model beside the similarity that makes it metric.
+"""EgoHumans and Harmony4D: a COLMAP model with the similarity that makes it metric.
 
 ``colmap/workplace/{cameras,images}.txt`` with ``colmap_from_aria_transforms.pkl`` (glasses → 4×4 from their frame to
 COLMAP's, scaled) or ``scale.npy`` (4×4 from COLMAP's frame to the metric one).

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that hold lenses without poses, and what is said of files that look like calibrations and were not used."""
+"""Reads files with lenses but no poses, and explains why files that look like calibrations were not used."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MAX_BYTES = 2**20
 
 
 def find_lenses(folder: Path) -> tuple[Path, ...]:
-    """Files of ``folder`` with lenses and no poses, those of the first place that has any."""
+    """Files of ``folder`` with lenses and no poses, from the first place that has any."""
     for names in (*opencv_storage.FORMAT.files, *easymocap.FORMAT.files, *pose2sim.FORMAT.files):
         found = tuple(path for path in sorted(folder.glob(names[0])) if path.is_file() and _holds_lenses(path))
         if found:
@@ -48,8 +48,7 @@ _NO_POSE = {"rotation": [0.0, 0.0, 0.0], "translation": [0.0, 0.0, 0.0]}
 
 
 def why_not(path: Path, used: Sequence[Path]) -> str | None:
-    """Why a file of the dataset's folder that looks like a calibration is not among the files ``used``; None for a file
-    that does not look like one."""
+    """A sentence why a file that looks like a calibration is not among the files ``used``; None for other files."""
     if path in used or not path.is_file() or path.suffix.lower() not in _SUFFIXES or path.stem == "capture":
         return None
     instead = f"{used[0].name} was used" if used else "name it in capture.yaml: calibration: FILE"

@@ -10,7 +10,7 @@ from studiorecon.camera_files.transforms_json import read_transforms
 
 
 def recognises(files: list[Path]) -> bool:
-    # Any name may hold transforms, but not that of Dynamic 3D Gaussians' lists.
+    # Any name may hold transforms, except that of Dynamic 3D Gaussians' lists.
     return len(files) == 1 and files[0].suffix == ".json" and not files[0].stem.endswith("train_meta")
 
 

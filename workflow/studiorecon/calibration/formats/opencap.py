@@ -28,7 +28,7 @@ def recognises(files: list[Path]) -> bool:
 
 
 def read(files: list[Path]) -> Reading:
-    """One camera per file, in millimetres; OpenCap's own name for it is that of its folder (``Videos/Cam0``)."""
+    """One camera per file, in millimetres; OpenCap names it by its folder (``Videos/Cam0``)."""
     return Reading("OpenCap", tuple(_camera(path) for path in files), "mm", ())
 
 

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""OpenCV's FileStorage, one XML, YAML or JSON file per camera, under any usual spelling of its entries; ROS's
-``camera_info`` is laid out alike.
+"""OpenCV's FileStorage, one XML, YAML or JSON file per camera, with any usual spelling of its entries.
 
-Rotation and translation take the world to the camera, as ``solvePnP`` and ``calibrateCamera`` answer; an entry that
-says camera-to-world is inverted. Nothing says the unit.
+ROS's ``camera_info`` has the same layout. Rotation and translation take the world to the camera, as ``solvePnP`` and
+``calibrateCamera`` return them; an entry named camera-to-world is inverted. The unit is not stored.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from studiorecon.scene.outside import file_size, read_bytes, read_xml, read_yaml
 from studiorecon.scene.values import numbers, shown
 
 _SUFFIXES = (".xml", ".yml", ".yaml", ".json")
-# Spellings without case and separators, by what they are.
+# Spellings without case and separators, by their meaning.
 _SPELLINGS = {
     "matrix": (
         "cameramatrix", "k", "intrinsic", "intrinsics", "intrinsicmatrix", "intrinsicmat", "cameraintrinsics", "mtx",
@@ -53,7 +52,7 @@ _SPELLINGS = {
     "height": ("imageheight", "height", "h"),
 }  # fmt: skip
 _KIND = {spelling: kind for kind, spellings in _SPELLINGS.items() for spelling in spellings}
-# A camera has a few hundred bytes; keypoints, which lie in JSON files too, have many more.
+# A camera has a few hundred bytes; JSON files of keypoints have many more.
 _MAX_BYTES = 2**20
 _WORD = re.compile(r"[^a-z0-9]")
 
@@ -74,8 +73,10 @@ _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
 
 
 def load_storage(path: Path) -> dict[str, Any]:
-    """The entries of a FileStorage: matrices as arrays, tables as tables, all else as text; UserError for what is none,
-    and for an entry that is there twice."""
+    """The entries of a FileStorage: matrices as arrays, tables as tables, all others as text.
+
+    Raises UserError for another file, and for a duplicate entry.
+    """
     if path.suffix.lower() == ".xml":
         value = _of_xml(read_xml(path), path)
     else:
@@ -102,7 +103,7 @@ def _of_xml(element: Element, path: Path) -> Any:
 
 
 def _sorted(table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """What is in a table, by kind; raises UserError for two spellings of one kind that say different things."""
+    """A table's entries by kind; raises UserError for two spellings of one kind with different values."""
     found: dict[str, tuple[str, Any]] = {}
     for key, value in table.items():
         kind = _KIND.get(_WORD.sub("", str(key).lower()))
@@ -137,13 +138,13 @@ def tables_of(path: Path) -> dict[str, Mapping[str, Any]]:
 
 
 def _kinds(table: Mapping[str, Any]) -> set[str]:
-    """What a table has; further tables in it are none of it, but for ROS's matrices."""
+    """The kinds of a table's entries; nested tables are ignored, except for ROS's matrices."""
     plain = [key for key, value in table.items() if not isinstance(value, Mapping) or "data" in value]
     return {kind for key in plain if (kind := _KIND.get(_WORD.sub("", str(key).lower())))}
 
 
 def camera_of(name: str, table: Mapping[str, Any], where: str) -> RawCamera:
-    """One camera; its pose is the identity where the table has none. Raises UserError for what no camera is."""
+    """One camera; its pose is the identity where the table has none. Raises UserError for a table that is no camera."""
     held = {kind: _plain(value) for kind, value in _sorted(table, where).items()}
     if "matrix" not in held:
         raise UserError(f"{where} has no camera matrix; it has {shown(', '.join(map(str, table)))}")
@@ -181,7 +182,7 @@ def _pose(held: Mapping[str, Any], where: str) -> np.ndarray:
 
 
 def holds(path: Path) -> str:
-    """``"cameras"`` with poses, ``"lenses"`` without, or ``""``: what a file is, by the names of its entries."""
+    """``"cameras"`` with poses, ``"lenses"`` without, or ``""``: the kind of a file, by the names of its entries."""
     if path.suffix.lower() not in _SUFFIXES or file_size(path) > _MAX_BYTES:
         return ""
     text = read_bytes(path).decode("utf-8", errors="replace")
@@ -205,7 +206,7 @@ def recognises(files: list[Path]) -> bool:
 
 
 def read(files: list[Path]) -> Reading:
-    """The cameras of all files, named after the file or, of several in one, after their tables."""
+    """The cameras of all files, named after the file or, with several in one, after their tables."""
     cameras = []
     for path in files:
         cameras += [camera_of(name, table, f"camera {name} in {path}") for name, table in tables_of(path).items()]

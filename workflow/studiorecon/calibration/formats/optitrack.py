@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """OptiTrack's ``*.mcal``, the XML calibration of Motive 3.2 and later: metres, y up, cameras that look along -z.
 
-``Extrinsic``: the camera's place X Y Z and, row by row, the rotation from its axes (x right, y up, z backwards) to the
-world's. ``IntrinsicStandardCameraModel``: pixels and OpenCV's distortion k1 k2 k3 with TangentialX and TangentialY as
-p1 and p2; ``Intrinsic`` beside it is Motive's own lens model, which nobody documents. Sources: OptiTrack's page ".mcal
-XML Calibration Files", and overlays that others have checked on Prime Color footage. Pixels are counted as OpenCV does.
+``Extrinsic``: the camera's position X Y Z and, row by row, the rotation from its axes (x right, y up, z backwards) to
+the world's. ``IntrinsicStandardCameraModel``: pixels and OpenCV's distortion k1 k2 k3 with TangentialX and TangentialY
+as p1 and p2; ``Intrinsic`` is Motive's own, undocumented lens model. Sources: OptiTrack's page ".mcal XML Calibration
+Files", and published overlays on Prime Color footage. Pixels are counted as OpenCV does.
 """
 
 from __future__ import annotations
@@ -28,8 +28,10 @@ def recognises(files: list[Path]) -> bool:
 
 
 def read(files: list[Path]) -> Reading:
-    """The cameras with a place and a standard lens, by serial number (``C11764``); raises UserError for the binary
-    ``*.cal`` of older Motives."""
+    """The cameras with a position and a standard lens, by serial number (``C11764``).
+
+    Raises UserError for the binary ``*.cal`` of older Motives.
+    """
     path = files[0]
     if path.suffix.lower() == ".cal":
         raise UserError(

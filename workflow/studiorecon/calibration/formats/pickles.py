@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pickled arrays of other people, read without running their code.
+"""Reads pickled arrays from other programs without running their code.
 
-A pickle is a program that builds what it holds. Of everything it may ask for only the parts of numpy's arrays are
-given, and not even those are numpy's own, which crash the interpreter on damaged ones: stand-ins take down what an
-array is made of, and arrays are made of that afterwards.
+A pickle is a program that builds its content. Of everything that it may request, only the parts of numpy's arrays are
+allowed. Not even those are numpy's own, which crash the interpreter on damaged input: placeholders record the parts of
+an array, and arrays are built from them afterwards.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.scene.outside import first_line, read_bytes
 
-# What a damaged pickle ends in.
+# Errors that a damaged pickle raises.
 _BROKEN = (AttributeError, IndexError, ValueError, KeyError, TypeError, ImportError, OverflowError, RecursionError)
 _NUMBERS = re.compile(r"b1|[iu][1248]|f[248]")
 
@@ -28,7 +28,8 @@ _NUMBERS = re.compile(r"b1|[iu][1248]|f[248]")
 def read_pickle(path: Path) -> Any:
     """Dictionaries, lists, numbers and arrays of a ``.pkl``, or of a ``.npy`` that holds one object.
 
-    Raises UserError when the file is cut short or asks for anything but numpy arrays: a pickle can run any program.
+    Raises UserError when the file is cut short or requests anything but numpy arrays, because a pickle can run any
+    program.
     """
     data = read_bytes(path)
     stream = io.BytesIO(data)
@@ -102,8 +103,8 @@ def _as_latin(text: str, coding: str) -> bytes:
     return text.encode("latin1")
 
 
-# What numpy's own arrays, scalars and types are made of, with our stand-ins; a pickle that asks for anything else is
-# not data. Before numpy 2 the private modules were called numpy.core.
+# The building blocks of numpy's arrays, scalars and types, with our placeholders; a pickle that requests anything else
+# is not data. Before numpy 2 the private modules were called numpy.core.
 _STAND_INS: dict[tuple[str, str], Any] = {
     ("numpy", "ndarray"): _Array,
     ("numpy", "dtype"): _Type,
@@ -124,8 +125,8 @@ class _ArraysOnly(pickle.Unpickler):
 
 
 def _made(value: Any, seen: dict[int, Any]) -> Any:
-    """``value`` with arrays in the place of stand-ins; what stands there several times, once (a small file can name one
-    list a billion times)."""
+    """``value`` with arrays instead of placeholders; repeated objects are built once (a small file can name one list a
+    billion times)."""
     if id(value) in seen:
         return seen[id(value)]
     if isinstance(value, _Array):

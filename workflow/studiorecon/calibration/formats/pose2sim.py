@@ -11,7 +11,7 @@ from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_cam
 from studiorecon.errors import UserError
 from studiorecon.scene.outside import MAX_TEXT_BYTES, read_bytes, read_toml
 
-# Caliscope's cameras lie in such a file too; its cards and volumes, and Pose2Sim's Config.toml, lie beside.
+# Caliscope's cameras are in such a file too; its cards and volumes, and Pose2Sim's Config.toml, are in the same folder.
 TOML_FILES = (("*.toml",), ("calibration/*.toml",))
 _OTHER_TABLES = {"metadata", "capture_volume", "charuco", "checkerboard"}
 
@@ -29,7 +29,7 @@ def recognises(files: list[Path]) -> bool:
 
 
 def read(files: list[Path]) -> Reading:
-    """The cameras of the file; the unit is metres for Pose2Sim and guessed later for the rest of the family."""
+    """The cameras of the file; the unit is metres for Pose2Sim, and guessed later for the rest of the family."""
     cameras = []
     notes: list[str] = []
     for key, table in tables(files[0]).items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a calibration format declares, what its reader returns, and how many pictures of one static camera become one
+"""The interface of a calibration format and its reader's result; merges many pictures of a static camera into one
 entry."""
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ class Reading:
         format: the format's name.
         cameras: in the file's order.
         unit: of length, "m", "mm" or "unknown".
-        notes: what was changed, in sentences.
-        named: False where the format has no names and the cameras stand in the order of the sorted videos.
+        notes: sentences about changes.
+        named: False where the format has no names and the cameras are in the order of the sorted videos.
     """
 
     format: str
@@ -48,18 +48,17 @@ def _always(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class CalibrationFormat:
-    """One way in which calibrated cameras are written down.
+    """One file format of calibrated cameras.
 
     Attributes:
         name: as in the setting ``calibration.format``.
         made_by: the programs and data sets that write it.
-        files_in_words: what lies in the dataset's folder, in Markdown.
-        files: the alternatives it is found by there, first things first: names relative to the folder that must all be
-            there, or one pattern.
-        file_per_camera: whether every file that a pattern finds is one camera of the same calibration.
-        recognises: whether files are of this format, by their names or by what they hold.
-        read: the cameras; raises UserError where a file is not what its format says.
-        holds_cameras: whether a file that a pattern finds is a calibration at all.
+        files_in_words: its files in the dataset's folder, in Markdown.
+        files: alternatives to search there, in order: names relative to the folder that must all exist, or one pattern.
+        file_per_camera: whether every file that a pattern matches is one camera of the same calibration.
+        recognises: whether files are of this format, by their names or content.
+        read: the cameras; raises UserError for a file that is not of this format.
+        holds_cameras: whether a file that a pattern matches is a calibration at all.
     """
 
     name: str

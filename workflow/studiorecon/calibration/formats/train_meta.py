@@ -20,9 +20,9 @@ def recognises(files: list[Path]) -> bool:
 
 
 def read(files: list[Path]) -> Reading:
-    """One camera per picture folder, or per place in the lists where there are no file names.
+    """One camera per picture folder, or per index in the lists where there are no file names.
 
-    MonoFusion keeps camera-to-world under the name ``w2c`` (its source does); a ``camera_convention`` in the file
+    MonoFusion stores camera-to-world under the name ``w2c`` (see its source); a ``camera_convention`` in the file
     decides.
     """
     path = files[0]
@@ -55,7 +55,7 @@ def read(files: list[Path]) -> Reading:
 
 
 def _inverted(content: Mapping, name: str) -> tuple[bool, list[str]]:
-    """Whether ``w2c`` holds camera-to-world, and the sentence that says how that was decided."""
+    """Whether ``w2c`` holds camera-to-world, and a sentence on how that was decided."""
     if "hw" not in content:
         return False, []
     convention = str(content.get("camera_convention", "")).lower()

@@ -2,12 +2,12 @@
 """Vicon's ``*.xcp`` (Nexus, Shogun, Tracker): XML, millimetres, cameras that look along +z with y down, as ours.
 
 ``ORIENTATION`` is the quaternion x y z w of the rotation from world to camera, ``POSITION`` the camera's centre;
-``FOCAL_LENGTH`` and ``PRINCIPAL_POINT`` are in pixels of the whole sensor (``SENSOR_SIZE``). The lens is written the
-other way round than OpenCV's, in pixels: ideal = c + (p - c) (1 + k1 r² + k2 r⁴ + k3 r⁶) with r = |p - c| of the filmed
-pixel p. ``VICON_RADIAL2`` is "Vicon3Parameter cx cy k1 k2 k3", the older ``VICON_RADIAL`` "k1 k2" around the
-principal point. Sources: Vicon's page "About calibration data (XCP) files", Pose2Sim's ``read_vicon`` (axes, unit),
-and a published calibration whose cameras see each other's rings only in this direction. Where the first pixel's centre
-lies is not documented: it is read as OpenCV's.
+``FOCAL_LENGTH`` and ``PRINCIPAL_POINT`` are in pixels of the whole sensor (``SENSOR_SIZE``). The lens is the inverse of
+OpenCV's, in pixels: ideal = c + (p - c) (1 + k1 r² + k2 r⁴ + k3 r⁶) with r = |p - c| of the filmed pixel p.
+``VICON_RADIAL2`` is "Vicon3Parameter cx cy k1 k2 k3", the older ``VICON_RADIAL`` "k1 k2" around the principal point.
+Sources: Vicon's page "About calibration data (XCP) files", Pose2Sim's ``read_vicon`` (axes, unit), and a published
+calibration whose cameras see each other's rings only in this direction. The position of the first pixel's centre is not
+documented: it is read as OpenCV's.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from studiorecon.scene.values import shown
 
 _SQUARE = 0.001
 _SAMPLES = 41
-# What may be left of the lens after it is written in OpenCV's numbers.
+# Largest error of the lens after conversion to OpenCV's model.
 _MAX_LEFT_PX = 0.5
 
 
@@ -36,7 +36,7 @@ def recognises(files: list[Path]) -> bool:
 
 
 def read(files: list[Path]) -> Reading:
-    """The cameras that are calibrated, by ``DEVICEID``; those that see markers only are told as "without footage"."""
+    """The calibrated cameras, by ``DEVICEID``; a message lists those that see markers only as "without footage"."""
     path = files[0]
     cameras, notes = [], []
     for element in read_xml(path).iter("Camera"):
@@ -93,8 +93,10 @@ def _camera(name: str, element: Element, frame: Element, where: str, notes: list
 def _opencv_lens(
     wh: tuple[int, int], focal: float, principal: np.ndarray, centre: np.ndarray, terms: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """(8,) coefficients of the lens that films at p what Vicon's sees at ``ideal``, by least squares over the sensor,
-    and the largest difference in pixels; inf where the lens folds."""
+    """(8,) OpenCV coefficients of Vicon's lens by least squares over the sensor, and the largest difference in pixels.
+
+    They map ``ideal`` to the filmed p; the difference is inf where the lens folds.
+    """
     if not terms.any():
         return np.zeros(8), 0.0
     grid = np.meshgrid(np.linspace(0, wh[0] - 1, _SAMPLES), np.linspace(0, wh[1] - 1, _SAMPLES))
