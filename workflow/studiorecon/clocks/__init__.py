@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When every camera was started, and the moments that all share.
+"""The start time of every camera, and the moments that all share.
 
-In come footage and raw detections; out comes ``clocks.json``. The step is ``offsets``; each witness has a file:
-``sound``, ``people_clock`` (lags by ``people_lag`` and, by a user's calibration, ``calibrated_lag``), ``all_cameras``
-(what calibrated cameras then see together) and ``motion_clock``; ``agreement`` makes one clock of what they say, and
-``timeline`` the times of frames.
+Reads footage and raw detections, writes ``clocks.json``. The step is ``offsets``. Each source of evidence has a file:
+``sound``, ``people_clock`` (lags by ``people_lag`` and, with a user's calibration, ``calibrated_lag``), ``all_cameras``
+(all calibrated cameras together) and ``motion_clock``. ``agreement`` combines them to one clock, ``timeline`` holds the
+times of frames.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lags between pairs of cameras → one clock per camera, if what the sound, the people and the motion say agrees."""
+"""Combines lags between pairs of cameras to one clock per camera, if sound, people and motion agree."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ import numpy as np
 
 # Half of a 95 % interval in standard deviations.
 HALF = 1.96
-# A pair that contradicts the others by this many standard deviations is left out, where there are others.
+# A pair that contradicts the others by this many sigmas is left out, where there are others.
 _CONTRADICTS = 4.0
-# Less than this is not worth resampling anything for, frames; and what drifts by less over the whole clip does not
-# drift.
+# A smaller offset, frames, is not worth resampling; a smaller drift over the whole clip counts as none.
 _NEGLIGIBLE_FRAMES = 0.1
 _DRIFT_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
 class Pair:
-    """What one method says of two cameras: the second one's first frame is ``offset_s`` after the first one's, by a
+    """One method's result for two cameras: the second one's first frame is ``offset_s`` after the first one's, by a
     common clock."""
 
     first: int
@@ -34,8 +33,8 @@ class Pair:
 
 @dataclass(frozen=True)
 class Proposal:
-    """What one method says of one camera: its first frame is ``offset_s`` ± ``half_s`` (95 %) after the reference
-    camera's first."""
+    """One method's result for one camera: its first frame is ``offset_s`` ± ``half_s`` (95 %) after the reference
+    camera's."""
 
     method: str
     offset_s: float
@@ -46,13 +45,13 @@ class Proposal:
 
 @dataclass(frozen=True)
 class ClockVerdict:
-    """What is made of a camera's proposals.
+    """The decision on a camera's proposals.
 
     Attributes:
         kind: "reference", "in step", "found", or "undetermined": then the camera stays as filmed.
-        offset_s, half_s, drift_ppm: as they are to be applied, with half of the 95 % interval (inf: unknown).
-        method: whose proposal it is.
-        reason: why nothing could be determined.
+        offset_s, half_s, drift_ppm: to be applied, with half of the 95 % interval (inf: unknown).
+        method: of the chosen proposal.
+        reason: why it is undetermined.
     """
 
     kind: str
@@ -64,7 +63,7 @@ class ClockVerdict:
 
 
 def choose_reference(pairs: Mapping[str, Sequence[Pair]], cameras: int) -> int:
-    """The camera that most pairs speak of; the first of several."""
+    """The camera in most pairs; the first of several."""
     heard = np.zeros(cameras, int)
     for pair in (p for found in pairs.values() for p in found):
         heard[[pair.first, pair.second]] += 1
@@ -77,8 +76,8 @@ def solve_offsets(
     """One proposal per camera, None where no chain of pairs leads to the reference; weighted least squares over all
     pairs.
 
-    Pairs that contradict the rest are left out, worst first; ``systematic_s`` is an error of every camera that no pair
-    knows of (1 σ).
+    Pairs that contradict the rest are left out, worst first; ``systematic_s`` is a sigma of every camera that pairs do
+    not contain.
     """
     left = list(pairs)
     while True:
@@ -120,8 +119,10 @@ def contradict(one: Proposal, other: Proposal) -> bool:
 def count_contradictions(
     weaker: Sequence[Proposal | None], stronger: Sequence[Sequence[Proposal | None]]
 ) -> tuple[int, int]:
-    """In how many cameras a weaker method contradicts a stronger one, and in how many both say something that is not
-    said of the reference anyway (where a proposal is exactly 0 by definition, all agree)."""
+    """In how many cameras a weaker method contradicts a stronger one, and in how many both have a proposal.
+
+    Cameras where a proposal equals the reference's do not count, because it is exactly 0 by definition.
+    """
     both = [
         (own, [other[c] for other in stronger if other[c] is not None])
         for c, own in enumerate(weaker)
@@ -134,24 +135,26 @@ def count_contradictions(
 def combine_proposals(
     proposals: Sequence[Proposal], fps: float, seconds: float, triggered: bool = True
 ) -> ClockVerdict:
-    """The narrowest proposal if all agree within their intervals; in step where it does not exclude that the camera is
-    as filmed. Where cameras were not ``triggered`` together nothing speaks for that beforehand: then what was found
-    counts, however little it is."""
+    """The narrowest proposal if all agree within their intervals; in step where it does not exclude the camera as
+    filmed.
+
+    Where cameras were not ``triggered`` together there is no such prior: then any estimated offset counts, however
+    small.
+    """
     if not proposals:
         return ClockVerdict("undetermined", reason="neither sound nor people nor motion tell")
     if any(contradict(*pair) for pair in itertools.combinations(proposals, 2)):
         return ClockVerdict("undetermined", reason="they contradict each other")
     best = min(proposals, key=lambda p: p.half_s)
     drift = best.drift_ppm if abs(best.drift_ppm) * 1e-6 * seconds * fps > _NEGLIGIBLE_FRAMES else 0.0
-    # What is not sharper than a frame says which frame, and nothing about fractions; and a fraction may be too small to
-    # matter.
+    # An interval wider than a frame determines a frame and no fraction; and a fraction may be too small to matter.
     whole = round(best.offset_s * fps) / fps
     beside = abs(best.offset_s - whole) * fps
     on_the_beat = not drift and (best.half_s > 1 / fps or beside <= _NEGLIGIBLE_FRAMES)
     applied = whole if on_the_beat else best.offset_s
     if not drift and (abs(best.offset_s) <= max(best.half_s if triggered else 0.0, _NEGLIGIBLE_FRAMES / fps)):
         applied = 0.0
-    # About what is applied, the interval still covers all that was found.
+    # The interval around the applied value still covers the estimated one.
     half_s = best.half_s + abs(applied - best.offset_s)
     if not drift and not applied:
         return ClockVerdict("in step", 0.0, half_s, 0.0, best.method)
@@ -171,8 +174,7 @@ def _reached(pairs: Sequence[Pair], cameras: int, reference: int) -> list[int]:
 def _least_squares(
     pairs: Sequence[Pair], cameras: int, values: Sequence[float], sigmas: Sequence[float], reference: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values per camera with the reference at 0, their covariance, and what each pair is off by in standard
-    deviations."""
+    """Values per camera with the reference at 0, their covariance, and the residual of each pair in sigmas."""
     columns = np.zeros((len(pairs), cameras))
     for row, p in enumerate(pairs):
         columns[row, p.first], columns[row, p.second] = -1, 1

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clocks from all calibrated cameras at once: a camera that is late sees everybody where they were.
+"""Clocks from all calibrated cameras at once: a late camera sees people at earlier positions.
 
-Two cameras cannot tell a calibration that is off by centimetres from a lag of somebody who walks on; together, cameras
-first put each other right by the people, and what then still runs ahead or behind along the way people go is time.
+Two cameras cannot separate a calibration error of centimetres from the lag of a person who walks on. All cameras
+together are first refined on the people; the remaining shift along people's motion is time.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
 
-# Moments that are looked at, and how far to either side speeds are measured.
+# Number of moments in use, and distance to either side over which speeds are measured.
 _MOMENTS, _BESIDE_S = 64, 0.1
 _ROUNDS, _SETTLED_S, _NEARLY_SETTLED_S, _LOOKED_BACK = 10, 0.001, 0.005, 4
-# A detector puts joints before or behind where they are, by as much along the way somebody goes (1 σ), which a camera
-# takes for time. In four scenes lags were off by 7 ms (rms) and at most 16 ms, at about a metre a second.
+# A detector's bias along the direction of motion (1 σ), which looks like a lag. In four scenes lags were off by 7 ms
+# (rms) and at most 16 ms, at about a metre a second.
 _BESIDE_M = 0.01
-# So many standard deviations must one camera's lag be, and by this share joints must fit better with all of them.
+# A camera's lag must be so many sigmas, and joints must fit better by this share with all lags.
 _SIGMAS, _GAIN = 2.0, 0.1
-# What fewer points tell is nothing, nor what stretches of time differ in by more than the first on the way (1 σ) or the
-# second in the end: such a camera sees others than the rest. Who hardly moves tells nothing either.
+# Fewer points are no evidence. Neither are points whose stretches of time differ by more than the first sigma on the
+# way or the second in the end: such a camera sees other people. Little motion is no evidence either.
 _MIN_POINTS, _MAX_SPREAD_S, _MAX_SPREAD_LEFT_S, _MAX_SIGMA_S = 100, 0.04, 0.015, 0.04
-# Stretches of time that are left out in turn to see how sure a lag is.
+# Stretches of time that are left out in turn to estimate a lag's sigma.
 _STRETCH_S = 0.5
 _LOOSE = 3.0
 _STEPS = 10
@@ -46,7 +46,7 @@ _STEPS = 10
 
 @dataclass(frozen=True)
 class RigOffsets:
-    """By how many seconds the cameras' clocks are to be set later (V,), and one standard deviation; NaN: not known."""
+    """Seconds (V,) by which to set the cameras' clocks later, and one sigma; NaN: unknown."""
 
     seconds: Float[np.ndarray, " V"]
     sigma_s: Float[np.ndarray, " V"]
@@ -55,10 +55,10 @@ class RigOffsets:
 def offsets_vs_rig(
     clocks: Sequence[Clock], seen: Sequence[Detections], lenses: Mapping[str, tuple[Lens, tuple[int, int]]]
 ) -> RigOffsets | None:
-    """How late cameras are by the clocks as they are set, of those with a calibrated lens (and the size of their
-    footage) and detections (by source frames).
+    """Lags of the cameras with a calibrated lens (and footage size) and detections (by source frames), by the current
+    clocks.
 
-    None where fewer than three cameras can be asked, clocks do not settle, or some are clearly late and joints fit
+    None where fewer than three such cameras exist, clocks do not converge, or some are clearly late and joints fit
     hardly better for it.
     """
     told = {d.camera: d for d in seen if len(d.frame)}
@@ -93,7 +93,7 @@ def offsets_vs_rig(
 
 @dataclass(frozen=True)
 class _Placed:
-    """Cameras put right by the people at some clocks, what they see of them at ``fps``, and how badly it fits."""
+    """Cameras refined on people at some clocks, their observations at ``fps``, and their misfit."""
 
     cameras: list[Camera]
     seen: Observations
@@ -103,8 +103,11 @@ class _Placed:
 
 @dataclass(frozen=True)
 class _Looked:
-    """What was seen with ``added_s`` on the clocks: how late cameras still are, by how much stretches of time leave
-    that open, one standard deviation with what is wrong all the time, and how badly everything fits."""
+    """Lags that remain with ``added_s`` on the clocks, their spread over stretches of time, their total sigma, and the
+    misfit.
+
+    The total sigma includes constant errors.
+    """
 
     added_s: np.ndarray
     late_s: np.ndarray
@@ -118,8 +121,10 @@ class _Looked:
 
 
 def _next(looked: Sequence[_Looked]) -> np.ndarray:
-    """(V,) what to add next: cameras that are turned to fit wrong clocks take most of a lag for theirs, so plain steps
-    creep (Anderson, "Iterative procedures for nonlinear integral equations", J. ACM 12, 1965)."""
+    """(V,) the next correction (Anderson, "Iterative procedures for nonlinear integral equations", J. ACM 12, 1965).
+
+    Cameras that are rotated to fit wrong clocks absorb most of a lag, so plain steps converge slowly.
+    """
     added, late = np.array([one.added_s for one in looked]), np.nan_to_num([one.late_s for one in looked])
     if len(looked) < 2:
         return added[-1] + late[-1]
@@ -134,7 +139,8 @@ def _placed(
     start: Sequence[Camera],
     lenses: Mapping[str, tuple[Lens, tuple[int, int]]],
 ) -> _Placed | None:
-    """``start``: cameras near those that are asked, to see who is who; none: as they are calibrated."""
+    """Cameras refined on people at ``clocks``. ``start``: approximate cameras for the identities; by default the
+    calibrated ones."""
     moments = common_moments(clocks, 0, 0)
     beside = max(1, round(_BESIDE_S * moments.fps))
     if moments.frames <= 2 * beside + 1:
@@ -147,18 +153,18 @@ def _placed(
     observations, _ = observe(on, start or given, frames, agreement.gate_m)
     if not len(observations.frame):
         return None
-    # The moments beside those in the middle only tell speeds.
+    # The moments on either side of the middle one only measure speeds.
     adjusted = fitted(
         given, observations.of(np.isin(observations.frame, middle)), agreement.limits, CalibrationPrior().bundle
     )
-    # Where people show too little of them, cameras stay where they were.
+    # Where people give too little evidence, cameras stay at their poses.
     cameras = adjusted.cameras if adjusted else list(start or given)
     observations, _ = observe(on, cameras, frames, agreement.gate_m)
     return _Placed(cameras, observations, moments.fps, _misfit(cameras, observations, agreement.limits))
 
 
 def _misfit(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> float:
-    """Mean error of everything that is seen, in error units of which what does not agree has as many as an outlier."""
+    """Mean error of all observations, in error units; outliers count as the outlier limit."""
     found = triangulate(seen.pixels, seen.confidence, cameras, limits)
     counted = found.verified if len(cameras) > 2 else found.valid
     units = np.where(counted, found.error_px, np.nan) / unit_px(cameras, limits)[:, None]
@@ -167,9 +173,11 @@ def _misfit(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> fl
 
 
 def _lateness(placed: _Placed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(V,) seconds by which each camera sees joints ahead of where the others see them, the median 0, by how much
-    stretches of time leave that open, and one standard deviation with what is wrong all the time; NaN where too little
-    tells."""
+    """(V,) seconds by which each camera sees joints ahead of the others, median 0, with two sigmas; NaN without
+    evidence.
+
+    The first sigma is their spread over stretches of time, the second includes constant errors.
+    """
     cameras, seen, fps = placed.cameras, placed.seen, placed.fps
     limits = AgreementLimits().limits
     wide = replace(limits, outlier_units=limits.outlier_units * _LOOSE)
@@ -204,8 +212,11 @@ def _lateness(placed: _Placed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _slope(
     off: Num[np.ndarray, "N 2"], per_s: Num[np.ndarray, "N 2"], stretch: Num[np.ndarray, " N"], unit: float
 ) -> tuple[float, float]:
-    """The seconds that pixels ``off`` are at speeds ``per_s``, by least absolute distances beyond ``unit``, and their
-    jackknife standard deviation over the stretches of time; inf where there is one only."""
+    """The seconds that explain pixels ``off`` at speeds ``per_s``, and their jackknife sigma over the stretches of
+    time.
+
+    By least absolute distances beyond ``unit``; the sigma is inf for a single stretch.
+    """
     seconds = 0.0
     for _ in range(_STEPS):
         weight = 1 / np.maximum(np.linalg.norm(off - seconds * per_s, axis=-1), unit)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lag of one person's tracks between two calibrated cameras: at one moment, rays to the same joint meet.
 
-Without a calibration every lag is judged under an epipolar geometry of its own, which somebody who walks evenly fits at
-many lags. A calibration leaves no such freedom. But one that is a little off makes rays miss by a constant, which for
-who walks evenly is as good as a lag: that is counted in, and a calibration that is far off says nothing.
+Without a calibration every lag has an epipolar geometry of its own, which a person who walks evenly fits at many lags.
+A calibration removes this freedom. But a slightly wrong one makes rays miss by a constant, which for an evenly walking
+person equals a lag. That error is included in the sigma, and a calibration that is far off gives no result.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# How far a calibration is off where people are (1 σ) at least, metres; it is off by more where joints miss by a
-# constant, and by as many times as much in what a lag hides. Where rays at the best lag miss by more than the second
-# (median), it is not of these cameras any more, or these are two people.
+# Least error of a calibration where people are (1 σ), metres; a larger constant miss of joints raises it, and with it
+# the sigma of a lag. Where rays at the best lag miss by more than the second (median), the calibration is of other
+# cameras, or these are two people.
 _CALIBRATION_M, _MAX_M = 0.03, 0.10
 _HIDDEN = 2.0
-# Sine of the angle of two rays below which they miss each other by nothing much wherever they go.
+# Sine of the angle of two rays below which their distance hardly depends on the lag.
 _MIN_SINE = 0.1
 _MIN_ROWS = 8
 
@@ -65,8 +65,8 @@ class CalibratedPair:
 
 
 def straightened(seen: Detections, lens: Lens, wh: tuple[int, int]) -> Detections:
-    """The detections in normalised coordinates of the lens, from pixels of footage of size ``wh``; what it cannot have
-    seen is missing."""
+    """The detections in normalised coordinates of the lens, from pixels of footage of size ``wh``; points outside its
+    field are missing."""
     affine = calibration_from_video_pixels(lens, wh)
     there = (seen.keypoints[..., 2] > 0) & np.isfinite(seen.keypoints[..., :2]).all(-1)
     pixels = np.where(there[..., None], seen.keypoints[..., :2], 1.0) @ affine[:, :2].T + affine[:, 2]
@@ -81,11 +81,10 @@ def straightened(seen: Detections, lens: Lens, wh: tuple[int, int]) -> Detection
 def calibrated_lag(
     first: Float[np.ndarray, "T J 3"], second: Float[np.ndarray, "t J 3"], rate: float, pair: CalibratedPair
 ) -> PeopleLag | None:
-    """The lag of two tracks (T, J, 3) and (T', J, 3) of rays, NaN where missing, as ``people_lag.track_lag`` gives it;
-    None where no lag stands out, or rays miss each other at the best one too.
+    """The lag of two tracks (T, J, 3) and (T', J, 3) of rays, NaN where missing, as from ``people_lag.track_lag``.
 
-    Its deviation counts in what a calibration that is off would be taken for, by 3 cm or as much as joints miss by
-    all the time: nothing where people go to and fro.
+    None where no lag is clearly best, or rays miss each other at the best one too. Its sigma includes the effect of a
+    calibration error of 3 cm, or of joints' constant miss; this is 0 where people go to and fro.
     """
     found = track_lag(first, second, rate, pair.essential)
     if found is None:

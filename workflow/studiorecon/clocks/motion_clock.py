@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do the clocks agree? Everybody moves at the same moments, whichever camera looks: motion over time is compared
-between cameras.
+"""Clocks from motion: people move at the same moments in every camera, so motion over time is correlated between
+cameras.
 
-The last resort: motion energy only sees lags of whole frames, depends on the direction of view, and sees nothing at all
-in a scene that does not move or moves evenly (V07).
+The last resort: motion energy only resolves whole frames, depends on the direction of view, and fails in a scene that
+does not move or moves evenly (V07).
 """
 
 from __future__ import annotations
@@ -22,27 +22,26 @@ from studiorecon.footage.source import FootageSource
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# Pictures are shrunk to this many pixels across before differencing: keeps people, averages sensor and compression
-# noise away.
+# Pictures are shrunk to this width in pixels before differencing: keeps people, averages sensor and compression noise
+# away.
 _WIDTH = 160
 # Grey levels of difference that noise still reaches after shrinking.
 _NOISE_LEVELS = 3.0
 # A correlation of fewer independent samples than this is not evidence.
 _MIN_MOMENTS = 8.0
 _MIN_CORRELATION = 0.5
-# Slower changes than this say little about when, and much about who is near a camera.
+# Slower changes show mostly which person is near a camera, not when.
 _DETREND_S = 0.5
-# One moment looks differently from two sides: peaks of motion are this far apart between cameras that run as one, as
-# standard deviation.
+# One moment looks different from two sides: sigma of the distance between peaks of motion in synchronous cameras.
 _VIEWS_S = 0.04
-# The best lag must lie so many standard errors above no correlation. The best of all wrong lags lies three above it
-# where two people walk, and five (two steps off) where three walk about.
+# The best lag must be so many standard errors above no correlation. The best of all wrong lags is three above it where
+# two people walk, and five (two steps off) where three walk about.
 _MIN_HEIGHT = 6.0
 _ALIKE = 0.95
-# It must beat every other lag further off than this by so many standard errors.
+# It must exceed every other lag further off than this by so many standard errors.
 _APART_S, _MIN_Z = 0.3, 2.0
-# Motion that is this much like itself some time later may as well have happened then: who walks evenly past one camera
-# after the other looks most alike whole steps off.
+# Motion with a larger correlation to itself some time later is ambiguous: a person who walks evenly past one camera
+# after the other fits best whole steps off.
 _MAX_EVEN = 0.5
 _MIN_OVERLAP_S, _MIN_SHARE = 1.0, 0.5
 # Seconds of a long clip that are decoded for this.
@@ -51,7 +50,7 @@ _SEEN_S = 90.0
 
 @dataclass(frozen=True)
 class Lag:
-    """How many rows (frames at the common rate) a second series comes later than a first one.
+    """Rows (frames at the common rate) by which a second series lags a first one.
 
     ``sigma_rows`` is never below half a frame, nor below 40 ms.
     """
@@ -76,8 +75,8 @@ def motion_energy(frames: Iterable[Integer[np.ndarray, "H W"]]) -> Float[np.ndar
 
 
 def compare(first: Float[np.ndarray, " T"], second: Float[np.ndarray, " t"], rate: float) -> Lag:
-    """The lag of two energies (T,) and (T',) at ``rate`` values per second; not valid, with the reason, where that is
-    not clear."""
+    """The lag of two energies (T,) and (T',) at ``rate`` values per second; not valid, with a reason, where it is
+    ambiguous."""
     if broken := int((~np.isfinite(first)).sum() + (~np.isfinite(second)).sum()):
         return _unknown(f"{broken} values of its motion are not finite")
     least = max(_MIN_OVERLAP_S * rate, _MIN_SHARE * min(len(first), len(second)), 3)
@@ -85,7 +84,7 @@ def compare(first: Float[np.ndarray, " T"], second: Float[np.ndarray, " t"], rat
         return _unknown(f"{min(len(first), len(second)) / rate:.1f} s of motion are too short")
     if first.std() == 0 or second.std() == 0:
         return _unknown("nothing moves in one of the two pictures")
-    # Who stands near the camera moves more pixels: what counts is when, not how much.
+    # A person near the camera moves more pixels: the time counts, not the amount.
     a, b = (np.sqrt(e) - gaussian_filter1d(np.sqrt(e), _DETREND_S * rate, mode="nearest") for e in (first, second))
     lags, scores, overlap = _correlations(a, b)
     scores = np.where(overlap >= least, scores, -1.0)
@@ -102,7 +101,7 @@ def compare(first: Float[np.ndarray, " T"], second: Float[np.ndarray, " t"], rat
         period_s, evenness = _rhythm(energy, least, rate)
         if evenness > _MAX_EVEN:
             return _unknown(f"what moves repeats itself every {period_s:.2f} s", top)
-    # Two views of one motion are never more alike than this: what lies above says nothing about which lag is right.
+    # Two views of one motion never correlate more than this: larger values do not indicate the right lag.
     height = np.arctanh(np.clip(scores, -_ALIKE, _ALIKE)) * np.sqrt(max(moments - 3, 1.0))
     if height[best] < _MIN_HEIGHT:
         return _unknown(f"motion over time correlates at {top:.2f} over {moments:.0f} independent moments only", top)
@@ -117,14 +116,15 @@ def compare(first: Float[np.ndarray, " T"], second: Float[np.ndarray, " t"], rat
 
 
 def _rhythm(a: np.ndarray, least: float, rate: float) -> tuple[float, float]:
-    """After how many seconds a series is most like itself, more than ``_APART_S``, and how much (its correlation)."""
+    """The period after which a series is most similar to itself, more than ``_APART_S``, in seconds, and that
+    correlation."""
     lags, scores, overlap = _correlations(a, a)
     scores = np.where((overlap >= least) & (lags > max(2, _APART_S * rate)), scores, -1.0)
     return float(lags[np.argmax(scores)]) / rate, float(scores.max())
 
 
 def _correlations(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Lags (L,), correlation (L,) of a[t] with b[t + lag] over what both have, and how much that is (L,)."""
+    """Lags (L,), correlation (L,) of a[t] with b[t + lag] over their overlap, and its length (L,)."""
     ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
 
     def over(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -143,7 +143,7 @@ def _correlations(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 
 
 def _independent_moments(a: np.ndarray, b: np.ndarray) -> float:
-    """How many independent samples two smooth series amount to (Bartlett: N / (1 + 2 Σ ρa ρb), up to where ρ first
+    """Number of independent samples of two smooth series (Bartlett: N / (1 + 2 Σ ρa ρb), up to where ρ first
     vanishes)."""
     a, b = (a - a.mean()) / a.std(), (b - b.mean()) / b.std()
     product = np.array(
@@ -158,5 +158,5 @@ def _unknown(reason: str, correlation: float = 0.0) -> Lag:
 
 
 def read_motion_energy(source: FootageSource) -> Float[np.ndarray, " T"]:
-    """``motion_energy`` of some footage, as far as it can be read."""
+    """``motion_energy`` of footage, as far as it can be read."""
     return motion_energy(small_grey(source, _WIDTH, round(_SEEN_S * source.fps)))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``clocks.offsets``: when every camera was started, from its sound, the people it sees and how the picture moves.
+"""``clocks.offsets``: the start time of every camera, from its sound, people and motion.
 
-Before anything is decoded for good: which frames are one moment decides which frames are used. Raw footage and raw
-keypoints go in, so that nothing that follows from clocks is needed to find them.
+It runs before decoding, because the clocks decide which frames are used. Inputs are raw footage and raw keypoints, so
+that no result depends on the clocks already.
 """
 
 from __future__ import annotations
@@ -47,20 +47,19 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Sound needs 3 ms a metre; who knows where the speaker stands? 1.5 m more or less to one camera than to another, as
-# standard deviation.
+# Sound needs 3 ms a metre and the speaker's position is unknown: sigma for 1.5 m of difference between two cameras.
 _TRAVEL_S = 1.5 / 343
 # Every sound track is compared with those of so many cameras; more only cost time.
 _HUBS = 3
-# Clocks that are known to this are not asked about again, seconds (half of the 95 % interval).
+# Clocks with a smaller half of the 95 % interval, seconds, are not estimated by further methods.
 _SHARP_S = 0.02
-# Cameras in which motion must be proved wrong before it is not believed of the others.
+# Cameras in which motion must be proved wrong before it is distrusted in the others.
 _PROOFS = 2
 
 
 @dataclass(frozen=True)
 class Settings(PictureRate):
-    """What is done about clocks, and the rate of footage that has none."""
+    """How clocks are estimated, and the rate of footage that has none."""
 
     sync: Literal["auto", "report", "never"] = setting(
         "auto",
@@ -72,7 +71,7 @@ class Settings(PictureRate):
 def sound_pairs(
     sounds: Sequence[Float[np.ndarray, " N"] | None], lines: Sequence[Timeline]
 ) -> tuple[list[Pair], dict[int, str]]:
-    """Pairs of cameras whose sound tracks tell, and for every camera without one why."""
+    """Pairs of cameras whose sound tracks determine a lag, and the reason for every camera without one."""
     there = {i: s for i, s in enumerate(sounds) if s is not None}
     reasons = {i: "its video has no sound" for i in range(len(sounds)) if i not in there}
     wanted = [(a, b) for a, b in itertools.combinations(there, 2) if a in list(there)[:_HUBS]]
@@ -96,7 +95,7 @@ def sound_pairs(
 def motion_pairs(
     energies: Sequence[Float[np.ndarray, " T"]], clocks: Sequence[Clock], rate: float
 ) -> tuple[list[Pair], dict[int, str]]:
-    """The same from how much the pictures change over time."""
+    """The same from the amount of change in the pictures over time."""
     rows = [_on_a_grid(e, c, rate) for e, c in zip(energies, clocks)]
     pairs: list[Pair] = []
     reasons: dict[int, str] = {}
@@ -129,7 +128,7 @@ def clock_sentence(
     reference: str,
     fps: float,
 ) -> str:
-    """One sentence about one camera's clock, with everything that was proposed."""
+    """One sentence about one camera's clock, with all proposals."""
     told = [f"{p.method} {_signed(p.offset_s)} ± {p.half_s:.3f} s" for p in proposals]
     told += [f"{method}: {reason}" for method, reason in why.items()]
     if verdict.kind == "in step":
@@ -164,8 +163,8 @@ def estimate_clocks(
     sightings: Sequence[Path],
     lenses: Mapping[str, Lens],
 ) -> tuple[list[ClockVerdict], list[dict[str, Any]], int]:
-    """A verdict and everything behind it for every camera, and which one is the reference; ``lenses`` of a given
-    calibration, if there is one."""
+    """A verdict with its evidence for every camera, and the index of the reference; ``lenses`` of a given calibration,
+    if any."""
     clocks = [clock_as_filmed(c, line) for c, line in zip(cameras, lines)]
     rate = float(np.median([c.fps for c in clocks]))
     count = len(cameras)
@@ -181,14 +180,14 @@ def estimate_clocks(
         energies = [sync.read_motion_energy(s) if s else np.zeros(0) for s in progress(sources, "motion")]
         pairs["motion"], why["motion"] = motion_pairs(energies, clocks, rate)
     reference, proposed = _proposed(pairs, count)
-    # How much moves in a picture depends on where one looks from: who walks in a circle is nearest to one camera after
-    # the other. Where people or sound prove that of most cameras, motion says nothing of the others.
+    # Motion in a picture depends on the viewpoint: a person who walks in a circle is nearest to one camera after the
+    # other. Where people or sound disprove motion in most cameras, it is distrusted in the others.
     wrong, both = count_contradictions(proposed.get("motion", []), [p for m, p in proposed.items() if m != "motion"])
     if wrong >= _PROOFS and 2 * wrong > both:
         told_wrong = f"it contradicts people or sound in {wrong} of {both} cameras, so it counts in none"
         pairs["motion"], why["motion"] = [], dict.fromkeys(range(count), told_wrong)
         reference, proposed = _proposed(pairs, count)
-    # Where one method leads halfway and another the rest of the way.
+    # Where one method covers part of the chain and another the rest.
     together = solve_offsets("several", [p for found in pairs.values() for p in found], count, reference, _TRAVEL_S)
     verdicts, findings = [], []
     owns = [
@@ -196,7 +195,7 @@ def estimate_clocks(
         for c in range(count)
     ]
     owns = joint_refinement(owns, reference, clocks, seen, sized)
-    # One that was clearly not started with the others: nothing triggered them all.
+    # A camera that was clearly not started with the others: there was no common trigger.
     triggered = not any(
         combine_proposals(own, rate, clocks[c].own_s[-1]).kind == "found"
         for c, own in enumerate(owns)
@@ -233,8 +232,11 @@ def estimate_clocks(
 def joint_refinement(
     owns: Sequence[list[Proposal]], reference: int, clocks: Sequence[Clock], seen: Sequence[Detections], lenses: Lenses
 ) -> list[list[Proposal]]:
-    """The proposals of every camera; where all cameras of ``lenses`` together tell more, that in place of what people
-    and motion told of two at a time. ``clocks`` as filmed."""
+    """The proposals of every camera; all cameras of ``lenses`` together replace people's and motion's pairs where they
+    are sharper.
+
+    ``clocks`` as filmed.
+    """
     best = [min(own, key=lambda p: p.half_s, default=None) for own in owns]
     unsure = [c for c, p in enumerate(best) if c != reference and clocks[c].camera in lenses]
     if all((p := best[c]) is not None and p.half_s <= _SHARP_S for c in unsure):
@@ -246,7 +248,7 @@ def joint_refinement(
     asked = []
     for c, own in enumerate(owns):
         half_s = HALF * float(np.hypot(late.sigma_s[c], late.sigma_s[reference]))
-        # NaN where they do not tell.
+        # NaN where undetermined.
         if c != reference and half_s < (p.half_s if (p := best[c]) else np.inf):
             offset_s = set_so[c].offset_s + float(late.seconds[c] - late.seconds[reference])
             together = Proposal("all cameras", offset_s, half_s, set_so[c].drift_ppm, np.inf)
@@ -256,7 +258,7 @@ def joint_refinement(
 
 
 def _proposed(pairs: Mapping[str, Sequence[Pair]], count: int) -> tuple[int, dict[str, list[Proposal | None]]]:
-    """The reference camera, and what every method says of every camera."""
+    """The reference camera, and every method's proposals for every camera."""
     reference = choose_reference(pairs, count)
     systematic_s = {"sound": _TRAVEL_S}
     return reference, {
@@ -270,8 +272,10 @@ def lengths_differ(
     findings: Sequence[dict[str, Any]],
     announced: Sequence[int] = (),
 ) -> str:
-    """The sentence for videos of different lengths whose clocks nobody knows; empty where they are equally long or
-    known, or were ``announced`` to be and only lost their ends."""
+    """A sentence about videos of different lengths with unknown clocks; empty otherwise.
+
+    Also empty where they were ``announced`` to be equally long and only lost their ends.
+    """
     unknown = [f["camera"] for f in findings if f["kind"] == "undetermined"]
     shortest, longest = (choose(range(len(clocks)), key=lambda i: clocks[i].frames) for choose in (min, max))
     short, long = clocks[shortest].frames, clocks[longest].frames
@@ -298,13 +302,12 @@ def run(
     findings: Written,
     calibration: list[Path] | None = None,
 ) -> None:
-    """Write ``clocks`` (what all later steps go by) and ``findings`` (what was looked at) of the footage ``sources``,
-    both JSON.
+    """Write ``clocks`` (used by all later steps) and ``findings`` (the evidence) of the footage ``sources``, both JSON.
 
-    ``sightings`` are there for cameras whose people are known, in any order. ``starts``: JSON, camera → frame of its
-    footage that shows one moment, as the user says; then that counts. ``first_frame`` and ``frame_count`` choose among
-    the moments that all cameras have (0: all). ``calibration``: none or one file, the user's own, by which people tell
-    more.
+    ``sightings`` exist for cameras with known people, in any order. ``starts``: JSON, camera → frame of its footage at
+    one common moment, from the user; then that counts. ``first_frame`` and ``frame_count`` choose among the moments
+    that all cameras have (0: all). ``calibration``: none or one file, the user's own, which makes people's evidence
+    sharper.
     """
     opened, lines = _opened(sources, settings.picture_fps)
     made = [clock_as_filmed(c, line) for c, line in zip(cameras, lines)]
@@ -319,7 +322,7 @@ def run(
     if settings.sync != "never" and len(cameras) > 1:
         lenses = read_lenses(calibration[0]) if calibration else {}
         verdicts, found, reference = estimate_clocks(cameras, opened, lines, sources, sightings, lenses)
-        # Cameras that were not started together: then it matters that one more of them is not known.
+        # Cameras that were not started together: then an unknown clock matters.
         apart = any(f["kind"] == "found" for f in found)
         for f in found:
             loud = apart and (f["kind"] == "undetermined" or (f["kind"] == "found" and settings.sync == "report"))
@@ -347,8 +350,8 @@ def run(
 
 
 def _opened(sources: Sequence[Path], picture_fps: float) -> tuple[list[FootageSource | None], list[Timeline]]:
-    """What can be read of every camera's footage; one that cannot be read is told, and stands in as the others until it
-    is decoded."""
+    """Every camera's footage as far as readable; unreadable footage gets a message and the others' timeline until it is
+    decoded."""
     opened: list[FootageSource | None] = []
     lines: list[Timeline | None] = []
     for path in sources:
@@ -370,7 +373,7 @@ def _opened(sources: Sequence[Path], picture_fps: float) -> tuple[list[FootageSo
 def _compare_with_given(
     given: Mapping[str, float], found: Sequence[dict[str, Any]], clocks: Sequence[Clock], reference: str
 ) -> None:
-    """Say where the user's starts and what was found differ by more than the interval and a frame."""
+    """Warn where the user's starts differ from the estimate by more than the interval and a frame."""
     fps = {c.camera: c.fps for c in clocks}
     for f in (f for f in found if f["kind"] in ("in step", "found")):
         camera = f["camera"]

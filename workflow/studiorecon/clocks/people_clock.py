@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lags between cameras from the people they see: tracks of two cameras are compared, and those of one person agree on a
-lag. Where the user brings a calibration, its epipolar geometry is one more witness."""
+"""Lags between cameras from people: tracks of two cameras are compared, and those of one person agree on a lag.
+
+With the user's calibration, its epipolar geometry is additional evidence.
+"""
 
 from __future__ import annotations
 
@@ -17,22 +19,21 @@ from studiorecon.scene.camera import Lens
 from studiorecon.scene.clocks import Clock
 from studiorecon.scene.people import Detections
 
-# Keypoints surer than this, the longest tracks of each camera, and how long one must be to say anything.
+# Least confidence of keypoints, number of longest tracks per camera, and least length of a track.
 _SURE = 0.3
 _TRACKS = 6
 _MIN_S = 1.0
-# Lags of several tracks are one when they are this close, in frames or standard deviations; other lags must weigh this
-# much less.
+# Lags of several tracks are one when they are this close, in frames or sigmas; other lags must weigh this much less.
 _SAME_FRAMES, _SAME_SIGMAS = 1.5, 3.0
 _MIN_WEIGHT = 1.5
-# The next best lag must fit worse by this factor, over all tracks that agree on a lag. People who walk evenly or hardly
-# move, and two different people, reached 2 to 6 on a made take and a real one with a detector's keypoints, at lags of
-# up to 25 frames where there were none; who turns and swings their arms had 20 to 110.
+# The second best lag must fit worse by this factor, over all tracks that agree on a lag. People who walk evenly or
+# hardly move, and two different people, reached 2 to 6 on a synthetic take and a real one with a detector's keypoints,
+# at false lags of up to 25 frames; people who turn and swing their arms had 20 to 110.
 _MIN_RATIO = 10.0
-# Without a calibration, tracks that agree must show bodies for so many seconds together, of so many joints: two people
-# who walk alike for less fit some epipolar geometry a second and more off (0.8 s of them reached a ratio of 11).
+# Without a calibration, tracks that agree must show bodies for so many seconds together, of so many joints. Two people
+# who walk similarly for less fit some epipolar geometry a second and more off (0.8 s of them reached a ratio of 11).
 _MIN_BODY_S, _JOINTS = 1.2, 12
-# No detector's keypoints are better than this from two sides, frames.
+# No detector's keypoints agree better than this from two sides, frames.
 _FLOOR_FRAMES = 0.05
 
 
@@ -43,12 +44,11 @@ Lenses = Mapping[str, tuple[Lens, tuple[int, int]]]
 def people_pair(
     seen: Sequence[Detections], clocks: Sequence[Clock], rate: float, lenses: Lenses | None = None
 ) -> tuple[list[Pair], dict[int, str]]:
-    """Pairs of cameras whose keypoints (by source frames) tell, and for every camera without one why; times at ``rate``
-    per second.
+    """Pairs of cameras whose keypoints (by source frames) determine a lag, and the reason for every camera without one.
 
-    With the ``lenses`` of a given calibration, two answers: one that leaves the epipolar geometry free, one by the
-    calibration. The calibration's counts where there is no other, or where it is the sharper of two that agree; where
-    they do not, the calibration is not believed.
+    Times are at ``rate`` per second. With the ``lenses`` of a given calibration there are two estimates: one with free
+    epipolar geometry, one by the calibration. The calibration's counts where there is no other, or where it is the
+    sharper of two that agree; where they disagree, the calibration is distrusted.
     """
     index = {c.camera: i for i, c in enumerate(clocks)}
     stable = stable_detections(seen)
@@ -84,8 +84,10 @@ def people_pair(
 def _together(
     agreed: tuple[float, float] | None, lags: Sequence[PeopleLag | None], met: Sequence[Meeting]
 ) -> tuple[float, float] | None:
-    """The lag on which tracks agreed, from all tracks of both cameras under one epipolar geometry: few seconds of one
-    track look surer than they are."""
+    """The lag on which tracks agreed, from all tracks of both cameras under one epipolar geometry.
+
+    A few seconds of one track have too small a sigma.
+    """
     if agreed is None:
         return None
     rows, sigma = agreed
@@ -116,7 +118,7 @@ def _by_calibration(
 
 
 def _sharper(free: tuple[float, float] | None, calibrated: tuple[float, float] | None) -> tuple[float, float] | None:
-    """Rows and standard deviation of one of two answers."""
+    """Rows and sigma of one of two estimates."""
     if free is None or calibrated is None:
         return free if calibrated is None else calibrated
     contradict = abs(free[0] - calibrated[0]) > _SAME_SIGMAS * np.hypot(free[1], calibrated[1])
@@ -124,8 +126,10 @@ def _sharper(free: tuple[float, float] | None, calibrated: tuple[float, float] |
 
 
 def _agreed(found: Sequence[tuple[float, PeopleLag]], least_points: float = 0.0) -> tuple[float, float] | None:
-    """Rows and standard deviation of the lag that most of the evidence is for; None where two lags have much of it, or
-    it has fewer keypoints than ``least_points``."""
+    """Rows and sigma of the lag with most of the evidence; None where two lags have much of it.
+
+    Also None where it has fewer keypoints than ``least_points``.
+    """
     if not found:
         return None
     rows = np.array([r for r, _ in found])
@@ -143,7 +147,7 @@ def _agreed(found: Sequence[tuple[float, PeopleLag]], least_points: float = 0.0)
         return None
     share = 1 / sigma[mine] ** 2
     mean = float((share * rows[mine]).sum() / share.sum())
-    # The scatter between tracks counts where it is more than their own.
+    # The scatter between tracks counts where it exceeds their own.
     chi = float((share * (rows[mine] - mean) ** 2).sum() / max(mine.sum() - 1, 1))
     return mean, float(max(np.sqrt(max(chi, 1.0) / share.sum()), _FLOOR_FRAMES))
 
@@ -163,7 +167,7 @@ def _longest(seen: Detections, clock: Clock, rate: float) -> list[tuple[int, np.
         mine = np.flatnonzero(track == name)
         if len(mine) < _MIN_S * clock.fps:
             break
-        # Frames that do not come evenly go to the nearest row: late and early ones even out.
+        # Uneven frames go to the nearest row: late and early ones average out.
         row = frame[mine] if even else np.rint(own[frame[mine]] * rate).astype(int)
         dense = np.full((row.max() - row.min() + 1, *points.shape[1:]), np.nan)
         dense[row - row.min()] = points[mine]

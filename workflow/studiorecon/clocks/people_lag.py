@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""By how much one camera's keypoints come later than another's: at the right lag one epipolar geometry holds for all of
-them.
+"""The lag between two cameras' keypoints: at the right lag one epipolar geometry fits all of them.
 
 A keypoint seen by two static cameras at one moment fulfils x_b' F x_a = 0, with the same F for all moments. So F is
 fitted to all keypoints of two tracks at every lag (or known, where the cameras are calibrated), and the lag of the
 smallest residual counts. The 9 × 9 matrix of that least-squares problem holds sums over time of products of one
 camera's coordinates with the other's: for all lags at once they are cross-correlations, a few Fourier transforms.
-Keypoints are never interpolated here, which would average their noise away between frames and make half a frame look
+Keypoints are never interpolated here: that would average their noise away between frames and make half a frame look
 right (V07).
 """
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _PAIRS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
-# Where the six products of three coordinates stand in their 3 × 3 matrix.
+# Indices of the six products of three coordinates in their 3 × 3 matrix.
 _SQUARE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 _MIN_OVERLAP_S, _MIN_SHARE = 1.0, 0.3
 # One body of twelve joints at 10 frames per second has 120 in a second.
@@ -30,11 +29,11 @@ _MIN_POINTS = 100
 # Another lag further off than this must fit worse by this factor (squared residual), and so must lags this far off
 # under the same F.
 _APART_S, _MIN_RATIO = 0.3, 2.0
-# Share of a track's usual motion that makes a part of it count as moving.
+# Share of a track's usual motion above which a part of it counts as moving.
 _MOVES = 0.2
 _BLOCKS = 10
 _ROUNDS, _CLIP = 3, 3.0
-# Tracks join others whose epipolar geometry they miss by so many times as much at most, with so many points.
+# Tracks join others whose epipolar geometry they miss by at most this factor, with so many points.
 _JOINS, _MIN_JOINING = 1.5, 60
 
 Meeting = tuple[np.ndarray, np.ndarray, int]
@@ -43,8 +42,8 @@ Meeting = tuple[np.ndarray, np.ndarray, int]
 
 @dataclass(frozen=True)
 class PeopleLag:
-    """Rows (frames at ``rate``) by which the second track comes later than the first; ``ratio``: how much worse the
-    next best lag fits."""
+    """Rows (frames at ``rate``) by which the second track lags the first; ``ratio``: how much worse the second best lag
+    fits."""
 
     rows: float
     sigma_rows: float
@@ -58,12 +57,11 @@ def track_lag(
     rate: float,
     known: Float[np.ndarray, "3 3"] | None = None,
 ) -> PeopleLag | None:
-    """The lag of two tracks (T, J, 3) and (T', J, 3) of one person's keypoints, homogeneous coordinates or rays, NaN
-    where missing.
+    """The lag of two tracks (T, J, 3) and (T', J, 3) of one person's keypoints, homogeneous or rays, NaN where missing.
 
     Row t of the first is the moment of row t + lag of the second. ``known``: the 3 × 3 F with x_second' F x_first = 0;
-    None: fitted at every lag. None when the tracks are too short, or no lag stands out: nobody moves, or two people are
-    compared.
+    None: fitted at every lag. None when the tracks are too short, or no lag is clearly best, because nobody moves or
+    these are two people.
     """
     a, b = (first, second) if known is not None else (_conditioned(first), _conditioned(second))
     lags, matrices, count = _matrices(a, b)
@@ -79,7 +77,7 @@ def track_lag(
     else:
         form = np.linalg.eigh(matrices)[1][:, :, 0]
     cost = np.where(usable, np.einsum("li,lij,lj->l", form, matrices, form), np.inf)
-    # Under one lag's own F, how much worse lags beside it are: near 1 where nobody moves.
+    # How much worse neighbouring lags fit under a lag's own F: near 1 without motion.
     beside = np.full(len(lags), np.inf)
     for step in (-reach, reach):
         other = np.clip(np.arange(len(lags)) + step, 0, len(lags) - 1)
@@ -104,11 +102,11 @@ def _refined(a: np.ndarray, b: np.ndarray, start: int, known: np.ndarray | None,
 
 
 def joint_lag(tracks: Sequence[Meeting], others: Sequence[Meeting], lag: int) -> PeopleLag | None:
-    """The lag between frames of several pairs of tracks under one epipolar geometry: what everybody whom two cameras
-    share shows leaves it less freedom than one track does.
+    """The lag between frames of several pairs of tracks under one epipolar geometry, which all people of two cameras
+    determine better.
 
-    ``tracks`` agree on about ``lag`` rows; ``others`` may be of two people, or meet too shortly to say so: those that
-    fit the same geometry join. None where the parts of the clip do not tell.
+    ``tracks`` agree on about ``lag`` rows; ``others`` may be of two people, or overlap too briefly: those that fit the
+    same geometry join. None where the parts of the clip do not determine it.
     """
     of_first = _conditioning([first for first, _, _ in tracks])
     of_second = _conditioning([second for _, second, _ in tracks])
@@ -132,7 +130,7 @@ def joint_lag(tracks: Sequence[Meeting], others: Sequence[Meeting], lag: int) ->
 
 
 def _misses(x: np.ndarray, y: np.ndarray, form: np.ndarray) -> float:
-    """The median residual of what meets at the middle lag; infinite where that is too little."""
+    """The median residual of the overlap at the middle lag; infinite where it is too short."""
     rest = np.abs(_products(x, y[2:3])[0] @ form)
     rest = rest[np.isfinite(rest)]
     return float(np.median(rest)) if len(rest) >= _MIN_JOINING else np.inf
@@ -144,8 +142,10 @@ def _products(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _met(a: np.ndarray, b: np.ndarray, start: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """(N, J, 3) the rows of ``a``, and (5, N, J, 3) what of ``b`` meets them at five lags about ``start``; None where
-    that is next to nothing."""
+    """(N, J, 3) the rows of ``a``, and (5, N, J, 3) those of ``b`` that overlap them at five lags about ``start``.
+
+    None where there is almost no overlap.
+    """
     shifts = np.arange(start - 2, start + 3)
     low, high = max(0, *(-shifts)), min(len(a), *(len(b) - shifts))
     if high - low < _BLOCKS:
@@ -186,7 +186,7 @@ def _summed(weight: np.ndarray, product: np.ndarray) -> np.ndarray:
 
 
 def _vertex(total: np.ndarray, known: np.ndarray | None) -> float | None:
-    """Where between the five lags of ``total`` (5, 9, 9) the residual is least; None when that is not among the inner
+    """The fractional minimum of the residual over the five lags of ``total`` (5, 9, 9); None unless among the inner
     three."""
     if known is not None:
         form = np.broadcast_to(known.reshape(9) / np.linalg.norm(known), (5, 9))
@@ -202,7 +202,10 @@ def _vertex(total: np.ndarray, known: np.ndarray | None) -> float | None:
 
 def _conditioned(track: np.ndarray, by: tuple[np.ndarray, float] | None = None) -> np.ndarray:
     """Homogeneous coordinates about their mean, of unit spread (Hartley, In defense of the eight-point algorithm,
-    1997); or ``by`` the mean and spread of several tracks."""
+    1997).
+
+    ``by``: the mean and spread of several tracks instead.
+    """
     middle, spread = _conditioning([track]) if by is None else by
     points = track[..., :2] / track[..., 2:]
     return np.concatenate([(points - middle) / spread, np.where(np.isfinite(points[..., :1]), 1.0, np.nan)], -1)
@@ -215,10 +218,10 @@ def _conditioning(tracks: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
 
 
 def _moving(a: np.ndarray, b: np.ndarray, lags: np.ndarray, reach: int) -> np.ndarray:
-    """(L,) where the parts of both tracks that meet at a lag move at least a little as much as the whole.
+    """(L,) lags at which the overlapping parts of both tracks move at least a little as much as the whole.
 
-    Who walks evenly fits his own walk at many lags (F takes the rest), and no lag is better for lying where others do
-    not stand out.
+    A person who walks evenly fits their own walk at many lags (F absorbs the rest), so a lag without distinctive motion
+    is no better.
     """
     found = np.ones(len(lags), bool)
     for track, first in ((a, np.maximum(0, -lags)), (b, np.maximum(0, lags))):

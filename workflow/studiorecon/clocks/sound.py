@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much earlier one camera's sound track hears what another's hears: generalised cross-correlation with phase
-transform.
+"""The lag between two cameras' sound tracks: generalised cross-correlation with phase transform.
 
 Knapp & Carter, The generalized correlation method for estimation of time delay, IEEE TASSP 1976. Loudness over time
-finds the second, whatever the microphones, the room and the drift; whitened spectra of short windows find the
-millisecond, and how it changes along the clip. What nothing stands out of (a hum, noise of each microphone's own) is
+gives the second, whatever the microphones, the room and the drift; whitened spectra of short windows give the
+millisecond, and its change along the clip. Without a clear peak (a hum, each microphone's own noise) the lag is
 undetermined.
 """
 
@@ -22,14 +21,14 @@ from studiorecon.footage.sound_track import RATE_HZ
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Speech and claps; phones cut below, microphones far away lose what is above.
+# Speech and claps; phones attenuate below, distant microphones lose higher frequencies.
 _BAND_HZ = (200.0, 3600.0)
 # Loudness is compared in steps of this many samples, in this many bands.
 _HOP = 40
 _BANDS_HZ = (200.0, 500.0, 1100.0, 2000.0, 3600.0)
 _CANDIDATES = 6
 _APART_S = 0.2
-# Windows of the fine look, how far it looks about a candidate, and the drifts it tries.
+# Windows of the fine search, its range about a candidate, and the drifts to try.
 _WINDOW_S, _STEP_S = 1.0, 0.5
 _REACH_S = 0.05
 _FINER = 4
@@ -38,7 +37,7 @@ _DRIFT_PPM, _DRIFT_STEPS = 200.0, 41
 _MIN_Z, _MIN_RATIO = 8.0, 1.5
 _ECHO_S = 0.02
 _MIN_OVERLAP_S = 1.5
-# What one window's lag is good for, and how far crystals are off, both as standard deviations.
+# Sigma of one window's lag, and of crystals' frequencies.
 _LAG_NOISE_S, _CRYSTAL = 1e-4, 50e-6
 _ROUNDS = 5
 # Longest stretch that is searched for the second, seconds: two sound tracks of ten minutes take a second.
@@ -47,15 +46,15 @@ _SEARCHED_S = 600.0
 
 @dataclass(frozen=True)
 class SoundLag:
-    """What comparing two sound tracks says: how much later the first one's file hears, and by how much its clock runs
-    faster.
+    """Result of comparing two sound tracks: how much later the first one's file hears, and how much faster its clock
+    runs.
 
     Attributes:
         lag_s: seconds of the first one's file minus those of the other's, at ``middle_s`` of the first one's.
-        sigma_s: its standard deviation, by the scatter between parts of the clip.
-        drift_ppm: by how many millionths of a second the lag grows every second.
-        drift_sigma_ppm: its standard deviation; that of crystals where the clip is too short to tell.
-        valid: False when nothing stands out, for the ``reason``.
+        sigma_s: its sigma, from the scatter between parts of the clip.
+        drift_ppm: millionths of a second by which the lag grows every second.
+        drift_sigma_ppm: its sigma; that of crystals where the clip is too short.
+        valid: False without a clear peak, for the ``reason``.
     """
 
     lag_s: float
@@ -130,8 +129,7 @@ def _coarse(first: np.ndarray, second: np.ndarray) -> list[float]:
 
 
 def _fine(first: np.ndarray, second: np.ndarray, lag_s: float) -> tuple[float, float, SoundLag]:
-    """The peak's height over the scatter, its ratio to the next peak, and what it says, within ``_REACH_S`` of
-    ``lag_s``."""
+    """The peak's height over the scatter, its ratio to the next peak, and its lag, within ``_REACH_S`` of ``lag_s``."""
     shift = round(lag_s * RATE_HZ)
     a, b = (first[shift:], second) if shift >= 0 else (first, second[-shift:])
     length = min(len(a), len(b))
@@ -146,7 +144,7 @@ def _fine(first: np.ndarray, second: np.ndarray, lag_s: float) -> tuple[float, f
     for row, ppm in enumerate(tried):
         for moved, curve, w in zip(np.rint(1e-6 * ppm * (times - middle) / step).astype(int), correlation, weight):
             summed[row] += w * np.roll(curve, -moved)
-        # Crystals are within tens of millionths: of drifts that fit alike the least counts.
+        # Crystals are within tens of millionths: of drifts that fit equally, the least counts.
         summed[row] *= 1 - 0.05 * (ppm / _DRIFT_PPM) ** 2
     scatter = 1.4826 * np.median(np.abs(summed - np.median(summed))) + 1e-12
     row, best = (int(i) for i in np.unravel_index(int(np.argmax(summed)), summed.shape))
@@ -155,7 +153,7 @@ def _fine(first: np.ndarray, second: np.ndarray, lag_s: float) -> tuple[float, f
     z = float(summed[row, best]) / scatter
     heard = _settled(times - middle, correlation, weight, best, float(tried[row]), step)
     offset = shift / RATE_HZ + heard.lag_s - _REACH_S
-    # Times of the first track: the windows count from where both begin.
+    # Times of the first track: the windows count from the later start.
     begin = max(shift, 0) / RATE_HZ
     return (
         z,
@@ -165,8 +163,8 @@ def _fine(first: np.ndarray, second: np.ndarray, lag_s: float) -> tuple[float, f
 
 
 def _windows(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Middles (W,) in seconds, whitened correlations (W, lags) at ``_FINER`` times the rate, and what each window
-    counts."""
+    """Middles (W,) in seconds, whitened correlations (W, lags) at ``_FINER`` times the rate, and each window's
+    weight."""
     size, step = round(_WINDOW_S * RATE_HZ), round(_STEP_S * RATE_HZ)
     reach = round(_REACH_S * RATE_HZ)
     begins = np.arange(0, len(a) - size + 1, step)
@@ -183,7 +181,7 @@ def _windows(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
         white = np.where(inside, cross / (np.abs(cross) + 1e-20), 0)
         curve = np.fft.irfft(white, padded * _FINER)
         found[i] = np.concatenate([curve[-reach * _FINER :], curve[: reach * _FINER + 1]])
-    # A window in which one of the two hears nothing beyond its usual noise is noise: it counts a tenth.
+    # A window in which one of the two has only its usual noise counts a tenth.
     quiet = np.maximum(np.quantile(power, 0.2, axis=1, keepdims=True), 1e-14)
     weight = np.minimum(np.sqrt(np.maximum(power / quiet - 1, 0)).min(0), 10.0) + 0.1
     return (begins + size / 2) / RATE_HZ, found, weight
@@ -221,7 +219,7 @@ def _settled(
         middle = float(rest[order][np.searchsorted(np.cumsum(w[order]), 0.5 * w.sum())]) + 0.2 * step
         robust = 1 / np.maximum(rest / (3 * middle), 1.0) ** 2
     inverse = np.linalg.inv(information + np.diag([0.0, (_LAG_NOISE_S / _CRYSTAL) ** 2]))
-    # Neighbouring windows share half of what they hear: together they count as one.
+    # Neighbouring windows share half of their sound: together they count as one.
     scatter = 2 * inverse @ (columns.T @ (((w * rest) ** 2)[:, None] * columns)) @ inverse
     sigma = np.sqrt(np.diag(scatter) + np.diag(inverse) * _LAG_NOISE_S**2)
     return SoundLag(float(solution[0]), float(sigma[0]), 1e6 * float(solution[1]), 1e6 * float(sigma[1]), True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When every frame of some footage was taken by the camera's own clock, and the moments that all cameras share."""
+"""Times of a footage's frames by the camera's own clock, and the moments that all cameras share."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from studiorecon.footage.source import FootageSource
 from studiorecon.footage.timing import EVEN_S
 from studiorecon.scene.clocks import Clock, Clocks
 
-# Moments this much of a frame before or after a camera's first or last one are still its own.
+# Moments within this much of a frame before or after a camera's first or last one still belong to it.
 _REACH_FRAMES = 0.5 + 1e-3
 
 
@@ -22,9 +22,9 @@ class Timeline:
 
     Attributes:
         fps: frames per second.
-        frames: how many there are.
-        first_s: when the first one is shown.
-        times_s: of every frame after the first, where they do not come evenly; else empty.
+        frames: number of frames.
+        first_s: time of the first one.
+        times_s: of every frame after the first, where they are uneven; else empty.
     """
 
     fps: float
@@ -34,7 +34,7 @@ class Timeline:
 
 
 def read_timeline(source: FootageSource) -> Timeline:
-    """The times of ``source``, without those that its rate says as well."""
+    """The timeline of ``source``; times are left out where its rate gives the same."""
     if not source.times_s:
         return Timeline(source.fps, source.frames, 0.0)
     own = np.array(source.times_s) - source.times_s[0]
@@ -43,16 +43,16 @@ def read_timeline(source: FootageSource) -> Timeline:
 
 
 def clock_as_filmed(camera: str, line: Timeline) -> Clock:
-    """The camera as filmed: its first frame is at 0."""
+    """The clock of a camera as filmed: its first frame is at 0."""
     return Clock(camera, line.fps, line.frames, line.times_s)
 
 
 def common_moments(clocks: Sequence[Clock], first: int, count: int) -> Clocks:
     """The moments that all ``clocks`` have in common, from the ``first`` of them on, ``count`` of them (0: all).
 
-    Their rate is that of most cameras whose frames come evenly, the slower of two. They lie where the frames of one
-    camera do: the one to which all others are nearest, so that nothing is resampled that need not be. Where there is no
-    such moment, ``refusal`` says so.
+    Their rate is that of most cameras with even frames, the slower of two. They are at the frames of one camera, the
+    one to which all others are nearest, so that no more than necessary is resampled. Where there is no such moment,
+    ``refusal`` says so.
     """
     rates = sorted(round(c.fps, 4) for c in clocks if not c.times_s) or sorted(round(c.fps, 4) for c in clocks)
     usual = max(rates, key=lambda rate: (rates.count(rate), -rate))
