@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far refinement has turned and moved every camera, for the report and the log."""
+"""The rotation and translation of every camera by refinement, for the report and the log."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def pose_and_lens_changes(
     given: Sequence[Camera], refined: Sequence[Camera], radial: Float[np.ndarray, " V"]
 ) -> list[dict[str, Any]]:
-    """A row for each camera: its turn and move, by how much its focal length is longer, and its ``radial`` term."""
+    """A row for each camera: its turn and move, the change of its focal length, and its ``radial`` term."""
     changes = []
     for old, new, k1 in zip(given, refined, np.broadcast_to(radial, len(given))):
         turned = new.camera_from_world[:3, :3] @ old.camera_from_world[:3, :3].T
@@ -39,6 +39,6 @@ def pose_and_lens_changes(
 def changes_since_refinement(
     given: Sequence[Camera], refined: Sequence[Camera], report: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """The same, with the radial terms that an earlier refinement told in ``report``."""
+    """The same, with the radial terms of an earlier refinement in ``report``."""
     radial = [change["radial_k1"] for change in report.get("changes", [])] or [0.0] * len(given)
     return pose_and_lens_changes(given, refined, np.array(radial))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cameras that people accept and the room's straight edges contradict, put right by both (``rig.edge_refinement``)."""
+"""Corrects cameras that fit people but contradict the room's straight edges, by both (``rig.edge_refinement``)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def apply_edge_refinement(
     limits: Limits,
     bundle: BundleSettings,
 ) -> tuple[list[Camera], dict[str, Any]]:
-    """The cameras where the room's straight edges clearly call for others, if people are hardly the worse for it."""
+    """The cameras, refined where the room's straight edges clearly require it and people fit almost as well."""
     before = edge_contradiction(adjusted, edge_rotations(adjusted, rooms))
     if before is None or not len(seen.frame):
         return adjusted, report

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the room's floor says of cameras that stand about where they were calibrated, and a refinement that keeps it."""
+"""Refines cameras on the room's floor, if they are about where they were calibrated, and keeps the floor level."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_refinement import CALLED_SIGMAS, refine_on_room, standing_area
 from studiorecon.scene.camera import Camera
 
-# How far a floor that is not far off may lie beside itself, metres: at first, and once that was made use of.
+# Largest difference of a slightly wrong floor between cameras, metres: at first, and after its use.
 _ROOM_REACH_M = (0.15, 0.08)
-# How much worse people may fit where the floor moves cameras that stood about right. On a real take they fitted 12 %
-# worse, and what a camera that was left out sees was drawn 0.2 dB worse.
+# How much worse people may fit where the floor moves cameras that were about right. On a real take they fitted 12 %
+# worse, and an omitted camera's view was drawn 0.2 dB worse.
 _PEOPLE_COST = 1.05
 
 
@@ -36,9 +36,8 @@ def apply_floor_refinement(
     limits: Limits,
     bundle: BundleSettings,
 ) -> tuple[list[Camera], dict[str, Any]]:
-    """The cameras where the room's floor calls for them too, if it explains itself and people are not the worse for
-    it."""
-    # Nearly always cameras stand where they are said to, and one look at the floor shows it.
+    """The cameras, refined on the room's floor too, if the floor is consistent and people fit as well."""
+    # Nearly always the cameras are right, and one comparison of the floor shows it.
     marks = floor_marks(adjusted, rooms, *standing_area(adjusted, seen, limits), _ROOM_REACH_M[0])
     if marks is None:
         return adjusted, report
@@ -75,7 +74,7 @@ def apply_floor_refinement(
 def keep_floor_level(
     given: list[Camera], adjusted: list[Camera], seen: Observations, report: dict[str, Any], limits: Limits
 ) -> tuple[list[Camera], dict[str, Any]]:
-    """The refined cameras, all of them moved back by as much as what people stand on has tilted and risen."""
+    """The refined cameras, moved together so that the floor under people keeps its tilt and height."""
     if not report["refined"] or not len(seen.frame):
         return adjusted, report
     before, after = (triangulate(seen.pixels, seen.confidence, c, limits) for c in (given, adjusted))

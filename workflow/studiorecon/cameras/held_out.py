@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cameras.held_out``: do the held-out cameras stand where they are said to? Their poses, put right on the people
-where those clearly call for it.
+"""``cameras.held_out``: checks the poses of the held-out cameras, and corrects them on people where clearly needed.
 
-Scores at a camera that was moved since it was calibrated say nothing about the reconstruction. So the detector looks at
-a few of its pictures, at the places where the other cameras say that people are. What it finds moves this camera alone:
-no picture of it reaches anything that is reconstructed. People's joints, of which there are many, decide over six
-numbers, which flatters people's scores a little where a camera is moved; the page names every one that was.
+Scores at a camera that was moved since it was calibrated measure nothing about the reconstruction. So the detector
+searches a few of its pictures at the positions of people from the other cameras. Its detections move this camera alone:
+none of its pictures affects the reconstruction. People's many joints determine six numbers, which improves people's
+scores slightly where a camera is moved; the page names every moved one.
 """
 
 from __future__ import annotations
@@ -42,26 +41,26 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# Pictures that are looked at in every held-out camera.
+# Pictures that are searched in every held-out camera.
 _LOOKS = 12
 _STABLE = [LAYOUTS[LAYOUT].index(name) for name in STABLE_KEYPOINTS]
 
 
 @dataclass(frozen=True)
 class Settings(refine.Settings):
-    """As for the cameras that take part."""
+    """As for the training cameras."""
 
 
 @dataclass(frozen=True)
 class Bodies:
-    """Joints of everybody whom the training cameras place: (G, F, 12, 3) metres, NaN unknown, of G people in the frames
-    ``frame`` (F,)."""
+    """Joints of all people that the training cameras place: (G, F, 12, 3) metres, NaN unknown, in the frames ``frame``
+    (F,)."""
 
     frame: Integer[np.ndarray, " F"]
     points_m: Float[np.ndarray, "G F 12 3"]
 
     def at(self, frame: int, late_frames: float) -> Float[np.ndarray, "G 12 3"]:
-        """(G, 12, 3) joints ``late_frames`` after a frame, on the line to the next one."""
+        """(G, 12, 3) joints ``late_frames`` after a frame, interpolated to the next one."""
         here = int(np.searchsorted(self.frame, frame))
         beside = here + int(np.sign(late_frames))
         if not late_frames or not 0 <= beside < len(self.frame) or abs(self.frame[beside] - frame) != 1:
@@ -73,7 +72,7 @@ class Bodies:
 def bodies_in(
     frames: Integer[np.ndarray, " F"], training: Sequence[Camera], detections: Sequence[Detections], settings: Settings
 ) -> Bodies:
-    """Where the training cameras agree that joints are, in ``frames`` and beside them."""
+    """Joints on which the training cameras agree, in ``frames`` and their neighbours."""
     wanted = np.unique(np.concatenate([frames - 1, frames, frames + 1]))
     wanted = wanted[(wanted >= 0)]
     seen, _ = observe(detections, training, wanted, settings.gate_m)
@@ -95,8 +94,11 @@ def redetect(
     bodies: Bodies,
     late_frames: Float[np.ndarray, " F"],
 ) -> tuple[ObservedJoints, int]:
-    """What the network finds in ``pictures`` (those of ``frames``) where ``bodies`` are by the camera as it is given,
-    and at how many places it looked."""
+    """The network's detections in ``pictures`` of ``frames`` at the projected ``bodies``, and the number of places
+    searched.
+
+    The projection uses the camera as given.
+    """
     rows, places = [], 0
     for frame, picture in zip(frames, pictures):
         everybody = bodies.at(frame, float(late_frames[frame]))
@@ -107,7 +109,7 @@ def redetect(
                 continue
             places += 1
             first = look_again(network, picture, region)
-            # The network's own region is the better one, above all where the camera stands elsewhere.
+            # The network's own region is better, especially if the camera's pose is wrong.
             seen = (look_again(network, picture, first.next_region) or first) if first is not None else None
             if seen is None:
                 continue
@@ -153,11 +155,10 @@ def run(
     heldout_model: Written,
     poses: Written,
 ) -> None:
-    """Write the COLMAP model ``heldout_model`` (its images.txt) and ``poses`` (JSON: what was found of every camera).
+    """Write the COLMAP model ``heldout_model`` (its images.txt) and ``poses`` (JSON: the result for every camera).
 
     ``given_model``: images.txt of the held-out cameras as calibrated; ``videos``: theirs; ``detections``: those of the
-    training cameras, ``model``. ``networks``, ``second`` and
-    ``layout`` as in ``detect.people``.
+    training cameras, ``model``. ``networks``, ``second`` and ``layout`` as in ``detect.people``.
     """
     cameras, training = read_model(given_model.parent), read_model(model.parent)
     common, frames = read_clocks(clocks), read_manifest(manifest).frames

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cameras.refine``: check the calibration on the people in it, improve it where that clearly helps, write the camera
+"""``cameras.refine``: checks the calibration on people, improves it where that clearly helps, writes the camera
 models."""
 
 from __future__ import annotations
@@ -54,17 +54,19 @@ if TYPE_CHECKING:
 
 _FOOT_HEIGHT_M = 0.08
 _MAX_CONTRADICTED = 0.5
-# Share of the allowed error past which it is asked whether cameras were exchanged.
+# Share of the allowed error above which a swap of cameras is tested.
 _SUSPICIOUS = 0.5
-# How much worse other lenses at the given poses may fit than cameras that were moved.
+# How much worse other lenses at the given poses may fit than moved cameras.
 _ABOUT_AS_WELL = 1.1
 
 
 @dataclass(frozen=True)
 class Settings(AgreementLimits, CalibrationPrior):
-    """How the calibration is checked and refined, on ``frames`` spread over the clip, every other one of which judges
-    the fit that the rest made: refined poses are kept when their median reprojection error there falls by the share
-    ``min_gain``. ``lens_change`` says when lenses may change too."""
+    """Settings of the check and refinement, on ``frames`` spread over the clip.
+
+    Every other frame is the validation split: refined poses are kept when their median reprojection error there falls
+    by the share ``min_gain``. ``lens_change`` sets when lenses may change too.
+    """
 
     refine: bool = setting(
         True,
@@ -79,12 +81,12 @@ class Settings(AgreementLimits, CalibrationPrior):
 
 @dataclass(frozen=True)
 class Refinement:
-    """The cameras to use and everything that is told about it.
+    """The cameras to use, and the report about them.
 
     Attributes:
         training, held_out: cameras.
         points_m: (N, 3) triangulated keypoints.
-        report: what goes into ``refinement.json``.
+        report: the content of ``refinement.json``.
     """
 
     training: list[Camera]
@@ -112,8 +114,10 @@ def decide(
     settings: Settings,
     rooms: Sequence[RoomPicture | None] = (),
 ) -> Refinement:
-    """The cameras to use, with the reasons; raises UserError when the people say that the calibration is not of these
-    cameras. ``rooms``: the room as each training camera sees it, where there are pictures of it."""
+    """The cameras to use, with the reasons; raises UserError when people show that the calibration is of other cameras.
+
+    ``rooms``: the room in each training camera, where there are pictures of it.
+    """
     report: dict[str, Any] = {
         "cameras": [c.name for c in training],
         "held_out": [c.name for c in held_out],
@@ -134,7 +138,7 @@ def decide(
     before_px = before if np.isfinite(before) else None
     few = chosen[:: max(1, len(chosen) // 6)]
     told = settings.gate_m, settings.min_gain, settings.limits, settings.bundle
-    # The others agree all the same where one of them was knocked.
+    # The others still agree if one of them was knocked.
     alone = any(e is None and len(d.frame) for e, d in zip(before_each, detections))
     anew = (
         relocalise(
@@ -158,7 +162,7 @@ def decide(
         refuse_swapped(training, detections, chosen, settings.gate_m, settings.limits, before, moved_px)
     if anew is not None or not len(points) or any(e is None or e > limit for e in before_each):
         odd = find_outlier_camera(training, detections, chosen, settings.gate_m, settings.limits)
-        # A camera that was knocked and one whose picture was cropped look alike; the former is put right.
+        # A knocked camera and one with a cropped picture look the same; the former is corrected.
         if odd is not None and (anew is None or (odd.cause and not odd.turned)):
             raise UserError(odd.sentence())
     if anew is not None:
@@ -213,8 +217,8 @@ def decide(
 
 
 def _lenses_instead(given: list[Camera], seen: Observations, moved_px: float, settings: Settings) -> bool:
-    """Whether other lenses at nearly the given poses explain people about as well as other poses: a zoom ring is easier
-    to touch."""
+    """Whether other lenses at nearly the given poses explain people about as well as other poses, because zoom rings
+    move easily."""
     order = np.unique(seen.frame, return_inverse=True)[1]
     fit_on, judge_on = seen.of(order % 2 == 0), seen.of(order % 2 == 1)
     trial = fitted(given, fit_on, settings.limits, settings.bundle)
@@ -249,9 +253,10 @@ def _nothing_agrees(
 def _try_refinement(
     training: list[Camera], seen: Observations, report: dict[str, Any], settings: Settings
 ) -> tuple[list[Camera], Observations, dict[str, Any]]:
-    """Fit on every other frame, judge on the rest; refit on all frames when it clearly helps.
+    """The refined cameras if they clearly help, and the observations without their radial term, for the reported
+    errors.
 
-    Returns the cameras, and the observations without whatever radial term was found, for the errors that are reported.
+    Fitted on every other frame and judged on the rest; then fitted again on all frames.
     """
     limits, bundle, gain = settings.limits, settings.bundle, settings.min_gain
     order = np.unique(seen.frame, return_inverse=True)[1]
@@ -319,7 +324,7 @@ def _log_changes(report: dict[str, Any], focal: bool, radial: bool) -> None:
 def _on_floor(
     training: list[Camera], held_out: list[Camera], seen: Observations, points: np.ndarray, settings: Settings
 ) -> tuple[list[Camera], list[Camera], np.ndarray]:
-    """Everything moved along z so that people's ankles, at their lowest, stand on the floor."""
+    """Cameras and points moved along z so that people's ankles, at their lowest, are on the floor."""
     floor = float(np.quantile(points[:, 2], 0.02)) - _FOOT_HEIGHT_M
     say(f"the floor was put under people's feet: the world moved by {-floor:.3f} m along z")
     shift = np.array([0.0, 0.0, floor])
@@ -342,7 +347,10 @@ def run(
     sheet: Written,
 ) -> None:
     """Write the COLMAP models ``model`` and ``heldout_model`` (their images.txt), ``refinement`` (JSON) and ``sheet``
-    (PNG). ``plates`` are the training cameras'."""
+    (PNG).
+
+    ``plates`` are the training cameras'.
+    """
 
     found = read_manifest(manifest)
     given = read_calibration(calibration)
