@@ -28,7 +28,7 @@ from studiorecon.background import train
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.footage.stills import read_plate
 from studiorecon.images.metrics import psnr, ssim, ssim_map
-from studiorecon.report.metrics.truth import read_views, seen_by, true_pixels
+from studiorecon.report.metrics.truth import is_visible, read_views, true_pixels
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.splatting.cpu.rasterise import Rasteriser
@@ -104,7 +104,7 @@ def wanted(scene: Path, truth: Path) -> list[tuple[Camera, np.ndarray, np.ndarra
         real = np.isfinite(depth_m) & (depth_m > 0)
         points = own.camera.unproject(true_pixels(camera, own.camera), np.where(real, depth_m, 1.0).astype(np.float64))
         seen = [
-            seen_by(points, real, known[name].camera, known[name].room_depth_m, (_SEEN,))[0][0] for name in training
+            is_visible(points, real, known[name].camera, known[name].room_depth_m, (_SEEN,))[0][0] for name in training
         ]
         found.append((camera, plate, np.any(seen, axis=0)))
     return found
@@ -167,7 +167,7 @@ def main() -> None:
     settings = loaded(synthesize.Settings)
     given = options_of(options.scene, options.threads)
     photos = synthesize.read_photos(given["model"], given["plates"], given["depths"], [], settings.depth_jump)
-    warped = synthesize.views_of([camera for camera, _, _ in views], photos, settings)
+    warped = synthesize.synthesize_views([camera for camera, _, _ in views], photos, settings)
     table[WARPED] = scored([picture / np.float32(255) for picture, _ in warped], views)
     print(WARPED, {key: round(value, 3) for key, value in table[WARPED].items()}, flush=True)
     written(table, options.seeds)

@@ -119,7 +119,7 @@ def board(data: Path) -> dict[str, Any]:
     folder = data / "caliscope_webcams"
     names = [f"cam_{i}" for i in range(4)]
     reading = calibration.read_calibration([folder / "camera_array.toml"])
-    lenses = calibration.lenses_of(reading, "camera_array.toml", names, {}, loaded(calibration.Settings))[0]
+    lenses = calibration.paired_lenses(reading, "camera_array.toml", names, {}, loaded(calibration.Settings))[0]
     seen: dict[tuple[str, str], dict[int, np.ndarray]] = {}
     place: dict[str, np.ndarray] = {}
     with (folder / "calibration_session" / "xy.csv").open(encoding="utf-8") as file:

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.calibration import from_people
-from studiorecon.calibration.room_pictures import edges_of
+from studiorecon.calibration.room_pictures import room_edges
 from studiorecon.errors import UserError
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.rig.correspondences import observe
@@ -63,7 +63,7 @@ def height_m(cameras: Sequence[Camera], seen: Sequence[Detections], body: BodyMo
 def judged(take: Filmed, frames: int, told: bool, room: str, body: BodyModel) -> dict[str, Any]:
     """Cameras from the first ``frames`` frames, and how far they are from the calibrations; ``told``: with focal
     lengths, ``room``: how much of what the empty room shows is looked at (``ROOM``)."""
-    edges = edges_of(take.rooms) if room != "nothing" else {}
+    edges = room_edges(take.rooms) if room != "nothing" else {}
     rooms = take.rooms if room == "floor" else {}
     focal = {c.name: float(np.mean(c.focal_px)) for c in take.cameras} if told else {}
     given = GivenLengths(height_m={"": height_m(take.cameras, take.seen, body)})

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 from studiorecon.calibration import files as calibration
-from studiorecon.calibration.doctor import nobody
-from studiorecon.calibration.room_pictures import rooms_of, without_distortion
+from studiorecon.calibration.doctor import empty_detections
+from studiorecon.calibration.room_pictures import read_room_pictures, without_distortion
 from studiorecon.detect import keypoints as sightings
 from studiorecon.detect import people as detect
 from studiorecon.footage.source import open_source
@@ -110,10 +110,14 @@ def the_man(folder: Path) -> Filmed:
     read = []
     for name in ("Calib.qca.txt", "Calib_scene.toml"):
         reading = calibration.read_calibration([take / "calibration" / name])
-        lenses = calibration.lenses_of(reading, name, list(MAN), dataset.pixel_maps, loaded(calibration.Settings))[0]
+        lenses = calibration.paired_lenses(reading, name, list(MAN), dataset.pixel_maps, loaded(calibration.Settings))[
+            0
+        ]
         read.append({lens.name: lens for lens in lenses})
-    pinholes = [[undistorted(nobody(c), lenses[c], size[c])[0] for c in MAN] for lenses in read]
-    return Filmed("man", 60.0, 100, pinholes[0], read[0], seen, rooms_of(MAN, videos, size), pinholes[1], read[1])
+    pinholes = [[undistorted(empty_detections(c), lenses[c], size[c])[0] for c in MAN] for lenses in read]
+    return Filmed(
+        "man", 60.0, 100, pinholes[0], read[0], seen, read_room_pictures(MAN, videos, size), pinholes[1], read[1]
+    )
 
 
 def the_demo(folder: Path) -> Filmed:
@@ -124,9 +128,9 @@ def the_demo(folder: Path) -> Filmed:
     videos = [films / "videos" / f"{c}.mp4" for c in DEMO]
     seen, size = sighted(DEMO, videos, {}, folder / "demo")
     reading = calibration.read_calibration([films / "intri.yml", films / "extri.yml"])
-    lenses = calibration.lenses_of(reading, "demo", list(DEMO), {}, loaded(calibration.Settings))[0]
-    pinholes = [undistorted(nobody(n.name), n, size[n.name])[0] for n in lenses]
-    rooms = rooms_of(DEMO, videos, size)
+    lenses = calibration.paired_lenses(reading, "demo", list(DEMO), {}, loaded(calibration.Settings))[0]
+    pinholes = [undistorted(empty_detections(n.name), n, size[n.name])[0] for n in lenses]
+    rooms = read_room_pictures(DEMO, videos, size)
     return Filmed("demo", 30.0, 60, pinholes, {n.name: n for n in lenses}, seen, rooms, [], {})
 
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 from studiorecon.keypoints.film_check import Film, Verdict, checked
-from studiorecon.keypoints.motion import motion_of, small
+from studiorecon.keypoints.motion import measure_motion, small
 from studiorecon.keypoints.numbering import numberings
 from studiorecon.keypoints.possible_readings import affine
 from studiorecon.scene.recorded import Recorded
@@ -108,7 +108,7 @@ def verdict(own: Take, given: Recorded, other: Take, stored_wh: tuple[int, int] 
     """What is decided about keypoints ``given`` for the film of ``own``, stored with so many pixels."""
     frames = len(own.pictures)
     wanted = np.unique(np.linspace(0, frames - 1, 64).round().astype(int)).tolist()
-    motion = motion_of(wanted, [small(own.pictures[t]) for t in wanted], own.wh)
+    motion = measure_motion(wanted, [small(own.pictures[t]) for t in wanted], own.wh)
     film = Film("a", own.wh, frames, motion, affine(1, 1), 0.5, stored_wh)
     numbers = numberings(given.pictures, frames, own.fps, None, given.counted)
     return checked(given, numbers, film, lambda: {"b": other.recorded})

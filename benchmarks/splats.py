@@ -28,7 +28,7 @@ from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.splatting.train import state
 from studiorecon.splatting.train.blocked_set import BlockedSet
 from studiorecon.splatting.train.targets import DrawOrder, Target
-from studiorecon.splatting.train.terms import terms_of
+from studiorecon.splatting.train.terms import active_terms
 
 from benchmarks import peers
 from tests.made.gaussians import camera, camera_on_ring, room
@@ -125,13 +125,13 @@ def training(count: int, width: int, height: int, threads: int, iterations: int)
         sh=np.zeros_like(truth.sh),
     )
     settings = replace(SETTINGS, iterations=iterations, sh_degree=3, warmup_half_resolution=0.0, cap=count)
-    run, terms = BlockedSet(start, targets, settings, rng, 4.0, threads), terms_of(settings)
+    run, terms = BlockedSet(start, targets, settings, rng, 4.0, threads), active_terms(settings)
     order = DrawOrder([1.0] * VIEWS, np.random.default_rng(0))
     began, processor = time.perf_counter(), time.process_time()
     for iteration in range(iterations):
         one_step(run, terms, iteration, order.draw())
     wall_s, processor_s = time.perf_counter() - began, time.process_time() - processor
-    trained, errors = state.gaussians_of(run.state), []
+    trained, errors = state.state_gaussians(run.state), []
     for view in (camera_on_ring(i + 0.5, 12, width, height) for i in range(12)):
         drawn, wanted = (rasteriser.forward(g, view).rgb.clip(0, 1) for g in (trained, truth))
         errors.append(float(((drawn - wanted) ** 2).mean()))

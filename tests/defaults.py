@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 from studiorecon.configuration import settings as settings_module
-from studiorecon.configuration.step_settings import section_of
+from studiorecon.configuration.step_settings import find_section
 
 ROOT = Path(__file__).parents[1]
 
@@ -31,7 +31,7 @@ def _config() -> dict[str, Any]:
 def default_settings(step: str, **changes: Any) -> dict[str, Any]:
     """What config/config.yaml has for a step, or for all steps of a stage, with some values replaced, also such that
     are no settings but constants of the step's; of a group only those that are named."""
-    values: dict[str, Any] = copy.deepcopy(section_of(step, _config()))
+    values: dict[str, Any] = copy.deepcopy(find_section(step, _config()))
     stage = step.partition(".")[0]
     unknown = set(changes) - set(values)
     assert unknown <= _constants(step), f"config section {stage} has no {unknown}"

@@ -10,7 +10,7 @@ import pytest
 from studiorecon.calibration.choose import chosen
 from studiorecon.calibration.files import Settings
 from studiorecon.calibration.formats.reading import Reading
-from studiorecon.calibration.given_lenses import ideal, posed, straight
+from studiorecon.calibration.given_lenses import ideal_pinhole, lens_at_pose, undistort_detections
 from studiorecon.calibration.names import pairings
 from studiorecon.camera_files.raw_camera import RawCamera
 from studiorecon.errors import UserError
@@ -247,13 +247,13 @@ def test_points_seen_through_a_known_lens_are_straightened_before_poses_are_foun
     rays = (seen.keypoints[..., :2] - camera.principal_px) / camera.focal_px
     points = seen.keypoints.copy()
     points[..., :2] = distort(rays, "opencv", distortion) * [900, 920] + [660, 340]
-    found = straight(replace(seen, keypoints=points), lens, camera.wh)
-    wanted = ideal(lens, camera.wh)
+    found = undistort_detections(replace(seen, keypoints=points), lens, camera.wh)
+    wanted = ideal_pinhole(lens, camera.wh)
     present = found.keypoints[..., 2] > 0
     assert present.any()
     expected = rays * wanted.focal_px + wanted.principal_px
     assert np.abs(found.keypoints[..., :2] - expected)[present].max() < 1e-6
     longer = replace(wanted, intrinsics=wanted.intrinsics * [[1.01, 1, 1], [1, 1.01, 1], [1, 1, 1]])
-    back = posed(lens, replace(longer, camera_from_world=camera.camera_from_world))
+    back = lens_at_pose(lens, replace(longer, camera_from_world=camera.camera_from_world))
     assert np.allclose(np.diag(back.intrinsics)[:2], [909, 929.2])
     assert np.array_equal(back.camera_from_world, camera.camera_from_world)

@@ -40,7 +40,7 @@ def examined(given: list[Camera], options, shift: dict[str, int] | None = None, 
         replace(d, frame=d.frame + (shift or {}).get(d.camera, 0))
         for d in detect(ring(), PEOPLE, 1.5, np.random.default_rng(0))
     ]
-    return doctor.examined(given, seen, about(given, **changed), options)[0]
+    return doctor.examine(given, seen, about(given, **changed), options)[0]
 
 
 def test_a_good_capture_needs_nothing(options):
@@ -97,8 +97,8 @@ def test_swapped_cameras_are_named(options, pair):
 
 def test_a_held_out_camera_without_keypoints_is_no_fault(options):
     cameras = ring(5)
-    seen = [*detect(cameras, PEOPLE, 1.5, np.random.default_rng(0))[:4], doctor.nobody("c4")]
-    report = doctor.examined(cameras, seen, about(cameras, c4={"keypoints": False}), options)[0]
+    seen = [*detect(cameras, PEOPLE, 1.5, np.random.default_rng(0))[:4], doctor.empty_detections("c4")]
+    report = doctor.examine(cameras, seen, about(cameras, c4={"keypoints": False}), options)[0]
     assert report["verdict"] == "good"
     assert ["c4 has no keypoints" in a for a in report["advice"]] == [True]
 
@@ -154,7 +154,7 @@ def test_what_was_found_about_clocks_comes_first(options):
         "refusal": "videos/c2.mp4 has 40 frames and …",
     }
     seen = detect(ring(), PEOPLE, 1.5, np.random.default_rng(0))
-    report = doctor.examined(ring(), seen, about(ring()), options, sync=sync)[0]
+    report = doctor.examine(ring(), seen, about(ring()), options, sync=sync)[0]
     assert (report["verdict"], report["advice"][0]) == ("check", sync["refusal"])
     html = doctor_page.page("scene", report, b"png")
     assert html.index("210.00 frames") < html.index("What to check")

@@ -37,7 +37,7 @@ def examined(
 ) -> dict[str, Any]:
     """What the doctor says of ``given`` cameras, where ``ring()``'s filmed people."""
     seen = detect(ring(), list(people), px, np.random.default_rng(2))[: len(given)]
-    return doctor.examined(given, seen, about(given), loaded(doctor.Settings), rooms=rooms)[0]
+    return doctor.examine(given, seen, about(given), loaded(doctor.Settings), rooms=rooms)[0]
 
 
 def about(cameras: Sequence[Camera]) -> list[dict[str, Any]]:
@@ -125,9 +125,9 @@ def test_a_camera_that_only_judges_takes_no_part() -> None:
     given = about_the_spot(ring(), OFF_DEG)
     alone = examined(given, pictured(ring()))["edges"]
     held_out = replace(ring(5)[4], name="view")
-    seen = [*detect(ring(), ON_ONE_SPOT, 6.0, np.random.default_rng(2)), doctor.nobody("view")]
+    seen = [*detect(ring(), ON_ONE_SPOT, 6.0, np.random.default_rng(2)), doctor.empty_detections("view")]
     rooms = [*pictured(ring()), None]
-    judged = doctor.examined([*given, held_out], seen, about([*given, held_out]), loaded(doctor.Settings), rooms=rooms)
+    judged = doctor.examine([*given, held_out], seen, about([*given, held_out]), loaded(doctor.Settings), rooms=rooms)
     assert judged[0]["edges"]["moves"].keys() == alone["moves"].keys()
     assert judged[0]["edges"]["between_deg"] < 1.2 * alone["between_deg"]
     assert judged[0]["edges"]["mended"]

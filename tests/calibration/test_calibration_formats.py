@@ -218,8 +218,8 @@ def test_the_switch_reads_poses_that_break_their_convention(poses):
         "opengl": _FLIP @ camera.camera_from_world,
         "world_from_camera_opengl": camera.world_from_camera @ _FLIP,
     }[poses]
-    assert np.abs(calibration.meant(wrong, poses) - camera.camera_from_world).max() < 1e-12
-    assert np.abs(calibration.meant(camera.camera_from_world, "as_read") - camera.camera_from_world).max() == 0
+    assert np.abs(calibration.normalise_pose(wrong, poses) - camera.camera_from_world).max() < 1e-12
+    assert np.abs(calibration.normalise_pose(camera.camera_from_world, "as_read") - camera.camera_from_world).max() == 0
 
 
 def test_the_format_switch_overrules_sniffing(tmp_path, options):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.calibration.files import Settings, lenses_of, read_calibration
+from studiorecon.calibration.files import Settings, paired_lenses, read_calibration
 from studiorecon.calibration.formats.lenses import find_lenses, read_lenses, why_not
 from studiorecon.errors import UserError
 from studiorecon.plan.discovery import find_calibration, open_dataset
@@ -183,7 +183,7 @@ def read_with(folder: Path, change) -> list[str]:
     path = folder / "c0.yml"
     path.write_text(path.read_text().replace(matrix("K", k), matrix("K", change(k))))
     reading = read_calibration(find_calibration(folder))
-    return lenses_of(reading, "c0.yml", [c.name for c in ring()], {}, Settings(unit="m", up="z"))[1]
+    return paired_lenses(reading, "c0.yml", [c.name for c in ring()], {}, Settings(unit="m", up="z"))[1]
 
 
 def test_skew_and_scale_of_a_camera_matrix_are_said(tmp_path):

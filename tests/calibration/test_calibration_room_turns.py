@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from studiorecon.body.model import BodyModel
 from studiorecon.calibration import from_people
-from studiorecon.calibration.room_pictures import edges_of, rooms_of
+from studiorecon.calibration.room_pictures import read_room_pictures, room_edges
 from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.rotations import angle, exp
 from studiorecon.rig.room_turns import room_turns, straight_edges
@@ -123,8 +123,8 @@ def test_edges_of_footage_are_those_of_the_empty_room(tmp_path: Path, capsys: py
         cv2.line(picture, (20 + 30 * k, 10), (50 + 30 * k, 230), (0, 0, 0), 9)
         cv2.imwrite(str(folder / f"{k:03}.png"), picture)
     size = {"cam": (320, 240), "gone": (320, 240)}
-    rooms = rooms_of(["cam", "gone"], [folder, tmp_path / "gone.mp4"], size)
-    found = edges_of(rooms)
+    rooms = read_room_pictures(["cam", "gone"], [folder, tmp_path / "gone.mp4"], size)
+    found = room_edges(rooms)
     assert list(found) == ["cam"]
     assert "gone" in capsys.readouterr().out
     ends = found["cam"].reshape(-1, 2, 2)
@@ -146,7 +146,7 @@ def test_the_room_is_the_median_of_its_pictures(tmp_path: Path, count: int) -> N
     grey = np.random.default_rng(0).integers(0, 256, (count, 24, 32), dtype=np.uint8)
     for k, picture in enumerate(grey):
         cv2.imwrite(str(tmp_path / f"{k:03}.png"), picture)
-    room = rooms_of(["cam"], [tmp_path], {"cam": (32, 24)})["cam"]
+    room = read_room_pictures(["cam"], [tmp_path], {"cam": (32, 24)})["cam"]
     median = np.median(grey, axis=0).astype(np.uint8)
     np.testing.assert_array_equal(room.grey, median)
     beside = np.abs(grey.astype(int) - median)

@@ -240,7 +240,9 @@ def test_scale_is_taken_out_of_a_pose():
 def test_a_world_that_is_not_z_up_is_turned_and_said_so(options, axis):
     turn = exp(np.array([0.9, 0.4, 0.2])) if axis == "tilted" else np.linalg.inv(_z_from(axis))
     raw = [calibration_raw(moved(c, c.camera_from_world[:3, :3] @ turn.T, turn @ c.centre_m)) for c in named_ring()]
-    lenses, notes, floor_known = calibration.lenses_of(reading(raw), "x", [c.name for c in named_ring()], {}, options())
+    lenses, notes, floor_known = calibration.paired_lenses(
+        reading(raw), "x", [c.name for c in named_ring()], {}, options()
+    )
     up = camera_up(np.array([lens.camera_from_world[:3, :3] for lens in lenses]))
     assert up[2] > 0.999
     assert any("turned" in n for n in notes)

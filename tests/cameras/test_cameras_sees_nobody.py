@@ -93,7 +93,7 @@ def test_where_one_camera_alone_sees_people_nothing_is_refused(ghost: int, capsy
 @pytest.mark.parametrize(("blind", "verdict"), [((2,), "check"), ((1, 2, 3), "cannot tell")])
 def test_the_doctor_says_which_camera_sees_nobody(blind: tuple[int, ...], verdict: str) -> None:
     cameras = ring()
-    report, _ = doctor.examined(cameras, seen_but(*blind), [about(c) for c in cameras], loaded(doctor.Settings))
+    report, _ = doctor.examine(cameras, seen_but(*blind), [about(c) for c in cameras], loaded(doctor.Settings))
     assert report["verdict"] == verdict, report["advice"]
     for v in blind:
         assert sum(sentence.startswith(f"camera c{v} sees nobody") for sentence in report["advice"]) == 1

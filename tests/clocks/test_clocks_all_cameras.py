@@ -97,7 +97,7 @@ def test_clocks_that_are_known_are_not_asked_about_again(monkeypatch: pytest.Mon
 
 def test_the_step_asks_all_cameras(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     take = rough(2)
-    monkeypatch.setattr(offsets, "sound_of", lambda _: None)
+    monkeypatch.setattr(offsets, "read_sound", lambda _: None)
     monkeypatch.setattr(offsets.sync, "energy_of", lambda _: np.zeros(0))
     # What two by two cannot tell.
     monkeypatch.setattr(offsets, "people_pair", lambda *_: ([], {}))

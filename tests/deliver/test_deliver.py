@@ -107,7 +107,7 @@ def test_exported_keypoints_come_back_the_same(tmp_path: Path, form: str, place:
     points[2, 4] = [np.nan, np.nan, 0.0]
     seen = Detections("cam00", "coco17", np.array([0, 0, 2, 3, 3]), np.array([0, 1, 0, 0, 1]), points)
     camera = replace(ring([0], "cam")[0], name="cam00")
-    numbers = keypoint_files.numbers_of(
+    numbers = keypoint_files.track_numbers(
         "cam00", {("cam00", 0): "p1", ("cam00", 1): "", ("cam01", 1): "p0"}, ["p0", "p1"]
     )
     assert numbers == {0: 1}, "rejected tracks and other cameras' tracks have no number"

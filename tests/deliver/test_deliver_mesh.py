@@ -11,8 +11,8 @@ import pytest
 import trimesh
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.deliver import mesh
-from studiorecon.deliver.fusion import FusedSurface, FusedView, decimated, fused, open3d, without
-from studiorecon.deliver.room_planes import distance_m, kept, planes
+from studiorecon.deliver.fusion import FusedSurface, FusedView, decimated, fuse, open3d, without
+from studiorecon.deliver.room_planes import distance_m, kept_faces, planes
 from studiorecon.errors import UserError
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
@@ -110,7 +110,7 @@ def test_planes_are_exact_face_inwards_and_say_what_was_seen(tmp_path: Path, vie
 
 @pytest.mark.usefixtures("fusing")
 def test_what_stands_in_the_room_is_fused_where_it_is(views: list[FusedView]) -> None:
-    surface = fused(views, 0.02)
+    surface = fuse(views, 0.02)
     standing = without(surface, distance_m(ROOM, surface.vertices_m) < 0.06)
     # The wall that is not kept as a plane is fused like everything else.
     crate = standing.vertices_m[np.abs(standing.vertices_m @ ROOM.axes.T)[:, 1] < 1.0]
@@ -138,7 +138,7 @@ def test_the_step_writes_the_same_bytes_twice(
         seen_from[:] = [camera.name for camera in cameras]
         return views
 
-    monkeypatch.setattr(mesh, "look", seen)
+    monkeypatch.setattr(mesh, "render_views", seen)
     monkeypatch.setattr(mesh, "VOXEL_M", 0.04)
     write_model(tmp_path, CAMERAS[:4])
     write_path(tmp_path / "path.json", [PathStep(camera, 0.0, "00") for camera in CAMERAS[4:]], 30.0)
@@ -165,5 +165,5 @@ def test_without_open3d_it_says_which_extra_brings_it(monkeypatch: pytest.Monkey
 
 
 def test_default_walls_are_no_planes_of_the_mesh() -> None:
-    assert kept(ROOM) == [0, 1, 2, 4]
+    assert kept_faces(ROOM) == [0, 1, 2, 4]
     assert distance_m(ROOM, np.array([[0.0, 0.0, 2.5], [0.0, 0.0, -0.3]])) == pytest.approx([1.5, 0.0])

@@ -193,7 +193,7 @@ def with_a_thing(folder: Path, given: dict) -> None:
     present = np.isfinite(places[:, 0])
     thing = RigidObject("o0", own, np.zeros(9, np.uint8), places, present, present, 0.1)
     buffer = Buffer()
-    document = scene_glb.document_of(replace(scene, things=[thing]), buffer)
+    document = scene_glb.build_document(replace(scene, things=[thing]), buffer)
     write_document(given["glb"], document, buffer)
 
 

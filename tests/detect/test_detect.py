@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose, Landmarks, anchors
 from studiorecon.detector.crops import Region, sampled
-from studiorecon.detector.following import Walker, people_in
-from studiorecon.detector.looking import newcomers, thorough
+from studiorecon.detector.following import Walker, detect_people
+from studiorecon.detector.looking import detect_exhaustively, detect_new_people
 from studiorecon.detector.windows import changed, grid, small, usual
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import stills
 from studiorecon.footage.source import open_source
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.scene.raw_detections import RawDetections, is_found, read_raw_detections, write_raw_detections
+from studiorecon.scene.raw_detections import RawDetections, is_detector_file, read_raw_detections, write_raw_detections
 
 FILES = ("pose_detection.onnx", "pose_landmark_full.onnx")
 
@@ -161,7 +161,7 @@ def walk(frames: int, *walkers: tuple[int, int, float]) -> list[np.ndarray]:
 def test_people_are_followed_forwards_and_back_through_all_pictures() -> None:
     pictures = walk(40, (0, 39, 4.0), (7, 33, -1.0))
     network = MadeNetwork()
-    seen = list(people_in(pictures, network, [], fps=30.0))  # type: ignore[arg-type]
+    seen = list(detect_people(pictures, network, [], fps=30.0))  # type: ignore[arg-type]
     assert [len(s) for s in seen] == [1 + (7 <= t <= 33) for t in range(40)]
     # Looked for twice a second only, and one look per person and picture beside.
     assert network.windows <= 4 * len(grid((400, 200)))
@@ -170,8 +170,8 @@ def test_people_are_followed_forwards_and_back_through_all_pictures() -> None:
 
 def test_how_often_is_looked_follows_the_clock_and_not_the_frame_count() -> None:
     slow, fast = MadeNetwork(), MadeNetwork()
-    assert all(len(s) == 1 for s in people_in(walk(20, (0, 19, 12.0)), slow, [], fps=10.0))  # type: ignore[arg-type]
-    assert all(len(s) == 1 for s in people_in(walk(120, (0, 119, 2.0)), fast, [], fps=60.0))  # type: ignore[arg-type]
+    assert all(len(s) == 1 for s in detect_people(walk(20, (0, 19, 12.0)), slow, [], fps=10.0))  # type: ignore[arg-type]
+    assert all(len(s) == 1 for s in detect_people(walk(120, (0, 119, 2.0)), fast, [], fps=60.0))  # type: ignore[arg-type]
     assert fast.windows <= slow.windows
 
 
@@ -182,7 +182,7 @@ def test_found_people_survive_the_file(tmp_path: Path) -> None:
     for given in (rows, []):
         found = RawDetections.of("left", LAYOUT, 33, given, (3, 9), "made")
         write_raw_detections(tmp_path / "left.npz", found)
-        assert is_found(tmp_path / "left.npz")
+        assert is_detector_file(tmp_path / "left.npz")
         back = read_raw_detections(tmp_path / "left.npz", masks=True)
         for name in RawDetections.__dataclass_fields__:
             np.testing.assert_array_equal(getattr(back, name), getattr(found, name), err_msg=name)
@@ -194,7 +194,7 @@ def test_a_real_man_and_a_bystander_are_found_where_openpose_found_them(root: Pa
     source = open_source(real_data / "pose2sim_balancing/single/videos/cam03.mp4", 30.0)
     (picture,) = stills(source, [0])
     network = BlazePose(folder / FILES[0], folder / FILES[1])
-    seen = newcomers(network, picture, grid(source.wh), [])
+    seen = detect_new_people(network, picture, grid(source.wh), [])
     assert len(seen) == 1
     names = LAYOUTS[LAYOUT].keypoints
     there = {n: seen[0].keypoints[names.index(n)] for n in names}
@@ -232,7 +232,7 @@ def test_a_picture_without_neighbours_is_looked_at_in_turned_windows_and_the_sur
             return replace(seen, presence=seen.presence * (0.6 if first else 1.0), mask=full, next_region=surer)
 
     picture = walk(1, (0, 0, 4.0))[0]
-    assert newcomers(MadeNetwork(), picture, grid((400, 200)), []) != []  # type: ignore[arg-type]
-    (found,) = thorough(Bent(), picture)  # type: ignore[arg-type]
+    assert detect_new_people(MadeNetwork(), picture, grid((400, 200)), []) != []  # type: ignore[arg-type]
+    (found,) = detect_exhaustively(Bent(), picture)  # type: ignore[arg-type]
     assert found.presence == 1.0
-    assert thorough(Bent(), np.zeros_like(picture)) == []  # type: ignore[arg-type]
+    assert detect_exhaustively(Bent(), np.zeros_like(picture)) == []  # type: ignore[arg-type]

@@ -23,13 +23,13 @@ from tests.made.footage import smooth_pictures, write_streamed, write_video
 def backgrounds(monkeypatch: pytest.MonkeyPatch) -> list[list[np.ndarray]]:
     """The pictures of the room that the detector was given, of every film that it looked at."""
     given: list[list[np.ndarray]] = []
-    looked = people.people_in
+    looked = people.detect_people
 
     def noted(pictures: Any, network: Any, backgrounds: list[np.ndarray], fps: float, few: bool) -> Any:
         given.append(backgrounds)
         return looked(pictures, network, backgrounds, fps, False)
 
-    monkeypatch.setattr(people, "people_in", noted)
+    monkeypatch.setattr(people, "detect_people", noted)
     return given
 
 

@@ -13,9 +13,9 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from studiorecon.detector.blazepose import BlazePose, Landmarks
 from studiorecon.detector.crops import Region, opened
-from studiorecon.detector.following import believed
+from studiorecon.detector.following import keypoints_with_confidence
 from studiorecon.detector.second import second_network
-from studiorecon.detector.top_down import TopDown, crop_of, from_heat, from_rows
+from studiorecon.detector.top_down import TopDown, choose_crop, from_heat, from_rows
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
 
@@ -104,7 +104,7 @@ def test_points_come_back_in_pixels_of_the_picture(tmp_path: Path, rows_of_score
     picture, places = painted(17, wh, 0.02 * wh[1])
     found = network.look(picture, places)
     # Pixels of the picture per pixel of the crop.
-    scale = crop_of(places, WH).scale
+    scale = choose_crop(places, WH).scale
     assert np.linalg.norm(found[:, :2] - places, axis=1).max() < 3 * scale
     assert np.linalg.norm((found[:, :2] - places).mean(0)) < 0.5 * scale
     assert found[:, 2].min() > 0.02
@@ -128,7 +128,7 @@ def test_rows_of_scores_are_read_by_their_bins() -> None:
 
 def test_a_crop_holds_everybody_s_head_whatever_their_shape() -> None:
     for low, high in (((100, 100), (200, 400)), ((100, 100), (900, 300)), ((5, 5), (5, 5))):
-        crop = crop_of(np.array([low, high], float), WH)
+        crop = choose_crop(np.array([low, high], float), WH)
         half = crop.scale * np.array(WH) / 2
         assert (crop.centre - half <= low).all()
         assert (crop.centre + half >= high).all()
@@ -141,7 +141,7 @@ def test_where_both_know_a_point_the_better_network_says_where_it_is(root: Path,
     keypoints = np.column_stack([np.full((33, 2), 20.0), np.full(33, 0.5)])
     seen = Landmarks(keypoints, 0.9, np.zeros((33, 3)), np.zeros((128, 128), np.uint8), region, region, better)
     worth = {"visibility": [0.0, 1.0], "confidence": [0.0, 0.4]}
-    found = believed(seen, (100, 100), worth)
+    found = keypoints_with_confidence(seen, (100, 100), worth)
     np.testing.assert_allclose(found[0], [30, 40, 0.6])
     np.testing.assert_allclose(found[1], [20, 20, 0.2])
     assert np.isnan(found[15, :2]).all()

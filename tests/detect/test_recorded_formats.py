@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.keypoints.file_numbers import numbers_of
+from studiorecon.keypoints.file_numbers import number_names
 from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.scene.recorded import Recorded, read_recorded, write_recorded
 
@@ -170,13 +170,13 @@ def test_what_is_no_person_is_named(tmp_path: Path, content: Any, says: str) -> 
     ],
 )
 def test_the_number_that_counts_pictures_is_taken(names: list[str], numbers: list[int]) -> None:
-    assert numbers_of(names, "keypoints") == numbers
+    assert number_names(names, "keypoints") == numbers
 
 
 @pytest.mark.parametrize("names", [["a_1", "b_1"], ["left", "right"], ["1" * 30, "2" * 30]])
 def test_names_that_do_not_count_are_refused(names: list[str]) -> None:
     with pytest.raises(UserError, match="keypoints: "):
-        numbers_of(names, "keypoints")
+        number_names(names, "keypoints")
 
 
 @pytest.mark.parametrize("name", ["k.slp", "k.pickle", "k.npy", "k.h5", "k.txt"])

@@ -20,7 +20,7 @@ from studiorecon.images.metrics import psnr
 from studiorecon.images.transfer import ResidualSource, Transfer, best_strength, carried_over, source
 from studiorecon.images.warp import sample
 from studiorecon.models.protocols import Moment
-from studiorecon.recursive.clip import enhanced, for_path, loop_gain
+from studiorecon.recursive.clip import adapt_injection, enhanced, loop_gain
 from studiorecon.render import shot as render_shot
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import read_decisions
@@ -394,7 +394,7 @@ def test_a_moving_camera_has_a_strength_of_its_own(settings: enhance_shot.Settin
     wide = replace(first, intrinsics=first.intrinsics * np.array([[0.9], [0.9], [1.0]]))
     given = settings.injection
     assert (
-        for_path(
+        adapt_injection(
             given,
             [
                 PathStep(first, 0.0, "a"),
@@ -406,7 +406,7 @@ def test_a_moving_camera_has_a_strength_of_its_own(settings: enhance_shot.Settin
         == given
     )
     for other in (second, wide):
-        moving = for_path(given, [PathStep(first, 0.0, "a"), PathStep(other, 1.0, "a")])
+        moving = adapt_injection(given, [PathStep(first, 0.0, "a"), PathStep(other, 1.0, "a")])
         assert moving == replace(given, strength=given.moving_strength)
         assert moving.strength < given.strength
 

@@ -17,7 +17,7 @@ from studiorecon.errors import UserError
 from studiorecon.images.flow import one_thread
 from studiorecon.models.adapters.raft import postprocess, preprocess
 from studiorecon.recursive.clip import enhanced
-from studiorecon.recursive.flows import DisFlow, flow_of
+from studiorecon.recursive.flows import DisFlow, load_flow
 from studiorecon.scene.path import PathStep
 
 from tests.made.enhance_folder import VIEW, panning
@@ -29,12 +29,12 @@ from tests.made.flow import textured
 @pytest.mark.parametrize("name", ["raft", "difix", "fixer"])
 def test_a_network_without_weights_is_refused_by_the_file_that_is_missing(name: str, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=rf"needs {tmp_path}/{name}.*is missing"):
-        flow_of(name, "medium", tmp_path, "cpu") if name == "raft" else network(name, tmp_path, "cpu", 0)
+        load_flow(name, "medium", tmp_path, "cpu") if name == "raft" else network(name, tmp_path, "cpu", 0)
 
 
 def test_the_embedded_back_ends_need_no_weights(tmp_path: Path) -> None:
     assert isinstance(network("none", tmp_path / "nowhere", "cpu", 0), Unchanged)
-    search = flow_of("dis", "medium", tmp_path / "nowhere", "cpu")
+    search = load_flow("dis", "medium", tmp_path / "nowhere", "cpu")
     first = np.repeat(textured((96, 128), 1)[..., None], 3, axis=2)
     with one_thread():
         found = search.flow(first, np.roll(first, 5, axis=1))

@@ -16,7 +16,7 @@ from studiorecon.enhance import folder as enhance_folder
 from studiorecon.enhance.backends import Unchanged
 from studiorecon.errors import UserError
 from studiorecon.footage.video import write_lossless
-from studiorecon.recursive.clip import stands_still
+from studiorecon.recursive.clip import is_still
 from studiorecon.scene.path import PathStep
 
 from tests.made.enhance_folder import VIEW, Warmer, panning, played, write_pictures
@@ -63,9 +63,9 @@ def test_pictures_of_two_sizes_are_refused() -> None:
 def test_only_clips_without_motion_stand_still() -> None:
     steps = [PathStep(VIEW, 0.0, "a")] * 2 + [PathStep(VIEW, 0.0, "b")] * 2
     a, b = np.full((64, 96, 3), 50, np.uint8), np.full((64, 96, 3), 90, np.uint8)
-    assert stands_still(steps, [a, a, b, b]), "another segment is another clip"
-    assert not stands_still(steps, [a, b, b, b])
-    assert stands_still(steps[:1], [a])
+    assert is_still(steps, [a, a, b, b]), "another segment is another clip"
+    assert not is_still(steps, [a, b, b, b])
+    assert is_still(steps[:1], [a])
 
 
 @pytest.fixture

@@ -165,7 +165,7 @@ def test_the_doctor_says_it_first(case: str) -> None:
         | {"rotation_deg": 0, "keypoints": True, "brightness": 0.5, "burnt": 0.0}
         for c in cameras
     ]
-    report, _ = doctor.examined(cameras, detections, about, doctor.Settings())
+    report, _ = doctor.examine(cameras, detections, about, doctor.Settings())
     assert report["verdict"] == "wrong"
     assert re.match(f"camera c1 disagrees with all others: .*{cause}", report["advice"][0])
 

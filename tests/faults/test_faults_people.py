@@ -90,7 +90,7 @@ def test_detections_keep_their_tracks_and_what_was_not_hit(take, default_setting
 
     def read(keypoints: np.ndarray):
         given = Recorded("made", np.unique(found.frame), found.frame, keypoints, True, "coco17")
-        return detections.detections_of(given, lens, footage(camera.name, camera.wh), options)
+        return detections.detections_from_recorded(given, lens, footage(camera.name, camera.wh), options)
 
     before, after = read(np.nan_to_num(found.keypoints)), read(values)
     assert np.array_equal(after.frame, before.frame)

@@ -124,8 +124,8 @@ def test_survey_judges_as_without_the_faults(fault: float) -> None:
     clean = [look(v) for v in VIEWS]
     broken = [with_faults(depth, fault, seed)[0] for seed, (_, depth) in enumerate(clean)]
     points = coverage.stage_points(VIEWS, 0.5, 2.0)
-    right = coverage.seen_by(points, VIEWS, [depth for _, depth in clean], 0.05)
-    found = coverage.seen_by(points, VIEWS, broken, 0.05)
+    right = coverage.visible_points(points, VIEWS, [depth for _, depth in clean], 0.05)
+    found = coverage.visible_points(points, VIEWS, broken, 0.05)
     assert (right != found).mean() < SHARE
     measured = np.ones(VIEWS[0].hw, bool)
     views = [exposures.ExposureView(v, rgb, measured, depth) for v, (rgb, _), depth in zip(VIEWS, clean, broken)]

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 import yaml
 from studiorecon.body.model import BodyModel
-from studiorecon.calibration.files import Settings, lenses_of, read_calibration
+from studiorecon.calibration.files import Settings, paired_lenses, read_calibration
 from studiorecon.depth.aligned import read_estimate
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.footage.frames import decode
@@ -72,7 +72,7 @@ def calibration_right(path: Path) -> Any:
     files = sorted(path.parent.glob("*.yml")) if path.suffix == ".yml" else [path]
     reading = read_calibration(files)
     names = [c.name for c in reading.cameras]
-    lenses, *_ = lenses_of(reading, path.name, names, {}, Settings(unit="m", up="z"))
+    lenses, *_ = paired_lenses(reading, path.name, names, {}, Settings(unit="m", up="z"))
     for lens in lenses:
         assert np.isfinite(lens.intrinsics).all()
         assert np.isfinite(lens.camera_from_world).all()

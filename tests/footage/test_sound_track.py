@@ -8,7 +8,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
-from studiorecon.footage.sound_track import RATE_HZ, sound_of
+from studiorecon.footage.sound_track import RATE_HZ, read_sound
 
 TONES_HZ = (300, 700)
 
@@ -27,7 +27,7 @@ def with_two_tones(path: Path) -> Path:
 
 
 def heard_hz(path: Path) -> float:
-    samples = sound_of(path)
+    samples = read_sound(path)
     assert samples is not None
     return float(np.argmax(np.abs(np.fft.rfft(samples))) * RATE_HZ / len(samples))
 

@@ -138,7 +138,7 @@ SHAPES: dict[str, Case] = {
         r"second has shape \(4,\)",
     ),
     "groups_of": (
-        lambda: correspondence.groups_of(zeros(3, 3), zeros(2), zeros(3, 3), 1.0),
+        lambda: correspondence.track_groups(zeros(3, 3), zeros(2), zeros(3, 3), 1.0),
         "view has shape .* with M = 3",
     ),
     "groups_by_affinity": (lambda: groups.groups_by_affinity(zeros(3, 4), zeros(3, 3)), r"affinity has shape \(3, 4\)"),

@@ -10,7 +10,7 @@ import pytest
 from studiorecon.geometry.bundle import BundleSettings, moved, without_drift
 from studiorecon.geometry.rotations import exp
 from studiorecon.geometry.triangulation import triangulate
-from studiorecon.keypoints.correspondence import groups_of, ray_distances
+from studiorecon.keypoints.correspondence import ray_distances, track_groups
 
 from tests.made.cameras import LIMITS, adjust, look_at, ring, seen
 
@@ -103,5 +103,5 @@ def test_a_person_in_hundreds_of_short_tracks_is_grouped_in_a_moment():
     view, start = np.repeat(np.arange(4), 60), np.tile(np.arange(60), 4)
     meets = np.abs(start[:, None] - start[None]) <= 1
     distance = np.where(meets & (view[:, None] != view[None]), 0.05, np.nan)
-    groups = groups_of(distance, view, meets & ((view[:, None] != view) | (start[:, None] == start)), 0.25)
+    groups = track_groups(distance, view, meets & ((view[:, None] != view) | (start[:, None] == start)), 0.25)
     assert [len(g) for g in groups] == [240]

@@ -79,7 +79,7 @@ def test_without_additions_what_no_camera_saw_is_trained_and_changes_over_time(t
     for one, everywhere in ((filled, False), (person, True)):
         hidden = one.provenance == INFERRED
         assert hidden.any()
-        first, last = (one.looks_at(frame)[0][hidden, 0] for frame in (0, one.frames - 1))
+        first, last = (one.appearance_at(frame)[0][hidden, 0] for frame in (0, one.frames - 1))
         assert (np.abs(first - last).max() > 0) == everywhere
         assert one.network.every_band == one.network.everywhere == everywhere
 

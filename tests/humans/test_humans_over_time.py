@@ -26,7 +26,7 @@ from studiorecon.images.metrics import psnr
 from studiorecon.scene.decisions import Decision
 from studiorecon.scene.effects import TEMPORAL_APPEARANCE
 from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
-from studiorecon.splatting.train.terms import terms_of
+from studiorecon.splatting.train.terms import active_terms
 from studiorecon.splatting.train.trainer import train as train_subject
 
 from tests.made.gaussians import rasterise
@@ -186,7 +186,7 @@ def filmed(root: Path, default_settings: Callable) -> Callable[..., float]:
         rng = np.random.default_rng(0)
         kept = settings.losses, settings.rates, settings.limits
         subject = PersonInTraining(start, samples.spacing_m, posing, motion, crops, 240, 240, *kept, 0.05, 1, rng, made)
-        train_subject(subject, terms_of(settings.losses), (0, 240), rng, label="p0")
+        train_subject(subject, active_terms(settings.losses), (0, 240), rng, label="p0")
         trained = subject.gaussians()
         if use == "auto":
             assert (made.decision.verdict == "on") == fading

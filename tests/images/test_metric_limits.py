@@ -145,8 +145,8 @@ def test_a_training_depth_that_is_none_sees_nothing(depth: float) -> None:
     points = camera.unproject(pixels, np.full(pixels.shape[:2], 2.0))
     known, wh = np.ones(pixels.shape[:2], bool), camera.wh
     real = np.full((wh[1], wh[0]), 2.0, np.float32)
-    assert truth.seen_by(points, known, camera, real, (0.05,))[0][0].all()
-    assert not truth.seen_by(points, known, camera, np.full_like(real, depth), (0.05,))[0][0].any()
+    assert truth.is_visible(points, known, camera, real, (0.05,))[0][0].all()
+    assert not truth.is_visible(points, known, camera, np.full_like(real, depth), (0.05,))[0][0].any()
 
 
 def test_v02_the_seen_test_is_relative_to_the_training_depth_and_its_sensitivity_is_told() -> None:
@@ -155,7 +155,7 @@ def test_v02_the_seen_test_is_relative_to_the_training_depth_and_its_sensitivity
     pixels = camera.pixel_centres()[30:50, 50:80]
     points, known = camera.unproject(pixels, np.full(pixels.shape[:2], 4.77)), np.ones(pixels.shape[:2], bool)
     depth = np.full((camera.wh[1], camera.wh[0]), 5.02, np.float32)
-    strict, usual, loose = truth.seen_by(points, known, camera, depth, (0.02, 0.05, 0.10))[0]
+    strict, usual, loose = truth.is_visible(points, known, camera, depth, (0.02, 0.05, 0.10))[0]
     assert (strict.any(), usual.all(), loose.all()) == (False, True, True)
     masks = {
         "seen": usual,

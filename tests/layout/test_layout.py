@@ -14,7 +14,7 @@ import yaml
 from studiorecon import code
 from studiorecon.__main__ import options_of
 from studiorecon.configuration import settings as settings_module
-from studiorecon.configuration.step_settings import section_of
+from studiorecon.configuration.step_settings import find_section
 from studiorecon.plan.command import command
 from studiorecon.stages import STAGES
 
@@ -248,7 +248,7 @@ def test_every_step_reads_its_settings_from_the_configuration(preset: str) -> No
         module = importlib.import_module(f"studiorecon.{step}")
         stage = step.split(".")[0]
         if hasattr(module, "Settings"):
-            settings_module.load(module.Settings, section_of(step, config), stage)
+            settings_module.load(module.Settings, find_section(step, config), stage)
 
 
 def merged(base: dict, over: dict) -> dict:
@@ -339,9 +339,9 @@ def folders_named(text: str, known: frozenset[str] = frozenset()) -> set[str]:
 def test_what_a_rule_asks_is_seen_through_everything_it_names() -> None:
     assert folders_named("model=MODEL,") == {"cameras"}
     assert folders_named("given=files.given_plate,") == set()
-    assert folders_named("people=files.walkers,") == {"people"}
+    assert folders_named("people=files.people_for_furniture,") == {"people"}
     assert folders_named("light=files.room_light,") == {"people", "survey", "render"}
-    assert folders_named("seen=files.seen_people,") == {"people", "tracks"}
+    assert folders_named("seen=files.detector_masks,") == {"people", "tracks"}
 
 
 @pytest.mark.parametrize("stage", STAGES)

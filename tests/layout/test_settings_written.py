@@ -13,8 +13,8 @@ import pytest
 import yaml
 from studiorecon.configuration import written
 from studiorecon.configuration.sections import SECTIONS, Section
-from studiorecon.configuration.setting import Setting, default_of, is_setting
-from studiorecon.configuration.step_settings import Fields, read_by, section_of
+from studiorecon.configuration.setting import Setting, field_default, is_setting
+from studiorecon.configuration.step_settings import Fields, find_section, read_by
 from studiorecon.home import CONFIGURATION
 
 # Tables of which a step is told what concerns it.
@@ -53,7 +53,7 @@ def steps() -> list[str]:
 
 @pytest.mark.parametrize("step", steps())
 def test_what_a_step_reads_stands_where_it_looks(step: str) -> None:
-    there = section_of(step, yaml.safe_load(CONFIGURATION.read_text(encoding="utf-8")))
+    there = find_section(step, yaml.safe_load(CONFIGURATION.read_text(encoding="utf-8")))
     assert not missing(read_by(step), there), f"{step} reads what no section declares"
 
 
@@ -68,8 +68,8 @@ def missing(wanted: Fields, there: dict) -> list[str]:
 @pytest.mark.parametrize("step", steps())
 def test_a_constant_has_no_setting_s_name(step: str) -> None:
     """Else what is set for another step of the section would turn it."""
-    there = section_of(step, yaml.safe_load(CONFIGURATION.read_text(encoding="utf-8")))
+    there = find_section(step, yaml.safe_load(CONFIGURATION.read_text(encoding="utf-8")))
     kind = getattr(importlib.import_module(f"studiorecon.{step}"), "Settings", None)
     fields = dataclasses.fields(kind) if kind else ()
-    constants = {f.name for f in fields if not is_setting(f) and default_of(f) is not dataclasses.MISSING}
+    constants = {f.name for f in fields if not is_setting(f) and field_default(f) is not dataclasses.MISSING}
     assert not constants & set(there)

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose
-from studiorecon.detector.following import believed, people_in
+from studiorecon.detector.following import detect_people, keypoints_with_confidence
 from studiorecon.detector.windows import small, usual
 from studiorecon.footage.video import write_lossless
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.reading import detections_of_found
+from studiorecon.keypoints.reading import detections_from_detector
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import TrackVerdict, identities_from_keypoints
 from studiorecon.people.association.image_evidence import CameraEvidence
@@ -105,13 +105,13 @@ def looked_at(
         rows = [
             (
                 t,
-                believed(one, camera.wh, {"visibility": [0.0, 1.0], "confidence": [0.0, 1.0]}),
+                keypoints_with_confidence(one, camera.wh, {"visibility": [0.0, 1.0], "confidence": [0.0, 1.0]}),
                 one.presence,
                 one.points_m,
                 one.mask,
                 one.region.crop_from_picture(MASK_PX),
             )
-            for t, seen in enumerate(people_in(pictures, network, [background], FPS))
+            for t, seen in enumerate(detect_people(pictures, network, [background], FPS))
             for one in seen
         ]
         raw = RawDetections.of(camera.name, LAYOUT, LANDMARKS, rows, (0, about.frames), "made")
@@ -120,7 +120,7 @@ def looked_at(
             *(camera.name, False, camera.wh, camera.intrinsics.tolist(), FPS, about.frames, 0, "", "", camera.wh),
             *(0, 0.0, []),
         )
-        found.append(detections_of_found(raw, lens, footage, loaded(tracks_keypoints.Settings)))
+        found.append(detections_from_detector(raw, lens, footage, loaded(tracks_keypoints.Settings)))
         witnesses.append(CameraEvidence(lens, footage, folder / f"{camera.name}.npz"))
     options = loaded(associate.Settings)
     limits = options.association, options.triangulation, options.evidence

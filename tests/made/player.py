@@ -15,7 +15,7 @@ from studiorecon.body.avatar.weight_grid import strongest
 from studiorecon.body.model import BodyModel
 from studiorecon.deliver.finished import FinishedScene
 from studiorecon.deliver.packing import Bytes
-from studiorecon.deliver.player import QUALITY, filmed, page_of, poster_of
+from studiorecon.deliver.player import QUALITY, build_page, filmed, render_poster
 from studiorecon.deliver.player_data import Shade, described
 from studiorecon.geometry import rotations
 from studiorecon.images.encoded import jpeg
@@ -131,8 +131,8 @@ def write_page(
     held = Bytes()
     told, sentences = described(scene, held, exposure, shade)
     sentences += filmed(held, told["cameras"], videos, scene.capture.frames, scene.capture.fps)
-    poster = jpeg(poster_of(scene), QUALITY)
-    write_text(path, page_of(scene.name, told | {"told": sentences}, held, poster, PARTS))
+    poster = jpeg(render_poster(scene), QUALITY)
+    write_text(path, build_page(scene.name, told | {"told": sentences}, held, poster, PARTS))
     return path
 
 

@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 import yaml
 from studiorecon import code
-from studiorecon.configuration.schema import part_of
+from studiorecon.configuration.schema import find_schema
 from studiorecon.models import loading
 from studiorecon.models.catalogue.card import Card
-from studiorecon.models.catalogue.registry import MODELS, module_of, of_kind
-from studiorecon.models.catalogue.selection import CHOICES, modules_of, selected
+from studiorecon.models.catalogue.registry import MODELS, adapter_module, of_kind
+from studiorecon.models.catalogue.selection import CHOICES, adapter_modules, selected
 from studiorecon.models.loading import adapter, load
 from studiorecon.stages import STAGES
 
@@ -40,7 +40,7 @@ LOADED = {
 def test_settings_and_schema_name_the_networks_that_have_a_card(where: str) -> None:
     schema = yaml.safe_load((ROOT / "workflow/schemas/config.schema.yaml").read_text())
     values = CHOICES[where].values
-    assert part_of(schema, where)["enum"] == list(values)
+    assert find_schema(schema, where)["enum"] == list(values)
     for step in CHOICES[where].steps:
         hints = typing.get_type_hints(importlib.import_module(f"studiorecon.{step}").Settings)
         assert typing.get_args(hints[where.partition(".")[2]]) == values
@@ -101,12 +101,12 @@ def test_a_cpu_claims_no_gpu(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) ->
 
 def test_an_edited_adapter_reruns_the_steps_that_run_it_and_no_others() -> None:
     preset = yaml.safe_load((ROOT / "config/presets/networks.yaml").read_text())
-    assert modules_of("masks.network", preset) == ["models.adapters.sam3"]
-    assert modules_of("enhance.shot", preset) == ["models.adapters.difix", "models.adapters.raft"]
-    assert modules_of("humans.canonical", {}) == ["models.adapters.lhm"]
-    assert modules_of("depth.network", {"depth": {"source": "embedded"}}) == []
-    assert modules_of("people.lift", {"depth": {"source": "moge"}}) == ["models.adapters.moge"]
-    assert modules_of("report.page", preset) == sorted({module_of(name) for _, name in selected(preset)})
+    assert adapter_modules("masks.network", preset) == ["models.adapters.sam3"]
+    assert adapter_modules("enhance.shot", preset) == ["models.adapters.difix", "models.adapters.raft"]
+    assert adapter_modules("humans.canonical", {}) == ["models.adapters.lhm"]
+    assert adapter_modules("depth.network", {"depth": {"source": "embedded"}}) == []
+    assert adapter_modules("people.lift", {"depth": {"source": "moge"}}) == ["models.adapters.moge"]
+    assert adapter_modules("report.page", preset) == sorted({adapter_module(name) for _, name in selected(preset)})
     without = code.digest("masks.network")
     assert code.digest("masks.network", ["models.adapters.sam3"]) != without
     # Nothing but the name leads there: else an edited adapter would rerun every step that runs some network.

@@ -46,7 +46,7 @@ TOLD = {"count": 1, "inner": {"sigma": 1.0}, "maybe": None, "own": {"mine": 1.0}
 
 
 def test_what_a_step_does_not_read_is_left_out_at_every_level() -> None:
-    assert step_settings.only(GIVEN, step_settings.fields_of(Outer)) == TOLD
+    assert step_settings.restrict(GIVEN, step_settings.setting_fields(Outer)) == TOLD
 
 
 def test_a_step_loads_the_same_from_what_it_is_told_as_from_the_whole_section() -> None:
@@ -61,7 +61,7 @@ def test_a_step_says_once_what_it_reads(tmp_path: Path, monkeypatch: pytest.Monk
     )
     step_settings._known.cache_clear()
     smooth = {"memory_s": 1.0, "sigma_s": 2.0, "passes": "average"}
-    assert step_settings.told("people.fit", {"smooth": smooth, "review": {}}) == {
+    assert step_settings.select_settings("people.fit", {"smooth": smooth, "review": {}}) == {
         "smooth": {"memory_s": 1.0, "sigma_s": 2.0}
     }, "the third is a constant"
     (memory,) = (tmp_path / "studiorecon/__pycache__").glob("settings.*.json")

@@ -10,7 +10,7 @@ import pytest
 from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry.lifting import SURFACE_TO_PELVIS_M, lift_joint
 from studiorecon.geometry.rotations import exp, log
-from studiorecon.keypoints.correspondence import groups_of
+from studiorecon.keypoints.correspondence import track_groups
 from studiorecon.keypoints.tracking import match
 from studiorecon.people.associate import Settings
 from studiorecon.people.association.acceptance import judge
@@ -115,7 +115,7 @@ def test_a03_the_gate_comes_before_the_assignment(position):  # A03 naive: keeps
     full = np.full((4, 4), np.nan)
     full[:2, 2:] = distance
     full[2:, :2] = distance.T
-    assert groups_of(full, view, np.ones((4, 4)), 0.3) == [[0, 2]]
+    assert track_groups(full, view, np.ones((4, 4)), 0.3) == [[0, 2]]
 
 
 # A04 naive: at scale 10 0.7 % of the matches survive; at 0.1 all do, and nobody is ever rejected.
@@ -253,7 +253,7 @@ def test_a10_four_views_agree_on_one_identity_where_neighbours_alone_do_not():
         ]
         open_rings += around != [0, 1, 2]
         distance[view[:, None] == view[None]] = np.nan
-        groups = groups_of(distance, view, np.ones(distance.shape), 0.6)
+        groups = track_groups(distance, view, np.ones(distance.shape), 0.6)
         assert all(len({view[n] for n in g}) == len(g) for g in groups)
         wrong += sum(len({person[n] for n in g}) > 1 for g in groups)
         recalled += sum(len(g) * (len(g) - 1) / 2 for g in groups if len({person[n] for n in g}) == 1)
@@ -276,7 +276,7 @@ def test_a_window_of_frames_finds_the_pairs_through_noise_and_misses(noise_m, fr
         distance = window_distances(tracks)
         distance[view[:, None] == view[None]] = np.nan
         label = np.full(12, -1)
-        for g, group in enumerate(groups_of(distance, view, np.ones((12, 12)), 0.3)):
+        for g, group in enumerate(track_groups(distance, view, np.ones((12, 12)), 0.3)):
             label[group] = g
         pairs = [(i, j) for i in range(12) for j in range(i) if person[i] == person[j]]
         recalled += sum(label[i] == label[j] >= 0 for i, j in pairs)
@@ -362,7 +362,7 @@ def test_ties_of_nothing_match_nobody(options, affinity):  # A13 naive: 0-0, 1-1
     assert match(1 - affinities(np.full((3, 3), 5.0), np.full((3, 3), 2.0), GATE_M, limits), 1.0) == []
     assert match(1 - affinities(np.full((3, 3), np.nan), np.full((3, 3), np.nan), GATE_M, limits), 1.0) == []
     view = np.repeat([0, 1], 3)
-    assert groups_of(np.full((6, 6), 5.0), view, np.ones((6, 6)), 0.3) == []
+    assert track_groups(np.full((6, 6), 5.0), view, np.ones((6, 6)), 0.3) == []
 
 
 def test_a14_a_person_who_leaves_and_comes_back_keeps_the_name(
@@ -470,7 +470,7 @@ def test_who_is_there_all_the_time_is_not_outvoted_by_false_people_of_short_stre
     seen, graph = observe(found, ring(3), np.arange(frames), 0.25)
     best = seen.of(seen.group == 0)
     assert np.isfinite(best.pixels[..., 0]).all(0).sum() >= 0.9 * 12 * frames, "all three cameras see the one person"
-    naive = groups_of(graph.distance_m, graph.view, graph.moments > 0, 0.25)[0]
+    naive = track_groups(graph.distance_m, graph.view, graph.moments > 0, 0.25)[0]
     assert {int(graph.track[n]) for n in naive if graph.view[n] == 0} <= set(tracks.tolist())
     groups = group_tracks(found, ring(3), frames, 30.0, options.association, options.triangulation)
     assert [view for view, track in groups[0].members if track < 100] == [0, 1, 2]

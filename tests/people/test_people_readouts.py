@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.camera_files.colmap import write_model
-from studiorecon.keypoints.retiming import with_all_rows_at_once
+from studiorecon.keypoints.retiming import correct_rolling_shutter
 from studiorecon.people import associate as step
 from studiorecon.people.fitting.readouts import readouts
 from studiorecon.rig.body_points import Tracks
@@ -88,9 +88,9 @@ def test_the_step_finds_it_and_keypoints_come_back_to_where_they_were(
     took_s = read_readouts(tmp_path / "who/readouts.json")
     assert f"{cameras[-1].name} reads its rows in" in capsys.readouterr().out
     assert not any(took_s[c.name] for c in cameras[:-1])
-    moved = with_all_rows_at_once(one, took_s[cameras[-1].name], cameras[-1].wh[1], FPS)
+    moved = correct_rolling_shutter(one, took_s[cameras[-1].name], cameras[-1].wh[1], FPS)
     wanted = straight.pixels[-1, 0]
     both = np.isfinite(wanted).all(-1) & np.isfinite(one.keypoints[..., :2]).all(-1)
     before, after = (np.abs(d.keypoints[..., :2] - wanted)[both].mean() for d in (one, moved))
     assert after < 0.6 * before, (before, after)
-    assert with_all_rows_at_once(one, 0.0, 100, FPS) is one
+    assert correct_rolling_shutter(one, 0.0, 100, FPS) is one

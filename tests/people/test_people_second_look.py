@@ -167,7 +167,7 @@ def test_what_is_found_in_a_late_picture_goes_back_to_its_moment(monkeypatch: py
         keypoints = np.column_stack([somebody(124 + 12 * late), np.full(len(NAMES), 1.0)])
         return Landmarks(keypoints, 1.0, np.zeros((33, 3)), np.zeros((MASK_PX, MASK_PX), np.uint8), region, region)
 
-    monkeypatch.setattr(second_look, "look_again", seen_there)
+    monkeypatch.setattr(second_look, "detect_in_region", seen_there)
     footage = Footage("left", False, (640, 480), np.eye(3).tolist(), 30.0, FRAMES, 0, "x", "", (640, 480), 0, 0.0, [])
     clocks = Clocks(30.0, 0.0, FRAMES, (Clock("left", 30.0, FRAMES, offset_s=0.5 / 30),))
     monkeypatch.setattr(

@@ -18,9 +18,9 @@ from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import look_at
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.placement import advise, place
-from studiorecon.placement.figures import Judge, errors_m, information, seen
-from studiorecon.placement.picture import stands
-from studiorecon.placement.placing import advice, in_words, lens, placed, stood
+from studiorecon.placement.figures import Judge, errors_m, information, is_in_picture
+from studiorecon.placement.picture import camera_position_text
+from studiorecon.placement.placing import advice, in_words, lens, placed, with_pose
 from studiorecon.placement.room import TALL_M, WIDTH_M, Room, blocked, read_room, room_about
 from studiorecon.scene.camera import Camera
 
@@ -46,7 +46,7 @@ def noise_px(camera: Camera, point_m: np.ndarray) -> float:
 @pytest.mark.parametrize("count", [2, 4])
 def test_the_predicted_error_is_what_noise_makes_of_triangulation(rig: list[Camera], point: tuple, count: int) -> None:
     cameras, place_m = rig[:count], np.array(point)
-    predicted = errors_m(information(cameras, place_m[None]), seen(cameras, place_m[None]))[0]
+    predicted = errors_m(information(cameras, place_m[None]), is_in_picture(cameras, place_m[None]))[0]
     draws = 3000
     rng = np.random.default_rng(5)
     pixels = np.stack([c.project(place_m[None])[0] + rng.normal(0, noise_px(c, place_m), (draws, 2)) for c in cameras])
@@ -60,7 +60,7 @@ def test_the_predicted_error_is_what_noise_makes_of_triangulation(rig: list[Came
 
 def test_a_point_that_one_camera_sees_and_one_on_the_line_between_two_are_undetermined(rig: list[Camera]) -> None:
     opposite = [
-        stood(c, np.array(eye), look_at(np.array(eye), np.array([0, 0, 1.0])))
+        with_pose(c, np.array(eye), look_at(np.array(eye), np.array([0, 0, 1.0])))
         for c, eye in zip(rig, [(3, 0, 1), (-3, 0, 1.0)])
     ]
     told = information(opposite, np.array([[0.0, 0, 1.0], [0.0, 0.5, 1.0]]))
@@ -94,7 +94,7 @@ def test_a_symmetric_room_gets_a_symmetric_rig(size: str, count: int, turns: flo
     room = read_room(size)
     cameras = placed(room, lenses(count))
     assert {turned_by_half(c, room, turns) for c in cameras} == {turned_by_half(c, room, 0) for c in cameras}
-    errors = Judge(room).errors_of(cameras, room.at_height(1.0))
+    errors = Judge(room).joint_errors_m(cameras, room.at_height(1.0))
     assert errors[::-1] == pytest.approx(errors, rel=1e-6), "the stage's grid turned by half a turn"
 
 
@@ -109,7 +109,10 @@ def test_cameras_stand_in_the_room_and_a_named_rig_is_well_placed(rig: list[Came
 def test_another_camera_never_makes_anything_worse(rig: list[Camera]) -> None:
     judge = Judge(ROOM)
     eye = np.array([3.0, 0.3, 2.2])
-    fewer, more = judge.figures(rig), judge.figures([*rig, stood(rig[0], eye, look_at(eye, np.array([3.0, 3.0, 1.0])))])
+    fewer, more = (
+        judge.figures(rig),
+        judge.figures([*rig, with_pose(rig[0], eye, look_at(eye, np.array([3.0, 3.0, 1.0])))]),
+    )
     assert more.error_m <= fewer.error_m
     assert more.worst_error_m <= fewer.worst_error_m
     for name in ("two", "three", "two_hidden", "three_hidden"):
@@ -121,7 +124,7 @@ def test_another_camera_never_makes_anything_worse(rig: list[Camera]) -> None:
 
 def displaced(rig: Sequence[Camera]) -> list[Camera]:
     turned = look_at(rig[2].centre_m, np.array([5.5, 1.0, 1.6]))
-    return [*rig[:2], stood(rig[2], rig[2].centre_m - [0.5, 0.3, 1.2], turned), rig[3]]
+    return [*rig[:2], with_pose(rig[2], rig[2].centre_m - [0.5, 0.3, 1.2], turned), rig[3]]
 
 
 def test_advice_names_the_camera_that_stands_badly_and_is_worth_what_it_says(rig: list[Camera]) -> None:
@@ -140,22 +143,23 @@ def test_advice_names_the_camera_that_stands_badly_and_is_worth_what_it_says(rig
 
 
 def test_a_move_is_told_as_seen_from_behind_the_camera() -> None:
-    camera = stood(
+    camera = with_pose(
         lens("cam3", 65, (1920, 1080)),
         np.array([3.0, 0.5, 1.5]),
         look_at(np.array([3.0, 0.5, 1.5]), np.array([3.0, 4.0, 1.5])),
     )
     here, rotation = camera.centre_m, camera.world_from_camera[:3, :3]
-    assert in_words(camera, stood(camera, here - [0.6, 0, 0], rotation)) == "move cam3 60 cm left"
+    assert in_words(camera, with_pose(camera, here - [0.6, 0, 0], rotation)) == "move cam3 60 cm left"
     assert (
-        in_words(camera, stood(camera, np.add(here, (0.6, -0.3, 0.1)), rotation))
+        in_words(camera, with_pose(camera, np.add(here, (0.6, -0.3, 0.1)), rotation))
         == "move cam3 60 cm right, 30 cm back, 10 cm up"
     )
     assert (
-        in_words(camera, stood(camera, here, look_at(here, np.array([2.0, 4.0, 1.5])))) == "turn cam3 16° to the left"
+        in_words(camera, with_pose(camera, here, look_at(here, np.array([2.0, 4.0, 1.5]))))
+        == "turn cam3 16° to the left"
     )
     nearer = np.add(here, (0, 0.3, 0))
-    lowered = stood(camera, nearer, look_at(nearer, np.array([3.0, 4.0, 1.0])))
+    lowered = with_pose(camera, nearer, look_at(nearer, np.array([3.0, 4.0, 1.0])))
     assert in_words(camera, lowered) == "move cam3 30 cm forward and tilt it 9° down"
 
 
@@ -163,7 +167,7 @@ def test_a_room_is_taken_to_be_where_the_cameras_stand(rig: list[Camera]) -> Non
     found = room_about(rig)
     assert found.size_m == pytest.approx([6.3, 5.3, 2.9])
     row = [
-        stood(c, np.array([x, 0.0, 1.5]), look_at(np.array([x, 0.0, 1.5]), np.array([1.5, 4.0, 1.0])))
+        with_pose(c, np.array([x, 0.0, 1.5]), look_at(np.array([x, 0.0, 1.5]), np.array([1.5, 4.0, 1.0])))
         for c, x in zip(rig, (0, 1, 2, 3))
     ]
     assert room_about(row).high_m[1] > 3.0, "cameras in a row look into a room that lies before them"
@@ -236,7 +240,7 @@ def test_where_a_camera_stands_is_said_in_metres_and_directions_of_the_picture(
     world_from_camera = np.eye(4)
     world_from_camera[:3, :3], world_from_camera[:3, 3] = look_at(low + eye, low + towards), low + eye
     camera = replace(lenses(1)[0], camera_from_world=np.linalg.inv(world_from_camera))
-    said = stands(camera, ROOM)
+    said = camera_position_text(camera, ROOM)
     assert words in said
     assert eye[2] == towards[2] or said.endswith("down" if eye[2] > towards[2] else "up")
 

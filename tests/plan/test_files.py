@@ -90,8 +90,8 @@ def test_the_detectors_cameras_are_looked_at_twice(configured, capture, home):
     tracks = [f"results/capture/tracks/{camera}.npz" for camera in ("back", "left", "right")]
     assert files.first_detections(SCENE) == tracks
     assert files.detections(SCENE) == ["results/capture/people/detections/back.npz", *tracks[1:]]
-    assert files.seen_people(Wildcards(scene="capture", camera="left")) == []
-    assert len(files.seen_people(Wildcards(scene="capture", camera="back"))) == 3
+    assert files.detector_masks(Wildcards(scene="capture", camera="left")) == []
+    assert len(files.detector_masks(Wildcards(scene="capture", camera="back"))) == 3
     assert files.keypoints(Wildcards(scene="capture", camera="back")) == ["results/capture/detect/found/back.npz"]
 
 
@@ -108,14 +108,14 @@ def test_cameras_that_people_do_not_place_take_no_part(configured, capture, home
     written = tmp_path / "calibration.json"
     written.write_text(json.dumps({"lenses": [{"name": name} for name in ("right", "back")]}))
     files = files_of(configured(), home, Asked(tmp_path, calibration_from_people={"calibration": str(written)}))
-    assert files.cameras(SCENE) == files.training(SCENE) == files.judged_cameras(SCENE) == ["back", "right"]
+    assert files.cameras(SCENE) == files.training(SCENE) == files.evaluated_cameras(SCENE) == ["back", "right"]
     assert files.held_out(SCENE) == files.heldout_film(SCENE) == []
-    assert files.judged(SCENE) == ["train"]
+    assert files.evaluated_film(SCENE) == ["train"]
     assert files.drawn(SCENE) == ["train", *(f for f in files.plan.films if f != "heldout")]
     assert [Path(path).stem for path in files.detections(SCENE)] == ["back", "right"]
     written.write_text(json.dumps({"lenses": [{"name": name} for name in ("right", "left")]}))
-    assert files.judged_cameras(SCENE) == ["left"]
-    assert files.judged(SCENE) == files.heldout_film(SCENE) == ["heldout"]
+    assert files.evaluated_cameras(SCENE) == ["left"]
+    assert files.evaluated_film(SCENE) == files.heldout_film(SCENE) == ["heldout"]
     closed = configured(survey={"force": {"view_synthesis": "on", "closed_path": "on"}})
     fewer = files_of(closed, home, Asked(tmp_path, calibration_from_people={"calibration": str(written)}))
     assert len(fewer.segments(SCENE)) == len(fewer.plan.segments) - 1
@@ -127,7 +127,7 @@ def test_association_says_who_is_there(configured, home, tmp_path, found):
     assert files.fits(SCENE) == [f"results/capture/people/p{k}.npz" for k in (0, 1)], "the rejected is nobody"
     assert files.people(Wildcards()) == files.people(SCENE), "a target without wildcards is of the run's own scene"
     person = Wildcards(scene="capture", person="p1")
-    assert files.tracks_of(person) == ["who/p1.tsv"]
+    assert files.person_tracks(person) == ["who/p1.tsv"]
     assert set(asked.asked) == {"people_associate"}
 
 
@@ -184,10 +184,10 @@ def test_views_are_made_between_those_neighbours_that_need_them(configured, home
 
 def test_photos_are_compared_where_something_may_be_added_to_films(configured, home):
     plain = {"enhancer": "none", "injection": {**configured()["enhance"]["injection"], "history": 0}}
-    assert files_of(configured(enhance=plain), home).drawn_beside_photos(SCENE) == []
+    assert files_of(configured(enhance=plain), home).training_renders(SCENE) == []
     off = {"force": {"enhancement": "off", "injection": "off"}}
-    assert files_of(configured(survey=off), home).drawn_beside_photos(SCENE) == []
-    names = [Path(p).name for p in files_of(configured(), home).drawn_beside_photos(SCENE)]
+    assert files_of(configured(survey=off), home).training_renders(SCENE) == []
+    names = [Path(p).name for p in files_of(configured(), home).training_renders(SCENE)]
     assert names == ["train.mkv", "train.json", "train.depth.mkv"]
 
 
@@ -204,8 +204,8 @@ def test_a_shot_names_its_path_its_stand_ins_and_its_reference(configured, home,
     assert (files.shot_path(far), files.shot_path(swapped)) == (["local:path.json"], [])
     assert files.edited_reference(far) == ["local:edited.png"]
     assert files.replacement_people(swapped) == [str(tmp_path / name) for name in ("her.ply", "her.npz")]
-    assert files.truth_of_replaced(swapped) == ["results/capture/render/swapped.truth.mkv"]
-    assert files.truth_of_replaced(far) == []
+    assert files.replacement_truth(swapped) == ["results/capture/render/swapped.truth.mkv"]
+    assert files.replacement_truth(far) == []
 
 
 def test_a_network_is_shown_people_only_where_it_is_asked_to_be(configured, home, tmp_path):
@@ -236,14 +236,14 @@ def test_a_photo_of_a_stranger_is_made_into_a_person_and_asks_for_its_network(co
         assert files.replacement_people(Wildcards(scene="capture", shot=shot)) == [
             "results/capture/humans/stranger_anna.canonical.ply"
         ]
-    assert files.photo_of_stranger(Wildcards(scene="capture", stranger="stranger_anna")) == "local:photos/anna.JPG"
+    assert files.replacement_photo(Wildcards(scene="capture", stranger="stranger_anna")) == "local:photos/anna.JPG"
     assert ("render.shots.guest.replace", "lhm") in selected(config)
     with pytest.raises(UserError, match="no film's replace names a photo of otto"):
-        files.photo_of_stranger(Wildcards(scene="capture", stranger="stranger_otto"))
+        files.replacement_photo(Wildcards(scene="capture", stranger="stranger_otto"))
     for other, said in (("more/anna.png", "rename one"), ("anna b.png", "letters, digits")):
         both = configured(render={"shots": {**films, "c": {"kind": "orbit", "replace": {"p0": other}}}})
         with pytest.raises(UserError, match=said):
-            files_of(both, home).photo_of_stranger(Wildcards(scene="capture", stranger="stranger_anna"))
+            files_of(both, home).replacement_photo(Wildcards(scene="capture", stranger="stranger_anna"))
     with pytest.raises(
         UserError, match=r"render\.shots\.guest\.replace is lhm, and LHM-1B may not be used commercially"
     ):

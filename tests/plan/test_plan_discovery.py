@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.footage.chapters import write_chapters
-from studiorecon.footage.container import films_of
+from studiorecon.footage.container import read_film_list
 from studiorecon.footage.frames import glimpses, stills
 from studiorecon.footage.source import open_source
 from studiorecon.footage.video import write_watchable
@@ -221,7 +221,7 @@ def test_chapters_are_read_as_one_film(tmp_path: Path) -> None:
     films = [grey_film(tmp_path / "it's 1.mp4", levels[:12]), grey_film(tmp_path / "it's 2.mp4", levels[12:])]
     joined = tmp_path / "x" / "joined.ffconcat"
     assert write_chapters(joined, films) == (12, 8)
-    assert films_of(joined) == tuple(films)
+    assert read_film_list(joined) == tuple(films)
     source = open_source(joined, 0.0)
     np.testing.assert_allclose(source.times_s, np.arange(20) / 25, atol=1e-3)
     for wanted in ([0, 5, 11, 12, 19], [13], [40]):

@@ -11,7 +11,7 @@ from studiorecon.geometry import rotations, smoothing
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.camera_path import axis_miss_rad, between, gaps_around, order_around, scene_centre
 from studiorecon.geometry.triangulation import triangulate
-from studiorecon.keypoints.correspondence import groups_of
+from studiorecon.keypoints.correspondence import track_groups
 from studiorecon.scene.camera import Camera
 from studiorecon.survey import coverage
 
@@ -84,10 +84,10 @@ def test_groups_do_not_depend_on_the_order_of_tracks(seed: int, order: list[int]
     distance = (distance + distance.T) / 2
     distance[view[:, None] == view] = np.nan
     moments = np.ones((9, 9))
-    found = {frozenset(group) for group in groups_of(distance, view, moments, 0.3)}
+    found = {frozenset(group) for group in track_groups(distance, view, moments, 0.3)}
     assert found == {frozenset(np.flatnonzero(person == p).tolist()) for p in range(3)}
     at = np.ix_(order, order)
-    shuffled = groups_of(distance[at], view[order], moments, 0.3)
+    shuffled = track_groups(distance[at], view[order], moments, 0.3)
     assert {frozenset(order[i] for i in group) for group in shuffled} == found
 
 
@@ -134,8 +134,8 @@ def test_a_path_moves_with_the_world(world: World, turning: str, clearance: floa
 def test_what_the_survey_measures_does_not_depend_on_the_world(world: World, order: list[int]) -> None:
     points, depths = cloud(3, 200), [np.full(c.hw, 30.0, np.float32) for c in UNEVEN]
     moved = [world.camera(UNEVEN[i]) for i in order]
-    here = coverage.seen_by(points, UNEVEN, depths, 0.05)
-    there = coverage.seen_by(world.points(points), moved, [d * np.float32(world.scale) for d in depths], 0.05)
+    here = coverage.visible_points(points, UNEVEN, depths, 0.05)
+    there = coverage.visible_points(world.points(points), moved, [d * np.float32(world.scale) for d in depths], 0.05)
     assert (here[order] != there).mean() < 0.01
     sides = coverage.from_two_sides(points, UNEVEN, here, 2.0)
     other_sides = coverage.from_two_sides(world.points(points), moved, here[order], 2.0)

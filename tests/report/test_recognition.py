@@ -41,7 +41,7 @@ def picture(shift_px: float | None) -> np.ndarray:
 @pytest.fixture
 def recognised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict]:
     """Scores of a film whose people stand so many pixels beside those of the photos (None: are not there)."""
-    monkeypatch.setattr(recognition, "found_in", found_in)
+    monkeypatch.setattr(recognition, "detect_keypoints", found_in)
     monkeypatch.setattr(recognition, "BlazePose", lambda *_: None)
     cameras = ring([45, 135], "view")
     write_model(tmp_path / "heldout", cameras)

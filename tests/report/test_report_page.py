@@ -254,7 +254,7 @@ def test_the_slider_keeps_a_caption_from_ending_its_script() -> None:
 def test_the_strip_shows_who_is_seen_when() -> None:
     frame, track = np.array([0, 1, 2, 4, 4]), np.array([7, 7, 7, 7, 9])
     found = Detections("cam1", "coco", frame, track, np.zeros((5, 17, 3)))
-    seen = timeline.frames_seen([found], {("cam1", 7): "p1"}, ["p0", "p1"], 5)
+    seen = timeline.frames_with_detections([found], {("cam1", 7): "p1"}, ["p0", "p1"], 5)
     assert seen["cam1"].tolist() == [[False] * 5, [True, True, True, False, True], [False] * 4 + [True]]
     assert timeline.runs(seen["cam1"][1]) == [(0, 3), (4, 5)]
     drawn = timeline.strip(seen, ["p0", "p1"])

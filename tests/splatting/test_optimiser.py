@@ -17,7 +17,7 @@ from studiorecon.splatting.train.optimiser import Adam
 from studiorecon.splatting.train.schedule import exponential, rates_at
 from studiorecon.splatting.train.still import train_still as train
 from studiorecon.splatting.train.targets import Target, scene_extent
-from studiorecon.splatting.train.terms import terms_of
+from studiorecon.splatting.train.terms import active_terms
 
 from tests.made.gaussians import camera, camera_on_ring, room
 from tests.made.splatting_settings import SETTINGS
@@ -106,12 +106,12 @@ def test_what_was_not_visible_does_not_move(loop: str) -> None:
     grey = np.full((48, 64, 3), 0.2, np.float32)
     run = begun(both, [Target(view, grey), Target(away, grey)], SETTINGS)
     for step in range(10):
-        one_step(run, terms_of(SETTINGS), step, 0)
+        one_step(run, active_terms(SETTINGS), step, 0)
     ahead = run.state.source == 0
-    before = state.gaussians_of(run.state)
+    before = state.state_gaussians(run.state)
     for step in range(10, 100):
-        one_step(run, terms_of(SETTINGS), step, 1)
-    after = state.gaussians_of(run.state)
+        one_step(run, active_terms(SETTINGS), step, 1)
+    after = state.state_gaussians(run.state)
     for name in ("means_m", "quaternions", "log_scales", "logit_opacities", "sh"):
         np.testing.assert_array_equal(getattr(after, name)[ahead], getattr(before, name)[ahead])
     assert np.abs(after.sh[~ahead] - before.sh[~ahead]).max() > 0.01
@@ -127,9 +127,9 @@ def test_o05_rounding_noise_is_not_a_full_step() -> None:
     gradient = np.zeros_like(run.state.blocked.parameters).reshape(-1, 59, 16)
     gradient[:, :3] = 1e-3
     gradient[noisy // 16, :3, noisy % 16] = 1e-12
-    before = state.gaussians_of(run.state).means_m
+    before = state.state_gaussians(run.state).means_m
     run.descend(0, 3, gradient.reshape(-1))
-    steps = np.abs(state.gaussians_of(run.state).means_m - before).max(axis=1)
+    steps = np.abs(state.state_gaussians(run.state).means_m - before).max(axis=1)
     rate = SETTINGS.position_lr_start
     np.testing.assert_allclose(steps[np.flatnonzero(rasteriser.visible)[1:]], rate, rtol=0.05)
     assert steps[noisy] < 0.01 * rate
@@ -143,15 +143,15 @@ def test_a_gradient_that_is_not_finite_is_skipped_and_counted(poison: float) -> 
     seen = int(np.flatnonzero(run.rasteriser.visible)[0])
     gradient = np.full_like(run.state.blocked.parameters, 1e-3).reshape(-1, 59, 16)
     gradient[seen // 16, 1, seen % 16] = poison
-    before = state.gaussians_of(run.state)
+    before = state.state_gaussians(run.state)
     run.descend(0, 3, gradient.reshape(-1))
-    after = state.gaussians_of(run.state)
+    after = state.state_gaussians(run.state)
     assert run.adam.refused == 1
     assert state.finite(after).all()
     assert after.means_m[seen, 1] == before.means_m[seen, 1]
     assert after.means_m[seen, 0] != before.means_m[seen, 0]
     run.descend(1, 3, np.full_like(run.state.blocked.parameters, 1e-3))
-    assert state.gaussians_of(run.state).means_m[seen, 1] != before.means_m[seen, 1], (
+    assert state.state_gaussians(run.state).means_m[seen, 1] != before.means_m[seen, 1], (
         "it moves again with the next good gradient"
     )
     values, slopes = np.zeros((3, 2), np.float32), np.ones((3, 2), np.float32)

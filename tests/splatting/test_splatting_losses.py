@@ -9,7 +9,7 @@ from studiorecon.splatting.train.perceptual import PerceptualSettings
 from studiorecon.splatting.train.photometric import Photometric
 from studiorecon.splatting.train.schedule import TrainingSettings
 from studiorecon.splatting.train.targets import Target
-from studiorecon.splatting.train.terms import Density, L1AndSsim, LpipsTerm, TensorView, terms_of
+from studiorecon.splatting.train.terms import Density, L1AndSsim, LpipsTerm, TensorView, active_terms
 
 from tests.made.cameras import look_at
 from tests.made.training import of_alpha, photometric
@@ -149,7 +149,7 @@ def test_the_papers_density_counts_masked_pixels_like_all_others() -> None:
 
 def test_the_paper_weighs_photometric_terms_alone() -> None:
     literal, plain = (
-        terms_of(TrainingSettings(density=0.1, weighing=weighing, lpips=PerceptualSettings(weight=0.1)))
+        active_terms(TrainingSettings(density=0.1, weighing=weighing, lpips=PerceptualSettings(weight=0.1)))
         for weighing in ("photometric", "picture")
     )
     assert [type(term) for term in literal] == [type(term) for term in plain] == [L1AndSsim, Density, LpipsTerm]

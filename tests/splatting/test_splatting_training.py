@@ -14,10 +14,10 @@ from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.splatting.train.density import grow
 from studiorecon.splatting.train.optimiser import Adam
 from studiorecon.splatting.train.schedule import exponential
-from studiorecon.splatting.train.state import gaussians_of, regrown, start
+from studiorecon.splatting.train.state import regrown, start, state_gaussians
 from studiorecon.splatting.train.still import train_still as train
 from studiorecon.splatting.train.targets import DrawOrder, Target, scene_extent
-from studiorecon.splatting.train.terms import terms_of
+from studiorecon.splatting.train.terms import active_terms
 
 from tests.made.gaussians import camera_on_ring, room
 from tests.made.splatting_settings import SETTINGS
@@ -40,8 +40,8 @@ def test_the_last_block_s_padding_stays_invisible(lesson: tuple[Gaussians, list[
     begin, targets = lesson
     run = begun(begin.take(np.arange(1193)), targets, SETTINGS)
     for iteration in range(3):
-        one_step(run, terms_of(SETTINGS), 100 + iteration, iteration)
-    alone = Rasteriser(near_m=0.01, threads=1).forward(gaussians_of(run.state), targets[5].camera).rgb
+        one_step(run, active_terms(SETTINGS), 100 + iteration, iteration)
+    alone = Rasteriser(near_m=0.01, threads=1).forward(state_gaussians(run.state), targets[5].camera).rgb
     drawn = Rasteriser(near_m=0.01, threads=1).forward(run.state.blocked, targets[5].camera).rgb
     np.testing.assert_allclose(drawn, alone, atol=1e-5)
 
@@ -159,7 +159,7 @@ def test_growth_clones_small_splits_large_and_prunes_faint() -> None:
 def test_the_state_keeps_parameters_exactly_and_moments_follow_their_gaussians() -> None:
     gaussians = room(100, 6).with_sh_degree(2)
     state = start(gaussians)
-    kept = gaussians_of(state)
+    kept = state_gaussians(state)
     for name in FIELDS:
         np.testing.assert_array_equal(getattr(kept, name), getattr(gaussians.take(state.source), name))
     lanes = np.arange(100)

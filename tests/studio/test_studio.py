@@ -442,7 +442,7 @@ def test_perturbed_calibration_is_off_by_what_was_asked_and_only_for_training_ca
         )
     )
     true = rig.true_lenses(d, rig.cameras(d))
-    told = rig.told_lenses(d, true)
+    told = rig.calibrated_lenses(d, true)
     angles, shifts = [], []
     for a, b in zip(true, told):
         relative = a.camera_from_world[:3, :3] @ b.camera_from_world[:3, :3].T

@@ -17,9 +17,9 @@ from studiorecon.survey import decide as step
 from studiorecon.survey.clips import halved, read_film, run_starts
 from studiorecon.survey.coverage import (
     from_two_sides,
-    seen_by,
     stage,
     stage_points,
+    visible_points,
 )
 from studiorecon.survey.effects import CLOSED_PATH, EARLY, EFFECTS, EXPOSURE, PEOPLE, VIEW_SYNTHESIS
 from studiorecon.survey.evidence import Evidence, Material
@@ -59,9 +59,9 @@ class TestCoverage:
         camera = ring([0])[0]
         points = camera.unproject(np.array([[48.0, 32.0]] * 3), np.array([1.0, 2.0, 4.0]))
         wall = np.full(camera.hw, 2.0, np.float32)
-        assert seen_by(points, [camera], [wall], 0.05)[0].tolist() == [True, True, False]
-        assert seen_by(points, [camera], [0 * wall], 0.05)[0].all()
-        assert not seen_by(camera.unproject(np.array([[-5.0, 3.0]]), np.ones(1)), [camera], [wall], 0.05).any()
+        assert visible_points(points, [camera], [wall], 0.05)[0].tolist() == [True, True, False]
+        assert visible_points(points, [camera], [0 * wall], 0.05)[0].all()
+        assert not visible_points(camera.unproject(np.array([[-5.0, 3.0]]), np.ones(1)), [camera], [wall], 0.05).any()
 
     def test_two_cameras_side_by_side_are_one_side(self) -> None:
         cameras = ring([0, 0.5, 90])

@@ -15,7 +15,7 @@ from studiorecon.scene.decisions import read_decisions
 from studiorecon.scene.people import Detections
 from studiorecon.survey import decide as step
 from studiorecon.survey.effects import EXPOSURE
-from studiorecon.survey.effects.changing_light import course_of
+from studiorecon.survey.effects.changing_light import brightness_over_time
 from studiorecon.survey.effects.exposure import gains_called_for
 
 from tests.made.survey import decided, files, floor_view, ring, settings  # noqa: F401  (fixtures)
@@ -110,7 +110,7 @@ def film(path: Path, course: np.ndarray, hidden: slice = slice(0)) -> tuple:
 def test_the_course_of_the_light_is_followed_past_who_walks_through(tmp_path: Path) -> None:
     course = 1 + 0.2 * np.sin(np.linspace(0, 6, 20))
     view, _ = film(tmp_path / "a.mkv", course)
-    found = course_of(tmp_path / "a.mkv", view.camera, 20, None, view, 480)
+    found = brightness_over_time(tmp_path / "a.mkv", view.camera, 20, None, view, 480)
     assert found.shape == (20, 3)
     np.testing.assert_allclose(found[:, 0], course, rtol=0.006)
     np.testing.assert_array_equal(found[:, 0], found[:, 2])
@@ -122,14 +122,14 @@ def test_frames_that_tell_nothing_take_the_light_between_their_neighbours(tmp_pa
     for t in (0, 4):
         frames[t][:] = 0
     write_lossless(tmp_path / "b.mkv", frames, 30.0)
-    found = course_of(tmp_path / "b.mkv", view.camera, 9, None, view, 480)[:, 0]
+    found = brightness_over_time(tmp_path / "b.mkv", view.camera, 9, None, view, 480)[:, 0]
     np.testing.assert_allclose(found[1:], course[1:], rtol=0.01)
     assert found[0] == found[1]
 
 
 def test_a_film_without_room_tells_no_course(tmp_path: Path) -> None:
     view, _ = film(tmp_path / "a.mkv", np.ones(3), hidden=slice(None))
-    assert course_of(tmp_path / "a.mkv", view.camera, 3, None, view, 480) is None
+    assert brightness_over_time(tmp_path / "a.mkv", view.camera, 3, None, view, 480) is None
 
 
 def test_changing_light_turns_on_and_its_course_is_written(files: dict, settings: step.Settings) -> None:
@@ -170,7 +170,7 @@ def test_people_seen_by_keypoints_are_left_out(tmp_path: Path) -> None:
     body = np.zeros((3, 25, 3))
     body[:, :, 0], body[:, :, 1], body[:, :, 2] = np.linspace(14, 82, 25), np.tile([12, 70], 13)[:25], 0.9
     found = Detections("c0", "body_25", np.arange(3), np.zeros(3, int), body)
-    blind, told = (course_of(tmp_path / "a.mkv", view.camera, 3, who, view, 480) for who in (None, found))
+    blind, told = (brightness_over_time(tmp_path / "a.mkv", view.camera, 3, who, view, 480) for who in (None, found))
     assert blind is not None
     assert abs(blind - 1).max() > 0.1
     assert told is None or abs(told - 1).max() < 0.02

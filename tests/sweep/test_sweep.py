@@ -18,7 +18,7 @@ from studiorecon.errors import UserError
 from studiorecon.report.sections.cost import pareto_front
 from studiorecon.sweep import page as sweep_page
 from studiorecon.sweep import row as sweep_row
-from studiorecon.sweep.table import BASE, COLUMNS, configuration_of, parse_settings, read_rows
+from studiorecon.sweep.table import BASE, COLUMNS, parse_settings, read_rows, row_configuration
 
 ROOT = Path(__file__).resolve().parents[2]
 DEFAULTS = yaml.safe_load((ROOT / "config/config.yaml").read_text())
@@ -35,7 +35,7 @@ def write_table(path: Path, rows: list[tuple[str, str, str, str]]) -> Path:
 def test_every_row_of_the_tables_is_a_configuration_that_the_schema_allows(path: Path) -> None:
     rows = read_rows(path)
     for row in rows:
-        assert not mistakes(configuration_of(DEFAULTS, rows[0], row, PRESETS), SCHEMA), row.name
+        assert not mistakes(row_configuration(DEFAULTS, rows[0], row, PRESETS), SCHEMA), row.name
 
 
 def test_a_row_changes_the_base_and_one_with_a_preset_the_preset(tmp_path: Path) -> None:
@@ -43,10 +43,10 @@ def test_a_row_changes_the_base_and_one_with_a_preset_the_preset(tmp_path: Path)
     rows = [("base", "", "", "a.x=1"), ("one", "x", "", "a.y=2"), ("other", "", "p", "a.z=3")]
     base, one, other = read_rows(write_table(tmp_path / "t.tsv", rows))
     given = {"a": {"x": 0, "y": 0, "z": 0}}
-    assert configuration_of(given, base, one, tmp_path) == {"a": {"x": 1, "y": 2, "z": 0}}
-    assert configuration_of(given, base, other, tmp_path) == {"a": {"x": 0, "y": 7, "z": 3}}
+    assert row_configuration(given, base, one, tmp_path) == {"a": {"x": 1, "y": 2, "z": 0}}
+    assert row_configuration(given, base, other, tmp_path) == {"a": {"x": 0, "y": 7, "z": 3}}
     with pytest.raises(UserError, match="preset p"):
-        configuration_of(given, base, other, tmp_path / "elsewhere")
+        row_configuration(given, base, other, tmp_path / "elsewhere")
 
 
 @pytest.mark.parametrize(

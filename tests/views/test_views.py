@@ -143,7 +143,7 @@ def test_what_no_photo_sees_is_a_hole_in_the_mask(photos: list[WarpSource], defa
         nearest = photo.depth_m[np.clip(row, 0, 107).astype(int), np.clip(column, 0, 191).astype(int)]
         seen |= inside & (z < 1.1 * nearest)
     settings = load(synthesize.Settings, default_settings("views"), "views")
-    [(picture, mask)] = synthesize.views_of([between], photos[:1], settings)
+    [(picture, mask)] = synthesize.synthesize_views([between], photos[:1], settings)
     assert 0.2 < (~seen).mean() < 0.9
     deep = cv2.erode((~seen).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     assert (mask[deep] == 0).mean() > 0.97

@@ -28,8 +28,8 @@ from studiorecon.scene.support import SOMEBODY, support_weight
 from studiorecon.views import fitted, generate, request
 from studiorecon.views import path as views_path
 from studiorecon.views import people as views_people
-from studiorecon.views.first_moment import Standing, first_pictures
-from studiorecon.views.frame import frame_of
+from studiorecon.views.first_moment import FirstMomentPeople, first_pictures
+from studiorecon.views.frame import fit_network_frame
 from studiorecon.views.synthesize import read_photos
 
 from tests.made.networks import room_views
@@ -49,7 +49,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("hw", [(270, 480), (54, 96), (720, 1280), (704, 1280), (600, 1000)])
 def test_a_picture_comes_back_from_the_networks_frame_where_it_was(hw: tuple[int, int]) -> None:
-    frame = frame_of(hw, (704, 1280))
+    frame = fit_network_frame(hw, (704, 1280))
     v, u = (np.arange(size) / size for size in hw)
     picture = np.stack(np.broadcast_arrays(v[:, None], u, 0.5 + 0.2 * np.sin(9 * u + 5 * v[:, None])), -1).astype(
         np.float32
@@ -68,7 +68,7 @@ def test_a_picture_comes_back_from_the_networks_frame_where_it_was(hw: tuple[int
 
 def test_the_networks_camera_sees_the_same_points_in_its_own_pixels() -> None:
     camera, _, depth = room_views(WH)[0]
-    frame = frame_of(WH[::-1], (704, 1280))
+    frame = fit_network_frame(WH[::-1], (704, 1280))
     points = camera.unproject(camera.pixel_centres(), depth)[5:-5]
     there, _ = frame.camera(camera).project(points)
     ours, _ = camera.project(points)
@@ -80,7 +80,7 @@ def test_the_networks_camera_sees_the_same_points_in_its_own_pixels() -> None:
 
 def test_portrait_footage_is_refused() -> None:
     with pytest.raises(UserError, match=r"1080×1920 would lose \d+% of its picture"):
-        frame_of((1920, 1080), (704, 1280))
+        fit_network_frame((1920, 1080), (704, 1280))
 
 
 @pytest.fixture
@@ -182,9 +182,9 @@ def test_a_brought_film_must_fit_the_path(files: tuple) -> None:
         fitted.run(settings, "00", folder / "few.mkv", *common, [], None, [], *out)
     camera = Camera("x", WH, np.eye(3), np.eye(4))
     with pytest.raises(UserError, match="80×60; they must be 160×88"):
-        fitted.fitted(np.zeros((60, 80, 3), np.uint8), camera, [NETWORK_HW], 3)
+        fitted.fit_picture(np.zeros((60, 80, 3), np.uint8), camera, [NETWORK_HW], 3)
     own = cv2.randu(np.zeros((54, 96, 3), np.uint8), 0, 255)
-    assert fitted.fitted(own, camera, [NETWORK_HW], 3)[0] is own
+    assert fitted.fit_picture(own, camera, [NETWORK_HW], 3)[0] is own
 
 
 def test_a_network_that_stops_short_is_noticed() -> None:
@@ -193,11 +193,11 @@ def test_a_network_that_stops_short_is_noticed() -> None:
             yield np.zeros((121, 2, 2, 3), np.uint8)
 
     with pytest.raises(UserError, match="made 121 views of 241"):
-        list(generate.frames_of(Short(), {"w2cs_all": np.zeros((241, 4, 4))}))
+        list(generate.request_frames(Short(), {"w2cs_all": np.zeros((241, 4, 4))}))
 
 
 @pytest.fixture
-def someone(files: tuple, root: Path) -> tuple[Path, Path, list[Path], list[Path], Standing]:
+def someone(files: tuple, root: Path) -> tuple[Path, Path, list[Path], list[Path], FirstMomentPeople]:
     """Somebody stands in the room at the first moment: a body file, first pictures in which they are red and a little
     wider than their body, and masks of that."""
     _, _, folder = files
@@ -218,7 +218,7 @@ def someone(files: tuple, root: Path) -> tuple[Path, Path, list[Path], list[Path
         True,
     )
     write_person(folder / "p0.npz", person)
-    standing = Standing([person], model)
+    standing = FirstMomentPeople([person], model)
     videos, masks = [], []
     for camera, rgb, _ in room_views(WH):
         clothed = around(standing, camera, 3)
@@ -230,7 +230,7 @@ def someone(files: tuple, root: Path) -> tuple[Path, Path, list[Path], list[Path
     return folder / "p0.npz", root / "resources/body.npz", videos, masks, standing
 
 
-def around(standing: Standing, camera: Camera, side_px: int) -> np.ndarray:
+def around(standing: FirstMomentPeople, camera: Camera, side_px: int) -> np.ndarray:
     """(H, W) bool: somebody is there, or within the square of ``side_px``."""
     return dilated(standing.depth_m(camera) > 0, side_px)
 
@@ -258,7 +258,9 @@ def test_key_frames_with_people_show_them_at_their_depth(files: tuple, someone: 
         np.testing.assert_allclose(photo.depth_m[~clothed], room_m[~clothed], rtol=2e-3)
         assert not photo.usable[clothed ^ cv2.erode(clothed.astype(np.uint8), np.ones((3, 3))).astype(bool)].all()
     # Without bodies whoever is in the masks is not carried at all.
-    for alone in first_pictures(read_photos(*common[1:], 0.04), videos, masks, Standing([], None), Factors(), 0.04):
+    for alone in first_pictures(
+        read_photos(*common[1:], 0.04), videos, masks, FirstMomentPeople([], None), Factors(), 0.04
+    ):
         assert not alone.usable[around(standing, alone.camera, 3)].any()
 
 

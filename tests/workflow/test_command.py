@@ -15,7 +15,7 @@ import pytest
 import yaml
 from studiorecon import home
 from studiorecon.cli import command
-from studiorecon.configuration.catalogue import films_of, settings_of
+from studiorecon.configuration.catalogue import list_film_settings, list_settings
 from studiorecon.errors import UserError
 from studiorecon.footage.video import write_watchable
 from studiorecon.render.kinds import KINDS
@@ -148,7 +148,7 @@ def test_a_scene_is_found_by_its_capture_its_name_or_its_results(scene: Path, fo
 def test_every_setting_has_a_meaning_and_its_default() -> None:
     schema = yaml.safe_load(home.SCHEMA.read_text())
     config = yaml.safe_load(home.CONFIGURATION.read_text())
-    found = {setting.name: setting for setting in settings_of(home.CONFIGURATION, schema)}
+    found = {setting.name: setting for setting in list_settings(home.CONFIGURATION, schema)}
     assert found["people.fit.iterations"].default == "30"
     assert "paper: 1280×704" in found["capture.width"].meaning, "the comment above it"
     assert "commercial" in found["licences"].choices
@@ -159,7 +159,7 @@ def test_every_setting_has_a_meaning_and_its_default() -> None:
             value = value[part]
         if setting.default is not None:
             assert yaml.safe_load(setting.default) == value or setting.default == value, name
-    films = {setting.name: setting for setting in films_of(KINDS, schema)}
+    films = {setting.name: setting for setting in list_film_settings(KINDS, schema)}
     assert films["render.shots.NAME (kind orbit).radius"].default == "0.9"
     assert all(setting.meaning for setting in films.values())
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 from studiorecon.configuration.schema import mistakes
-from studiorecon.configuration.step_settings import read_by, sections_of
+from studiorecon.configuration.step_settings import read_by, section_names
 
 from tests.workflow.conftest import QUICK, ROOT, House, over
 
@@ -130,7 +130,7 @@ def steps() -> dict[str, str]:
 def reads(step: str, path: str) -> bool:
     """Whether the step's settings hold the one at ``path``."""
     stage, *names = path.split(".")
-    fields: Any = read_by(step) if stage in sections_of(step) else {}
+    fields: Any = read_by(step) if stage in section_names(step) else {}
     for name in names:
         if fields is None:
             return True

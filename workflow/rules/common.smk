@@ -14,7 +14,7 @@ from studiorecon.errors import UserError
 from studiorecon.machine.fault import fault_sentence, keep_trace
 from studiorecon.machine.refusals import refused
 from studiorecon.plan.stale_lock import clear_stale_lock
-from studiorecon.models.catalogue.selection import modules_of
+from studiorecon.models.catalogue.selection import adapter_modules
 from studiorecon.plan import step_config
 from studiorecon.plan.command import command
 from studiorecon.plan.dataset import resolve_path
@@ -148,7 +148,7 @@ def shot_settings(step, *keys):
 
 def code(step):
     """Digest of the code a step imports from this package, so that an edited line re-runs it, and of the networks' adapters that it runs."""
-    return package_code.digest(step, modules_of(step, config))
+    return package_code.digest(step, adapter_modules(step, config))
 
 
 def no_container(wildcards):

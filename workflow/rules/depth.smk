@@ -144,9 +144,9 @@ rule depth_room:
             allow_missing=True,
         ),
         box="results/{scene}/depth/box.json",
-        fits=files.walkers,
-        detections=files.sightings,
-        identities=files.sighted,
+        fits=files.people_for_furniture,
+        detections=files.detections_for_furniture,
+        identities=files.identities_for_furniture,
         kernels="results/{scene}/depth/kernels.txt",
     output:
         room_box="results/{scene}/depth/room.json",

@@ -7,11 +7,11 @@ rule enhance_shot:
         render_path="results/{scene}/render/{shot}.json",
         render_depth="results/{scene}/render/{shot}.depth.mkv",
         # Film, path and depth of the training cameras, which tell what their photos show beyond it.
-        train=files.drawn_beside_photos,
+        train=files.training_renders,
         model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
-        truth=files.truth_of_replaced,
+        truth=files.replacement_truth,
         edited=files.edited_reference,
         made=files.external_film,
         exposure=files.exposure,

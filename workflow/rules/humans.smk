@@ -71,7 +71,7 @@ rule humans_photo:
 # Where a film's replace names a photo: the person of it, cut out.
 rule humans_stranger:
     input:
-        photo=files.photo_of_stranger,
+        photo=files.replacement_photo,
         networks=files.detector,
     output:
         cut="results/{scene}/humans/{stranger}.photo.png",

@@ -11,7 +11,7 @@ rule masks_segment:
         tracks=files.tracked_masks,
         objects=files.loose_objects,
         brightness=files.brightness,
-        seen=files.seen_people,
+        seen=files.detector_masks,
     output:
         masks="results/{scene}/masks/{camera}.mkv",
     log:

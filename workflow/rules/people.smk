@@ -6,11 +6,11 @@ checkpoint people_associate:
     input:
         model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
-        detections=files.compared,
+        detections=files.association_detections,
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
         corrected=files.corrected,
         calibration="results/{scene}/calibration/calibration.json",
-        found=files.found,
+        found=files.raw_detections,
         plates=files.own_plates,
     output:
         people="results/{scene}/people/people.tsv",
@@ -76,11 +76,11 @@ if files.corrected:
         input:
             model=MODEL,
             manifest="results/{scene}/capture/manifest.json",
-            detections=files.compared,
+            detections=files.association_detections,
             videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
             corrected=[],
             calibration="results/{scene}/calibration/calibration.json",
-            found=files.found,
+            found=files.raw_detections,
             plates=files.own_plates,
         output:
             people="results/{scene}/people/by_itself/people.tsv",
@@ -104,7 +104,7 @@ if PLAN.person_sources.detected:
             videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
             corrected=[],
             calibration="results/{scene}/calibration/calibration.json",
-            found=files.first_found,
+            found=files.first_raw_detections,
             plates=files.own_plates,
         output:
             people="results/{scene}/people/first/people.tsv",
@@ -184,7 +184,7 @@ rule people_fit:
         model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
         detections=files.detections,
-        identities=files.tracks_of,
+        identities=files.person_tracks,
         readouts=files.readouts_for,
         body=files.body,
     output:

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.configuration import settings as settings_module
-from studiorecon.configuration.step_settings import section_of
+from studiorecon.configuration.step_settings import find_section
 from studiorecon.errors import UserError
 from studiorecon.machine.fault import fault_sentence, keep_trace
 from studiorecon.machine.libraries import remedy, unloaded
@@ -165,7 +165,7 @@ def _section(given: str, step: str) -> dict:
     if not path.is_file():
         raise UserError(f"settings file {path} is missing")
     content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    found = section_of(step, content) if isinstance(content, dict) else {}
+    found = find_section(step, content) if isinstance(content, dict) else {}
     if not found:
         raise UserError(f"settings file {path} has no section {step.split('.')[0]}")
     return found

@@ -76,15 +76,15 @@ def imported_at(statements: list[ast.stmt]) -> set[str]:
 
 def _modules() -> Mapping[str, Path]:
     """File of every module of ours by its name, "" the package itself; looked for anew when a folder has changed."""
-    folders, modules = _found(PACKAGE)
+    folders, modules = _find_module(PACKAGE)
     if any(not os.path.isdir(folder) or os.stat(folder).st_mtime_ns != seen for folder, seen in folders.items()):
-        _found.cache_clear()
-        _, modules = _found(PACKAGE)
+        _find_module.cache_clear()
+        _, modules = _find_module(PACKAGE)
     return modules
 
 
 @cache
-def _found(package: Path) -> tuple[dict[str, int], dict[str, Path]]:
+def _find_module(package: Path) -> tuple[dict[str, int], dict[str, Path]]:
     """When every folder of the package last changed, and the file of every module in them."""
     folders: dict[str, int] = {}
     modules: dict[str, Path] = {}

@@ -18,8 +18,8 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frames, to_bytes, write_lossless
 from studiorecon.models.loading import load
 from studiorecon.progress import progress, say
-from studiorecon.recursive.clip import enhanced, for_path
-from studiorecon.recursive.flows import flow_of
+from studiorecon.recursive.clip import adapt_injection, enhanced
+from studiorecon.recursive.flows import load_flow
 from studiorecon.recursive.injection import Injection
 from studiorecon.scene.factors import read_factors
 from studiorecon.scene.files import one_each
@@ -60,8 +60,8 @@ def run(
     # Zeros: only enhancers that carry photos over use depth.
     depths_mm = (np.zeros(step.camera.hw, np.uint16) for step in steps)
     how = load_settings(Injection, json.loads(injection), "enhance.injection")
-    search = flow_of(flow, "medium", weights, device)
+    search = load_flow(flow, "medium", weights, device)
     pictures = progress(read_frames(renders, 0, len(steps)), "views of the room", total=len(steps))
-    repaired = enhanced(steps, pictures, depths_mm, reference, network, for_path(how, steps), search)
+    repaired = enhanced(steps, pictures, depths_mm, reference, network, adapt_injection(how, steps), search)
     write_lossless(refined, repaired, fps)
     say(f"{len(steps)} views of the room as {enhancer} repairs them, each after those before it")

@@ -23,7 +23,7 @@ from studiorecon.body import skinning
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES
-from studiorecon.scene.outside import laid_out_as, read_npz
+from studiorecon.scene.outside import read_npz, user_file_context
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
@@ -83,7 +83,7 @@ class BodyModel:
             "plain arrays"
         )
         data = read_npz(path, remedy=cure)
-        with laid_out_as(path, "a body model with the arrays of SMPL's .npz"):
+        with user_file_context(path, "a body model with the arrays of SMPL's .npz"):
             return _read(data, path)
 
     @property

@@ -13,7 +13,7 @@ from studiorecon.geometry import rotations
 from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
 from studiorecon.progress import warn
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.intermediate import expect, of_its_name, read
+from studiorecon.scene.intermediate import expect, expect_named, read
 from studiorecon.scene.people import Person
 from studiorecon.scene.schema import KNOWN_OR_INFINITE, flag, frame_rate, metres, radians, real, text
 
@@ -49,7 +49,7 @@ def read_person(path: Path) -> Person:
 
     def made(data: dict[str, Any]) -> tuple[Person, np.ndarray]:
         name, model = str(data.pop("name")), str(data.pop("body"))
-        of_its_name(path, name)
+        expect_named(path, name)
         fps, metric = float(data.pop("mocap_framerate")), bool(data.pop("metric"))
         person = Person(name=name, body=model, fps=fps, metric=metric, **data)
         joints = person.joints.reshape(len(person.poses), -1)

@@ -18,7 +18,7 @@ import numpy as np
 
 from studiorecon.arrays import evenly_spread
 from studiorecon.calibration.files import Settings as Settings
-from studiorecon.calibration.files import lenses_of, pairings_of
+from studiorecon.calibration.files import paired_lenses, possible_pairings
 from studiorecon.calibration.formats.reading import Reading
 from studiorecon.calibration.names import Pairing, for_other_cameras
 from studiorecon.footage.source import open_source
@@ -118,14 +118,14 @@ def chosen(
     """
 
     def read(pairing: Pairing) -> tuple[list[Lens], list[str], bool]:
-        lenses, notes, floor_known = lenses_of(reading, source, cameras, pixel_maps, settings, pairing)
+        lenses, notes, floor_known = paired_lenses(reading, source, cameras, pixel_maps, settings, pairing)
         square = [for_square_pixels(lens, *both) for lens, *both in zip(lenses, stored or sizes, sizes, strict=True)]
         return [lens for lens, _ in square], notes + [note for _, note in square if note], floor_known
 
     def usual(lenses: Sequence[Lens]) -> list[Lens]:
         return [places(lens, wh)[0].lens for lens, wh in zip(lenses, sizes, strict=True)]
 
-    ways = pairings_of(reading, cameras, source)
+    ways = possible_pairings(reading, cameras, source)
     index, shown = (
         best(ways, lambda way: agreement(usual(read(way)[0]), sizes, people)) if len(ways) > 1 else (0, False)
     )

@@ -20,11 +20,11 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.calibration.checks import clocks, sanity
 from studiorecon.calibration.checks import coverage as health
-from studiorecon.calibration.checks.advice import agreeing, light_of, of_footage, verdict
+from studiorecon.calibration.checks.advice import brightness_and_clipping, edge_agreement_note, footage_notes, verdict
 from studiorecon.calibration.checks.doctor_page import page
-from studiorecon.calibration.checks.edges import by_edges
+from studiorecon.calibration.checks.edges import compare_edges
 from studiorecon.calibration.checks.refined import refined_on_people
-from studiorecon.calibration.room_pictures import rooms_of, without_distortion
+from studiorecon.calibration.room_pictures import read_room_pictures, without_distortion
 from studiorecon.camera_files.calibration import read_calibration
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import glimpses
@@ -67,7 +67,7 @@ class Settings(AgreementLimits, CalibrationPrior):
     """Limits of agreement between cameras and people, and the trust in given cameras."""
 
 
-def examined(
+def examine(
     cameras: Sequence[Camera],
     detections: Sequence[Detections],
     about: Sequence[dict[str, Any]],
@@ -136,7 +136,7 @@ def examined(
         "median_px": median,
         "median_mm": None if median is None else 1000 * median * float(np.median(_metres_per_px(cameras, points))),
         "refined": None if refined is None else refined.as_json(cameras),
-        "edges": by_edges(cameras, refined, seen, rooms, settings.limits, settings.bundle),
+        "edges": compare_edges(cameras, refined, seen, rooms, settings.limits, settings.bundle),
         "px_per_camera": dict(zip(names, each)),
         "shown_frame": shown,
         "lags_frames": {
@@ -207,7 +207,9 @@ def _volume(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, 
     return (looked_at if looked_at is not None else np.mean([c.centre_m for c in cameras], axis=0))[:2], _NOBODY_REACH_M
 
 
-def straightened(picture: Integer[np.ndarray, "H W 3"], lens: Lens, camera: Camera) -> Integer[np.ndarray, "H W 3"]:
+def undistort_picture(
+    picture: Integer[np.ndarray, "H W 3"], lens: Lens, camera: Camera
+) -> Integer[np.ndarray, "H W 3"]:
     """The picture (H, W, 3) of a video as seen by the pinhole ``camera`` of ``undistorted``, 480 rows high."""
     small = camera.resized((round(_PICTURE_ROWS * camera.wh[0] / camera.wh[1]), _PICTURE_ROWS))
     place = video_from_working(small.pixel_centres(), lens, camera.wh, small.intrinsics).astype(np.float32) - 0.5
@@ -228,20 +230,20 @@ def _rooms(
     """
     names = [c.name for c in cameras]
     wanted, paths = zip(*((n, path) for n, path, a in zip(names, sources, asked, strict=True) if a))
-    found = rooms_of(wanted, paths, {c.name: c.wh for c in cameras}, dict(zip(names, moments, strict=True)))
+    found = read_room_pictures(wanted, paths, {c.name: c.wh for c in cameras}, dict(zip(names, moments, strict=True)))
     return [
         without_distortion(found[c.name], lens, c) if c.name in found else None
         for c, lens in zip(cameras, lenses, strict=True)
     ]
 
 
-def marks(seen: Detections, frame: int | None) -> Float[np.ndarray, "N 2"]:
+def keypoint_pixels(seen: Detections, frame: int | None) -> Float[np.ndarray, "N 2"]:
     """(N, 2) pixels of all keypoints of a frame."""
     points = seen.keypoints[seen.frame == (-1 if frame is None else frame)].reshape(-1, 3)
     return points[points[:, 2] > 0, :2]
 
 
-def usable(common: Clocks) -> Clocks:
+def usable_clocks(common: Clocks) -> Clocks:
     """``common``, or the footage as filmed where the videos share no moment, because it can still be checked."""
     if common.frames:
         return common
@@ -255,7 +257,7 @@ def first_frame(common: Clocks, camera: str) -> float:
     return float(np.interp(0.0, position, np.arange(len(position))))
 
 
-def nobody(camera: str) -> Detections:
+def empty_detections(camera: str) -> Detections:
     """The empty detections of a camera without keypoints."""
     return Detections(camera, "coco17", np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 17, 3)))
 
@@ -286,11 +288,11 @@ def run(
     cameras = [camera for camera in cameras if camera not in left_out]
     if unknown := [c for c in cameras if c not in lenses]:
         raise UserError(f"camera {unknown[0]} is not in {calibration} (that has {', '.join(lenses)})")
-    found, common = read_json(sync), usable(read_clocks(clocks))
+    found, common = read_json(sync), usable_clocks(read_clocks(clocks))
     decided = [read_json(path) for path in sizes]
     heights = {v["camera"]: int(v["wh"][1]) for v in decided}
     seen = {d.camera: on_common_clock(d, common, heights[d.camera]) for d in map(read_detections, sightings)}
-    raw = [seen.get(c, nobody(c)) for c in cameras]
+    raw = [seen.get(c, empty_detections(c)) for c in cameras]
     moments = [common.source_frames(c) for c in cameras]
     films = [open_source(source, 0.0) for source in sources]
     looks = [glimpses(film, [int(of[0]), int(of[len(of) // 2])]) for film, of in zip(films, moments, strict=True)]
@@ -300,7 +302,7 @@ def run(
             "wh": list(film.wh),
             "frames": common.frames,
             "first_frame": first_frame(common, c),
-            **light_of(pictures),
+            **brightness_and_clipping(pictures),
             "fps": film.fps,
             "video_frames": film.frames,
             "rotation_deg": film.rotation_deg,
@@ -318,7 +320,7 @@ def run(
         )
     for sentence in [
         *(f"camera {c}: {note}" for c, film in zip(cameras, films) for note in film.notes),
-        *of_footage(about),
+        *footage_notes(about),
     ]:
         say(sentence)
 
@@ -339,13 +341,15 @@ def run(
         "told": [sentence for v in decided for sentence in v.get("told", [])],
     }
     doubts = calibrated.about["doubts"] or []
-    result, points = examined(pinholes, detections, about, settings, readings, told, doubts, rooms, compared)
+    result, points = examine(pinholes, detections, about, settings, readings, told, doubts, rooms, compared)
     pictures = [both[-1] for both in looks]
     if result["shown_frame"] is not None:
         pictures = [glimpses(film, [int(of[result["shown_frame"]])])[0] for film, of in zip(films, moments)]
     shown = {"after_px_per_camera": [result["px_per_camera"][c] for c in cameras]}
-    straight = [straightened(p, lenses[c], camera) for p, c, camera in zip(pictures, cameras, pinholes)]
-    sheet = contact_sheet(pinholes, [], straight, points, shown, [marks(d, result["shown_frame"]) for d in detections])
+    straight = [undistort_picture(p, lenses[c], camera) for p, c, camera in zip(pictures, cameras, pinholes)]
+    sheet = contact_sheet(
+        pinholes, [], straight, points, shown, [keypoint_pixels(d, result["shown_frame"]) for d in detections]
+    )
     pictured = png(sheet)
     result["notes"] = json.loads(notes)
     write_json(report, result)
@@ -354,6 +358,6 @@ def run(
     for sentence in result["notes"]:
         say(sentence)
     say(f"VERDICT: {result['verdict']}")
-    for sentence in [*result["advice"], *filter(None, [agreeing(result)])]:
+    for sentence in [*result["advice"], *filter(None, [edge_agreement_note(result)])]:
         say(sentence)
     say(f"the page is {doctor}")

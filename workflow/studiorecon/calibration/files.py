@@ -25,7 +25,7 @@ from studiorecon.progress import say
 from studiorecon.rig.lens_model import LensReading, as_model, with_radial
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import write_json
-from studiorecon.scene.outside import file_size, laid_out_as
+from studiorecon.scene.outside import file_size, user_file_context
 from studiorecon.signature import Written
 
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -78,10 +78,10 @@ def read_calibration(files: Sequence[Path], wanted: str = "auto") -> Reading:
             raise UserError(f"calibration {file} is missing")
         file_size(file)
     for name, form in FORMATS.items():
-        with laid_out_as(files[0], "a calibration"):
+        with user_file_context(files[0], "a calibration"):
             chosen = name == wanted or (wanted == "auto" and form.recognises(list(files)))
         if chosen:
-            with laid_out_as(files[0], f"a calibration of {form.made_by}"):
+            with user_file_context(files[0], f"a calibration of {form.made_by}"):
                 reading = form.read(list(files))
             if not reading.cameras:
                 raise UserError(f"{files[0]} holds no cameras; it was read as {reading.format}")
@@ -89,13 +89,13 @@ def read_calibration(files: Sequence[Path], wanted: str = "auto") -> Reading:
     raise UserError(f"{', '.join(f.name for f in files)} is not a calibration of a known format; bring {accepted()}")
 
 
-def pairings_of(reading: Reading, cameras: Sequence[str], source: str) -> list[Pairing]:
+def possible_pairings(reading: Reading, cameras: Sequence[str], source: str) -> list[Pairing]:
     """Every way to match a calibration's names to the footage's, the likeliest first; UserError where none fits."""
     names = [c.name for c in reading.cameras]
     return pairings(cameras, names, source) if reading.named else pairings_in_order(cameras, len(names), source)
 
 
-def lenses_of(
+def paired_lenses(
     reading: Reading,
     source: str,
     cameras: Sequence[str],
@@ -108,7 +108,7 @@ def lenses_of(
 
     ``pairing`` is the likeliest by default.
     """
-    pairing = pairing or pairings_of(reading, cameras, source)[0]
+    pairing = pairing or possible_pairings(reading, cameras, source)[0]
     matched, note = pairing.calibrated, pairing.sentence(source) if pairing.how else ""
     by_name = {c.name: c for c in reading.cameras}
     checked = [checked_camera(c, by_name[matched[c]], source) for c in cameras]
@@ -117,7 +117,7 @@ def lenses_of(
     left_out = [c.name for c in reading.cameras if c.name not in matched.values()]
     if left_out:
         notes.append(f"the calibration also has {', '.join(left_out)}, without footage")
-    poses = [meant(c.camera_from_world, settings.poses) for c in chosen]
+    poses = [normalise_pose(c.camera_from_world, settings.poses) for c in chosen]
     if settings.poses != "as_read":
         notes.append(f"the poses were read as {settings.poses}, as the setting calibration.poses says")
     if settings.lens != "as_read":
@@ -148,7 +148,7 @@ def lenses_of(
     return lenses, notes, floor_known
 
 
-def meant(pose: Float[np.ndarray, "4 4"], poses: str) -> Float[np.ndarray, "4 4"]:
+def normalise_pose(pose: Float[np.ndarray, "4 4"], poses: str) -> Float[np.ndarray, "4 4"]:
     """(4, 4) ``camera_from_world`` with OpenCV axes of a pose in the convention ``poses`` (see ``Settings``)."""
     turned = _OPENGL @ pose if poses == "opengl" else pose
     if poses.startswith("world_from_camera"):
@@ -162,6 +162,6 @@ def run(settings: Settings, files: list[Path], cameras: list[str], read: Written
     Every error that needs no people is raised here.
     """
     reading = read_calibration(files, settings.format)
-    lenses_of(reading, files[0].name, cameras, {}, settings)
+    paired_lenses(reading, files[0].name, cameras, {}, settings)
     say(f"{len(reading.cameras)} cameras from {files[0].name} ({reading.format})")
     write_json(read, {"source": files[0].name, **reading.as_json()})

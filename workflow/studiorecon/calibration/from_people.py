@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.body.model import BodyModel
-from studiorecon.calibration.given_lenses import ideal, lenses_of_cameras, posed, straight
-from studiorecon.calibration.room_pictures import edges_of, rooms_of, without_distortion
+from studiorecon.calibration.given_lenses import ideal_pinhole, lens_at_pose, lenses_of_cameras, undistort_detections
+from studiorecon.calibration.room_pictures import read_room_pictures, room_edges, without_distortion
 from studiorecon.errors import UserError
 from studiorecon.footage.lens_metadata import focal_px_from_metadata
 from studiorecon.geometry.bundle import Adjusted, LensPrior
@@ -251,7 +251,7 @@ def _settled_in_the_world(
     return cameras, int(used.sum()), how, scale
 
 
-def _told_by_files(cameras: Sequence[str], sources: Sequence[Path], size: Mapping[str, tuple[int, int]]) -> dict:
+def _focal_px_from_files(cameras: Sequence[str], sources: Sequence[Path], size: Mapping[str, tuple[int, int]]) -> dict:
     """camera → focal length in its file's metadata, pixels of its footage; a folder's first picture counts."""
     found = {}
     for camera, source in zip(cameras, sources):
@@ -302,13 +302,17 @@ def run(
     fitted = BodyModel.load(body)
     maps = {v["camera"]: v.get("pixel_map") for v in told_of}
     known = lenses_of_cameras(lenses, size_of, maps)
-    detections = [straight(d, known[d.camera], size_of[d.camera]) if d.camera in known else d for d in detections]
-    given_px = {c: ideal(lens, size_of[c]).focal_px[0] for c, lens in known.items()} | json.loads(focal_px or "{}")
-    told_px = _told_by_files(cameras, sources, size_of)
+    detections = [
+        undistort_detections(d, known[d.camera], size_of[d.camera]) if d.camera in known else d for d in detections
+    ]
+    given_px = {c: ideal_pinhole(lens, size_of[c]).focal_px[0] for c, lens in known.items()} | json.loads(
+        focal_px or "{}"
+    )
+    told_px = _focal_px_from_files(cameras, sources, size_of)
     measured = GivenLengths(**json.loads(lengths or "{}"))
     rooms = {
-        c: without_distortion(room, known[c], ideal(known[c], size_of[c])) if c in known else room
-        for c, room in rooms_of(cameras, sources, size_of).items()
+        c: without_distortion(room, known[c], ideal_pinhole(known[c], size_of[c])) if c in known else room
+        for c, room in read_room_pictures(cameras, sources, size_of).items()
     }
     found, report = pose_cameras(
         detections,
@@ -320,7 +324,7 @@ def run(
         told_px,
         measured,
         stature_m(fitted),
-        edges_of(rooms),
+        room_edges(rooms),
         rooms,
     )
     if sum(c.name in training for c in found) < _MIN_CAMERAS:
@@ -356,7 +360,7 @@ def run(
         warn(sentence)
     # In the pixels of the footage's maps, so that all later steps read keypoints in the same ones.
     placed = [
-        posed(known[c.name], c)
+        lens_at_pose(known[c.name], c)
         if c.name in known
         else mapped_lens(
             Lens(c.name, c.wh, c.intrinsics, "opencv", np.zeros(8), c.camera_from_world, np.eye(2, 3)), maps[c.name]

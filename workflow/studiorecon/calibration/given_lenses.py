@@ -50,26 +50,26 @@ def lenses_of_cameras(
     return found
 
 
-def ideal(lens: Lens, wh: tuple[int, int]) -> Camera:
+def ideal_pinhole(lens: Lens, wh: tuple[int, int]) -> Camera:
     """The pinhole with square pixels and a central principal point for which poses are estimated."""
     focal = float(lens.intrinsics[0, 0] / _scale(lens, wh))
     return Camera(lens.name, wh, np.array([[focal, 0, wh[0] / 2], [0, focal, wh[1] / 2], [0, 0, 1.0]]), np.eye(4))
 
 
-def straight(seen: Detections, lens: Lens, wh: tuple[int, int]) -> Detections:
-    """The detections in pixels of ``ideal``; points outside of the lens's field are dropped."""
+def undistort_detections(seen: Detections, lens: Lens, wh: tuple[int, int]) -> Detections:
+    """The detections in pixels of ``ideal_pinhole``; points outside of the lens's field are dropped."""
     camera, found = undistorted(seen, lens, wh)
-    wanted = ideal(lens, wh)
+    wanted = ideal_pinhole(lens, wh)
     points = found.keypoints.copy()
     focal = np.diag(wanted.intrinsics)[:2] / np.diag(camera.intrinsics)[:2]
     points[..., :2] = (points[..., :2] - camera.intrinsics[:2, 2]) * focal + wanted.intrinsics[:2, 2]
     return replace(seen, keypoints=points)
 
 
-def posed(lens: Lens, found: Camera) -> Lens:
+def lens_at_pose(lens: Lens, found: Camera) -> Lens:
     """The lens with the pose and focal length of the estimated camera."""
     intrinsics = lens.intrinsics.copy()
-    intrinsics[[0, 1], [0, 1]] *= found.focal_px[0] / ideal(lens, found.wh).focal_px[0]
+    intrinsics[[0, 1], [0, 1]] *= found.focal_px[0] / ideal_pinhole(lens, found.wh).focal_px[0]
     return replace(lens, intrinsics=intrinsics, camera_from_world=found.camera_from_world)
 
 

@@ -32,7 +32,7 @@ _STRIP_ROWS = 256
 _ANY_FPS = 30.0
 
 
-def rooms_of(
+def read_room_pictures(
     cameras: Sequence[str],
     sources: Sequence[Path],
     size: Mapping[str, tuple[int, int]],
@@ -90,6 +90,6 @@ def without_distortion(room: RoomPicture, lens: Lens, camera: Camera) -> RoomPic
     return RoomPicture(grey, known)
 
 
-def edges_of(rooms: Mapping[str, RoomPicture]) -> dict[str, Float[np.ndarray, "N 4"]]:
+def room_edges(rooms: Mapping[str, RoomPicture]) -> dict[str, Float[np.ndarray, "N 4"]]:
     """camera → (N, 4) ends of the straight edges of its room, pixels."""
     return {name: straight_edges(room.grey) for name, room in rooms.items()}

@@ -59,7 +59,7 @@ def read_lenses(calibration: Path) -> Mapping[str, Lens]:
     return read_calibration(calibration).lenses
 
 
-def lens_of(calibration: Path, camera: str) -> Lens:
+def find_lens(calibration: Path, camera: str) -> Lens:
     """The lens of one camera; raises UserError when it is not there."""
     lenses = read_lenses(calibration)
     if camera not in lenses:

@@ -17,7 +17,7 @@ import numpy as np
 from studiorecon.geometry import rotations
 from studiorecon.scene.camera import CAMERA, Camera
 from studiorecon.scene.files import write_text
-from studiorecon.scene.intermediate import CURE, as_written, expect
+from studiorecon.scene.intermediate import CURE, expect, step_file_context
 from studiorecon.scene.outside import read_text
 from studiorecon.scene.schema import check, metres
 from studiorecon.scene.values import shown
@@ -73,9 +73,9 @@ def write_model(
 
 def read_model(folder: Path) -> list[Camera]:
     """The cameras of a model written by ``write_model``, in image order; raises UserError naming the offending file."""
-    with as_written(folder / "cameras.txt"):
+    with step_file_context(folder / "cameras.txt"):
         models = _models(_rows(folder / "cameras.txt", 8))
-    with as_written(folder / "images.txt"):
+    with step_file_context(folder / "images.txt"):
         cameras = _cameras(_rows(folder / "images.txt", 10), models)
         expect(len(cameras) == len(models), f"{len(cameras)} of the {len(models)} cameras of cameras.txt")
         expect(len({camera.name for camera in cameras}) == len(cameras), "two cameras share a name")
@@ -111,7 +111,7 @@ def _cameras(rows: Sequence[Sequence[str]], models: Mapping[str, tuple[tuple[int
 
 def read_points(folder: Path) -> Num[np.ndarray, "N 3"]:
     """(N, 3) points of a model written by ``write_model``; raises UserError naming the file."""
-    with as_written(folder / "points3D.txt"):
+    with step_file_context(folder / "points3D.txt"):
         rows = [[float(v) for v in row[1:4]] for row in _rows(folder / "points3D.txt", 8)]
         points = np.array(rows, dtype=np.float64).reshape(-1, 3)
         check(points, metres("N 3"), "points")

@@ -143,7 +143,7 @@ def vector(value: object, where: str) -> Float[np.ndarray, " 3"]:
     return given.reshape(3)
 
 
-def rotation_of(value: object, where: str) -> Float[np.ndarray, "3 3"]:
+def rotation_from_file(value: object, where: str) -> Float[np.ndarray, "3 3"]:
     """(3, 3) of a rotation matrix, which may still be no rotation, or of an axis times angle in radians."""
     given = numbers(value, where)
     if given.size not in (3, 9):

@@ -20,8 +20,8 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.colmap import read_model, write_model
 from studiorecon.cameras import refine
 from studiorecon.detector.blazepose import LAYOUT, BlazePose
-from studiorecon.detector.following import believed
-from studiorecon.detector.looking import look_again
+from studiorecon.detector.following import keypoints_with_confidence
+from studiorecon.detector.looking import detect_in_region
 from studiorecon.detector.second import second_network
 from studiorecon.detector.windows import region_of_body
 from studiorecon.footage.video import read_frame
@@ -108,12 +108,12 @@ def redetect(
             if region is None:
                 continue
             places += 1
-            first = look_again(network, picture, region)
+            first = detect_in_region(network, picture, region)
             # The network's own region is better, especially if the camera's pose is wrong.
-            seen = (look_again(network, picture, first.next_region) or first) if first is not None else None
+            seen = (detect_in_region(network, picture, first.next_region) or first) if first is not None else None
             if seen is None:
                 continue
-            keypoints = believed(seen, camera.wh, worth)[_STABLE]
+            keypoints = keypoints_with_confidence(seen, camera.wh, worth)[_STABLE]
             for k in np.flatnonzero((keypoints[:, 2] > 0) & np.isfinite(points).all(-1)):
                 rows.append((points[k], keypoints[k, :2], keypoints[k, 2], frame, group, k))
     columns = list(zip(*rows)) if rows else [()] * 6

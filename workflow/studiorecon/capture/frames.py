@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.camera_files.calibration import lens_of
+from studiorecon.camera_files.calibration import find_lens
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.footage.container import films_of
+from studiorecon.footage.container import read_film_list
 from studiorecon.footage.frames import about_damage, decode
 from studiorecon.footage.source import FootageSource, PictureRate, digest, open_source, uneven
-from studiorecon.footage.video import title_of, write_lossless
+from studiorecon.footage.video import camera_title, write_lossless
 from studiorecon.geometry.lens import WorkingView, unseen_share, working_view, working_wh
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
@@ -104,7 +104,7 @@ def run(
     ``frame_count`` is how many the user asked for; 0: all, and then an end that is missing is refused.
     """
     opened = open_source(source, settings.picture_fps)
-    lens = lens_of(calibration, camera)
+    lens = find_lens(calibration, camera)
     common = read_clocks(clocks)
     if common.refusal:
         raise UserError(common.refusal)
@@ -126,7 +126,7 @@ def run(
 
     sha256 = digest(opened)
     try:
-        frames = write_lossless(video, pictures(), common.fps, title_of(camera, sha256))
+        frames = write_lossless(video, pictures(), common.fps, camera_title(camera, sha256))
     except MemoryError:
         raise UserError(f"{source} is too large to decode in memory; lower capture.width") from None
     changes = describe_changes(opened, lens, view, used, common.late_frames(camera))
@@ -144,7 +144,7 @@ def run(
             fps=common.fps,
             frames=frames,
             first_source_frame=int(used[0]),
-            source=", ".join(f"{film.parent.name}/{film.name}" for film in films_of(source)),
+            source=", ".join(f"{film.parent.name}/{film.name}" for film in read_film_list(source)),
             source_sha256=sha256,
             source_wh=opened.wh,
             rotation_deg=opened.rotation_deg,

@@ -151,7 +151,7 @@ def _doctor(options: argparse.Namespace) -> int:
 def first_findings(folder: Path) -> Iterator[str]:
     """What files, headers and two pictures of every camera say, before anything is looked at in full; UserError when
     there is no capture."""
-    from studiorecon.calibration.checks.advice import light_of, of_footage
+    from studiorecon.calibration.checks.advice import brightness_and_clipping, footage_notes
     from studiorecon.footage.frames import glimpses
     from studiorecon.footage.source import open_source  # with OpenCV, which other words do without
     from studiorecon.plan.discovery import open_dataset
@@ -167,7 +167,7 @@ def first_findings(folder: Path) -> Iterator[str]:
         try:
             seen = open_source(source, 0.0)
             frames = seen.frames + sum(open_source(part, 0.0).frames for part in capture.chapters.get(camera, ())[1:])
-            light = light_of(glimpses(seen, [start, start + capture.frame_count // 2]))
+            light = brightness_and_clipping(glimpses(seen, [start, start + capture.frame_count // 2]))
         except UserError as refusal:
             yield f"camera {camera}: {refusal}"
             continue
@@ -178,7 +178,7 @@ def first_findings(folder: Path) -> Iterator[str]:
         )
         yield from (f"camera {camera}: {note}" for note in seen.notes)
         about.append({"camera": camera, **light, "fps": seen.fps, "rotation_deg": seen.rotation_deg})
-    yield from of_footage(about) if about else ()
+    yield from footage_notes(about) if about else ()
     yield from capture.notes
 
 
@@ -339,13 +339,13 @@ def _settings(options: argparse.Namespace) -> int:
     from studiorecon.render.kinds import KINDS
 
     schema: Mapping[str, Any] = yaml.safe_load(SCHEMA.read_text(encoding="utf-8"))
-    every = [*catalogue.settings_of(CONFIGURATION, schema), *catalogue.films_of(KINDS, schema)]
+    every = [*catalogue.list_settings(CONFIGURATION, schema), *catalogue.list_film_settings(KINDS, schema)]
     chosen = [setting for setting in every if f"{setting.name}.".startswith(f"{options.name}." if options.name else "")]
     chosen = chosen or [setting for setting in every if setting.name.startswith(options.name)]
     if not chosen:
         near = difflib.get_close_matches(options.name, [setting.name for setting in every], 1, 0.5)
         raise UserError(f"there is no setting {options.name}{f'; did you mean {near[0]}?' if near else ''}")
-    print(catalogue.told(chosen, 110))
+    print(catalogue.settings_text(chosen, 110))
     return 0
 
 

@@ -35,7 +35,7 @@ from studiorecon.clocks.timeline import Timeline, clock_as_filmed, common_moment
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.duplicate_films import duplicate_film_note
-from studiorecon.footage.sound_track import sound_of
+from studiorecon.footage.sound_track import read_sound
 from studiorecon.footage.source import FootageSource, PictureRate, open_source, uneven
 from studiorecon.progress import progress, say, warn
 from studiorecon.scene.camera import Lens
@@ -170,7 +170,7 @@ def estimate_clocks(
     count = len(cameras)
     pairs: dict[str, list[Pair]] = {}
     why: dict[str, dict[int, str]] = {}
-    sounds = [sound_of(path) if source else None for path, source in zip(paths, sources)]
+    sounds = [read_sound(path) if source else None for path, source in zip(paths, sources)]
     pairs["sound"], why["sound"] = sound_pairs(sounds, lines)
     sized = {c: (lenses[c], source.wh) for c, source in zip(cameras, sources) if source and c in lenses}
     seen = [read_detections(p) for p in sightings]

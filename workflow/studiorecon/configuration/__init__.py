@@ -3,7 +3,7 @@
 
 In: the ``Settings`` of the steps (``setting``: default, meaning, unit, bounds, the paper's value); out:
 config/config.yaml, its schema and the tables of config/README.md (``written``). Read ``setting`` (one declaration),
-``planned`` (settings that no step reads), ``sections`` (the order), ``schema_of``, ``written``, ``catalogue`` (all
+``planned`` (settings that no step reads), ``sections`` (the order), ``setting_schema``, ``written``, ``catalogue`` (all
 settings with their meaning, for people), and ``paper_settings`` (docs/paper.md: every setting that the paper mentions,
 and whether the presets use the paper's value).
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from studiorecon.configuration.schema import part_of
+from studiorecon.configuration.schema import find_schema
 
 # A key of block style, and the rest of its line.
 _KEY = re.compile(r"( *)([\w-]+):(?:\s+(.*))?$")
@@ -37,7 +37,7 @@ class Setting:
     choices: tuple[str, ...] = ()
 
 
-def settings_of(configuration: Path, schema: Mapping[str, Any]) -> list[Setting]:
+def list_settings(configuration: Path, schema: Mapping[str, Any]) -> list[Setting]:
     """Every setting of config.yaml in its order, sections before their settings.
 
     The comment in config.yaml takes precedence over the schema's description.
@@ -46,7 +46,7 @@ def settings_of(configuration: Path, schema: Mapping[str, Any]) -> list[Setting]
     values, comments = yaml.safe_load(text), dict(_comments(text))
     found = []
     for name, value in _flat(values):
-        part = part_of(schema, name)
+        part = find_schema(schema, name)
         meaning = comments.get(name) or part.get("description", "")
         section = isinstance(value, Mapping) and bool(value)
         found.append(
@@ -55,7 +55,7 @@ def settings_of(configuration: Path, schema: Mapping[str, Any]) -> list[Setting]
     return found
 
 
-def films_of(kinds: Mapping[str, type], schema: Mapping[str, Any]) -> list[Setting]:
+def list_film_settings(kinds: Mapping[str, type], schema: Mapping[str, Any]) -> list[Setting]:
     """The settings of every kind of film, such as ``render.shots.NAME (kind orbit).frames``, with the defaults of its
     dataclass.
     """
@@ -74,7 +74,7 @@ def films_of(kinds: Mapping[str, type], schema: Mapping[str, Any]) -> list[Setti
     return found
 
 
-def told(settings: list[Setting], columns: int) -> str:
+def settings_text(settings: list[Setting], columns: int) -> str:
     """The settings as text, wrapped to so many columns."""
     lines = []
     for setting in settings:

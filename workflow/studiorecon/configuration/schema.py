@@ -69,7 +69,7 @@ def named(schema: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
             yield f"{name}.{below}", part
 
 
-def part_of(schema: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+def find_schema(schema: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     """The part of the schema for one setting, by its dotted name; empty if the schema has none."""
     for step in name.split("."):
         schema = _property(schema, step)

@@ -95,11 +95,11 @@ def settings_in(kind: type, values: Any = None, declared: bool = False) -> Itera
     for field in dataclasses.fields(kind):
         if not is_setting(field) or (declared and field.name not in inspect.get_annotations(kind)):
             continue
-        default = default_of(field) if values is None else getattr(values, field.name)
+        default = field_default(field) if values is None else getattr(values, field.name)
         yield Setting(field.name, hints[field.name], default, field.metadata["setting"])
 
 
-def default_of(field: dataclasses.Field[Any]) -> Any:
+def field_default(field: dataclasses.Field[Any]) -> Any:
     """A field's default, ``dataclasses.MISSING`` where it has none."""
     if field.default_factory is not dataclasses.MISSING:
         return field.default_factory()
@@ -115,12 +115,12 @@ def plain(value: Any) -> Any:
     return [plain(item) for item in value] if isinstance(value, (tuple, list)) else value
 
 
-def options_of(kind: Any) -> tuple[Any, ...]:
+def union_members(kind: Any) -> tuple[Any, ...]:
     """The types of a union, or the type alone."""
     return typing.get_args(kind) if typing.get_origin(kind) in (typing.Union, types.UnionType) else (kind,)
 
 
-def choices_of(setting: Setting) -> tuple[str, ...]:
+def literal_choices(setting: Setting) -> tuple[str, ...]:
     """The words that a setting may have, if it allows nothing else."""
     if setting.described.choices:
         return setting.described.choices

@@ -12,7 +12,7 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from studiorecon.configuration.setting import default_of
+from studiorecon.configuration.setting import field_default
 from studiorecon.errors import UserError
 
 if TYPE_CHECKING:
@@ -36,12 +36,12 @@ def load(cls: type[T], values: Mapping[str, Any], where: str, default: T | None 
             filled[field.name] = getattr(default, field.name)
             continue
         if field.name not in values:
-            if default_of(field) is not dataclasses.MISSING:
+            if field_default(field) is not dataclasses.MISSING:
                 continue
             raise UserError(
                 f"setting {where}.{field.name} is missing; config/config.yaml holds every setting with its default"
             )
-        own = getattr(default, field.name) if default is not None else default_of(field)
+        own = getattr(default, field.name) if default is not None else field_default(field)
         filled[field.name] = _convert(values[field.name], hints[field.name], f"{where}.{field.name}", own)
     return cls(**filled)
 

@@ -29,11 +29,11 @@ Fields = dict[str, Any]
 _REMEMBERED = 500
 
 
-def told(step: str, section: Mapping[str, Any]) -> dict[str, Any]:
+def select_settings(step: str, section: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a stage's ``section`` of the configuration that ``"stage.step"`` reads; empty for a step without
     settings.
     """
-    return only(section, read_by(step))
+    return restrict(section, read_by(step))
 
 
 # Steps with settings in the sections of earlier stages, in addition to their own stage's.
@@ -47,24 +47,24 @@ _SECTIONS = {
 }
 
 
-def section_of(step: str, config: Mapping[str, Any]) -> dict[str, Any]:
+def find_section(step: str, config: Mapping[str, Any]) -> dict[str, Any]:
     """The configuration of ``"stage.step"``: its stage's section, after those of earlier stages that it shares."""
-    return {key: value for name in sections_of(step) for key, value in config.get(name, {}).items()}
+    return {key: value for name in section_names(step) for key, value in config.get(name, {}).items()}
 
 
-def sections_of(step: str) -> tuple[str, ...]:
+def section_names(step: str) -> tuple[str, ...]:
     """The sections of the configuration with settings of ``"stage.step"``."""
     stage = step.partition(".")[0]
     return _SECTIONS.get(step, _SECTIONS.get(stage, (stage,)))
 
 
-def only(values: Mapping[str, Any], fields: Fields) -> dict[str, Any]:
+def restrict(values: Mapping[str, Any], fields: Fields) -> dict[str, Any]:
     """``values`` restricted to ``fields``, at every level; fields missing in ``values`` are left out."""
     cut: dict[str, Any] = {}
     for name, below in fields.items():
         if name in values:
             value = values[name]
-            cut[name] = only(value, below) if below is not None and isinstance(value, Mapping) else value
+            cut[name] = restrict(value, below) if below is not None and isinstance(value, Mapping) else value
     return cut
 
 
@@ -76,12 +76,12 @@ def read_by(step: str) -> Fields:
     known, mark = _known(_memory()), f"{step} {code.digest(step)}"
     if mark not in known:
         module = importlib.import_module(f"studiorecon.{step}")
-        known[mark] = fields_of(module.Settings) if hasattr(module, "Settings") else {}
+        known[mark] = setting_fields(module.Settings) if hasattr(module, "Settings") else {}
         _remember(known)
     return known[mark]
 
 
-def fields_of(kind: type) -> Fields:
+def setting_fields(kind: type) -> Fields:
     """The settings of a dataclass, without its constants.
 
     Groups of settings are dataclasses, or mappings whose keys the annotation names.
@@ -92,11 +92,11 @@ def fields_of(kind: type) -> Fields:
 
 def _below(hint: Any) -> Fields | None:
     if isinstance(hint, type) and dataclasses.is_dataclass(hint):
-        return fields_of(hint)
+        return setting_fields(hint)
     if typing.get_origin(hint) in (typing.Union, types.UnionType):
         options = typing.get_args(hint)
         groups = [option for option in options if isinstance(option, type) and dataclasses.is_dataclass(option)]
-        return fields_of(groups[0]) if len(groups) == 1 else None
+        return setting_fields(groups[0]) if len(groups) == 1 else None
     return dict.fromkeys(named_keys(hint)) or None
 
 

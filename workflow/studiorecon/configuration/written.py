@@ -14,9 +14,9 @@ from typing import Any
 
 import yaml
 
-from studiorecon.configuration.schema_of import section_schema
 from studiorecon.configuration.sections import SECTIONS, general
-from studiorecon.configuration.setting import Setting, choices_of, plain
+from studiorecon.configuration.setting import Setting, literal_choices, plain
+from studiorecon.configuration.setting_schema import section_schema
 from studiorecon.home import CONFIGURATION, SCHEMA
 
 README: Path = CONFIGURATION.parent / "README.md"
@@ -78,7 +78,7 @@ class _Plain(yaml.SafeDumper):
 
 def _lines(settings: Iterable[Setting], indent: int) -> Iterator[str]:
     for setting in settings:
-        yield from _comment(_told(setting), indent)
+        yield from _comment(_wrapped(setting), indent)
         key = f"{'':{indent}}{setting.name}:"
         if setting.is_section:
             yield key
@@ -91,10 +91,10 @@ def _lines(settings: Iterable[Setting], indent: int) -> Iterator[str]:
             yield f"{key} {value_text(setting.default)}"
 
 
-def _told(setting: Setting) -> str:
+def _wrapped(setting: Setting) -> str:
     """Meaning, choices, unit and the paper's value in one line of words."""
     told = setting.described
-    choices = f" One of {', '.join(choices_of(setting))}." if choices_of(setting) else ""
+    choices = f" One of {', '.join(literal_choices(setting))}." if literal_choices(setting) else ""
     notes = "; ".join(filter(None, [told.unit, f"paper: {told.paper}" if told.paper else ""]))
     return f"{told.meaning}{choices}{f' ({notes})' if notes else ''}"
 
@@ -133,7 +133,7 @@ def _table(settings: Iterable[Setting], above: str = "") -> Iterator[str]:
 def allowed(setting: Setting) -> str:
     """The allowed values of a setting, in short: its words, or its bounds and unit."""
     told = setting.described
-    if choices := choices_of(setting):
+    if choices := literal_choices(setting):
         return ", ".join(f"`{choice}`" for choice in choices)
     low = f"≥ {told.minimum:g}" if told.minimum is not None else f"> {told.above:g}" if told.above is not None else ""
     high = f"≤ {told.maximum:g}" if told.maximum is not None else f"< {told.below:g}" if told.below is not None else ""

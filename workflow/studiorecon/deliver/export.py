@@ -222,7 +222,7 @@ def run(
     known = {k: v for path in identities for k, v in read_identities(path).items()}
     for form, write in keypoint_files.WRITERS.items():
         for d in seen:
-            numbers = keypoint_files.numbers_of(d.camera, known, names)
+            numbers = keypoint_files.track_numbers(d.camera, known, names)
             other += write(folder / "keypoints" / form, d, by_name[d.camera], capture.frames, numbers)
     other += motions
     copies = {film: folder / "films" / film.name for film in films}

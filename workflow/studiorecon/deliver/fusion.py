@@ -67,7 +67,9 @@ class FusedSurface:
     rgb: Float[np.ndarray, "V 3"]
 
 
-def look(background: Gaussians, provenance: Integer[np.ndarray, " N"], cameras: Sequence[Camera]) -> list[FusedView]:
+def render_views(
+    background: Gaussians, provenance: Integer[np.ndarray, " N"], cameras: Sequence[Camera]
+) -> list[FusedView]:
     """The views of the room's Gaussians from every camera; ``provenance`` (N,) is that of each Gaussian."""
     draw = rasteriser("cpu", near_m=NEAR_M)
     invented = (provenance == INVENTED).astype(np.float32)[:, None]
@@ -101,7 +103,7 @@ def open3d() -> Any:
     return o3d
 
 
-def fused(views: Sequence[FusedView], voxel_m: float) -> FusedSurface:
+def fuse(views: Sequence[FusedView], voxel_m: float) -> FusedSurface:
     """The zero level of the signed distance field of all views; empty when they show nothing."""
     o3d = open3d()
     core = o3d.core

@@ -156,7 +156,7 @@ def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours 
             }
         ],
         "skins": [{"inverseBindMatrices": bind, "joints": list(range(24)), "skeleton": 0}],
-        "animations": [{"name": "capture"} | motion_of(buffer, person)],
+        "animations": [{"name": "capture"} | motion_channels(buffer, person)],
     }
     write_document(path, document, buffer)
 
@@ -180,7 +180,7 @@ def write_document(path: Path, document: dict[str, Any], buffer: Buffer) -> None
         file.write(struct.pack("<I4s", len(buffer.data), b"BIN\0") + bytes(buffer.data))
 
 
-def motion_of(buffer: Buffer, person: Person | Avatar, first: int = 0) -> dict[str, Any]:
+def motion_channels(buffer: Buffer, person: Person | Avatar, first: int = 0) -> dict[str, Any]:
     """Samplers and channels that animate 24 joints, the nodes from ``first`` on, with the motion of a person in the
     z-up world.
 

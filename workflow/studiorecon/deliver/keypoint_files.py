@@ -78,7 +78,7 @@ WRITERS: dict[str, Callable[[Path, Detections, Camera, int, Mapping[int, int]], 
 }
 
 
-def numbers_of(camera: str, identities: Mapping[tuple[str, int], str], people: Sequence[str]) -> dict[int, int]:
+def track_numbers(camera: str, identities: Mapping[tuple[str, int], str], people: Sequence[str]) -> dict[int, int]:
     """track → index of its person in ``people``; rejected tracks are absent."""
     return {track: people.index(p) for (name, track), p in identities.items() if name == camera and p in people}
 

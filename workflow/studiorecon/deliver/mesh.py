@@ -15,10 +15,10 @@ import numpy as np
 
 from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.deliver.fusion import FusedSurface, decimated, fused, look, without
+from studiorecon.deliver.fusion import FusedSurface, decimated, fuse, render_views, without
 from studiorecon.deliver.gltf import Buffer, add_colours, vertex_normals, write_document
 from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
-from studiorecon.deliver.room_planes import Plane, distance_m, kept, planes
+from studiorecon.deliver.room_planes import Plane, distance_m, kept_faces, planes
 from studiorecon.progress import say
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.path import read_path
@@ -88,11 +88,11 @@ def run(model: Path, background: Path, provenance: Path, room_box: Path, path: P
     marks = read_provenance(provenance, gaussians.count)
     steps, _ = read_path(path)
     between = [steps[i].camera for i in evenly_spread(len(steps), VIEWPOINTS)] if steps else []
-    views = look(gaussians, marks, [*read_model(model.parent), *between])
-    surface = fused(views, VOXEL_M)
+    views = render_views(gaussians, marks, [*read_model(model.parent), *between])
+    surface = fuse(views, VOXEL_M)
     standing = decimated(without(surface, distance_m(box, surface.vertices_m) < _OF_PLANE_M), TRIANGLES)
     flat = planes(box, views, PLANE_STEP_M, PLANE_VERTICES)
-    left_out = [FACES[index] for index in range(len(FACES)) if index not in kept(box)]
+    left_out = [FACES[index] for index in range(len(FACES)) if index not in kept_faces(box)]
     write_room(mesh, flat, standing, left_out)
     unseen = sum(int(np.count_nonzero(plane.provenance == INVENTED)) for plane in flat) / max(
         1, sum(len(p.rgb) for p in flat)

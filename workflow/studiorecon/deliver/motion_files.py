@@ -138,13 +138,13 @@ def c3d(path: Path, person: Person, body: BodyModel) -> list[Path]:
     """
     frames = len(person.valid)
     if frames <= _C3D_FRAMES:
-        _c3d_of(path, person, body, slice(0, frames))
+        _c3d_bytes(path, person, body, slice(0, frames))
         return [path]
     written = []
     for first in range(0, frames, _C3D_FRAMES):
         last = min(first + _C3D_FRAMES, frames)
         written.append(path.with_name(f"{path.stem}_frames_{first + 1}-{last}{path.suffix}"))
-        _c3d_of(written[-1], person, body, slice(first, last))
+        _c3d_bytes(written[-1], person, body, slice(first, last))
     path.unlink(missing_ok=True)
     say(
         f"{person.name}: a C3D file holds at most {_C3D_FRAMES:,} frames, so the {frames:,} frames are in "
@@ -153,7 +153,7 @@ def c3d(path: Path, person: Person, body: BodyModel) -> list[Path]:
     return written
 
 
-def _c3d_of(path: Path, person: Person, body: BodyModel, frames: slice) -> None:
+def _c3d_bytes(path: Path, person: Person, body: BodyModel, frames: slice) -> None:
     import ezc3d  # takes 0.2 s, and only this format needs it
 
     valid = person.valid[frames]

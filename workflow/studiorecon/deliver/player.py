@@ -90,7 +90,7 @@ def narrowed(picture: Integer[np.ndarray, "H W 3"], width: int = FILM_WIDTH) -> 
     return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
 
 
-def poster_of(scene: FinishedScene) -> Integer[np.ndarray, "H W 3"]:
+def render_poster(scene: FinishedScene) -> Integer[np.ndarray, "H W 3"]:
     """(H, W, 3) uint8 view of the scene in the middle of the capture, from the middle of its first film, or its first
     camera.
     """
@@ -103,7 +103,7 @@ def poster_of(scene: FinishedScene) -> Integer[np.ndarray, "H W 3"]:
     return to_bytes(drawn.rgb)
 
 
-def page_of(title: str, told: dict[str, Any], held: Bytes, poster: bytes, parts: Sequence[Path]) -> str:
+def build_page(title: str, told: dict[str, Any], held: Bytes, poster: bytes, parts: Sequence[Path]) -> str:
     """The complete page from its ``parts`` (page.html and the scripts); names from the capture are escaped."""
     source = {path.stem: path.read_text(encoding="utf-8") for path in parts}
     page, scripts = source["page"], "\n".join(source[name] for name in SCRIPTS)
@@ -148,11 +148,11 @@ def run(
             "people cast no shadows here: the survey measured no moving shadows, or no light that explains them"
         )
     sentences += filmed(held, told["cameras"], videos, finished.capture.frames, finished.capture.fps)
-    picture = jpeg(poster_of(finished), QUALITY)
+    picture = jpeg(render_poster(finished), QUALITY)
     with complete(poster) as partial:
         partial.write_bytes(picture)
     write_text(
-        page, page_of(f"{finished.name}: 4D scene", told | {"told": [*sentences, *_ALWAYS]}, held, picture, parts)
+        page, build_page(f"{finished.name}: 4D scene", told | {"told": [*sentences, *_ALWAYS]}, held, picture, parts)
     )
     for sentence in sentences:
         say(f"player: {sentence}")

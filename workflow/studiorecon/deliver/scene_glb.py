@@ -21,7 +21,7 @@ from studiorecon.deliver.gltf import (
     Buffer,
     add_body,
     add_colours,
-    motion_of,
+    motion_channels,
     unflipped,
     write_document,
 )
@@ -70,7 +70,7 @@ def splats(buffer: Buffer, own: Gaussians, provenance: Integer[np.ndarray, " N"]
     return {"attributes": attributes, "mode": _POINTS, "material": 0, "extensions": {SPLATS: looks}}
 
 
-def camera_of(camera: Camera) -> tuple[dict[str, Any], dict[str, Any]]:
+def camera_node(camera: Camera) -> tuple[dict[str, Any], dict[str, Any]]:
     """A glTF camera and its node.
 
     glTF has no principal point: it is in the camera's ``extras``, in pixels, with the focal lengths and the size of the
@@ -107,7 +107,7 @@ def thing_motion(buffer: Buffer, thing: RigidObject, fps: float, node: int) -> d
     }
 
 
-def document_of(scene: FinishedScene, buffer: Buffer) -> dict[str, Any]:
+def build_document(scene: FinishedScene, buffer: Buffer) -> dict[str, Any]:
     """The glTF document of a scene, with its numbers in ``buffer``; one animation, ``capture``, moves everything."""
     nodes: list[dict[str, Any]] = []
     meshes: list[dict[str, Any]] = []
@@ -138,7 +138,7 @@ def document_of(scene: FinishedScene, buffer: Buffer) -> dict[str, Any]:
         skins.append(
             {"inverseBindMatrices": bind, "joints": [first + j for j in range(len(skeleton))], "skeleton": first}
         )
-        moved(motion_of(buffer, person, first))
+        moved(motion_channels(buffer, person, first))
     for thing in scene.things:
         motion = thing_motion(buffer, thing, scene.capture.fps, len(nodes))
         if motion is None or not thing.gaussians.count:
@@ -149,7 +149,7 @@ def document_of(scene: FinishedScene, buffer: Buffer) -> dict[str, Any]:
         nodes.append({"name": thing.person, "mesh": len(meshes)})
         meshes.append({"name": thing.person, "primitives": [splats(buffer, thing.gaussians, thing.provenance)]})
     for camera in scene.cameras:
-        made, node = camera_of(camera)
+        made, node = camera_node(camera)
         roots.append(len(nodes))
         nodes.append(node | {"camera": len(cameras)})
         cameras.append(made)
@@ -187,7 +187,7 @@ def run(
     """Write the finished scene as ``glb``."""
     finished = read_finished(manifest, model, files)
     buffer = Buffer()
-    write_document(glb, document_of(finished, buffer), buffer)
+    write_document(glb, build_document(finished, buffer), buffer)
     say(
         f"scene.glb: {finished.contents}, {glb.stat().st_size / 1e6:.1f} MB; "
         f"opens in three.js, PlayCanvas and Blender: {glb}"

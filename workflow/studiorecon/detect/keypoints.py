@@ -18,17 +18,17 @@ from studiorecon.geometry.lens import mapped_lens
 from studiorecon.keypoints.film_check import BORNE_OUT, Film, checked
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.motion import Motion, motion_of, small
+from studiorecon.keypoints.motion import Motion, measure_motion, small
 from studiorecon.keypoints.numbering import numberings
 from studiorecon.keypoints.possible_readings import affine
 from studiorecon.keypoints.readers import read_keypoints
-from studiorecon.keypoints.reading import Settings, detections_of, detections_of_found
+from studiorecon.keypoints.reading import Settings, detections_from_detector, detections_from_recorded
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.files import write_json
 from studiorecon.scene.people import Detections, write_detections
-from studiorecon.scene.raw_detections import is_found, read_raw_detections
+from studiorecon.scene.raw_detections import is_detector_file, read_raw_detections
 from studiorecon.scene.recorded import Recorded, write_recorded
 from studiorecon.signature import Written
 
@@ -73,9 +73,9 @@ def run(
         found, own = _nobody(camera), _none("", "")
     else:
         about["wh"] = list(filmed.wh)
-        if is_found(keypoints[0]):
+        if is_detector_file(keypoints[0]):
             whole = read_raw_detections(keypoints[0])
-            found = detections_of_found(whole, *_as_filmed(camera, filmed, sum(whole.looked), pixel_map), settings)
+            found = detections_from_detector(whole, *_as_filmed(camera, filmed, sum(whole.looked), pixel_map), settings)
             own, what = _none(whole.note, ""), whole.note
         else:
             rest = dict(zip(other_cameras, others, strict=True))
@@ -83,7 +83,7 @@ def run(
             own, told = _compared(settings, camera, keypoints, rest, layout, first, filmed, pixel_map)
             about |= {"refusal": own.refusal, "told": told}
             frames = int(own.pictures[-1]) + 1 if len(own.pictures) else 0
-            found = detections_of(own, *_as_filmed(camera, filmed, frames, pixel_map), settings)
+            found = detections_from_recorded(own, *_as_filmed(camera, filmed, frames, pixel_map), settings)
             found = _nobody(camera) if own.refusal else found
             what = f"{own.program}, {own.layout}"
         say(f"camera {camera}: {len(found.frame)} sightings ({what}), {len(np.unique(found.track))} tracks")
@@ -190,4 +190,4 @@ def motion_in(source: FootageSource, first: int, last: int) -> Motion | None:
     except UserError as refusal:
         warn(f"{refusal}; its keypoints are not compared with it")
         return None
-    return motion_of(wanted[: len(pictures)], pictures, source.wh) if len(pictures) > 2 else None
+    return measure_motion(wanted[: len(pictures)], pictures, source.wh) if len(pictures) > 2 else None

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose
-from studiorecon.detector.following import believed, is_few, people_in
+from studiorecon.detector.following import detect_people, is_short_clip, keypoints_with_confidence
 from studiorecon.detector.second import second_network
 from studiorecon.detector.upright import film_from_turned, quarter_turns, turned
 from studiorecon.detector.windows import small, usual
@@ -19,7 +19,7 @@ from studiorecon.footage.frames import decode, glimpses, stills
 from studiorecon.footage.source import open_source
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import to_bytes
-from studiorecon.keypoints.retiming import part_of
+from studiorecon.keypoints.retiming import used_range
 from studiorecon.progress import progress, say, warn
 from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.files import read_json
@@ -60,7 +60,7 @@ def run(
             found, RawDetections.of(camera, LAYOUT, LANDMARKS, [], (0, 0), "footage that cannot be read")
         )
         return
-    start, count = part_of(read_clocks(clocks[0]), camera) if clocks else (0, 0)
+    start, count = used_range(read_clocks(clocks[0]), camera) if clocks else (0, 0)
     total = count or max(footage.frames - start, 0)
     sampling = sorted({start + round(k * max(total - 1, 0) / (_USUAL - 1)) for k in range(_USUAL)})
     glances = [small(picture) for picture in stills(footage, sampling)]
@@ -79,12 +79,12 @@ def run(
     backgrounds = [turned(background, turns) for background in backgrounds]
     width, height = footage.wh
     wh = (height, width) if turns % 2 else (width, height)
-    few = is_few(total, footage.fps)
+    few = is_short_clip(total, footage.fps)
     rows, frames = [], 0
-    for frame, seen in enumerate(people_in(pictures, network, backgrounds, footage.fps, few), start):
+    for frame, seen in enumerate(detect_people(pictures, network, backgrounds, footage.fps, few), start):
         frames += 1
         for person in seen:
-            keypoints = believed(person, wh, worth)
+            keypoints = keypoints_with_confidence(person, wh, worth)
             keypoints[:, :2] = keypoints[:, :2] @ linear.T + offset[:, 0]
             points_m = np.column_stack([person.points_m[:, :2] @ linear.T, person.points_m[:, 2]])
             affine = person.region.crop_from_picture(MASK_PX)

@@ -17,7 +17,7 @@ import numpy as np
 
 from studiorecon.detector.blazepose import BlazePose, Landmarks
 from studiorecon.detector.crops import Region
-from studiorecon.detector.looking import look_again, newcomers, thorough, unlike
+from studiorecon.detector.looking import detect_exhaustively, detect_in_region, detect_new_people, drop_overlapping
 from studiorecon.detector.windows import changed, grid
 
 if TYPE_CHECKING:
@@ -49,8 +49,8 @@ def follow(
     network: BlazePose, picture: Integer[np.ndarray, "H W 3"], walkers: Sequence[Walker], fps: float
 ) -> list[Walker]:
     """Those of ``walkers`` who are found again in the next picture (or the one before)."""
-    pairs = [(w, seen) for w in walkers if (seen := look_again(network, picture, w.region(fps))) is not None]
-    kept = unlike([seen for _, seen in pairs])
+    pairs = [(w, seen) for w in walkers if (seen := detect_in_region(network, picture, w.region(fps))) is not None]
+    kept = drop_overlapping([seen for _, seen in pairs])
     return [
         Walker(seen, seen.next_region.centre - walker.seen.next_region.centre)
         for walker, seen in pairs
@@ -58,7 +58,7 @@ def follow(
     ]
 
 
-def people_in(
+def detect_people(
     pictures: Iterable[Integer[np.ndarray, "H W 3"]],
     network: BlazePose,
     backgrounds: Sequence[Integer[np.ndarray, "h w 3"]],
@@ -80,7 +80,11 @@ def people_in(
             continue
         windows = grid((picture.shape[1], picture.shape[0]))
         windows += [window for background in backgrounds for window in changed(picture, background)]
-        new = thorough(network, picture) if few and not number else newcomers(network, picture, windows, results[-1])
+        new = (
+            detect_exhaustively(network, picture)
+            if few and not number
+            else detect_new_people(network, picture, windows, results[-1])
+        )
         found = [Walker(seen, np.zeros(2)) for seen in new]
         walkers += found
         results[-1] = [w.seen for w in walkers]
@@ -88,7 +92,7 @@ def people_in(
             found = follow(network, held[-back], found, fps)
             # Whoever runs into somebody known has been followed already.
             known = results[-back]
-            everybody = unlike([*known, *(w.seen for w in found)])
+            everybody = drop_overlapping([*known, *(w.seen for w in found)])
             found = [w for w in found if any(w.seen is e for e in everybody)]
             results[-back] = known + [w.seen for w in found]
         # The last picture is looked at again: whoever is found next time goes back to it.
@@ -97,12 +101,14 @@ def people_in(
     yield from results
 
 
-def is_few(pictures: int, fps: float) -> bool:
+def is_short_clip(pictures: int, fps: float) -> bool:
     """Whether so many pictures are looked at once only."""
     return pictures < max(2, round(_LOOK_S * fps))
 
 
-def believed(seen: Landmarks, wh: tuple[int, int], worth: dict[str, list[float]]) -> Float[np.ndarray, "K 3"]:
+def keypoints_with_confidence(
+    seen: Landmarks, wh: tuple[int, int], worth: dict[str, list[float]]
+) -> Float[np.ndarray, "K 3"]:
     """Keypoints (K, 3) of somebody in a picture of ``wh`` pixels, with confidence; those outside the picture are
     missing.
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Who is in one picture: found in windows over it, each skeleton once.
 
-``newcomers`` is for films, where whoever is missed is found half a second later. ``thorough`` is for pictures that have
-no neighbours: fainter candidates, windows that are turned for people who bend down, and the surest of several looks.
+``detect_new_people`` is for films, where whoever is missed is found half a second later. ``detect_exhaustively`` is for
+pictures that have no neighbours: fainter candidates, windows that are turned for people who bend down, and the surest
+of several looks.
 """
 
 from __future__ import annotations
@@ -46,12 +47,12 @@ def overlap(first: Region, second: Region) -> float:
     return shared / (first.side**2 + second.side**2 - shared)
 
 
-def unlike(found: Iterable[Landmarks]) -> list[Landmarks]:
+def drop_overlapping(found: Iterable[Landmarks]) -> list[Landmarks]:
     """Without those who lie on somebody surer: one person found twice, or a skeleton that jumped to another person."""
-    return first_of_each(sorted(found, key=lambda f: -f.presence * f.keypoints[:, 2].sum()))
+    return drop_duplicates(sorted(found, key=lambda f: -f.presence * f.keypoints[:, 2].sum()))
 
 
-def first_of_each(ordered: Iterable[Landmarks]) -> list[Landmarks]:
+def drop_duplicates(ordered: Iterable[Landmarks]) -> list[Landmarks]:
     """Without those who lie on somebody before them."""
     kept: list[Landmarks] = []
     for one in ordered:
@@ -61,7 +62,7 @@ def first_of_each(ordered: Iterable[Landmarks]) -> list[Landmarks]:
     return kept
 
 
-def sensible(region: Region, picture: Integer[np.ndarray, "H W 3"]) -> bool:
+def is_plausible_region(region: Region, picture: Integer[np.ndarray, "H W 3"]) -> bool:
     """Whether a region is of a size that can hold somebody, and touches the picture."""
     height, width = picture.shape[:2]
     reach = region.side / 2
@@ -71,15 +72,15 @@ def sensible(region: Region, picture: Integer[np.ndarray, "H W 3"]) -> bool:
     )
 
 
-def look_again(network: BlazePose, picture: Integer[np.ndarray, "H W 3"], region: Region) -> Landmarks | None:
+def detect_in_region(network: BlazePose, picture: Integer[np.ndarray, "H W 3"], region: Region) -> Landmarks | None:
     """Who is in ``region``; None when nobody is, or the region is none."""
-    if not sensible(region, picture):
+    if not is_plausible_region(region, picture):
         return None
     seen = network.look(picture, region)
-    return seen if seen.presence >= PRESENT and sensible(seen.next_region, picture) else None
+    return seen if seen.presence >= PRESENT and is_plausible_region(seen.next_region, picture) else None
 
 
-def newcomers(
+def detect_new_people(
     network: BlazePose,
     picture: Integer[np.ndarray, "H W 3"],
     windows: Sequence[tuple[Num[np.ndarray, " 2"], float]],
@@ -92,17 +93,17 @@ def newcomers(
     for _, region in sorted(candidates, key=lambda c: -c[0]):
         if any(overlap(region, other) > _SAME_SQUARE for other in taken):
             continue
-        first = look_again(network, picture, region)
+        first = detect_in_region(network, picture, region)
         # The detector's circle is rough; the landmarks' own is what they are best in.
-        seen = look_again(network, picture, first.next_region) if first else None
+        seen = detect_in_region(network, picture, first.next_region) if first else None
         if seen is not None:
             found.append(seen)
             taken += [region, seen.region]
-    everybody = unlike([*known, *found])
+    everybody = drop_overlapping([*known, *found])
     return [f for f in found if any(f is e for e in everybody)]
 
 
-def thorough(network: BlazePose, picture: Integer[np.ndarray, "H W 3"]) -> list[Landmarks]:
+def detect_exhaustively(network: BlazePose, picture: Integer[np.ndarray, "H W 3"]) -> list[Landmarks]:
     """Who is in a picture that has no neighbours; 25 s of a core for a 4K one."""
     wh = picture.shape[1], picture.shape[0]
     candidates = [
@@ -118,14 +119,14 @@ def thorough(network: BlazePose, picture: Integer[np.ndarray, "H W 3"]) -> list[
             continue
         tried.append(region)
         looks: list[Landmarks] = []
-        while len(looks) < _LOOKS and (seen := look_again(network, picture, region)) is not None:
+        while len(looks) < _LOOKS and (seen := detect_in_region(network, picture, region)) is not None:
             looks.append(seen)
             region = seen.next_region
         if looks:
-            best = max(looks, key=trust)
-            rated.append((score * trust(best), best))
+            best = max(looks, key=landmark_confidence)
+            rated.append((score * landmark_confidence(best), best))
     ordered = sorted(rated, key=lambda one: -one[0])
-    return first_of_each(seen for surety, seen in ordered if surety >= _SURE)
+    return drop_duplicates(seen for surety, seen in ordered if surety >= _SURE)
 
 
 def _one_candidate(first: Region, second: Region) -> bool:
@@ -135,7 +136,7 @@ def _one_candidate(first: Region, second: Region) -> bool:
     return bool(near and factor < _FACTOR and turned < _TURN_RAD)
 
 
-def trust(seen: Landmarks) -> float:
+def landmark_confidence(seen: Landmarks) -> float:
     """How sure the landmark network is: presence, visibility, and the share of visible landmarks under its mask."""
     visible = seen.keypoints[seen.keypoints[:, 2] > _VISIBLE, :2]
     if not len(visible):

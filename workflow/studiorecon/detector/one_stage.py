@@ -35,7 +35,7 @@ _LANDMARKS = LAYOUTS["blazepose33"].keypoints
 _BOX, _POINT = 5, 3
 
 
-def looks_at_everybody(session: onnxruntime.InferenceSession) -> bool:
+def is_one_stage(session: onnxruntime.InferenceSession) -> bool:
     """Whether a network states that it answers with boxes (1, N, 5) and points (1, N, K, 3)."""
     shapes = [tuple(out.shape or ()) for out in session.get_outputs()]
     return len(shapes) == 2 and {(len(shape), shape[-1]) for shape in shapes if shape} == {(3, _BOX), (4, _POINT)}
@@ -45,7 +45,7 @@ class OneStage:
     """The network, on one core. Raises UserError for a file that takes something else, or whose points have no name.
 
     Args:
-        session: the network as ``crops.opened`` opens it, which ``looks_at_everybody``.
+        session: the network as ``crops.opened`` opens it, which ``is_one_stage``.
         path: its file, to be named.
         layout: name of its points (``keypoints.layouts``), or "auto" where their number says it.
     """

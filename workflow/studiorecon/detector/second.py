@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from studiorecon.detector.crops import opened
-from studiorecon.detector.one_stage import OneStage, looks_at_everybody
+from studiorecon.detector.one_stage import OneStage, is_one_stage
 from studiorecon.detector.top_down import TopDown
 
 SecondNetwork = TopDown | OneStage
@@ -19,4 +19,4 @@ def second_network(files: list[Path], layout: str) -> SecondNetwork | None:
         return None
     (path,) = files
     session = opened(path, "set detect.network to a readable file")
-    return OneStage(session, path, layout) if looks_at_everybody(session) else TopDown(session, path, layout)
+    return OneStage(session, path, layout) if is_one_stage(session) else TopDown(session, path, layout)

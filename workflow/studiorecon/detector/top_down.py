@@ -76,7 +76,7 @@ class TopDown:
     def look(self, picture: Num[np.ndarray, "H W 3"], landmarks: Num[np.ndarray, "N 2"]) -> Num[np.ndarray, "K 3"]:
         """(K, 3) x, y in pixels of ``picture`` (uint8 RGB, centres at +0.5) and score in [0, 1] of the points of
         whoever has ``landmarks``."""
-        crop = crop_of(landmarks, self.wh)
+        crop = choose_crop(landmarks, self.wh)
         edge = max(self.wh)
         square = sampled(picture, Region(crop.centre, edge * crop.scale, 0.0), edge)
         left, top = ((edge - side) // 2 for side in self.wh)
@@ -116,7 +116,7 @@ def named(points: int, layout: str, path: Path) -> str:
     return known[0]
 
 
-def crop_of(landmarks: Num[np.ndarray, "N 2"], wh: tuple[int, int]) -> Crop:
+def choose_crop(landmarks: Num[np.ndarray, "N 2"], wh: tuple[int, int]) -> Crop:
     """The part of the picture around somebody's landmarks that fills a crop of ``wh`` pixels."""
     low, high = landmarks.min(0), landmarks.max(0)
     low = low - [0.0, _ABOVE_EARS * (high - low).max()]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.detector.blazepose import BlazePose
-from studiorecon.detector.looking import newcomers, trust
+from studiorecon.detector.looking import detect_new_people, landmark_confidence
 from studiorecon.detector.windows import grid
 
 if TYPE_CHECKING:
@@ -55,5 +55,5 @@ def film_from_turned(wh: tuple[int, int], turns: int) -> Float[np.ndarray, "2 3"
 
 def _upright(network: BlazePose, picture: np.ndarray) -> float:
     """How clearly people are seen upright in a picture, summed."""
-    seen = newcomers(network, picture, grid((picture.shape[1], picture.shape[0])), [])
-    return sum(trust(one) for one in seen if abs(one.next_region.turn_rad) < _UPRIGHT_RAD)
+    seen = detect_new_people(network, picture, grid((picture.shape[1], picture.shape[0])), [])
+    return sum(landmark_confidence(one) for one in seen if abs(one.next_region.turn_rad) < _UPRIGHT_RAD)

@@ -63,7 +63,7 @@ def wipe_share(picture: int, fps: float) -> float:
     return 0.5 + 0.45 * float(np.sin(2 * np.pi * picture / (fps * _WIPE_S)))
 
 
-def photos_of(steps: Sequence[PathStep], videos: Sequence[Path]) -> Iterator[Integer[np.ndarray, "H W 3"] | None]:
+def photo_at_steps(steps: Sequence[PathStep], videos: Sequence[Path]) -> Iterator[Integer[np.ndarray, "H W 3"] | None]:
     """The photo of every step whose camera has footage and whose time is a whole frame, else None; videos are
     ``<camera>.mkv``."""
     by_camera = {video.stem: video for video in videos}
@@ -92,11 +92,11 @@ def run(
     """Write both films; photos are shown where a camera of ``videos`` took one (the shots train and heldout), else
     render and enhanced."""
     steps, fps = read_path(render_path)
-    photos = list(photos_of(steps[:1], videos))
+    photos = list(photo_at_steps(steps[:1], videos))
     with_photos = photos[0] is not None
     words = ("render", "enhanced", "photo") if with_photos else ("render", "enhanced")
     raws, made = read_frames(render, 0, len(steps)), read_frames(video, 0, len(steps))
-    real = photos_of(steps, videos) if with_photos else iter([None] * len(steps))
+    real = photo_at_steps(steps, videos) if with_photos else iter([None] * len(steps))
     writers = [lambda frames, p=p: write_watchable(p, frames, fps) for p in (beside, wipe)]
     with writing(writers) as put:
         for number, (raw, output, photo) in enumerate(

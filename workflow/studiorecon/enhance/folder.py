@@ -28,8 +28,8 @@ from studiorecon.footage.stills import decoded
 from studiorecon.footage.video import read_frames
 from studiorecon.images.encoded import write_png
 from studiorecon.progress import progress, say
-from studiorecon.recursive.clip import enhanced, stands_still
-from studiorecon.recursive.flows import flow_of
+from studiorecon.recursive.clip import enhanced, is_still
+from studiorecon.recursive.flows import load_flow
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.numbered import natural
 from studiorecon.scene.path import PathStep
@@ -46,7 +46,7 @@ class Settings(Enhancing, Injecting):
     """What the step is told."""
 
 
-def pictures_of(source: Path, first: int = 0, count: int | None = None) -> Iterator[Integer[np.ndarray, "H W 3"]]:
+def read_pictures(source: Path, first: int = 0, count: int | None = None) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """(H, W, 3) uint8 pictures ``first`` … of a folder, in the order of their names, or of a video.
 
     Raises UserError for a source that is missing, holds no pictures, or holds one that cannot be read.
@@ -92,12 +92,12 @@ def run(
         raise UserError(
             "the enhancer precomputed is for films of a scene's shots; set enhance.enhancer to none or to a network"
         )
-    total = sum(1 for _ in pictures_of(pictures))
+    total = sum(1 for _ in read_pictures(pictures))
     wanted = min(count or total, total - first)
     if wanted < 1:
         raise UserError(f"{pictures} holds {total} pictures, so there is no picture {first}")
-    photos = list(pictures_of(references, 0, 1)) if references is not None else []
-    given = sum(1 for _ in pictures_of(references)) if references is not None else 0
+    photos = list(read_pictures(references, 0, 1)) if references is not None else []
+    given = sum(1 for _ in read_pictures(references)) if references is not None else 0
     if given not in (0, 1, total):
         raise UserError(
             f"{references} holds {given} references for {total} pictures of "
@@ -106,12 +106,12 @@ def run(
     injection = settings.injection
     unknown = Camera(pictures.name, (1, 1), np.eye(3), np.eye(4))
     steps = [PathStep(unknown, float(index), "00") for index in range(total)]
-    if injection.history and stands_still(steps, pictures_of(pictures)):
+    if injection.history and is_still(steps, read_pictures(pictures)):
         say(f"{pictures} does not move, so there is nothing to steady: no earlier outputs are injected")
         injection = replace(injection, history=0)
     overlap = min(injection.history, first)
     before = list(
-        zip(pictures_of(pictures, first - overlap, overlap), _earlier(output, first - overlap, overlap), strict=True)
+        zip(read_pictures(pictures, first - overlap, overlap), _earlier(output, first - overlap, overlap), strict=True)
     )
     if settings.enhancer == "difix" and not given:
         raise UserError(
@@ -119,15 +119,15 @@ def run(
             "set enhance.enhancer to fixer or none"
         )
     enhancer = network(settings.enhancer, weights, device, settings.seed)
-    search = flow_of(settings.flow, settings.flow_preset, weights, device)
-    each = pictures_of(references, first, wanted) if references is not None and given == total and total > 1 else None
+    search = load_flow(settings.flow, settings.flow_preset, weights, device)
+    each = read_pictures(references, first, wanted) if references is not None and given == total and total > 1 else None
 
     def reference(step: PathStep) -> np.ndarray:
         # ``enhanced`` asks once per picture, in order.
         return next(each) if each is not None else photos[0] if photos else np.zeros((1, 1, 3), np.uint8)
 
-    parts = pictures_of(pictures, first, wanted)
-    unknown_depth = np.zeros(next(pictures_of(pictures)).shape[:2], np.uint16)
+    parts = read_pictures(pictures, first, wanted)
+    unknown_depth = np.zeros(next(read_pictures(pictures)).shape[:2], np.uint16)
     depths = (unknown_depth for _ in range(wanted))
     outputs = enhanced(steps[first : first + wanted], parts, depths, reference, enhancer, injection, search, before)
     for index, picture in enumerate(progress(outputs, f"pictures of {pictures.name}", total=wanted), first):

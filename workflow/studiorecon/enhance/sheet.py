@@ -21,8 +21,8 @@ from studiorecon.footage.video import read_frames_from, to_bytes
 from studiorecon.images.encoded import write_png
 from studiorecon.images.flow import one_thread
 from studiorecon.progress import say
-from studiorecon.recursive.clip import Blend, blend, for_path, history_of
-from studiorecon.recursive.flows import flow_of
+from studiorecon.recursive.clip import Blend, adapt_injection, blend, clip_history
+from studiorecon.recursive.flows import load_flow
 from studiorecon.scene.decisions import read_decisions
 from studiorecon.scene.effects import INJECTION
 from studiorecon.scene.path import read_path
@@ -116,9 +116,9 @@ def run(
     raw = list(read_frames_from(render, start, picture + 1))
     made = list(read_frames_from(video, start, picture + 1))
     with one_thread(), ThreadPoolExecutor(max_workers=1) as pool:
-        search = flow_of(settings.flow, settings.flow_preset, weights, device)
-        injection = for_path(steadied, steps)
-        history = history_of(list(zip(raw[:-1], made[:-1])), injection, search)
+        search = load_flow(settings.flow, settings.flow_preset, weights, device)
+        injection = adapt_injection(steadied, steps)
+        history = clip_history(list(zip(raw[:-1], made[:-1])), injection, search)
         mixed = blend(raw[-1], history, injection, search, pool)
     write_png(image, sheet(raw[-1], mixed, made[-1]))
     say(f"{image} shows how picture {picture} of {shot} was made, with {len(mixed.flows)} earlier outputs injected")

@@ -23,8 +23,8 @@ from studiorecon.footage.streams import Writer, writing
 from studiorecon.footage.video import read_frames, to_bytes, write_lossless, write_watchable
 from studiorecon.models.protocols import Enhancer, Flow
 from studiorecon.progress import progress, say, warn
-from studiorecon.recursive.clip import enhanced, for_path, stands_still
-from studiorecon.recursive.flows import flow_of
+from studiorecon.recursive.clip import adapt_injection, enhanced, is_still
+from studiorecon.recursive.flows import load_flow
 from studiorecon.recursive.injection import Injection
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import Decision, forced, write_decisions
@@ -120,7 +120,7 @@ def run(
     def reference(step: PathStep) -> np.ndarray:
         return training.reference(step.camera, training.nearest_frame(step.frame)) if instead is None else instead
 
-    search = flow_of(settings.flow, settings.flow_preset, weights, device)
+    search = load_flow(settings.flow, settings.flow_preset, weights, device)
     injection, called = chosen_injection(settings, drawn, reference, enhancer, search)
     say(f"shot {shot}: injection is {called.verdict}; {called.reason}")
     write_decisions(decisions, [enhancement, called])
@@ -196,14 +196,14 @@ def chosen_injection(
     search: Flow,
 ) -> tuple[Injection, Decision]:
     """How earlier outputs enter later ones, and why: where enhanced pictures flicker more than renders do."""
-    injection = for_path(settings.injection, drawn.steps)
+    injection = adapt_injection(settings.injection, drawn.steps)
     if not injection.history:
         decision = settled(INJECTION, False, "enhance.injection.history is 0")
     elif settings.force.get(INJECTION.name):
         decision = settled(INJECTION, False, "not measured")
     elif isinstance(enhancer, Unchanged):
         decision = settled(INJECTION, False, "nothing is enhanced, so nothing flickers that did not before")
-    elif stands_still(drawn.steps, drawn.pictures()):
+    elif is_still(drawn.steps, drawn.pictures()):
         decision = settled(INJECTION, False, "the camera does not move, so there is nothing to steady")
     else:
         change = flicker(drawn.steps, drawn.render, drawn.depth, reference, enhancer, search)

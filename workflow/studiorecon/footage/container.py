@@ -29,12 +29,12 @@ def opened(path: Path | str) -> av.container.InputContainer:
     return av.open(str(path), "r", **_TAGS)
 
 
-def films_of(path: Path) -> tuple[Path, ...]:
+def read_film_list(path: Path) -> tuple[Path, ...]:
     """The films of the list at ``path``; of any other path the path alone. Raises UserError for an unreadable list."""
-    return tuple(film for film, _ in parts_of(path))
+    return tuple(film for film, _ in read_parts(path))
 
 
-def parts_of(path: Path) -> tuple[tuple[Path, float], ...]:
+def read_parts(path: Path) -> tuple[tuple[Path, float], ...]:
     """(film, seconds) of the list at ``path``, in order; the path alone with 0 where it is no list. Raises UserError
     for an unreadable list."""
     if path.suffix != CHAPTERS:
@@ -54,7 +54,7 @@ def film_streams(container: av.container.InputContainer) -> list[av.VideoStream]
     return sorted(found, key=lambda s: (s.frames != 1, s.width * s.height), reverse=True)
 
 
-def film_of(container: av.container.InputContainer) -> av.VideoStream:
+def film_stream(container: av.container.InputContainer) -> av.VideoStream:
     """The film stream of a container that has one, decoded by several threads; raises IndexError when it has none."""
     stream = film_streams(container)[0]
     stream.thread_type = "AUTO"
@@ -65,7 +65,7 @@ def keeps_every_pixel(film: Path) -> bool:
     """Whether a film is stored losslessly."""
     try:
         with opened(film) as container:
-            context = film_of(container).codec_context
+            context = film_stream(container).codec_context
     except (av.FFmpegError, IndexError):
         return False
     # H.264 can be both: our lossless films are H.264 of RGB, watchable films are YUV.

@@ -15,7 +15,7 @@ from studiorecon.arrays import require
 from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.scene.files import complete
-from studiorecon.scene.intermediate import CURE, as_written
+from studiorecon.scene.intermediate import CURE, step_file_context
 from studiorecon.scene.outside import first_line
 from studiorecon.scene.schema import check, metres, real
 
@@ -80,7 +80,7 @@ def read_depth(
         cure = "write it again with the program that made it" if wh is None else CURE
         raise UserError(f"{path} is not a readable EXR file ({first_line(error)}); {cure}") from None
     if wh is not None:
-        with as_written(path):
+        with step_file_context(path):
             check(channels, _MADE, sizes={"H": wh[1], "W": wh[0]})
     name = next((n for n in ("Z", "Y", "R", "depth") if n in channels), None)
     if name is None:

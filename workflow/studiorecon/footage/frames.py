@@ -16,7 +16,7 @@ import numpy as np
 from av.video.reformatter import VideoReformatter
 
 from studiorecon.errors import UserError
-from studiorecon.footage.container import film_of, opened
+from studiorecon.footage.container import film_stream, opened
 from studiorecon.footage.source import FootageSource
 from studiorecon.footage.stills import decoded
 from studiorecon.footage.timing import film_frames, shown_frames
@@ -156,7 +156,7 @@ def _frames_at(
 ) -> Iterator[av.VideoFrame | None]:
     """The frames numbered ``wanted`` (ascending), by their times; None for one that seeking does not reach."""
     assert source.form is not None
-    stream = film_of(container)
+    stream = film_stream(container)
     assert stream.time_base is not None
     half_s = 0.5 / source.fps
     last: av.VideoFrame | None = None

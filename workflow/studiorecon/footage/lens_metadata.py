@@ -17,7 +17,7 @@ import av
 import cv2
 import numpy as np
 
-from studiorecon.footage.container import films_of, opened
+from studiorecon.footage.container import opened, read_film_list
 
 _KEY = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 _FILM_DIAGONAL_MM = float(np.hypot(36.0, 24.0))
@@ -36,7 +36,7 @@ def focal_px_from_metadata(path: Path, wh: tuple[int, int]) -> float | None:
     An initial value, not a calibration: it is the lens's nominal length, and a phone's stabilisation crops up to a
     tenth of the picture.
     """
-    path = films_of(path)[0]
+    path = read_film_list(path)[0]
     film_mm = _of_photo(path) if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".webp", ".tif") else _of_film(path)
     if film_mm is None or not _SHORTEST_MM <= film_mm <= _LONGEST_MM:
         return None

@@ -16,10 +16,10 @@ import numpy as np
 
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.footage.as_shown import Form, form_of
-from studiorecon.footage.container import film_of, film_streams, films_of, opened
+from studiorecon.footage.container import film_stream, film_streams, opened, read_film_list
+from studiorecon.footage.display_form import StoredFormat, stored_format
 from studiorecon.footage.stills import decoded
-from studiorecon.footage.timing import shown_frames, timing_of
+from studiorecon.footage.timing import read_timing, shown_frames
 from studiorecon.machine.refusals import without_thread
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.numbered import gaps_named, pictures_in
@@ -63,7 +63,7 @@ class FootageSource:
     announced: int
     times_s: tuple[float, ...] = ()
     carried: bool = True
-    form: Form | None = None
+    form: StoredFormat | None = None
     parts: tuple[FootageSource, ...] = ()
     pictures: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
@@ -87,7 +87,7 @@ def open_source(path: Path, picture_fps: float) -> FootageSource:
     """
     if path.is_dir():
         return _open_folder(path, picture_fps)
-    if path.is_file() and (films := films_of(path)) != (path,):
+    if path.is_file() and (films := read_film_list(path)) != (path,):
         return _joined(path, [open_source(film, picture_fps) for film in films])
     return _open_film(path, _stamp(path))
 
@@ -100,7 +100,7 @@ def check_readable(path: Path) -> None:
     if path.is_dir():
         _open_folder(path, 1.0)
     else:
-        _first_look(path, _stamp(path))
+        _probe_first_frame(path, _stamp(path))
 
 
 def _stamp(path: Path) -> tuple[int, int]:
@@ -135,9 +135,9 @@ def _joined(path: Path, parts: Sequence[FootageSource]) -> FootageSource:
 @lru_cache(maxsize=64)
 def _open_film(path: Path, stamp: tuple[int, int]) -> FootageSource:
     """The film at ``path``; every packet is examined, once per version of the file."""
-    form, notes = _first_look(path, stamp)
+    form, notes = _probe_first_frame(path, stamp)
     with _as_film(path):
-        timing = timing_of(path)
+        timing = read_timing(path)
     frames = len(timing.times_s)
     if frames == 1:
         raise UserError(f"{path} holds a single frame; put the camera's video there")
@@ -155,7 +155,7 @@ def _open_film(path: Path, stamp: tuple[int, int]) -> FootageSource:
 
 
 @lru_cache(maxsize=64)
-def _first_look(path: Path, _: tuple[int, int]) -> tuple[Form, tuple[str, ...]]:
+def _probe_first_frame(path: Path, _: tuple[int, int]) -> tuple[StoredFormat, tuple[str, ...]]:
     """How the frames of a film are stored, by its header and its first picture, and sentences about that."""
     with _as_film(path), opened(path) as container:
         streams = film_streams(container)
@@ -168,10 +168,10 @@ def _first_look(path: Path, _: tuple[int, int]) -> tuple[Form, tuple[str, ...]]:
                 f"{path} announces pictures of {width}×{height}, larger than any camera's: its header is damaged; copy "
                 "the recording again"
             )
-        first = next(shown_frames(container, film_of(container)), None)
+        first = next(shown_frames(container, film_stream(container)), None)
         if first is None:
             raise UserError(f"{path} holds no frames that can be decoded; copy the recording again")
-        form, notes = form_of(streams[0], first)
+        form, notes = stored_format(streams[0], first)
         if len(streams) > 1:
             sizes = ", ".join(f"{s.index} ({s.width}×{s.height})" for s in streams[1:])
             notes = (f"of its video streams number {streams[0].index} is used, and not {sizes}", *notes)
@@ -214,7 +214,7 @@ def uneven(times_s: Sequence[float], first: int) -> str | None:
 
 def digest(source: FootageSource) -> str:
     """SHA-256 of the video file, or of the digests of a folder's pictures, or a recording's chapters, in order."""
-    files = source.pictures or films_of(source.path)
+    files = source.pictures or read_film_list(source.path)
     if files == (source.path,):
         return _file_digest(source.path)
     whole = hashlib.sha256()

@@ -14,7 +14,7 @@ import av
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.footage.container import film_of, film_streams, opened
+from studiorecon.footage.container import film_stream, film_streams, opened
 from studiorecon.machine.refusals import without_thread
 
 if TYPE_CHECKING:
@@ -77,14 +77,14 @@ class _Decoded:
     other_wh: tuple[int, int] | None = None
 
 
-def timing_of(path: Path) -> Timing:
+def read_timing(path: Path) -> Timing:
     """The timing of the film in ``path``: from its packets if its first and last frames agree with them.
 
     Else it is that of the undamaged frames after decoding all of it. Raises UserError naming the file when nothing can
     be decoded, or neither its times nor its header give a rate.
     """
     with opened(path) as container:
-        stream = film_of(container)
+        stream = film_stream(container)
         rate = float(stream.average_rate or stream.guessed_rate or 0)
         # QuickTime's index excludes frames that its edit list hides at the ends, its count includes them.
         stated = min(stream.frames, len(stream.index_entries)) if "mov" in container.format.name else stream.frames
@@ -136,7 +136,7 @@ def film_frames(path: Path) -> Iterator[av.VideoFrame]:
         with opened(path) as container:
             if not film_streams(container):
                 return
-            stream = film_of(container)
+            stream = film_stream(container)
             stream.thread_type = threads
             try:
                 for frame in islice(shown_frames(container, stream, to_damage=threads == "AUTO"), done, None):
@@ -209,7 +209,7 @@ def _packets(path: Path) -> _Packets:
     hidden, whole = 0, True
     try:
         with opened(path) as container:
-            stream = film_of(container)
+            stream = film_stream(container)
             for packet in container.demux(stream):
                 whole = whole and not packet.is_corrupt
                 if packet.size and not packet.is_discard:
@@ -235,7 +235,7 @@ def _decoded(path: Path, from_s: float | None = None, most: int | None = None) -
     if from_s is None:
         return _timed(islice(film_frames(path), most))
     with opened(path) as container:
-        stream = film_of(container)
+        stream = film_stream(container)
         if stream.time_base is not None:
             container.seek(int(from_s / stream.time_base), stream=stream, backward=True)
         return _timed(islice(shown_frames(container, stream), most))
@@ -268,7 +268,7 @@ def _of_one_size(path: Path, times_s: np.ndarray) -> tuple[int, tuple[int, int] 
     A film changes its size at key frames only, and rarely back: where the last one's differs, they are bisected.
     """
     with opened(path) as container:
-        stream = film_of(container)
+        stream = film_stream(container)
         assert stream.time_base is not None
         first = next(shown_frames(container, stream))
         wh, found = (first.width, first.height), None

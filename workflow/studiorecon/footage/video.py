@@ -24,7 +24,7 @@ from studiorecon.footage.container import opened
 from studiorecon.machine.refusals import without_thread
 from studiorecon.scene.capture import read_footage
 from studiorecon.scene.files import complete
-from studiorecon.scene.intermediate import as_written, expect
+from studiorecon.scene.intermediate import expect, step_file_context
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
@@ -68,12 +68,12 @@ def to_float(image: Integer[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
 def write_lossless(path: Path, frames: Iterable[Integer[np.ndarray, "H W ..."]], fps: float, title: str = "") -> int:
     """Write frames losslessly: (H, W, 3) uint8, (H, W) uint8 or (H, W) uint16; returns how many.
 
-    ``title``: kept in the file (``title_of``). Raises ValueError for frames of two sizes or none at all.
+    ``title``: kept in the file (``camera_title``). Raises ValueError for frames of two sizes or none at all.
     """
     return write_film(path, frames, fps, None, title)
 
 
-def title_of(camera: str, source_sha256: str) -> str:
+def camera_title(camera: str, source_sha256: str) -> str:
     """The title of a camera's working video, different for every camera and recording."""
     return f"{camera} {source_sha256}"
 
@@ -215,11 +215,11 @@ def _as_captured(path: Path, container: av.container.InputContainer, stream: av.
         return None
     footage = read_footage(about)
     title, rate, lasts = container.metadata.get("title", ""), stream.average_rate, container.duration
-    with as_written(path):
+    with step_file_context(path):
         size = f"{stream.width}×{stream.height}, {about.name} says {footage.wh[0]}×{footage.wh[1]}"
         expect((stream.width, stream.height) == footage.wh, f"it is {size}")
         expect(
-            title in ("", title_of(footage.camera, footage.source_sha256)),
+            title in ("", camera_title(footage.camera, footage.source_sha256)),
             f"it is of {title.rpartition(' ')[0]} or of another recording",
         )
         expect(

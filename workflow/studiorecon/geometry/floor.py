@@ -32,7 +32,7 @@ def floor_points(
     return points, known & (np.abs(points[..., 2] - floor_m) < FLOOR_M)
 
 
-def beside(
+def is_near(
     points_m: Num[np.ndarray, "... 3"], places_m: Num[np.ndarray, "A 2"], reach_m: float
 ) -> Bool[np.ndarray, " ..."]:
     """(...,) bool: points within ``reach_m`` of any of the places, by their horizontal distance."""

@@ -56,13 +56,13 @@ def relative_pose(
     if best is None or best[0] < _MIN_PAIRS:
         return None
     rotation, translation = _refined(best[1], best[2], first, second, unit)
-    inliers = (np.abs(sampson(essential_of(rotation, translation), first, second)) < unit) & in_front(
+    inliers = (np.abs(sampson(essential_matrix(rotation, translation), first, second)) < unit) & in_front(
         rotation, translation, first, second
     )
     return (rotation, translation, inliers) if inliers.sum() >= _MIN_PAIRS else None
 
 
-def essential_of(rotation: Num[np.ndarray, "3 3"], translation: Num[np.ndarray, " 3"]) -> Num[np.ndarray, "3 3"]:
+def essential_matrix(rotation: Num[np.ndarray, "3 3"], translation: Num[np.ndarray, " 3"]) -> Num[np.ndarray, "3 3"]:
     """E = [t]x R, with second^T E first = 0."""
     return cross_matrix(translation) @ rotation
 
@@ -104,7 +104,7 @@ def _refined(
     from scipy.optimize import least_squares
 
     for _ in range(_ROUNDS):
-        agreed = np.abs(sampson(essential_of(rotation, translation), first, second)) < unit
+        agreed = np.abs(sampson(essential_matrix(rotation, translation), first, second)) < unit
         if agreed.sum() < _MIN_PAIRS:
             break
         one, two = first[agreed], second[agreed]
@@ -114,7 +114,7 @@ def _refined(
             x: np.ndarray, r: np.ndarray = rotation, t: np.ndarray = translation, b: np.ndarray = across, o=one, w=two
         ) -> np.ndarray:
             turned = t + b[1:].T @ x[3:]
-            return sampson(essential_of(exp(x[:3]) @ r, turned / np.linalg.norm(turned)), o, w) / unit
+            return sampson(essential_matrix(exp(x[:3]) @ r, turned / np.linalg.norm(turned)), o, w) / unit
 
         x = least_squares(residual, np.zeros(5), loss="soft_l1", f_scale=0.3, max_nfev=20).x
         rotation, translation = exp(x[:3]) @ rotation, translation + across[1:].T @ x[3:]

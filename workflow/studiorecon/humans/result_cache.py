@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.body.avatar.avatar_files import written_from
+from studiorecon.body.avatar.avatar_files import read_cache_key
 from studiorecon.humans.crops import Crop
 from studiorecon.scene.files import complete
 from studiorecon.splatting.train.checkpoint import fingerprint
@@ -45,7 +45,7 @@ def is_up_to_date(mark: str, gaussians: Path, avatar: Path, working: Path) -> bo
     The restored files get the current time.
     """
     kept = [_cached_path(path, working) for path in (gaussians, avatar)]
-    if written_from(*kept) != mark:
+    if read_cache_key(*kept) != mark:
         return False
     for path, last in zip((gaussians, avatar), kept):
         _linked(last, path)

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from studiorecon.detector.blazepose import MASK_PX, BlazePose, Landmarks
-from studiorecon.detector.looking import newcomers
+from studiorecon.detector.looking import detect_new_people
 from studiorecon.detector.windows import grid
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import decoded, read_plate
@@ -81,7 +81,7 @@ def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
         # Decoded again, because this way the photo's orientation tag is applied.
         picture = np.ascontiguousarray(decoded(photo, cv2.IMREAD_COLOR)[..., ::-1])
         wh = picture.shape[1], picture.shape[0]
-        found = newcomers(BlazePose(networks[0], networks[1]), picture, grid(wh), [])
+        found = detect_new_people(BlazePose(networks[0], networks[1]), picture, grid(wh), [])
         found = sorted(found, key=lambda seen: -seen.region.side)
         if not found:
             raise UserError(f"{photo} shows no person that the embedded detector finds; {_ASK}")

@@ -49,7 +49,7 @@ from studiorecon.signature import Place, Written
 from studiorecon.splatting.device import resolve
 from studiorecon.splatting.train.checkpoint import Checkpoint, fingerprint
 from studiorecon.splatting.train.perceptual import Perceptual
-from studiorecon.splatting.train.terms import terms_of
+from studiorecon.splatting.train.terms import active_terms
 from studiorecon.splatting.train.trainer import train
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def run(
     # Smoothness limits a joint's speed: between frames further apart in time the joint turns further.
     losses = replace(settings.losses, pose=settings.losses.pose * (fitted.fps / _POSE_FPS) ** 2)
     subject = _in_training(settings, rest, losses, crops, threads, rng, appearance, device)
-    terms = terms_of(losses, _network(settings, lpips, threads, device))
+    terms = active_terms(losses, _network(settings, lpips, threads, device))
     train(subject, terms, (0, settings.iterations), rng, label=person, checkpoint=checkpoint, previews=working)
     if subject.adam.refused:
         warn(f"{person}: {subject.adam.refused} gradient entries were not finite and were skipped")

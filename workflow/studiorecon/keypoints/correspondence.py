@@ -131,7 +131,7 @@ def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera]) -> 
     )
 
 
-def groups_of(
+def track_groups(
     distance_m: Num[np.ndarray, "M M"], view: Num[np.ndarray, " M"], moments: Num[np.ndarray, "M M"], gate_m: float
 ) -> list[list[int]]:
     """Groups of nodes, best first, chosen greedily by the largest summed affinity 1 - d / gate.

@@ -13,7 +13,7 @@ MAX_NUMBER = 2**63 - 1
 """Nanoseconds since 1970 have 19 digits; more fit no integer."""
 
 
-def numbers_of(names: Sequence[str], where: str) -> list[int]:
+def number_names(names: Sequence[str], where: str) -> list[int]:
     """The number of each of ``names`` (different ones, without suffixes), from the group of digits that counts
     pictures.
 

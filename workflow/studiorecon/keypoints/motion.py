@@ -69,7 +69,9 @@ def small(picture: Integer[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "h w 3"]
     return cv2.resize(picture, size, interpolation=cv2.INTER_AREA) if scale < 1 else picture
 
 
-def motion_of(frame: Sequence[int], pictures: Sequence[Integer[np.ndarray, "h w 3"]], wh: tuple[int, int]) -> Motion:
+def measure_motion(
+    frame: Sequence[int], pictures: Sequence[Integer[np.ndarray, "h w 3"]], wh: tuple[int, int]
+) -> Motion:
     """Motion in ``pictures`` (``small``) of the frames ``frame`` of a film of size ``wh``."""
     stack = np.stack(pictures)
     levels = np.stack([cv2.GaussianBlur(p, (3, 3), 0) for p in stack]).astype(np.float32)

@@ -11,7 +11,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.keypoints.deeplabcut import read_deeplabcut
-from studiorecon.keypoints.file_numbers import numbers_of
+from studiorecon.keypoints.file_numbers import number_names
 from studiorecon.keypoints.picture_content import people_in
 from studiorecon.keypoints.result_files import Pictures, read_results
 from studiorecon.progress import warn
@@ -94,12 +94,12 @@ def _checked(found: Pictures, path: Path) -> Recorded:
         )
     keypoints = np.array([points for _, points in everybody], dtype=np.float64)
     keypoints = keypoints.reshape(len(everybody), counts[0] if counts else 0, 3)
-    _tell_of_scores(keypoints, path)
+    _warn_of_scores(keypoints, path)
     frame = np.array([number for number, _ in everybody], dtype=np.int64)
     return Recorded(found.program, np.array(pictures, dtype=np.int64), frame, keypoints, found.counted)
 
 
-def _tell_of_scores(keypoints: Num[np.ndarray, "D K 3"], path: Path) -> None:
+def _warn_of_scores(keypoints: Num[np.ndarray, "D K 3"], path: Path) -> None:
     there = np.isfinite(keypoints[..., :2]).all(-1) & (keypoints[..., :2] != 0).any(-1)
     scores = keypoints[there, 2]
     if len(scores) and not (scores > 0).any():
@@ -112,7 +112,7 @@ def _folder(path: Path) -> Pictures:
     # Folders also hold *.json.old and the like: the suffix must match exactly.
     files = sorted(f for f in path.iterdir() if f.suffix == ".json" and not f.name.startswith("."))
     found, programs = dict[int, list[Any]](), set()
-    for number, file in zip(numbers_of([f.stem for f in files], str(path)) if files else [], files):
+    for number, file in zip(number_names([f.stem for f in files], str(path)) if files else [], files):
         people, program = people_in(read_json(file), str(file))
         found[number] = people
         programs.add(program)

@@ -83,7 +83,7 @@ def unusable(keypoints: Num[np.ndarray, "D K 3"]) -> int:
     return int((broken | ~np.isfinite(keypoints[..., 2])).sum())
 
 
-def detections_of(recorded: Recorded, lens: Lens, footage: Footage, settings: Settings) -> Detections:
+def detections_from_recorded(recorded: Recorded, lens: Lens, footage: Footage, settings: Settings) -> Detections:
     """Detections of one camera with track ids; ``recorded`` in its film's frames, with a layout."""
     frame = recorded.frame - footage.first_source_frame
     inside = (frame >= 0) & (frame < footage.frames)
@@ -95,7 +95,7 @@ def detections_of(recorded: Recorded, lens: Lens, footage: Footage, settings: Se
     return followed(Detections(footage.camera, layout, frame, np.zeros_like(frame), keypoints), settings, footage.fps)
 
 
-def detections_of_found(found: RawDetections, lens: Lens, footage: Footage, settings: Settings) -> Detections:
+def detections_from_detector(found: RawDetections, lens: Lens, footage: Footage, settings: Settings) -> Detections:
     """Detections of the detector's output ``found``, whose pixels and frames are always those of the footage; smoothed
     over time."""
     rows = np.flatnonzero(

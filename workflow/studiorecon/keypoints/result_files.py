@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.keypoints.file_numbers import MAX_NUMBER, numbers_of
+from studiorecon.keypoints.file_numbers import MAX_NUMBER, number_names
 from studiorecon.keypoints.mediapipe import counts_frames, is_mediapipe, read_mediapipe
 from studiorecon.keypoints.picture_content import is_picture, people_in
 from studiorecon.scene.outside import read_json
@@ -139,6 +139,6 @@ def _image_numbers(names: list[Any], path: Path) -> dict[Any, int]:
     ids = list(dict.fromkeys(names)) if all(isinstance(n, (int, str, float)) for n in names) else names
     if ids and all(isinstance(one, str) for one in ids):
         stems = [one.rsplit(".", 1)[0] if "." in one else one for one in ids]
-        return dict(zip(ids, numbers_of(stems, str(path))))
+        return dict(zip(ids, number_names(stems, str(path))))
     what = "a name or a whole number"
     return {one: whole(one, f"{path}: image_id of entry {place}", 0, MAX_NUMBER, what) for place, one in enumerate(ids)}

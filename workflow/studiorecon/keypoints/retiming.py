@@ -27,11 +27,11 @@ def part_used(footage: Footage, clocks: Clocks | None) -> Footage:
     """
     if clocks is None:
         return footage
-    first, count = part_of(clocks, footage.camera)
+    first, count = used_range(clocks, footage.camera)
     return replace(footage, first_source_frame=first, frames=count)
 
 
-def part_of(clocks: Clocks, camera: str) -> tuple[int, int]:
+def used_range(clocks: Clocks, camera: str) -> tuple[int, int]:
     """First frame and number of frames of that part; UserError where the footage cannot be used."""
     if clocks.refusal:
         raise UserError(clocks.refusal)
@@ -41,7 +41,7 @@ def part_of(clocks: Clocks, camera: str) -> tuple[int, int]:
     return first, last - first + 1
 
 
-def at_the_scene_s_moments(seen: Detections, footage: Footage, clocks: Clocks | None) -> Detections:
+def at_working_frames(seen: Detections, footage: Footage, clocks: Clocks | None) -> Detections:
     """``seen``, numbered by the frames of ``part_used``, at the working frames of ``footage``."""
     if clocks is None:
         return seen
@@ -71,7 +71,7 @@ def _along_tracks(seen: Detections, late: np.ndarray, readout: float, height_px:
     return keypoints
 
 
-def with_all_rows_at_once(seen: Detections, readout_s: float, height_px: float, fps: float) -> Detections:
+def correct_rolling_shutter(seen: Detections, readout_s: float, height_px: float, fps: float) -> Detections:
     """``seen`` at its own frames, corrected for a rolling shutter that reads ``height_px`` rows in ``readout_s``.
 
     Each keypoint is moved along its track to the frame's time, as in ``on_common_clock``.

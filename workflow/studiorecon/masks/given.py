@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.camera_files.calibration import lens_of
+from studiorecon.camera_files.calibration import find_lens
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import decoded
 from studiorecon.footage.video import read_frames
@@ -67,7 +67,7 @@ def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> Giv
     use: either exactly those, or the whole source. Raises UserError naming the path and the remedy.
     """
     about = read_footage(footage)
-    lens = lens_of(calibration, about.camera)
+    lens = find_lens(calibration, about.camera)
     columns = rows = np.zeros(0, int)
     occur: list[np.ndarray] = []
     for picture in mask_pictures(path):

@@ -20,7 +20,7 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
-from studiorecon.camera_files.calibration import lens_of
+from studiorecon.camera_files.calibration import find_lens
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
@@ -339,7 +339,7 @@ def run(
                 read_detections(seen[1]),
                 read_identities(seen[2]),
             )
-            found = masks_by_frame(whole, detections, who, lens_of(calibration, camera), about)
+            found = masks_by_frame(whole, detections, who, find_lens(calibration, camera), about)
         labels = segment(film, plate_rgb, measured, persons, body_model, own, settings, things, found)
     pixels = np.zeros(256, np.int64)
     write_lossless(masks, counted(labels, pixels), persons[0].fps if persons else 30.0)

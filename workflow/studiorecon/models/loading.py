@@ -11,7 +11,7 @@ from typing import Any, Literal, overload
 from studiorecon.machine.gpu import claim
 from studiorecon.models import protocols
 from studiorecon.models.catalogue.card import Kind
-from studiorecon.models.catalogue.registry import model, module_of
+from studiorecon.models.catalogue.registry import adapter_module, model
 
 
 @overload
@@ -42,7 +42,7 @@ def adapter(kind: Kind, name: str) -> Any:
     card = model(name)
     if card.kind != kind:
         raise ValueError(f"{card.title} is a network for {card.kind}, not for {kind}")
-    return importlib.import_module(f"studiorecon.{module_of(name)}").ADAPTER
+    return importlib.import_module(f"studiorecon.{adapter_module(name)}").ADAPTER
 
 
 @overload

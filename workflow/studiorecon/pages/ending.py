@@ -33,7 +33,7 @@ def read_warnings(logs: Path) -> list[tuple[str, str]]:
     return list(found)
 
 
-def results_of(folder: Path, rules: Collection[str] | None) -> list[tuple[str, Path]]:
+def list_results(folder: Path, rules: Collection[str] | None) -> list[tuple[str, Path]]:
     """(what, file) of ``results/<scene>`` that a run of these ``rules`` made; None: of a run that had nothing to do,
     everything that a user opens. A run that made the page made all of them."""
     whole = rules is None or "report_page" in rules
@@ -58,4 +58,4 @@ def ending(
     for sentence, steps in warned.items():
         more = f" and {len(steps) - 1} more" if len(steps) > 1 else ""
         lines.append(f"  {sentence} ({steps[0]}{more})")
-    return "\n".join([*lines, *(f"{what + ':':<8}{path}" for what, path in results_of(results / scene, rules))])
+    return "\n".join([*lines, *(f"{what + ':':<8}{path}" for what, path in list_results(results / scene, rules))])

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.camera_files.calibration import lens_of
+from studiorecon.camera_files.calibration import find_lens
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
@@ -145,7 +145,7 @@ def _witnesses(
     """Every camera's evidence other than its film; None without any."""
     masks, pictures = ({path.stem: path for path in paths} for paths in (found, plates))
     return [
-        CameraEvidence(lens_of(calibration, c.name), footage.of(c.name), masks.get(c.name), pictures.get(c.name))
+        CameraEvidence(find_lens(calibration, c.name), footage.of(c.name), masks.get(c.name), pictures.get(c.name))
         if calibration and (c.name in masks or c.name in pictures)
         else None
         for c in cameras

@@ -22,7 +22,7 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
-from studiorecon.keypoints.retiming import with_all_rows_at_once
+from studiorecon.keypoints.retiming import correct_rolling_shutter
 from studiorecon.people.fit_settings import Smoothed, Triangulated
 from studiorecon.people.fitting.legs import seated
 from studiorecon.people.fitting.limbs import body_scale, limb_ratio
@@ -266,7 +266,7 @@ def run(
         raise UserError(f"camera {missing[0]} has detections but is not in the camera model {model.parent}")
     if readouts:
         took_s = read_readouts(readouts[0], [d.camera for d in seen])
-        seen = [with_all_rows_at_once(d, took_s[d.camera], cameras[d.camera].wh[1], footage.fps) for d in seen]
+        seen = [correct_rolling_shutter(d, took_s[d.camera], cameras[d.camera].wh[1], footage.fps) for d in seen]
     body_model = BodyModel.load(body)
     whose = read_identities(identities[0])
     names, keypoints = observations(person, seen, whose, body_model, footage.frames)

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.body.model import BodyModel
-from studiorecon.camera_files.calibration import lens_of
+from studiorecon.camera_files.calibration import find_lens
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.detector.blazepose import LAYOUT, MASK_PX, BlazePose, Landmarks
-from studiorecon.detector.following import believed
-from studiorecon.detector.looking import look_again
+from studiorecon.detector.following import keypoints_with_confidence
+from studiorecon.detector.looking import detect_in_region
 from studiorecon.detector.second import second_network
 from studiorecon.detector.windows import region_of_body
 from studiorecon.footage.frames import stills
@@ -93,11 +93,11 @@ def looked_again(
                 if place is not None
                 else None
             )
-            first = look_again(network, picture, region) if region is not None else None
+            first = detect_in_region(network, picture, region) if region is not None else None
             if first is None or place is None or now is None:
                 continue
             # The network's own idea of the region is better, unless it leads to somebody else.
-            tried = [first, *filter(None, [look_again(network, picture, first.next_region)])]
+            tried = [first, *filter(None, [detect_in_region(network, picture, first.next_region)])]
             looks = [SecondLook(frame, k, before, t, view.working(t)) for t in tried]
             near = people[k].near_share
             best = max(looks, key=lambda look: agreement(look.keypoints, place, near))
@@ -130,7 +130,7 @@ class CameraPictures:
 
     def working(self, seen: Landmarks) -> Float[np.ndarray, "K 3"]:
         """(K, 3) working pixels and confidence of landmarks; NaN and 0 where there are none."""
-        keypoints = believed(seen, self.footage.source_wh, self.worth)
+        keypoints = keypoints_with_confidence(seen, self.footage.source_wh, self.worth)
         there = keypoints[:, 2] > 0
         pixels, valid = working_from_video(
             np.where(there[:, None], keypoints[:, :2], 1.0),
@@ -216,7 +216,7 @@ def run(
     given = [read_detections(p) for p in first]
     at = [c.name for c in cameras].index(camera)
     own, whole = given[at], read_raw_detections(found, masks=True)
-    lens = lens_of(calibration, camera)
+    lens = find_lens(calibration, camera)
     names = sorted({p for p in who.values() if p})
     if len(cameras) > 2:
         about = BodyModel.load(body), footage.frames, settings.triangulation
@@ -237,7 +237,7 @@ def run(
     rows = [
         (
             footage.used[look.frame],
-            believed(look.seen, footage.source_wh, view.worth),
+            keypoints_with_confidence(look.seen, footage.source_wh, view.worth),
             look.seen.presence,
             look.seen.points_m,
             look.seen.mask,

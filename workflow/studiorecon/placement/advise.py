@@ -9,7 +9,7 @@ from pathlib import Path
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
 from studiorecon.placement.figures import Judge
-from studiorecon.placement.picture import advised, drawn, lines_of, stands
+from studiorecon.placement.picture import advised, camera_position_text, drawn, figure_lines
 from studiorecon.placement.placing import advice
 from studiorecon.placement.room import room_about
 from studiorecon.progress import say
@@ -31,8 +31,8 @@ def run(model: Path, picture: Written, plan: Written) -> None:
         partial.write_text(drawn(title, cameras, judge, figures, moves), encoding="utf-8")
     told = [{"camera": m.camera, "words": m.words, "gain": m.gain, "better": m.better.as_json()} for m in moves]
     write_json(plan, {"room_m": [room.low_m, room.high_m], "figures": dataclasses.asdict(figures), "advice": told})
-    placed = (stands(camera, room) for camera in cameras)
-    for line in (title, *placed, *lines_of(figures), *(advised(move) for move in moves)):
+    placed = (camera_position_text(camera, room) for camera in cameras)
+    for line in (title, *placed, *figure_lines(figures), *(advised(move) for move in moves)):
         say(line)
     if not moves:
         say("no camera would see 3 % better from within 1.5 m of its place")

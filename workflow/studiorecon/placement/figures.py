@@ -61,7 +61,7 @@ class Figures:
     cost_m: float
 
 
-def seen(cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "V N"]:
+def is_in_picture(cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "V N"]:
     """(V, N) bool: the point is in the camera's picture, with occlusion ignored."""
     found = []
     for camera in cameras:
@@ -120,7 +120,7 @@ class Judge:
         self, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"], stands_m: Float[np.ndarray, " 2"] | None
     ) -> Bool[np.ndarray, "V N"]:
         """(V, N) bool: visible points, with a person at ``stands_m``, or without one."""
-        found = seen(cameras, points_m)
+        found = is_in_picture(cameras, points_m)
         if stands_m is None:
             return found
         eyes = np.array([camera.centre_m for camera in cameras])
@@ -160,7 +160,7 @@ class Judge:
         """The cost by which plans are compared."""
         return self.figures(cameras).cost_m
 
-    def errors_of(self, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
+    def joint_errors_m(self, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
         """(N,) error of a joint at every point (N, 3), without a person in the way."""
         return errors_m(information(cameras, points_m), self.sees(cameras, points_m, None))
 

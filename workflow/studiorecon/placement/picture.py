@@ -33,9 +33,9 @@ def drawn(title: str, cameras: Sequence[Camera], judge: Judge, figures: Figures,
     scale = _MAP_PX / max(width, depth)
     high = scale * depth
     lines = [
-        *lines_of(figures),
+        *figure_lines(figures),
         "",
-        *(stands(camera, room) for camera in cameras),
+        *(camera_position_text(camera, room) for camera in cameras),
         "",
         *(advised(move) for move in moves),
     ]
@@ -66,7 +66,7 @@ def drawn(title: str, cameras: Sequence[Camera], judge: Judge, figures: Figures,
     return "\n".join([*parts, "</svg>", ""])
 
 
-def lines_of(figures: Figures) -> list[str]:
+def figure_lines(figures: Figures) -> list[str]:
     """The figures as sentences."""
 
     def share(value: float) -> str:
@@ -102,7 +102,7 @@ def advised(move: Move) -> str:
     return f"{move.words[0].upper()}{move.words[1:]}: {100 * move.gain:.0f} % better, the others staying"
 
 
-def stands(camera: Camera, room: Room) -> str:
+def camera_position_text(camera: Camera, room: Room) -> str:
     """Position and direction of a camera in words and metres; left, right, near and far as in the picture."""
     x, y, z = camera.centre_m - np.array(room.low_m)
     heading = np.degrees(np.arctan2(camera.forward[1], camera.forward[0])) % 360
@@ -123,7 +123,7 @@ def _maps(cameras: Sequence[Camera], judge: Judge) -> tuple[list[list[str]], lis
     flat = np.stack(np.meshgrid(x, y[::-1]), axis=-1).reshape(-1, 2)
     heads = np.column_stack([flat, np.full(len(flat), room.low_m[2] + HEAD_M)])
     counts = judge.sees(cameras, heads, None).sum(axis=0).reshape(len(y), len(x))
-    errors = judge.errors_of(cameras, np.column_stack([flat, np.full(len(flat), room.low_m[2] + HIPS_M)])).reshape(
+    errors = judge.joint_errors_m(cameras, np.column_stack([flat, np.full(len(flat), room.low_m[2] + HIPS_M)])).reshape(
         counts.shape
     )
     limits = np.array([limit for limit, _ in _ERRORS]) / 1000

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from studiorecon.errors import UserError
 from studiorecon.placement.figures import Judge
-from studiorecon.placement.picture import drawn, lines_of, stands
+from studiorecon.placement.picture import camera_position_text, drawn, figure_lines
 from studiorecon.placement.placing import lens, placed
 from studiorecon.placement.room import read_room
 from studiorecon.progress import say
@@ -57,6 +57,6 @@ def run(room: str, cameras: int, hfov_deg: list[float], resolution: str, picture
             "figures": dataclasses.asdict(figures),
         },
     )
-    for line in (title, *(stands(camera, box) for camera in found), *lines_of(figures)):
+    for line in (title, *(camera_position_text(camera, box) for camera in found), *figure_lines(figures)):
         say(line)
     say(f"the picture is {picture}")

@@ -53,7 +53,7 @@ def lens(name: str, hfov_deg: float, wh: tuple[int, int]) -> Camera:
     return Camera(name, wh, np.array([[focal, 0, wh[0] / 2], [0, focal, wh[1] / 2], [0, 0, 1.0]]), np.eye(4))
 
 
-def stood(camera: Camera, eye_m: Float[np.ndarray, " 3"], world_from_camera: Float[np.ndarray, "3 3"]) -> Camera:
+def with_pose(camera: Camera, eye_m: Float[np.ndarray, " 3"], world_from_camera: Float[np.ndarray, "3 3"]) -> Camera:
     """The camera at another position (3,), with rotation (3, 3)."""
     transform = np.eye(4)
     transform[:3, :3] = world_from_camera.T
@@ -94,7 +94,7 @@ def ring(room: Room, lenses: Sequence[Camera], phase: float, height_m: float, ai
         wall, along = divmod(4 * ((phase + k / len(lenses)) % 1), 1)
         place = corners[int(wall)] + along * (corners[int(wall) + 1] - corners[int(wall)])
         eye = np.array([*place, floor + height_m])
-        cameras.append(stood(camera, eye, look_at(eye, aim)))
+        cameras.append(with_pose(camera, eye, look_at(eye, aim)))
     return cameras
 
 
@@ -140,15 +140,15 @@ def _around(camera: Camera, step_m: float, step_deg: float) -> list[Camera]:
     rotation, eye = camera.world_from_camera[:3, :3], camera.centre_m
     made = []
     for direction in (right, -right, ahead, -ahead, up, -up):
-        made.append(stood(camera, eye + step_m * direction, rotation))
+        made.append(with_pose(camera, eye + step_m * direction, rotation))
     turn = np.radians(step_deg)
     for axis, angle in ((up, turn), (up, -turn), (right, turn), (right, -turn)):
-        made.append(stood(camera, eye, _rotation(axis, angle) @ rotation))
+        made.append(with_pose(camera, eye, _rotation(axis, angle) @ rotation))
     # To the side and turned back to the old middle, as a person with a tripod does.
     middle = eye + camera.forward * 3.0
     for direction in (right, -right):
         made.append(
-            stood(camera, eye + step_m * direction, _turned_to(rotation, eye, eye + step_m * direction, middle, up))
+            with_pose(camera, eye + step_m * direction, _turned_to(rotation, eye, eye + step_m * direction, middle, up))
         )
     return made
 

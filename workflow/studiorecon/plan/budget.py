@@ -16,7 +16,7 @@ from typing import Any
 
 import yaml
 
-from studiorecon.configuration.schema import part_of
+from studiorecon.configuration.schema import find_schema
 from studiorecon.errors import UserError
 from studiorecon.home import PRESETS
 from studiorecon.plan.decisions import Plan
@@ -40,7 +40,7 @@ class Stated:
         inner: Any = self.said
         for step in name.split("."):
             if not isinstance(inner, Mapping) or step not in inner:
-                return value is not None and value != part_of(self.schema, name).get("default", value)
+                return value is not None and value != find_schema(self.schema, name).get("default", value)
             inner = inner[step]
         return True
 

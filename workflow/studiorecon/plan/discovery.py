@@ -33,7 +33,7 @@ from studiorecon.scene.capture_yaml import (
     paths_under,
     pixel_maps,
     read_description,
-    starts_of,
+    read_starts,
 )
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset, colmap_files
 from studiorecon.scene.names import checked_name, checked_place
@@ -73,7 +73,7 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
         checked_name(camera, f"camera {path[0]}", "rename the file or folder")
     footage = {camera: parts[0] for camera, parts in films.items()}
     every = dict(footage)
-    starts = starts_of(description, footage)
+    starts = read_starts(description, footage)
     chosen = names_under(description, "train", footage) + names_under(description, "held_out", footage)
     held_out = tuple(names_under(description, "held_out", footage))
     if "train" in description:

@@ -45,7 +45,7 @@ class Files(UserInputs):
         """The held-out cameras among them."""
         return [camera for camera in self.cameras(wildcards) if camera in self.plan.held_out]
 
-    def judged_cameras(self, wildcards: Any) -> list[str]:
+    def evaluated_cameras(self, wildcards: Any) -> list[str]:
         """The cameras whose photos are compared with renders: the held-out ones, or without any the training
         cameras.
         """
@@ -63,7 +63,7 @@ class Files(UserInputs):
         """The film of the held-out cameras, if there is one."""
         return [film for film in self.films(wildcards) if film == "heldout"]
 
-    def judged(self, wildcards: Any) -> list[str]:
+    def evaluated_film(self, wildcards: Any) -> list[str]:
         """The film that is compared with photos: that of the held-out cameras, or else "train"."""
         return self.heldout_film(wildcards) or ["train"]
 
@@ -80,14 +80,14 @@ class Files(UserInputs):
 
     def detection(self, wildcards: Any) -> list[str]:
         """Detections of one camera after the second pass; recorded keypoints have no second pass."""
-        return [self._looked_at(wildcards.scene, wildcards.camera)] if self.plan.people else []
+        return [self._refined_detections(wildcards.scene, wildcards.camera)] if self.plan.people else []
 
     def detections(self, wildcards: Any) -> list[str]:
         """Detections of every training camera after the second pass."""
         cameras = self.training(wildcards) if self.plan.people else []
-        return [self._looked_at(self._scene(wildcards), camera) for camera in cameras]
+        return [self._refined_detections(self._scene(wildcards), camera) for camera in cameras]
 
-    def compared(self, wildcards: Any) -> list[str]:
+    def association_detections(self, wildcards: Any) -> list[str]:
         """Detections as association compares them: with pelvises at the scene's depth where the configuration
         says so.
         """
@@ -95,11 +95,11 @@ class Files(UserInputs):
             return self.detections(wildcards)
         return [f"results/{self._scene(wildcards)}/people/lifted/{camera}.npz" for camera in self.training(wildcards)]
 
-    def first_found(self, wildcards: Any) -> list[str]:
+    def first_raw_detections(self, wildcards: Any) -> list[str]:
         """The detector's first files, with masks, of the training cameras in which it ran."""
         return [f"results/{self._scene(wildcards)}/detect/found/{camera}.npz" for camera in self._detected(wildcards)]
 
-    def found(self, wildcards: Any) -> list[str]:
+    def raw_detections(self, wildcards: Any) -> list[str]:
         """The detector's files after the second pass."""
         return [f"results/{self._scene(wildcards)}/people/seen/{camera}.npz" for camera in self._detected(wildcards)]
 
@@ -112,12 +112,12 @@ class Files(UserInputs):
         looked = self.plan.person_sources.detected if self.plan.people else []
         return [camera for camera in self.training(wildcards) if camera in looked]
 
-    def _looked_at(self, scene: str, camera: str) -> str:
+    def _refined_detections(self, scene: str, camera: str) -> str:
         if camera in self.plan.person_sources.detected:
             return f"results/{scene}/people/detections/{camera}.npz"
         return f"results/{scene}/tracks/{camera}.npz"
 
-    def seen_people(self, wildcards: Any) -> list[str]:
+    def detector_masks(self, wildcards: Any) -> list[str]:
         """The detector's masks of one camera, its detections, and the identities; none where it did not run."""
         if wildcards.camera not in self.plan.person_sources.detected:
             return []
@@ -147,7 +147,7 @@ class Files(UserInputs):
             return []
         return read_people(Path(self._associated(wildcards).people))
 
-    def tracks_of(self, wildcards: Any) -> list[str]:
+    def person_tracks(self, wildcards: Any) -> list[str]:
         """The file of one person's tracks; it is separate so that changes of other people do not rerun this person's
         jobs.
         """
@@ -163,17 +163,17 @@ class Files(UserInputs):
         """Body file of every person."""
         return [f"results/{wildcards.scene}/people/{person}.npz" for person in self.people(wildcards)]
 
-    def walkers(self, wildcards: Any) -> list[str]:
+    def people_for_furniture(self, wildcards: Any) -> list[str]:
         """Bodies of the people whose paths furniture may not block; none where ``depth.primitives`` is off."""
         return self.fits(wildcards) if self.config["depth"]["primitives"] else []
 
-    def sightings(self, wildcards: Any) -> list[str]:
+    def detections_for_furniture(self, wildcards: Any) -> list[str]:
         """Detections of those people, which no furniture can occlude."""
-        return self.detections(wildcards) if self.walkers(wildcards) else []
+        return self.detections(wildcards) if self.people_for_furniture(wildcards) else []
 
-    def sighted(self, wildcards: Any) -> list[str]:
+    def identities_for_furniture(self, wildcards: Any) -> list[str]:
         """The identities of those detections."""
-        return self.identities(wildcards) if self.sightings(wildcards) else []
+        return self.identities(wildcards) if self.detections_for_furniture(wildcards) else []
 
     def filmed_people(self, wildcards: Any) -> list[str]:
         """The training cameras, if association found anybody."""
@@ -237,7 +237,7 @@ class Files(UserInputs):
         """Skinning weights and motion of every person."""
         return [f"results/{wildcards.scene}/humans/{person}.npz" for person in self.people(wildcards)]
 
-    def drawn_beside_photos(self, wildcards: Any) -> list[str]:
+    def training_renders(self, wildcards: Any) -> list[str]:
         """Film, path and depth of the training cameras, which an enhancer compares with their photos; none without an
         enhancer.
         """

@@ -7,14 +7,14 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from studiorecon.configuration.step_settings import section_of, told
+from studiorecon.configuration.step_settings import find_section, select_settings
 
 
 def step_section(step: str, config: Mapping[str, Any]) -> dict[str, Any]:
     """The settings of a step's section, with the decisions of ``survey.force`` in place of the settings that they
     overrule.
     """
-    stage, values, forced = step.partition(".")[0], section_of(step, config), config["survey"]["force"]
+    stage, values, forced = step.partition(".")[0], find_section(step, config), config["survey"]["force"]
     if stage == "humans" and "temporal_appearance" in forced:
         use = "always" if forced["temporal_appearance"] == "on" else "never"
         values["temporal"] = values["temporal"] | {"use": use}
@@ -27,7 +27,7 @@ def step_section(step: str, config: Mapping[str, Any]) -> dict[str, Any]:
 
 def step_settings(step: str, config: Mapping[str, Any]) -> str:
     """The settings that one step reads, as JSON."""
-    return json.dumps(told(step, step_section(step, config)), sort_keys=True)
+    return json.dumps(select_settings(step, step_section(step, config)), sort_keys=True)
 
 
 def recursion_settings(config: Mapping[str, Any]) -> str:
@@ -45,7 +45,7 @@ def shot_settings(step: str, config: Mapping[str, Any], keys: tuple[str, ...] = 
         given = config["render"]["shots"].get(wildcards.shot, {})
         own = {key: value for key, value in given.items() if (key in keys if keys else key != "reference")}
         shots = {wildcards.shot: own} if own else {}
-        return json.dumps(told(step, step_section("render", config) | {"shots": shots}), sort_keys=True)
+        return json.dumps(select_settings(step, step_section("render", config) | {"shots": shots}), sort_keys=True)
 
     return of_shot
 

@@ -210,7 +210,7 @@ class UserInputs:
         beside = (str(f.with_suffix(".npz")) for f in files if f.with_suffix(".npz").is_file())
         return [*made, *map(str, files), *beside]
 
-    def photo_of_stranger(self, wildcards: Any) -> str:
+    def replacement_photo(self, wildcards: Any) -> str:
         """The photo of a person outside the scene that a shot's ``replace`` names."""
         named = strangers(s for shot in self.shots.values() for s in shot.get("replace", {}).values())
         if wildcards.stranger not in named:
@@ -220,7 +220,7 @@ class UserInputs:
             )
         return self.local(named[wildcards.stranger])
 
-    def truth_of_replaced(self, wildcards: Any) -> list[str]:
+    def replacement_truth(self, wildcards: Any) -> list[str]:
         """The truth film of a shot in which a person is replaced: photos of the original person cannot correct it."""
         replaced = self.shots.get(wildcards.shot, {}).get("replace")
         return [f"results/{wildcards.scene}/render/{wildcards.shot}.truth.mkv"] if replaced else []

@@ -21,7 +21,7 @@ import numpy as np
 
 from studiorecon.arrays import evenly_spread
 from studiorecon.body.person_boxes import people_regions
-from studiorecon.camera_files.calibration import lens_of
+from studiorecon.camera_files.calibration import find_lens
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate
@@ -306,7 +306,7 @@ def _add_given(
     measured: np.ndarray,
     options: Settings,
 ) -> tuple[np.ndarray, np.ndarray]:
-    lens = lens_of(calibration, about.camera)
+    lens = find_lens(calibration, about.camera)
     given_rgb, given_measured = read_plate(given)
     rgb, known, difference = place_given(given_rgb, given_measured, lens, about, colour, measured)
     if difference > options.max_difference:

@@ -98,7 +98,7 @@ def enhanced(
     segment = steps[0].segment if steps and before else None
     checked = False
     with one_thread(), ThreadPoolExecutor(max_workers=2) as pool:
-        history.extend(history_of(before, injection, search))
+        history.extend(clip_history(before, injection, search))
         for number, (step, picture, depth_mm) in enumerate(zip(steps, pictures, depths_mm, strict=True)):
             photo = to_float(reference(step))
             depth_m = depth_mm.astype(np.float32) / 1000
@@ -129,7 +129,7 @@ def enhanced(
             yield output
 
 
-def history_of(
+def clip_history(
     before: Sequence[tuple[Integer[np.ndarray, "H W 3"], Num[np.ndarray, "H W 3"]]], injection: Injection, search: Flow
 ) -> list[Past]:
     """What a picture's injection starts from, latest first: the last K of the raw pictures and stored outputs
@@ -148,7 +148,7 @@ def history_of(
     return history
 
 
-def for_path(injection: Injection, steps: Sequence[PathStep]) -> Injection:
+def adapt_injection(injection: Injection, steps: Sequence[PathStep]) -> Injection:
     """The injection for a film along ``steps``: with ``moving_strength`` where the camera moves or zooms within a
     segment."""
     for one, other in itertools.pairwise(steps):
@@ -160,7 +160,7 @@ def for_path(injection: Injection, steps: Sequence[PathStep]) -> Injection:
     return injection
 
 
-def stands_still(steps: Sequence[PathStep], pictures: Iterable[Integer[np.ndarray, "H W 3"]]) -> bool:
+def is_still(steps: Sequence[PathStep], pictures: Iterable[Integer[np.ndarray, "H W 3"]]) -> bool:
     """Whether no picture of a clip differs from the one before it in its segment: there is nothing to steady then.
 
     Reads on only until two pictures differ. A clip of single pictures stands still.

@@ -33,7 +33,7 @@ class DisFlow:
         return dis_flow(grey_levels(first), grey_levels(second), self.preset)
 
 
-def flow_of(name: FlowName, preset: Preset, weights: Path, device: str) -> Flow:
+def load_flow(name: FlowName, preset: Preset, weights: Path, device: str) -> Flow:
     """The flow of that name; ``weights``: folder of upstream weights, ``device``: auto, cpu or cuda.
 
     Raises UserError when a network's weights, package or memory are missing.

@@ -23,7 +23,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frame
-from studiorecon.geometry.floor import beside, floor_points
+from studiorecon.geometry.floor import floor_points, is_near
 from studiorecon.progress import progress, say
 from studiorecon.render.area_lights import losses, own_levels, patches, strengths
 from studiorecon.render.occlusion import Groups
@@ -129,9 +129,9 @@ def ratios(
     ratio = np.log(np.maximum(levels, 1)) - np.log(np.maximum(before, 1))
     level = ratio.mean(axis=-1)
     usable &= np.abs(ratio - level[..., None]).max(axis=-1) < _SAME_COLOUR
-    far = usable & ~beside(points_m, np.concatenate([near_m, unsure_m]), reach_m)
+    far = usable & ~is_near(points_m, np.concatenate([near_m, unsure_m]), reach_m)
     exposure = float(np.median(level[far])) if far.sum() >= _MIN_PX else 0.0
-    return np.where(usable & ~beside(points_m, unsure_m, reach_m), np.exp(level - exposure), np.nan)
+    return np.where(usable & ~is_near(points_m, unsure_m, reach_m), np.exp(level - exposure), np.nan)
 
 
 def estimate(
@@ -225,7 +225,7 @@ def run(
     for camera, video, mask, plate_path, depth in zip(cameras, videos, masks, plates, depths):
         plate, measured = read_plate(plate_path, camera.wh)
         points, floor = floor_points(camera, read_depth(depth, camera.wh)[0], box.standing_m)
-        pixels = np.flatnonzero(floor & measured & beside(points, at[sure], chosen.reach_m))
+        pixels = np.flatnonzero(floor & measured & is_near(points, at[sure], chosen.reach_m))
         pixels = pixels[:: max(1, -(-len(pixels) // chosen.points))]
         seam = np.ones((2 * max(1, round(_SEAM * camera.wh[0])) + 1,) * 2, np.uint8)
         ratio = np.full((len(pixels), len(frames)), np.nan)

@@ -55,7 +55,7 @@ def donor_from_avatar(person: Avatar) -> Donor:
     own = person.gaussians
     there = np.flatnonzero(person.present)
     moments = np.interp(np.linspace(0, len(there) - 1, _MOMENTS), np.arange(len(there)), there)
-    looks = [person.looks_at(frame) for frame in (moments if person.network else [0])]
+    looks = [person.appearance_at(frame) for frame in (moments if person.network else [0])]
     sh, logits = (np.stack(values).mean(axis=0, dtype=np.float64) for values in zip(*looks))
     settled = Gaussians(own.means_m, own.quaternions, own.log_scales, logits, sh)
     return Donor(settled, person.bones, person.weights, person.betas)

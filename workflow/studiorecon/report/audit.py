@@ -34,7 +34,7 @@ class Settings:
     force: Mapping[Acting, str] = force(TRAINED)
 
 
-def decisions_of(avatars: Sequence[Path]) -> dict[str, Decision | None]:
+def appearance_decisions(avatars: Sequence[Path]) -> dict[str, Decision | None]:
     """The decision that human training made for every person."""
     return {path.stem: read_decision(path) for path in avatars}
 
@@ -79,7 +79,7 @@ def run(
 ) -> None:
     """Write the decisions of human training and of all ``films``."""
     limit = {e.name: e.threshold for e in TRAINED} | dict(settings.thresholds)
-    measured = appearance(decisions_of(avatars), limit["temporal_appearance"])
+    measured = appearance(appearance_decisions(avatars), limit["temporal_appearance"])
     made = [*forced([measured], settings.force), *of_films(films)]
     for decision in made:
         say(f"{decision.effect}: {decision.verdict}; {decision.reason}")

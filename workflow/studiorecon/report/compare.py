@@ -71,7 +71,7 @@ def check_comparable(results: Mapping[Path, Mapping[str, Any]]) -> None:
             )
 
 
-def version_of(result: Mapping[str, Any], wanted: str | None, path: Path) -> str:
+def choose_version(result: Mapping[str, Any], wanted: str | None, path: Path) -> str:
     """The version of the pictures to compare: the ``wanted`` one, else the first available of enhanced, raw,
     renders.
     """
@@ -96,7 +96,9 @@ def compare(
     for results in (first, second):
         scenes: dict[str, list[Mapping[str, Any]]] = {}
         for path, result in results.items():
-            scenes.setdefault(scene_of(result), []).append(result["pictures"][version_of(result, version, path)])
+            scenes.setdefault(scene_digests(result), []).append(
+                result["pictures"][choose_version(result, version, path)]
+            )
         sides.append(scenes)
     common = [scene for scene in sides[0] if scene in sides[1]]
     if not common:
@@ -115,7 +117,7 @@ def compare(
     return result
 
 
-def scene_of(result: Mapping[str, Any]) -> str:
+def scene_digests(result: Mapping[str, Any]) -> str:
     """The digests that two results of one scene share: of the true pictures or, for a run, of its footage."""
     inputs = result.get("inputs", {})
     truth = inputs.get("truth") or {

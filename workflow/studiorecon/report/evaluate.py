@@ -274,7 +274,7 @@ def run(
             "protocol": PROTOCOL + (SEEN_BY.format(calibrator) if held_out and calibrator != "none" else ""),
         },
     )
-    _tell(found if held_out and found else nothing, bodies)
+    _log_measures(found if held_out and found else nothing, bodies)
 
 
 def _bodies_in_pictures(
@@ -315,7 +315,7 @@ def _identities(
     return score_identities(found, read_identities(identities[0]), {camera.name: camera for camera in training}, joints)
 
 
-def _tell(pictures: Mapping[str, Any], bodies: Mapping[str, Any]) -> None:
+def _log_measures(pictures: Mapping[str, Any], bodies: Mapping[str, Any]) -> None:
     for name in ("raw", "enhanced"):
         values = pictures.get(name, {}).get("psnr", unmeasured(_NO_HELD_OUT))
         if values["value"] is None:

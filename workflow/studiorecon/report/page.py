@@ -196,7 +196,7 @@ def people_section(
     if identities:
         names, whose = [person.name for person in bodies], read_identities(identities[0])
         found = [read_detections(path) for path in detections]
-        parts.append(timeline.strip(timeline.frames_seen(found, whose, names, frames), names))
+        parts.append(timeline.strip(timeline.frames_with_detections(found, whose, names, frames), names))
     parts += [sections.left_out(read_json(path)["left_out"]) for path in left_out]
     if masks:
         videos = [made.folder / "capture" / f"{mask.stem}.mkv" for mask in masks]
@@ -260,7 +260,7 @@ def run(
     made = Made(manifest.parents[1], *names, tuple(film.stem for film in films))
     width, decided = settings.picture_width, [read_decisions(path) for path in decisions]
     ledgers = made.each("render/{}.tsv", made.shots)
-    enhanced = len(sections.versions_of(measured)) > 1
+    enhanced = len(sections.version_names(measured)) > 1
     shown, rows = films_section(made, capture.frames, enhanced, settings)
     what = "Blue: seen by a camera. Yellow: inferred from its surroundings. Red: invented, seen by no camera."
     renders, paths, maps = (made.each(f"render/{{}}.{ending}", made.shots) for ending in ("mkv", "json", "truth.mkv"))

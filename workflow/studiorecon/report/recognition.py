@@ -17,8 +17,8 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.detector.blazepose import BlazePose
-from studiorecon.detector.following import believed
-from studiorecon.detector.looking import newcomers
+from studiorecon.detector.following import keypoints_with_confidence
+from studiorecon.detector.looking import detect_new_people
 from studiorecon.detector.windows import grid
 from studiorecon.footage.video import read_frames_from
 from studiorecon.progress import progress, say
@@ -63,14 +63,18 @@ def run(
     for camera in progress(cameras if films else [], "cameras"):
         for frame in evenly_spread(capture.frames, _MOMENTS):
             photo = _picture(footage[camera.name], int(frame))
-            people = [person for one in found_in(network, photo, worth) if (person := as_truth(one)) is not None]
+            people = [
+                person
+                for one in detect_keypoints(network, photo, worth)
+                if (person := reference_person(one)) is not None
+            ]
             told: list[tuple[np.ndarray, list[np.ndarray]]] = []
             for name, film in films.items():
                 drawn = _picture(film, starts[camera.name] + int(frame))[: photo.shape[0], : photo.shape[1]]
                 # Without enhancement the two films are identical, so one search is enough.
                 points = next((points for other, points in told if np.array_equal(other, drawn)), None)
                 if points is None:
-                    points = [one[:, :2] for one in found_in(network, drawn, worth)]
+                    points = [one[:, :2] for one in detect_keypoints(network, drawn, worth)]
                 told.append((drawn, points))
                 found[name].append((points, people))
     scores = {name: with_reason(score(pictures)) for name, pictures in found.items()}
@@ -91,7 +95,7 @@ def with_reason(scored: dict[str, Any]) -> dict[str, Any]:
     return scored | {"reason": None if scored["people"] else "the detector finds no person in the photos"}
 
 
-def found_in(
+def detect_keypoints(
     network: BlazePose, picture: Integer[np.ndarray, "H W 3"], worth: dict[str, list[float]]
 ) -> list[Float[np.ndarray, "33 3"]]:
     """Keypoints (33, 3) of all people in a picture: x, y in pixels and confidence.
@@ -100,10 +104,10 @@ def found_in(
     place does not count.
     """
     wh = picture.shape[1], picture.shape[0]
-    return [believed(one, wh, worth) for one in newcomers(network, picture, grid(wh), [])]
+    return [keypoints_with_confidence(one, wh, worth) for one in detect_new_people(network, picture, grid(wh), [])]
 
 
-def as_truth(keypoints: Float[np.ndarray, "33 3"]) -> TruePerson | None:
+def reference_person(keypoints: Float[np.ndarray, "33 3"]) -> TruePerson | None:
     """A person of a photo as reference for the film; None when too little of the person is seen."""
     visible = keypoints[:, 2] >= _SEEN
     if visible.sum() < _MIN:

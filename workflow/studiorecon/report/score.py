@@ -28,7 +28,7 @@ from studiorecon.progress import progress, say
 from studiorecon.report.metrics.bootstrap import Bootstrap
 from studiorecon.report.metrics.definitions import PROTOCOL, definitions, provenance
 from studiorecon.report.metrics.distance import TOO_SMALL, no_flip, opened
-from studiorecon.report.metrics.folders import cameras_in, digest, frames_of, masks_of
+from studiorecon.report.metrics.folders import cameras_in, digest, read_folder_frames, read_masks
 from studiorecon.report.metrics.measures import (
     FLIP_EVERY,
     NAMES,
@@ -64,7 +64,9 @@ def score_camera(
 ) -> dict[str, list[dict[str, float | None]]]:
     """version → measures per frame; raises UserError, naming the folders, when sizes or numbers of frames differ."""
     sources = {"renders": renders, "photos": truth} | ({} if masks is None else {"masks": masks})
-    streams = {name: (masks_of if name == "masks" else frames_of)(source) for name, source in sources.items()}
+    streams = {
+        name: (read_masks if name == "masks" else read_folder_frames)(source) for name, source in sources.items()
+    }
 
     def together() -> Iterator[tuple[np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]]:
         for frame in count():

@@ -13,9 +13,9 @@ from studiorecon.keypoints.correspondence import (
     STABLE_KEYPOINTS,
     TrackGraph,
     group_affinity,
-    groups_of,
     stable_detections,
     track_graph,
+    track_groups,
 )
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -66,7 +66,7 @@ def observe(
     """What the people in ``frames`` show the cameras, grouped by ray distance below ``gate_m``."""
     stable = stable_detections(detections, frames)
     graph = track_graph(stable, cameras)
-    groups = groups_of(graph.distance_m, graph.view, graph.moments, gate_m)
+    groups = track_groups(graph.distance_m, graph.view, graph.moments, gate_m)
     count, times = len(STABLE_KEYPOINTS), len(frames)
     pixels = np.full((len(cameras), len(groups), times, count, 2), np.nan)
     confidence = np.zeros((len(cameras), len(groups), times, count))

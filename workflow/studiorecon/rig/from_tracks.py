@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, moved
-from studiorecon.geometry.relative_pose import essential_of, in_front, misses, relative_pose, resection, sampson
+from studiorecon.geometry.relative_pose import essential_matrix, in_front, misses, relative_pose, resection, sampson
 from studiorecon.geometry.scale import scene_scale
 from studiorecon.geometry.triangulation import Limits, Triangulated, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
@@ -231,7 +231,7 @@ def _voted(
 ) -> tuple[list[tuple[int, int]], int]:
     """Which tracks of two cameras are one person under a relative pose, and how many points agree; one person once at a
     time."""
-    essential, votes = essential_of(rotation, translation), {}
+    essential, votes = essential_matrix(rotation, translation), {}
     for (i, j), both in shared.items():
         one, two = first[i][both], second[j][both]
         agreed = int(((np.abs(sampson(essential, one, two)) < unit) & in_front(rotation, translation, one, two)).sum())

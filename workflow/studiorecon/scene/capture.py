@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import expect, of_its_name, read
+from studiorecon.scene.intermediate import expect, expect_named, read
 from studiorecon.scene.schema import ASCENDING, INTRINSIC, Listed, flag, frame_rate, real, seconds, text, whole
 
 _FPS = frame_rate()
@@ -113,7 +113,7 @@ def read_footage(path: Path) -> Footage:
     """The footage of the camera that names the file; raises UserError as ``intermediate.read`` does."""
 
     def made(value: dict[str, Any]) -> Footage:
-        of_its_name(path, value["camera"])
+        expect_named(path, value["camera"])
         return _footage(value)
 
     return read(path, _FOOTAGE, made)

@@ -130,7 +130,7 @@ def frames_used(description: dict[str, Any]) -> tuple[int, int]:
     return first, count
 
 
-def starts_of(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
+def read_starts(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
     """camera → the frame of its footage that shows one common moment; empty without the key.
 
     Cameras that are not named have 0.

@@ -61,7 +61,7 @@ def read(
     An error that ``made`` raises counts as damage of the file. ``names``: of an npz, only these arrays; ``but``: all
     others; ``sizes``: known letters of shapes. Raises UserError with the file, the field and its expected value.
     """
-    with as_written(path):
+    with step_file_context(path):
         if path.suffix == ".npz":
             values: Any = outside.read_npz(path, names=names, but=but, remedy=CURE)
         elif path.suffix == ".tsv":
@@ -90,20 +90,20 @@ def expect(holds: object, words: str) -> None:
         raise ValueError(words)
 
 
-def of_its_name(path: Path, owner: str) -> None:
+def expect_named(path: Path, owner: str) -> None:
     """Raises ValueError unless the file's name is that of the camera or person in it."""
     expect(path.stem == owner, f"it is {owner}'s, not {path.stem}'s")
 
 
 def require_size(path: Path, picture: Shaped[np.ndarray, "H W ..."], wh: tuple[int, int]) -> None:
     """Raises UserError unless a step's picture has the size of its camera's."""
-    with as_written(path):
+    with step_file_context(path):
         width, height = picture.shape[1], picture.shape[0]
         expect((width, height) == tuple(wh), f"it is {width}×{height}, its camera's pictures are {wh[0]}×{wh[1]}")
 
 
 @contextmanager
-def as_written(path: Path) -> Iterator[None]:
+def step_file_context(path: Path) -> Iterator[None]:
     """Context for reading values from a step's file: a missing or wrong entry becomes a UserError that names
     the file.
     """

@@ -143,7 +143,7 @@ def read_yaml(path: Path, loader: type = PlainYaml, *, comments: str = "") -> An
         text = "\n".join("" if line.startswith(comments) else line for line in text.split("\n"))
     try:
         node = yaml.compose(text, Loader=loader)
-        _once(node)
+        _check_unique_keys(node)
         return yaml.load(text, Loader=loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -258,7 +258,7 @@ def read_npy(path: Path) -> Shaped[np.ndarray, " ..."]:
 
 
 @contextmanager
-def laid_out_as(path: Path | str, what: str) -> Iterator[None]:
+def user_file_context(path: Path | str, what: str) -> Iterator[None]:
     """Context for reading values from a file of the kind ``what``: a missing or wrong entry becomes a UserError.
 
     It covers entries of another kind, size or nesting, and names file and entry.
@@ -310,7 +310,7 @@ def _entries(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _once(node: Any) -> None:
+def _check_unique_keys(node: Any) -> None:
     """Raises yaml.MarkedYAMLError for a repeated key, since the intended one is unknown, and for ambiguous numbers: 010
     for 8, 1:30 for 90.
     """

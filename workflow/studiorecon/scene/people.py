@@ -12,7 +12,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.scene.files import write_npz, write_table
-from studiorecon.scene.intermediate import expect, of_its_name, read
+from studiorecon.scene.intermediate import expect, expect_named, read
 from studiorecon.scene.outside import read_rows
 from studiorecon.scene.schema import CONFIDENT, Listed, Maybe, metres, radians, real, text, whole
 from studiorecon.scene.values import shown
@@ -135,7 +135,7 @@ def read_detections(path: Path) -> Detections:
     """The detections of the camera that names the file; raises UserError as ``intermediate.read`` does."""
 
     def made(data: dict[str, Any]) -> Detections:
-        of_its_name(path, str(data["camera"]))
+        expect_named(path, str(data["camera"]))
         return Detections(**{**data, "camera": str(data["camera"]), "layout": str(data["layout"])})
 
     return read(path, _DETECTIONS, made)

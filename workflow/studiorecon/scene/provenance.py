@@ -23,7 +23,7 @@ INVENTED = 2
 """Painted in so that there is no hole."""
 
 
-def provenance_of(shape: str) -> Numbers:
+def provenance_schema(shape: str) -> Numbers:
     """The schema of an array of marks."""
     return whole(shape, low=MEASURED, high=INVENTED)
 
@@ -37,5 +37,5 @@ def read_provenance(path: Path, count: int) -> Integer[np.ndarray, " N"]:
     """(N,) uint8 marks of ``count`` Gaussians; raises UserError as ``intermediate.read`` does, also for another number
     of marks.
     """
-    held = read(path, {"provenance": provenance_of("N")}, sizes={"N": count})
+    held = read(path, {"provenance": provenance_schema("N")}, sizes={"N": count})
     return np.asarray(held["provenance"], np.uint8)

@@ -99,7 +99,7 @@ def write_raw_detections(path: Path, found: RawDetections) -> None:
     write_npz(path, {name: getattr(found, name) for name in RawDetections.__dataclass_fields__})
 
 
-def is_found(path: Path) -> bool:
+def is_detector_file(path: Path) -> bool:
     """Whether a file is the detector's, and not recorded keypoints."""
     if path.suffix != ".npz" or not path.is_file():
         return False

@@ -86,7 +86,7 @@ def checked_values(values: Num[np.ndarray, "N C"], count: int) -> Num[np.ndarray
     return values
 
 
-def taken_apart(
+def split_channels(
     blended: Float[np.ndarray, "H W C"], channels: int, normals: bool
 ) -> tuple[Float[np.ndarray, "H W 3"] | None, Float[np.ndarray, "H W c"] | None]:
     """Normals and values of a ``Rendering``, split from (H, W, C): the caller's ``channels`` come first."""

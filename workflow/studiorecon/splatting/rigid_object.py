@@ -17,7 +17,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.intermediate import expect, read
-from studiorecon.scene.provenance import provenance_of
+from studiorecon.scene.provenance import provenance_schema
 from studiorecon.scene.schema import ROTATION, Listed, Schema, flag, metres, real, text, whole
 
 if TYPE_CHECKING:
@@ -195,18 +195,18 @@ def read_objects(path: Path) -> list[RigidObject]:
     names = [str(name) for name in read(path, {"names": Listed(text())}, names=("names",))["names"]]
     schema: dict[str, Schema] = {"names": Listed(text()), "frames": whole(low=1)}
     for name in names:
-        schema |= {f"{name}.{field}": kind for field, kind in _schema_of(name).items()}
+        schema |= {f"{name}.{field}": kind for field, kind in _object_schema(name).items()}
 
     def made(data: dict[str, Any]) -> list[RigidObject]:
         expect(len(set(names)) == len(names), "two objects share a name")
         return [
-            _object(name, {f: data[f"{name}.{f}"] for f in _schema_of(name)}, int(data["frames"])) for name in names
+            _object(name, {f: data[f"{name}.{f}"] for f in _object_schema(name)}, int(data["frames"])) for name in names
         ]
 
     return read(path, schema, made)
 
 
-def _schema_of(name: str) -> dict[str, Schema]:
+def _object_schema(name: str) -> dict[str, Schema]:
     """The schema of one object, whose number of Gaussians is its own."""
     n = f"N_{name}"
     return {
@@ -215,7 +215,7 @@ def _schema_of(name: str) -> dict[str, Schema]:
         "log_scales": real(f"{n} 3"),
         "logit_opacities": real(n),
         "sh": real(f"{n} B_{name} 3"),
-        "provenance": provenance_of(n),
+        "provenance": provenance_schema(n),
         "centres_m": metres("T 3", gaps=True),
         "world_from_object": real("T 3 3", such=ROTATION),
         "valid": flag("T"),

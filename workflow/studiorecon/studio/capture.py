@@ -24,7 +24,7 @@ from studiorecon.studio import rig
 from studiorecon.studio.actors import Actors
 from studiorecon.studio.calibration import calibration_texts
 from studiorecon.studio.description import RESOURCES, Description, planned_dataset, read_description
-from studiorecon.studio.sensor import sensor_of
+from studiorecon.studio.sensor import camera_sensor
 from studiorecon.studio.takes import LAYOUT, Films, filmed, shared
 
 FACTS = "truth.json"
@@ -69,7 +69,7 @@ def _clear(dataset: Path, truth: Path) -> None:
 
 
 def _write_calibration(described: Description, lenses: list[Lens], dataset: Path) -> None:
-    for name, text in calibration_texts(described.calibration.format, rig.told_lenses(described, lenses)).items():
+    for name, text in calibration_texts(described.calibration.format, rig.calibrated_lenses(described, lenses)).items():
         write_text(dataset / name, text)
     plan = planned_dataset(described, dataset, dataset)
     capture: dict[str, Any] = {
@@ -96,7 +96,7 @@ def _write_facts(described: Description, truth: Path) -> None:
         "frames": described.frames,
         "fps": described.fps,
         "sync_offsets_frames": rig.sync_offsets_frames(described),
-        "gains": {name: sensor_of(described, name).gains for name in described.names},
+        "gains": {name: camera_sensor(described, name).gains for name in described.names},
         "radial_distortion": described.faults.radial_distortion,
     }
     write_json(truth / FACTS, facts)

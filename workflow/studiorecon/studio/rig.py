@@ -68,7 +68,7 @@ def true_lenses(description: Description, ideal: list[Camera]) -> list[Lens]:
     return lenses
 
 
-def told_lenses(description: Description, lenses: list[Lens]) -> list[Lens]:
+def calibrated_lenses(description: Description, lenses: list[Lens]) -> list[Lens]:
     """The lenses in the calibration file: the poses of training cameras have the planted errors."""
     import cv2
 

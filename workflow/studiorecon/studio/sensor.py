@@ -37,7 +37,7 @@ class Sensor:
         return Sensor((1.0, 1.0, 1.0), 0.0, (0,))
 
 
-def sensor_of(description: Description, name: str) -> Sensor:
+def camera_sensor(description: Description, name: str) -> Sensor:
     """The sensor of one camera; held-out cameras have no faults."""
     if name not in description.training:
         return Sensor.perfect()

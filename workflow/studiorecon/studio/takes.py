@@ -33,7 +33,7 @@ from studiorecon.studio.detections import detect, openpose_json
 from studiorecon.studio.film import backdrop, exposed, touched_pixels
 from studiorecon.studio.meshes import Mesh
 from studiorecon.studio.room import room
-from studiorecon.studio.sensor import Sensor, developed, sensor_of
+from studiorecon.studio.sensor import Sensor, camera_sensor, developed
 from studiorecon.studio.tracing import Tracer
 from studiorecon.studio.truth import TruthFrames
 
@@ -76,11 +76,11 @@ def filmed(films: Sequence[Films], processes: int) -> Iterator[None]:
     # Spawned, not forked: the ray caster's and the decoder's threads do not survive a fork.
     context = multiprocessing.get_context("spawn")
     done = context.Queue()
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_tell, initargs=(done,)) as pool:
-        yield from _heard(done, [pool.submit(_film, one) for one in films])
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_log_progress, initargs=(done,)) as pool:
+        yield from _receive(done, [pool.submit(_film, one) for one in films])
 
 
-def _heard(done: multiprocessing.Queue[int], takes: Sequence[Future[None]]) -> Iterator[None]:
+def _receive(done: multiprocessing.Queue[int], takes: Sequence[Future[None]]) -> Iterator[None]:
     """Yields for every picture that a process has done, until all have ended; raises their errors."""
     running = set(takes)
     while True:
@@ -98,7 +98,7 @@ def _heard(done: multiprocessing.Queue[int], takes: Sequence[Future[None]]) -> I
 _done: multiprocessing.Queue[int]
 
 
-def _tell(done: multiprocessing.Queue[int]) -> None:
+def _log_progress(done: multiprocessing.Queue[int]) -> None:
     global _done
     _done = done
 
@@ -136,7 +136,7 @@ class _Camera:
     def __init__(self, films: Films, lens: Lens, troupe: Actors, solids: list[Mesh]) -> None:
         described = films.description
         self._films, self._lens, self._solids = films, lens, solids
-        self._sensor = sensor_of(described, lens.name)
+        self._sensor = camera_sensor(described, lens.name)
         self._training = lens.name in described.training
         self._backdrop = backdrop(lens, solids, described.supersampling)
         self._truth = TruthFrames(lens, solids, described.truth)

@@ -47,7 +47,7 @@ def stage(cameras: Sequence[Camera]) -> tuple[Float[np.ndarray, " 2"], float]:
     return centre, float(np.linalg.norm(positions - centre, axis=1).min())
 
 
-def seen_by(
+def visible_points(
     points_m: Float[np.ndarray, "N 3"],
     cameras: Sequence[Camera],
     depths_m: Sequence[Float[np.ndarray, "H W"]],

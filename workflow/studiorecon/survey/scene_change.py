@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.geometry.floor import beside, floor_points
+from studiorecon.geometry.floor import floor_points, is_near
 from studiorecon.geometry.statistics import NOTHING, Estimate, share
 from studiorecon.scene.camera import Camera
 
@@ -67,7 +67,7 @@ def floor_ring(
     ring = np.zeros((feet_m.shape[1], *camera.hw), bool)
     for feet in feet_m:
         for t in np.flatnonzero(np.isfinite(feet).all(-1)):
-            ring[t] |= floor & beside(points, feet[t : t + 1, :2], _RING_M)
+            ring[t] |= floor & is_near(points, feet[t : t + 1, :2], _RING_M)
     return ring
 
 
@@ -182,7 +182,9 @@ def _running(ratio: np.ndarray, known: np.ndarray) -> np.ndarray:
     return np.where(whole[..., None], mean, np.float32(np.nan))
 
 
-def most(names: Sequence[str], found: Sequence[Estimate]) -> tuple[float | None, tuple[float, float] | None, str]:
+def largest_estimate(
+    names: Sequence[str], found: Sequence[Estimate]
+) -> tuple[float | None, tuple[float, float] | None, str]:
     """Value, interval and name of the camera whose estimate is certainly the largest; None when none was measured."""
     known = [
         (e.interval[0], e.value, e.interval, name)

@@ -28,7 +28,7 @@ from studiorecon.progress import say
 from studiorecon.report.sections.cost import read_benchmark
 from studiorecon.scene.files import read_json, write_json, write_text
 from studiorecon.signature import Place, Written
-from studiorecon.sweep.table import BASE, configuration_of, read_rows
+from studiorecon.sweep.table import BASE, read_rows, row_configuration
 
 # Filming a synthetic studio is no cost of reconstructing it, and scoring is no cost of making the film.
 NOT_CHARGED = ("studio", "report")
@@ -52,7 +52,7 @@ def run(
     rows = {entry.name: entry for entry in read_rows(table)}
     chosen, folder = rows[row], work / row
     given = with_absolute_paths(json.loads(configuration))
-    whole = configuration_of(given, rows[BASE], chosen, presets) | {"scene": scene}
+    whole = row_configuration(given, rows[BASE], chosen, presets) | {"scene": scene}
     if base and not (folder / ".snakemake").is_dir():
         copy_run(work / BASE, folder)
     write_text(folder / "config.yaml", yaml.safe_dump(whole, sort_keys=True, allow_unicode=True))

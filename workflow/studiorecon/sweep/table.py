@@ -63,7 +63,7 @@ def parse_settings(text: str, where: str) -> dict[str, Any]:
     return settings
 
 
-def configuration_of(given: Mapping[str, Any], base: Row, row: Row, presets: Path) -> dict[str, Any]:
+def row_configuration(given: Mapping[str, Any], base: Row, row: Row, presets: Path) -> dict[str, Any]:
     """The whole configuration of one run: as given, then base or preset, then the row's own settings."""
     below = nested(base.settings)
     if row.preset:

@@ -29,7 +29,7 @@ from studiorecon.models.protocols import Bodies, BodyEstimator
 from studiorecon.progress import progress, say
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.clocks import read_clocks
-from studiorecon.scene.outside import file_size, first_line, laid_out_as, read_npz
+from studiorecon.scene.outside import file_size, first_line, read_npz, user_file_context
 from studiorecon.scene.people import Detections, write_detections
 from studiorecon.signature import Place, Written
 
@@ -48,13 +48,13 @@ class Settings(Detected):
     )
 
 
-def estimator_of(source: DetectionSource) -> type[BodyEstimator]:
+def load_estimator(source: DetectionSource) -> type[BodyEstimator]:
     """The network of that name; for files that were made elsewhere the first, whose names files have."""
     networks = CHOICES["detect.source"].networks
     return adapter("body estimator", source if source in networks else networks[0])
 
 
-def detections_of(
+def detections_from_bodies(
     bodies: Iterable[tuple[int, Bodies]], layout: str, footage: Footage, settings: Settings
 ) -> Detections:
     """Detections from (frame, bodies) whose points are those of ``layout``; points outside the picture, and bodies with
@@ -88,7 +88,7 @@ def detections_of(
     )
 
 
-def in_use(bodies: Iterable[tuple[int, Bodies]], frames: int, what: str) -> Iterator[tuple[int, Bodies]]:
+def require_used_frames(bodies: Iterable[tuple[int, Bodies]], frames: int, what: str) -> Iterator[tuple[int, Bodies]]:
     """The same, as they come; raises UserError for bodies of a frame that is not in use."""
     for frame, found in bodies:
         if not 0 <= frame < frames:
@@ -105,7 +105,7 @@ def read_bodies(path: Path, estimator: type[BodyEstimator]) -> list[tuple[int, B
     for name, values in rows.items():
         if values.dtype.kind not in "biuf" or not np.isfinite(values).all():
             raise UserError(f"{path}: {name} holds what is no finite number; leave out the rows that are none")
-    with laid_out_as(path, "a file of one row per person and frame"):
+    with user_file_context(path, "a file of one row per person and frame"):
         return estimator.stored(rows, str(path))
 
 
@@ -125,7 +125,7 @@ def _rows(path: Path) -> dict[str, np.ndarray]:
         raise UserError(
             f"{path} is not a readable torch file ({first_line(error)}); save a dictionary of tensors, or an .npz"
         ) from None
-    with laid_out_as(path, "a dictionary of tensors"):
+    with user_file_context(path, "a dictionary of tensors"):
         return {str(name): values.numpy() for name, values in saved.items()}
 
 
@@ -146,7 +146,7 @@ def run(
     the picture.
     """
     about = read_footage(footage)
-    estimator = estimator_of(settings.source)
+    estimator = load_estimator(settings.source)
     bodies: Iterable[tuple[int, Bodies]]
     if given:
         bodies = read_bodies(given[0], estimator)
@@ -154,8 +154,8 @@ def run(
         network = load("body estimator", settings.source, weights, device)
         frames = progress(read_frames(video), f"frames of {camera}", total=about.frames)
         bodies = enumerate(network.bodies(frames, np.array(about.intrinsics)))
-    within = in_use(bodies, about.frames, str(given[0]) if given else camera)
-    seen_in_pictures = detections_of(within, estimator.layout, about, settings)
+    within = require_used_frames(bodies, about.frames, str(given[0]) if given else camera)
+    seen_in_pictures = detections_from_bodies(within, estimator.layout, about, settings)
     result = at_working_moments(seen_in_pictures, read_clocks(clocks), about.wh[1])
     if not len(result.frame):
         say(f"camera {camera}: nobody in any of {about.frames} frames")

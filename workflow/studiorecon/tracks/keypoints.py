@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.camera_files.calibration import lens_of
+from studiorecon.camera_files.calibration import find_lens
 from studiorecon.errors import UserError
-from studiorecon.keypoints.reading import Settings, detections_of, detections_of_found
-from studiorecon.keypoints.retiming import at_the_scene_s_moments, part_used
+from studiorecon.keypoints.reading import Settings, detections_from_detector, detections_from_recorded
+from studiorecon.keypoints.retiming import at_working_frames, part_used
 from studiorecon.progress import say, warn
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.people import Detections, write_detections
-from studiorecon.scene.raw_detections import is_found, read_raw_detections
+from studiorecon.scene.raw_detections import is_detector_file, read_raw_detections
 from studiorecon.scene.recorded import read_recorded
 from studiorecon.signature import Written
 
@@ -38,26 +38,26 @@ def run(
     used = read_footage(footage)
     common = read_clocks(clocks) if clocks else None
     part = part_used(used, common)
-    lens = lens_of(calibration, camera)
-    if is_found(keypoints):
+    lens = find_lens(calibration, camera)
+    if is_detector_file(keypoints):
         whole = read_raw_detections(keypoints)
-        found, kind = detections_of_found(whole, lens, part, settings), whole.note
+        found, kind = detections_from_detector(whole, lens, part, settings), whole.note
     else:
         recorded = read_recorded(keypoints)
         if recorded.refusal:
             raise UserError(recorded.refusal)
-        found, kind = detections_of(recorded, lens, part, settings), recorded.program
+        found, kind = detections_from_recorded(recorded, lens, part, settings), recorded.program
         if len(recorded.frame) and not len(found.frame):
             warn(
                 f"camera {camera}: none of its {len(recorded.frame)} recorded people, in frames {recorded.frame[0]} to "
                 f"{recorded.frame[-1]} of its film, is in the part that is used; it only shows the room"
             )
-    result = at_the_scene_s_moments(found, used, common)
-    _tell(result, kind, used)
+    result = at_working_frames(found, used, common)
+    _log_detections(result, kind, used)
     write_detections(detections, result)
 
 
-def _tell(result: Detections, kind: str, footage: Footage) -> None:
+def _log_detections(result: Detections, kind: str, footage: Footage) -> None:
     seen = len(np.unique(result.frame))
     say(
         f"camera {footage.camera}: {len(result.frame)} detections ({kind}, "

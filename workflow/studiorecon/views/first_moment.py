@@ -35,16 +35,16 @@ _FIRST = 0
 
 
 @dataclass(frozen=True)
-class Standing:
+class FirstMomentPeople:
     """Who stood there at the first moment; nobody when ``people`` is empty."""
 
     people: Sequence[Person]
     body: BodyModel | None
 
     @staticmethod
-    def read(fits: Sequence[Path], body: Path | None) -> Standing:
+    def read(fits: Sequence[Path], body: Path | None) -> FirstMomentPeople:
         """From body files; UserError names one that is broken."""
-        return Standing([read_person(path) for path in fits], BodyModel.load(body) if fits and body else None)
+        return FirstMomentPeople([read_person(path) for path in fits], BodyModel.load(body) if fits and body else None)
 
     def depth_m(self, camera: Camera) -> Float[np.ndarray, "H W"]:
         """(H, W) z-depth of the nearest body at every pixel, 0 where there is none."""
@@ -62,7 +62,7 @@ def first_pictures(
     photos: Sequence[WarpSource],
     videos: Sequence[Path],
     masks: Sequence[Path],
-    standing: Standing,
+    standing: FirstMomentPeople,
     factors: Factors,
     depth_jump: float,
     measured: bool = False,

@@ -24,9 +24,9 @@ from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.support import SOMEBODY, support_levels
 from studiorecon.signature import Written
-from studiorecon.views.first_moment import Standing
+from studiorecon.views.first_moment import FirstMomentPeople
 from studiorecon.views.forward import WarpSource, blend
-from studiorecon.views.frame import frame_of
+from studiorecon.views.frame import fit_network_frame
 from studiorecon.views.synthesize import paint_holes, read_photos, read_segment
 from studiorecon.views.warp_settings import Made, Shown, Warping
 
@@ -50,7 +50,7 @@ def networks_sizes(synthesizer: Synthesizer) -> list[tuple[int, int]]:
     return [adapter("view synthesizer", name).hw for name in networks if synthesizer in (name, "precomputed")]
 
 
-def fitted(
+def fit_picture(
     picture: Integer[np.ndarray, "h w 3"], camera: Camera, sizes: Sequence[tuple[int, int]], radius: int
 ) -> tuple[Integer[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
     """(H, W, 3) uint8 working picture of a film's, and (H, W) bool: the film shows it; what it does not is painted from
@@ -66,11 +66,11 @@ def fitted(
             f"the film's pictures are {picture.shape[1]}×{picture.shape[0]}; they must be {own}, the "
             f"network's own size, or {camera.wh[0]}×{camera.wh[1]}, the working size"
         )
-    made, inside = frame_of(camera.hw, picture.shape[:2]).back(to_float(picture))
+    made, inside = fit_network_frame(camera.hw, picture.shape[:2]).back(to_float(picture))
     return (to_bytes(made) if inside.all() else paint_holes(made, inside.astype(np.float32), radius)), inside
 
 
-def views_of(
+def fit_views(
     film: Iterator[Integer[np.ndarray, "h w 3"]],
     cameras: list[Camera],
     photos: list[WarpSource],
@@ -81,7 +81,7 @@ def views_of(
     in the one that is asked for next, whose film's pictures have (h, w)."""
     sizes = networks_sizes(settings.synthesizer)
     for camera, picture in zip(progress(cameras, "views"), film):
-        own, inside = fitted(picture, camera, sizes, settings.inpaint_radius)
+        own, inside = fit_picture(picture, camera, sizes, settings.inpaint_radius)
         _, support, _ = blend(
             camera, photos, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg)
         )
@@ -89,7 +89,7 @@ def views_of(
         yield own, support_levels(np.where(inside, support, 0), somebody)
 
 
-def seen_by_network(film: Path) -> Callable[[Camera, tuple[int, int]], Bool[np.ndarray, "H W"]]:
+def read_person_masks(film: Path) -> Callable[[Camera, tuple[int, int]], Bool[np.ndarray, "H W"]]:
     """Who is in each view by a network's ``film`` of masks (``views.people``), asked for view after view."""
     masks = read_frames(film)
 
@@ -100,7 +100,7 @@ def seen_by_network(film: Path) -> Callable[[Camera, tuple[int, int]], Bool[np.n
         if hw == camera.hw:
             return mask > 0
         shown = np.repeat(mask[..., None] > 0, 3, axis=2).astype(np.float32)
-        return frame_of(camera.hw, hw).back(shown)[0][..., 0] >= 0.5
+        return fit_network_frame(camera.hw, hw).back(shown)[0][..., 0] >= 0.5
 
     return people
 
@@ -132,11 +132,11 @@ def run(
         )
     who: Callable[[Camera, tuple[int, int]], np.ndarray] | None = None
     if seen:
-        who = seen_by_network(seen[0])
+        who = read_person_masks(seen[0])
     elif settings.key_frames == "first_frames":
-        standing = Standing.read(fits, body)
+        standing = FirstMomentPeople.read(fits, body)
         who = lambda camera, hw: standing.depth_m(camera) > 0  # noqa: E731
-    made = list(views_of(read_frames(film), cameras, photos, who, settings))
+    made = list(fit_views(read_frames(film), cameras, photos, who, settings))
     holes = np.mean([mask == 0 for _, mask in made])
     say(f"segment {segment}: {len(made)} generated views; {holes:.1%} of them is shown by no photo, 0 in the mask")
     if who:

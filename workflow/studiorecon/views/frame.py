@@ -21,7 +21,7 @@ _MAX_CUT = 0.15
 
 
 @dataclass(frozen=True)
-class Frame:
+class NetworkFrame:
     """One network pixel is ``step`` working pixels; the network's upper left corner lies at (row, column) ``start`` of
     ours."""
 
@@ -51,7 +51,7 @@ class Frame:
         return made, share > 0.76
 
 
-def frame_of(working_hw: tuple[int, int], network_hw: tuple[int, int]) -> Frame:
+def fit_network_frame(working_hw: tuple[int, int], network_hw: tuple[int, int]) -> NetworkFrame:
     """How a working picture fills the network's frame, centred; UserError when too much of it would be cut."""
     step = min(ours / theirs for ours, theirs in zip(working_hw, network_hw))
     left = tuple(ours - theirs * step for ours, theirs in zip(working_hw, network_hw))
@@ -62,4 +62,4 @@ def frame_of(working_hw: tuple[int, int], network_hw: tuple[int, int]) -> Frame:
             f"picture in {network_hw[1]}×{network_hw[0]}; "
             "set views.synthesizer to warp"
         )
-    return Frame(working_hw, network_hw, step, (left[0] / 2, left[1] / 2))
+    return NetworkFrame(working_hw, network_hw, step, (left[0] / 2, left[1] / 2))

@@ -56,7 +56,7 @@ def read_request(path: Path) -> dict[str, Shaped[np.ndarray, " ..."]]:
     return read(path, Named(real("...")))
 
 
-def frames_of(
+def request_frames(
     network: ViewSynthesizer, request: dict[str, Shaped[np.ndarray, " ..."]]
 ) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """(H, W, 3) uint8 pictures of one request; UserError when there are more or fewer than were asked for."""
@@ -79,4 +79,4 @@ def run(settings: Settings, requests: list[Path], films: list[Written], weights:
     network = load("view synthesizer", settings.synthesizer, weights, "cuda", **asdict(settings.gen3c))
     for request, film in zip(asked, films):
         say(f"{film.name}: {len(request['w2cs_all'])} views, {settings.gen3c.steps} steps, seed {settings.gen3c.seed}")
-        write_lossless(film, frames_of(network, request), _FPS)
+        write_lossless(film, request_frames(network, request), _FPS)

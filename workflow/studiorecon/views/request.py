@@ -22,9 +22,9 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import read_factors
 from studiorecon.scene.files import write_npz
 from studiorecon.signature import Written
-from studiorecon.views.first_moment import Standing, first_pictures
+from studiorecon.views.first_moment import FirstMomentPeople, first_pictures
 from studiorecon.views.forward import WarpSource
-from studiorecon.views.frame import Frame, frame_of
+from studiorecon.views.frame import NetworkFrame, fit_network_frame
 from studiorecon.views.synthesize import paint_holes, read_photos, read_segment
 from studiorecon.views.warp_settings import Made, Warping
 
@@ -34,7 +34,7 @@ class Settings(Made, Warping):
     """Which network, and which photos are given to it."""
 
 
-def key_frame(photo: WarpSource, frame: Frame, radius: int) -> KeyFrame:
+def key_frame(photo: WarpSource, frame: NetworkFrame, radius: int) -> KeyFrame:
     """A photo at the network's size; colours that were never measured are painted from their rim, since frame 0 seeds
     the film."""
     whole = (
@@ -80,12 +80,12 @@ def run(
     where their first pictures are the key frames. ``reference``: what measured ``depths`` (``depth.reference``)."""
     photos = read_photos(model, plates, depths, gains, settings.depth_jump)
     if settings.key_frames == "first_frames":
-        standing, factors = Standing.read(fits, body), read_factors(gains)
+        standing, factors = FirstMomentPeople.read(fits, body), read_factors(gains)
         measured = reference == "calibration"
         photos = first_pictures(photos, videos, masks, standing, factors, settings.depth_jump, measured)
     way, _ = read_segment(path, segment)
     network = adapter("view synthesizer", settings.synthesizer)
-    frame = frame_of(way[0].hw, network.hw)
+    frame = fit_network_frame(way[0].hw, network.hw)
     count = min(len(photos), network.most_key_frames)
     if count < len(photos):
         warn(

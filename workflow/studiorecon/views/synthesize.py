@@ -46,7 +46,7 @@ def paint_holes(
     return cv2.inpaint(to_bytes(rgb), (support <= 0).astype(np.uint8), radius, cv2.INPAINT_TELEA)
 
 
-def views_of(
+def synthesize_views(
     cameras: list[Camera], photos: list[WarpSource], settings: Settings
 ) -> Iterator[tuple[Integer[np.ndarray, "H W 3"], Integer[np.ndarray, "H W"]]]:
     """(H, W, 3) uint8 picture and (H, W) uint8 support of every camera."""
@@ -96,7 +96,7 @@ def run(
     """Write the pictures and the support of one segment's views."""
     photos = read_photos(model, plates, depths, gains, settings.depth_jump)
     wanted, fps = read_segment(path, segment)
-    made = list(views_of(wanted, photos, settings))
+    made = list(synthesize_views(wanted, photos, settings))
     holes = np.mean([mask == 0 for _, mask in made])
     say(
         f"{holes:.1%} of the {len(made)} views of segment {segment} is hole: painted over in the picture, 0 in the mask"

@@ -25,8 +25,8 @@ from studiorecon.scene.decisions import Decision, from_entry
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
-from studiorecon.scene.intermediate import expect, of_its_name, read
-from studiorecon.scene.provenance import MEASURED, provenance_of
+from studiorecon.scene.intermediate import expect, expect_named, read
+from studiorecon.scene.provenance import MEASURED, provenance_schema
 from studiorecon.scene.schema import Maybe, Schema, flag, frame_rate, metres, radians, real, text, whole
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ _AVATAR: dict[str, Schema] = {
     "body": text(),
     "bones": whole("N K", low=0, high=23),
     "weights": real("N K", low=0, high=1),
-    "provenance": provenance_of("N"),
+    "provenance": provenance_schema("N"),
     "poses": radians("T 72"),
     "trans": metres("T 3"),
     "betas": real("B"),
@@ -167,7 +167,7 @@ class Avatar:
     def _drift(self) -> Drift | None:
         return Drift(self.network, self.gaussians.means_m[self.drifting]) if self.network else None
 
-    def looks_at(self, frame: float) -> tuple[Float[np.ndarray, "N K 3"], Float[np.ndarray, " N"]]:
+    def appearance_at(self, frame: float) -> tuple[Float[np.ndarray, "N K 3"], Float[np.ndarray, " N"]]:
         """Harmonics and logit opacities of the canonical Gaussians at a 0-based, possibly fractional frame, with the
         network's residuals."""
         own, seen = self.gaussians, self.drifting
@@ -191,7 +191,7 @@ class Avatar:
         own = self.gaussians
         if not self.there(frame):
             return own.undrawn()
-        sh, logits = self.looks_at(frame)
+        sh, logits = self.appearance_at(frame)
         means, quaternions, sh = self._posing.out(own.means_m, own.quaternions, sh, self.world_from_rest(frame))
         return Gaussians(means, quaternions, own.log_scales, logits, sh)
 
@@ -214,7 +214,7 @@ def write_avatar(ply: Path, npz: Path, avatar: Avatar, mark: str = "") -> None:
     write_npz(npz, arrays | {"seen_share": avatar.seen_share, "mark": mark, "gaussians_sha256": _sha256(ply)})
 
 
-def written_from(ply: Path, npz: Path) -> str:
+def read_cache_key(ply: Path, npz: Path) -> str:
     """The mark given to ``write_avatar``; "" when a file is missing or unreadable, or the two were not written
     together."""
     if not (ply.is_file() and npz.is_file()):
@@ -242,7 +242,7 @@ def read_avatar(ply: Path, npz: Path, model: BodyModel, *, brought: bool = False
 
     def made(data: dict[str, Any]) -> Avatar:
         if not brought:
-            of_its_name(npz, str(data["person"]))
+            expect_named(npz, str(data["person"]))
             expect(
                 str(data["gaussians_sha256"]) == _sha256(ply),
                 f"it was not written together with {ply.name}: delete both",

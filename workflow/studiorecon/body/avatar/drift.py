@@ -28,7 +28,7 @@ class Drift:
         """Cache the network's residuals for Gaussians at ``means_m`` in the rest pose."""
         self._network, self._means_m = network, means_m
         rows = len(means_m) if network.control is None else len(network.control.points_m)
-        self._answers = lru_cache(max(2, _KEPT // max(16 * rows, 1)))(self._asked)
+        self._answers = lru_cache(max(2, _KEPT // max(16 * rows, 1)))(self._evaluate)
 
     def residuals(self, frame: float) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
         """Residuals of the constant harmonic and of the logit opacity, float32, at a 0-based, possibly fractional
@@ -45,7 +45,7 @@ class Drift:
             found = self._network.control.spread(found)
         return found[:, :3], found[:, 3]
 
-    def _asked(self, frame: int) -> np.ndarray:
+    def _evaluate(self, frame: int) -> np.ndarray:
         if self._network.control is not None:
             return self._network.at_points(frame)
         colour, logit = self._network.residuals(self._means_m, frame)

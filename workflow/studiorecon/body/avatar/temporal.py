@@ -125,7 +125,7 @@ class TemporalNetwork:
         """
         require("means_m", means_m, ("N", 3), finite=False)
         if self.control is None:
-            out = self._asked(self._place_code(means_m), frame)
+            out = self._evaluate(self._place_code(means_m), frame)
         else:
             require("means_m", means_m, (len(self.control.near), 3), finite=False)
             out = self.control.spread(self.at_points(frame))
@@ -137,12 +137,12 @@ class TemporalNetwork:
             raise ValueError("this network has no control points: it is evaluated at every Gaussian")
         if self._place is None:
             self._place = self._place_code(self.control.points_m)
-        return self._asked(self._place, frame)
+        return self._evaluate(self._place, frame)
 
     def _place_code(self, points_m: np.ndarray) -> np.ndarray:
         return encode_position(in_body_box(points_m, self.low_m, self.high_m))
 
-    def _asked(self, place: np.ndarray, frame: float) -> np.ndarray:
+    def _evaluate(self, place: np.ndarray, frame: float) -> np.ndarray:
         """(M, 4) colour and opacity residuals at places of code (M, 63)."""
         code = np.empty((len(place), _INPUTS), np.float32)
         code[:, :_POSITION_INPUTS] = place

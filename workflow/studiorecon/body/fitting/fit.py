@@ -157,9 +157,9 @@ def fit(
     problem = Problem(body, evidence, pulls)
     state = State(first.local[valid], first.trans_m[valid], np.zeros(body.shapes), 0.0, np.zeros((count, 3)))
     state, equations, steps, converged = descend(problem, state, settings.iterations, settings.tolerance)
-    spread, doubtful = None, multi_start.few(names, seen[valid])
+    spread, doubtful = None, multi_start.has_too_few_points(names, seen[valid])
     if doubtful.any():
-        state, spread = multi_start.best_of(problem, state, doubtful, settings.iterations, settings.tolerance)
+        state, spread = multi_start.best_start(problem, state, doubtful, settings.iterations, settings.tolerance)
         equations = Equations(problem, state)
     residual = np.linalg.norm(evidence.basis.points(state) - evidence.targets_m, axis=-1)[:, :count]
     out.rotations[valid], out.trans_m[valid], out.frame_betas[valid] = state.local, state.trans, state.betas

@@ -40,7 +40,7 @@ def descend(problem: Problem, state: State, iterations: int, tolerance: float) -
         for _ in range(_TRIALS):
             moved = equations.step(damping)
             if moved is not None:
-                moved, new_costs, refused = _held_where_worse(problem, state, moved, costs)
+                moved, new_costs, refused = _reject_worse_steps(problem, state, moved, costs)
                 gain = whole - new_costs.sum() - problem.shared_cost(moved)
                 if gain > 0:
                     break
@@ -60,7 +60,7 @@ def descend(problem: Problem, state: State, iterations: int, tolerance: float) -
     return state, equations, iterations, False
 
 
-def _held_where_worse(
+def _reject_worse_steps(
     problem: Problem, state: State, moved: State, costs: np.ndarray
 ) -> tuple[State, np.ndarray, np.ndarray]:
     """``moved``, but frames keep their old pose where that is better with the new shape; costs (F,), and which frames

@@ -44,13 +44,13 @@ class Spread:
     parts_rad2: Num[np.ndarray, "F 24"]
 
 
-def few(names: list[str], seen: Num[np.ndarray, "F K"]) -> Num[np.ndarray, " F"]:
+def has_too_few_points(names: list[str], seen: Num[np.ndarray, "F K"]) -> Num[np.ndarray, " F"]:
     """(F,) bool: frames whose ``seen`` (F, K) keypoints are too few to be sure which way the body faces."""
     corners = [k for k, name in enumerate(names) if name.removesuffix("_joint") in _TRUNK]
     return (seen.sum(1) < _POINTS) | (seen[:, corners].sum(1) < _CORNERS)
 
 
-def best_of(
+def best_start(
     problem: Problem, state: State, chosen: Bool[np.ndarray, " F"], iterations: int, tolerance: float
 ) -> tuple[State, Spread]:
     """The state of least cost from all start directions in the ``chosen`` frames, and the variance of the other

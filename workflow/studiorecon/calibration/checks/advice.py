@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.calibration.checks.edges import beyond_mending, sentence
+from studiorecon.calibration.checks.edges import edge_sentence, is_beyond_refinement
 
 if TYPE_CHECKING:
     from jaxtyping import Integer
@@ -40,7 +40,7 @@ HEADLINES = {
 def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
     """("good", "usable", "check", "cannot tell" or "wrong", sentences on what to check, the gravest first).
 
-    ``report`` is as from ``doctor.examined``; ``limit_px`` is the median reprojection error above which
+    ``report`` is as from ``doctor.examine``; ``limit_px`` is the median reprojection error above which
     ``cameras.refine`` stops.
     """
     refused = [report["sync"]["refusal"]] if report["sync"]["refusal"] else []
@@ -79,8 +79,8 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
         # it.
         wrong, unclear = [report["odd_one_out"]] if report["odd_one_out"] else [], []
     if report["edges"] is not None and report["edges"]["clear"] and not wrong:
-        told = [sentence(report["edges"])]
-        if beyond_mending(report["edges"]):
+        told = [edge_sentence(report["edges"])]
+        if is_beyond_refinement(report["edges"]):
             unclear += told
         elif report["edges"]["mended"]:
             off += told
@@ -99,10 +99,10 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
     return name, refused + wrong + unclear + off + rest + remarks
 
 
-def agreeing(report: dict[str, Any]) -> str:
+def edge_agreement_note(report: dict[str, Any]) -> str:
     """A sentence about the room's edges where there is nothing to check; "" without one."""
     edges = report["edges"]
-    return "" if edges is None or edges["clear"] or report["verdict"] == "wrong" else sentence(edges)
+    return "" if edges is None or edges["clear"] or report["verdict"] == "wrong" else edge_sentence(edges)
 
 
 def _wrong(report: dict[str, Any], limit_px: float) -> list[str]:
@@ -247,7 +247,7 @@ def _clocks(report: dict[str, Any]) -> list[str]:
 
 
 def _footage(report: dict[str, Any]) -> list[str]:
-    found = of_footage(list(report["footage"].values()))
+    found = footage_notes(list(report["footage"].values()))
     if report["coverage"]["2"] < 0.5:
         found.append(
             f"only {report['coverage']['2']:.0%} of the volume is seen by two "
@@ -256,7 +256,7 @@ def _footage(report: dict[str, Any]) -> list[str]:
     return found
 
 
-def light_of(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> dict[str, float]:
+def brightness_and_clipping(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> dict[str, float]:
     """Mean grey 0..1 (``brightness``) and share of white pixels (``burnt``) of a camera's (H, W, 3) uint8 pictures,
     every fourth pixel."""
     grey = float(np.mean([p[::4, ::4].mean() for p in pictures]) / 255)
@@ -266,9 +266,9 @@ def light_of(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> dict[str, floa
     }
 
 
-def of_footage(footage: list[dict[str, Any]]) -> list[str]:
+def footage_notes(footage: list[dict[str, Any]]) -> list[str]:
     """Sentences about faults of the videos themselves; ``footage`` holds the cameras' entries as for
-    ``doctor.examined``."""
+    ``doctor.examine``."""
     found = []
     for key, what, remedy in (
         (

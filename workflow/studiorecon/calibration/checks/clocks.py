@@ -10,10 +10,10 @@ import numpy as np
 
 from studiorecon.keypoints.correspondence import (
     group_affinity,
-    groups_of,
     ray_directions,
     stable_detections,
     track_graph,
+    track_groups,
 )
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -60,11 +60,11 @@ def lags(detections: Sequence[Detections], cameras: Sequence[Camera], search: in
     found = []
     for v, d in enumerate(stable):
         mine = groups if _has(groups, v) else _groups_of_a_late_camera(stable, cameras, v, search, gate_m)
-        found.append(_judged(d.camera, *_costs(stable, cameras, rays, v, mine, search), search))
+        found.append(_lag_from_costs(d.camera, *_costs(stable, cameras, rays, v, mine, search), search))
     return found
 
 
-def _judged(camera: str, cost: np.ndarray, count: float, search: int) -> KeypointLag:
+def _lag_from_costs(camera: str, cost: np.ndarray, count: float, search: int) -> KeypointLag:
     shifts, slack = np.arange(-search, search + 1), _INTERVAL + _CHANCE * np.sqrt(count)
     best = int(np.argmin(cost))
     fine = np.linspace(-search, search, 40 * search + 1)
@@ -85,7 +85,7 @@ def _has(groups: _Groups, view: int) -> bool:
 def _groups(stable: Sequence[Detections], cameras: Sequence[Camera], gate_m: float) -> tuple[_Groups, float]:
     """(view, track) of every person whom several cameras see, and their summed affinity."""
     graph = track_graph(stable, cameras)
-    groups = groups_of(graph.distance_m, graph.view, graph.moments, gate_m)
+    groups = track_groups(graph.distance_m, graph.view, graph.moments, gate_m)
     affinity = sum(group_affinity(g, graph.distance_m, gate_m) * len(g) for g in groups)
     return [[(int(graph.view[i]), int(graph.track[i])) for i in g] for g in groups], affinity
 

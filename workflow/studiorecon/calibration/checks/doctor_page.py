@@ -6,7 +6,7 @@ from __future__ import annotations
 import base64
 from typing import Any
 
-from studiorecon.calibration.checks.advice import CLEAR_MARGIN, HEADLINES, agreeing
+from studiorecon.calibration.checks.advice import CLEAR_MARGIN, HEADLINES, edge_agreement_note
 from studiorecon.pages import skeleton
 from studiorecon.rig.hypotheses import MAX_MARGIN
 
@@ -63,7 +63,7 @@ _HEAD = (
 
 
 def page(scene: str, report: dict[str, Any], sheet_png: bytes) -> str:
-    """The page of ``report`` (see ``doctor.examined``) with the contact sheet (PNG)."""
+    """The page of ``report`` (see ``doctor.examine``) with the contact sheet (PNG)."""
     body = skeleton.filled(
         _BODY,
         scene=scene,
@@ -71,7 +71,7 @@ def page(scene: str, report: dict[str, Any], sheet_png: bytes) -> str:
         colour=_COLOURS[report["verdict"]],
         headline=HEADLINES[report["verdict"]],
         sheet="data:image/png;base64," + base64.b64encode(sheet_png).decode("ascii"),
-        edges=agreeing(report),
+        edges=edge_agreement_note(report),
         caption=_caption(report),
         head=_HEAD,
         cameras=[_camera(report, name) for name in report["footage"]],

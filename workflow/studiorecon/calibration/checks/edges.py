@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from studiorecon.calibration.checks.refined import Refined, moves_told
+from studiorecon.calibration.checks.refined import Refined, move_by_camera
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.correspondences import Observations
@@ -19,7 +19,7 @@ from studiorecon.scene.camera import Camera
 _FAR_DEG = 4.0
 
 
-def by_edges(
+def compare_edges(
     given: Sequence[Camera],
     people: Refined | None,
     seen: Observations,
@@ -65,17 +65,17 @@ def by_edges(
         "after_deg": after_deg,
         "between_deg": between_deg,
         "people_worse": worse,
-        "moves": moves_told(cameras, given),
+        "moves": move_by_camera(cameras, given),
     }
 
 
-def beyond_mending(edges: dict[str, Any] | None) -> bool:
+def is_beyond_refinement(edges: dict[str, Any] | None) -> bool:
     """Whether the edges contradict the calibration by much, and refinement would not correct it."""
     return edges is not None and edges["clear"] and not edges["mended"] and edges["off_deg"] > _FAR_DEG
 
 
-def sentence(edges: dict[str, Any]) -> str:
-    """The result of ``by_edges`` in a sentence."""
+def edge_sentence(edges: dict[str, Any]) -> str:
+    """The result of ``compare_edges`` in a sentence."""
     if not edges["told"]:
         return (
             "the room's straight edges tell nothing of the calibration: they run along its three directions in fewer "

@@ -53,13 +53,13 @@ class Refined:
             "px": self.px,
             "elsewhere": self.elsewhere,
             "better": self.better,
-            "moves": moves_told(self.cameras, given),
+            "moves": move_by_camera(self.cameras, given),
             "asked_deg": self.asked_deg,
             "between_deg": self.between_deg,
         }
 
 
-def moves_told(cameras: Sequence[Camera], given: Sequence[Camera]) -> dict[str, dict[str, float]]:
+def move_by_camera(cameras: Sequence[Camera], given: Sequence[Camera]) -> dict[str, dict[str, float]]:
     """camera → degrees and metres by which it was turned and moved from its given pose."""
     degrees, metres = pose_changes(cameras, given)
     return {

@@ -15,7 +15,13 @@ import numpy as np
 from studiorecon.calibration.formats.opencv_storage import load_storage
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients
-from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world, rotation_of, vector
+from studiorecon.camera_files.raw_camera import (
+    RawCamera,
+    as_in_file,
+    rigid_camera_from_world,
+    rotation_from_file,
+    vector,
+)
 from studiorecon.errors import UserError
 from studiorecon.scene.outside import MAX_TEXT_BYTES, read_bytes
 from studiorecon.scene.values import listed
@@ -49,10 +55,10 @@ def read(files: list[Path]) -> Reading:
     cameras = []
     for name, key in key_of.items():
         where = f"camera {name} in {extri_path}"
-        matrix, axis = _matrix_of(extri, f"Rot_{key}"), _matrix_of(extri, f"R_{key}")
+        matrix, axis = _read_matrix(extri, f"Rot_{key}"), _read_matrix(extri, f"R_{key}")
         given = _required(extri, f"R_{key}", where) if matrix is None else matrix
-        rotation = rotation_of(given, f"{where}: its rotation")
-        if matrix is not None and axis is not None and np.abs(rotation_of(axis, where) - rotation).max() > 1e-3:
+        rotation = rotation_from_file(given, f"{where}: its rotation")
+        if matrix is not None and axis is not None and np.abs(rotation_from_file(axis, where) - rotation).max() > 1e-3:
             raise UserError(
                 f"{where}: R_{key} and Rot_{key} are different rotations; the file was edited by hand, write it again"
             )
@@ -69,7 +75,7 @@ def read(files: list[Path]) -> Reading:
 
 def _lens(intri: dict, name: str, key: str, where: str) -> tuple[RawCamera, list[str]]:
     """The camera at the identity, and messages about unused entries."""
-    fisheye, plain = _matrix_of(intri, f"rdist_{key}"), _matrix_of(intri, f"dist_{key}", f"D_{key}")
+    fisheye, plain = _read_matrix(intri, f"rdist_{key}"), _read_matrix(intri, f"dist_{key}", f"D_{key}")
     notes = []
     if fisheye is not None and plain is not None:
         notes.append(f"{where} has the lens twice: rdist_{key} (fisheye) was used, dist_{key} was not")
@@ -98,13 +104,13 @@ def lenses_in(path: Path) -> list[RawCamera]:
     return [_lens(intri, k[2:], k[2:], f"camera {k[2:]} in {path}")[0] for k in intri if k.startswith("K_")]
 
 
-def _matrix_of(table: dict, *keys: str) -> np.ndarray | None:
+def _read_matrix(table: dict, *keys: str) -> np.ndarray | None:
     """The first of ``keys`` that holds a matrix."""
     return next((table[key] for key in keys if isinstance(table.get(key), np.ndarray)), None)
 
 
 def _required(table: dict, key: str, where: str) -> np.ndarray:
-    found = _matrix_of(table, key)
+    found = _read_matrix(table, key)
     if found is None:
         raise UserError(f"{where}: {key} is missing")
     return found

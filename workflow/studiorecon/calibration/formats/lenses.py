@@ -37,8 +37,8 @@ def read_lenses(files: Sequence[Path]) -> list[RawCamera]:
                 for key, table in pose2sim.tables(path).items()
             ]
         elif opencv_storage.holds(path) == "lenses":
-            tables = opencv_storage.tables_of(path)
-            found += [opencv_storage.camera_of(n, table, f"camera {n} in {path}") for n, table in tables.items()]
+            tables = opencv_storage.camera_tables(path)
+            found += [opencv_storage.read_camera(n, table, f"camera {n} in {path}") for n, table in tables.items()]
         else:
             found += easymocap.lenses_in(path)
     return found

@@ -23,7 +23,7 @@ from studiorecon.camera_files.raw_camera import (
     as_in_file,
     camera_from_world_of_pose,
     rigid_camera_from_world,
-    rotation_of,
+    rotation_from_file,
     vector,
 )
 from studiorecon.errors import UserError
@@ -117,7 +117,7 @@ def _sorted(table: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 def _same(one: Any, two: Any) -> bool:
     if isinstance(one, np.ndarray) and isinstance(two, np.ndarray) and {one.size, two.size} == {3, 9}:
-        return bool(np.abs(rotation_of(one, "") - rotation_of(two, "")).max() < 1e-3)
+        return bool(np.abs(rotation_from_file(one, "") - rotation_from_file(two, "")).max() < 1e-3)
     return str(one) == str(two)
 
 
@@ -130,7 +130,7 @@ def _plain(value: Any) -> Any:
     return float(value) if isinstance(value, str) else value
 
 
-def tables_of(path: Path) -> dict[str, Mapping[str, Any]]:
+def camera_tables(path: Path) -> dict[str, Mapping[str, Any]]:
     """camera → its table: the file itself, named after the file, or the tables of several cameras in it."""
     content = load_storage(path)
     several = {k: v for k, v in content.items() if isinstance(v, Mapping) and "matrix" in _kinds(v)}
@@ -143,7 +143,7 @@ def _kinds(table: Mapping[str, Any]) -> set[str]:
     return {kind for key in plain if (kind := _KIND.get(_WORD.sub("", str(key).lower())))}
 
 
-def camera_of(name: str, table: Mapping[str, Any], where: str) -> RawCamera:
+def read_camera(name: str, table: Mapping[str, Any], where: str) -> RawCamera:
     """One camera; its pose is the identity where the table has none. Raises UserError for a table that is no camera."""
     held = {kind: _plain(value) for kind, value in _sorted(table, where).items()}
     if "matrix" not in held:
@@ -169,7 +169,7 @@ def _posed(kinds: set[str]) -> bool:
 
 def _pose(held: Mapping[str, Any], where: str) -> np.ndarray:
     if "rotation" in held and "translation" in held:
-        rotation = rotation_of(held["rotation"], f"{where}: its rotation")
+        rotation = rotation_from_file(held["rotation"], f"{where}: its rotation")
         return rigid_camera_from_world(rotation, vector(held["translation"], f"{where}: its translation"), where)[0]
     kind = "camera_from_world" if "camera_from_world" in held else "world_from_camera"
     block = numbers(held[kind], f"{where}: its pose")
@@ -189,7 +189,7 @@ def holds(path: Path) -> str:
     if not any(_KIND.get(w) == "matrix" for w in _words(text)):
         return ""
     try:
-        kinds = [_kinds(table) for table in tables_of(path).values()]
+        kinds = [_kinds(table) for table in camera_tables(path).values()]
     except (UserError, KeyError, ValueError, TypeError, IndexError):
         return ""
     if not all("matrix" in of for of in kinds):
@@ -209,7 +209,7 @@ def read(files: list[Path]) -> Reading:
     """The cameras of all files, named after the file or, with several in one, after their tables."""
     cameras = []
     for path in files:
-        cameras += [camera_of(name, table, f"camera {name} in {path}") for name, table in tables_of(path).items()]
+        cameras += [read_camera(name, table, f"camera {name} in {path}") for name, table in camera_tables(path).items()]
     return Reading("OpenCV FileStorage", tuple(cameras), "unknown", ())
 
 

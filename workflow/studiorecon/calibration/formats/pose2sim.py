@@ -7,7 +7,13 @@ from pathlib import Path
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients, model_in
-from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world, rotation_of, vector
+from studiorecon.camera_files.raw_camera import (
+    RawCamera,
+    as_in_file,
+    rigid_camera_from_world,
+    rotation_from_file,
+    vector,
+)
 from studiorecon.errors import UserError
 from studiorecon.scene.outside import MAX_TEXT_BYTES, read_bytes, read_toml
 
@@ -46,7 +52,7 @@ def camera_of_table(name: str, table: dict, path: Path, notes: list[str]) -> Raw
             f"{where}: {missing[0]} is missing; the file holds intrinsics only, run the extrinsic calibration too"
         )
     pose, scale = rigid_camera_from_world(
-        rotation_of(table["rotation"], f"{where}: rotation"),
+        rotation_from_file(table["rotation"], f"{where}: rotation"),
         vector(table["translation"], f"{where}: translation"),
         where,
     )

@@ -30,7 +30,7 @@ MODULES = (
 """Modules below ``studiorecon.models``, in the order of tables. A new adapter is a line here."""
 
 # Imported by name: a step's imports are part of its code's digest, and only the chosen adapter should count there
-# (``selection.modules_of``).
+# (``selection.adapter_modules``).
 _MODULE_OF: dict[str, str] = {}
 MODELS: dict[str, Card] = {}
 """Name in settings → card."""
@@ -51,6 +51,6 @@ def of_kind(*kinds: Kind) -> list[Card]:
     return [card for kind in kinds for card in MODELS.values() if card.kind == kind]
 
 
-def module_of(name: str) -> str:
+def adapter_module(name: str) -> str:
     """The module, below ``studiorecon``, of the adapter of model ``name``; raises KeyError as ``model``."""
     return _MODULE_OF[model(name).name]

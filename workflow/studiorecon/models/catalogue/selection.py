@@ -11,7 +11,7 @@ from typing import Any
 
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import Kind
-from studiorecon.models.catalogue.registry import MODELS, module_of, of_kind
+from studiorecon.models.catalogue.registry import MODELS, adapter_module, of_kind
 from studiorecon.scene.stand_ins import is_photo
 
 
@@ -82,20 +82,20 @@ def selected(config: Mapping[str, Any]) -> list[tuple[str, str]]:
     return found
 
 
-def modules_of(step: str, config: Mapping[str, Any]) -> list[str]:
+def adapter_modules(step: str, config: Mapping[str, Any]) -> list[str]:
     """Modules below ``studiorecon`` of the adapters that ``"stage.step"`` runs under this configuration.
 
     Adapters are loaded by name, so no import of the step leads to them.
     """
     if step == "report.page":  # shows every card
-        return sorted({module_of(name) for _, name in selected(config)})
+        return sorted({adapter_module(name) for _, name in selected(config)})
     names = [str(at(config, where)) for where, choice in CHOICES.items() if step in choice.steps]
     # Networks of another stage's setting, which the rule passes on.
     names += [str(at(config, "depth.source"))] if step == "people.lift" else []
     names += [str(at(config, f"enhance.{key}")) for key in ("enhancer", "flow") if step == "background.refined"]
     names += [str(at(config, "masks.source"))] if step == "views.people" else []
     names += [CANONICAL] if step == "humans.canonical" else []
-    return sorted({module_of(name) for name in names if name in MODELS})
+    return sorted({adapter_module(name) for name in names if name in MODELS})
 
 
 def at(config: Mapping[str, Any], where: str) -> Any:

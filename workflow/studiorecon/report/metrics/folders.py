@@ -51,13 +51,13 @@ def cameras_in(place: Path) -> dict[str, Path]:
     return found
 
 
-def frames_of(source: Path) -> Iterator[Integer[np.ndarray, "H W 3"]]:
+def read_folder_frames(source: Path) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """(H, W, 3) uint8 frames of a video or a folder of pictures, in name order."""
     for frame in _stored(source):
         yield np.repeat(frame[..., None], 3, axis=-1) if frame.ndim == 2 else frame
 
 
-def masks_of(source: Path) -> Iterator[Bool[np.ndarray, "H W"]]:
+def read_masks(source: Path) -> Iterator[Bool[np.ndarray, "H W"]]:
     """(H, W) bool masks: True where a mask video or picture is not black."""
     for frame in _stored(source):
         yield frame > 0 if frame.ndim == 2 else (frame[..., 0] | frame[..., 1] | frame[..., 2]) > 0

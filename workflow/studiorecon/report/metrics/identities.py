@@ -33,7 +33,7 @@ _LIMBS = [
 NOBODY = -1
 
 
-def true_person_of(points: Float[np.ndarray, "K 2"], people: Float[np.ndarray, "P K 2"]) -> int:
+def match_true_person(points: Float[np.ndarray, "K 2"], people: Float[np.ndarray, "P K 2"]) -> int:
     """Index of the true person (P, K, 2) whose points are closest to ``points`` (K, 2) in the median; -1 when all are
     far or unknown.
 
@@ -78,7 +78,7 @@ def score_identities(
                 (
                     frame,
                     view,
-                    true_person_of(points[columns, :2], here),
+                    match_true_person(points[columns, :2], here),
                     names.index(given) if given else NOBODY,
                 )
             )

@@ -115,7 +115,7 @@ class Flicker:
         """
         grey = grey_levels(photo)
         values: dict[str, dict[str, float | None]] = {name: dict.fromkeys(TEMPORAL) for name in (*pictures, "photo")}
-        alike, measured = first_alike(pictures), dict[tuple[str, str], dict[str, float | None]]()
+        alike, measured = first_identical(pictures), dict[tuple[str, str], dict[str, float | None]]()
         if self._grey is not None and min(grey.shape) >= _SMALLEST_FLOW_PX:
             backward = dis_flow(grey, self._grey, self._preset)
             valid = forward_backward_consistent(backward, dis_flow(self._grey, grey, self._preset))
@@ -156,7 +156,7 @@ class Flicker:
         }
 
 
-def first_alike(pictures: Mapping[str, Num[np.ndarray, "H W 3"]]) -> dict[str, str]:
+def first_identical(pictures: Mapping[str, Num[np.ndarray, "H W 3"]]) -> dict[str, str]:
     """name → the first name with an identical picture, so that pictures without enhancement are measured once."""
     alike: dict[str, str] = {}
     for name, picture in pictures.items():
@@ -190,7 +190,7 @@ def measure_sequence(
         flipped = t % FLIP_EVERY == 0 and available()
         moving = flicker.measure(photo, versions, masks)
         still: dict[str, dict[str, float | None]] = {}
-        for name, first in first_alike(versions).items():
+        for name, first in first_identical(versions).items():
             if first not in still:
                 still[first] = measure_picture(versions[first], photo, masks, distance, flipped)
             found.setdefault(name, []).append({**still[first], **moving[name]})

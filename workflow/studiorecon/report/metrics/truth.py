@@ -68,7 +68,7 @@ def true_pixels(working: Camera, true: Camera) -> Float[np.ndarray, "H W 2"]:
     return rays * np.array(true.focal_px) + np.array(true.principal_px)
 
 
-def seen_by(
+def is_visible(
     points_m: Float[np.ndarray, "... 3"],
     known: Bool[np.ndarray, " ..."],
     camera: Camera,
@@ -114,7 +114,7 @@ def regions(
     known = inside & np.isfinite(depth_m) & (depth_m > 0)
     points = own.camera.unproject(pixels, np.where(known, depth_m, 1.0).astype(np.float64))
     tolerances = (tolerance, *sensitivity)
-    others = [seen_by(points, known, views[name].camera, views[name].room_depth_m, tolerances) for name in training]
+    others = [is_visible(points, known, views[name].camera, views[name].room_depth_m, tolerances) for name in training]
     stop = first_frame + frames
     streams = [read_frames(views[name].masks, first_frame, stop) for name in training]
     rows, columns, inside = nearest_pixels(pixels, own.room_depth_m.shape)
@@ -133,13 +133,13 @@ def regions(
         for suffix, each in zip(("", "_strict", "_loose"), seen):
             found |= {f"seen{suffix}": background & each, f"unseen{suffix}": background & ~each}
         if moving is not None:
-            found |= _people_seen(
+            found |= _visible_people(
                 people, pixels, own.camera, [views[n].camera for n in training], next(moving), tolerance
             )
         yield found
 
 
-def _people_seen(
+def _visible_people(
     people: np.ndarray,
     pixels: np.ndarray,
     own: Camera,
@@ -154,7 +154,7 @@ def _people_seen(
     points = own.unproject(where, np.where(known, depth_m, 1.0))
     covered = np.zeros(known.shape, bool)
     for camera, depth in zip(training, depths_m[1:]):
-        covered |= seen_by(points, known, camera, depth, (tolerance,))[0][0]
+        covered |= is_visible(points, known, camera, depth, (tolerance,))[0][0]
     seen, unseen = np.zeros(people.shape, bool), np.zeros(people.shape, bool)
     seen[people], unseen[people] = covered[0], (known & ~covered)[0]
     return {"people_seen": seen, "people_unseen": unseen}

@@ -70,7 +70,7 @@ def duration(seconds: float | None) -> str:
     return f"{seconds:.1f} s" if seconds < 60 else f"{int(seconds // 60)} min {round(seconds % 60):02d} s"
 
 
-def versions_of(metrics: Mapping[str, Any]) -> tuple[str, ...]:
+def version_names(metrics: Mapping[str, Any]) -> tuple[str, ...]:
     """The versions of films that differ: ``raw`` and ``enhanced``, or only ``enhanced`` when they are identical."""
     raw, final = (
         {name: found["value"] for name, found in metrics["pictures"].get(version, {}).items()}
@@ -95,7 +95,7 @@ def head(scene: str, capture: Manifest, cameras: int, metrics: Mapping[str, Any]
 
 def numbers(metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
     """The main numbers for a reader."""
-    people, versions = metrics["bodies"].get("people") or {}, versions_of(metrics)
+    people, versions = metrics["bodies"].get("people") or {}, version_names(metrics)
     entries = []
     for version in reversed(versions):
         found = metrics["pictures"].get(version, {}).get("psnr", {})
@@ -111,7 +111,7 @@ def measures(metrics: Mapping[str, Any]) -> str:
     """The table of picture measures, raw next to enhanced where they differ, with expandable values per camera."""
     rows = []
     reasons: dict[str, list[str]] = {}
-    pictures, versions = metrics["pictures"], versions_of(metrics)
+    pictures, versions = metrics["pictures"], version_names(metrics)
     for name, title, unit, digits, meaning in _MEASURES:
         found = [pictures.get(version, {}).get(name, {"value": None, "reason": ""}) for version in versions]
         photo = pictures.get("photo", {}).get(name, {}).get("value")
@@ -148,7 +148,7 @@ def measures(metrics: Mapping[str, Any]) -> str:
 def paper(metrics: Mapping[str, Any], recognised: Mapping[str, Any], rows: Path) -> str:
     """This run as a row of the paper's tables, with a plain note that the paper's methods ran on other captures."""
     lead = "The paper measured its methods on other data: the columns show usual values and do not rank the methods."
-    header, lines = paper_table(metrics, recognised, rows, versions_of(metrics))
+    header, lines = paper_table(metrics, recognised, rows, version_names(metrics))
     table = html.table(header, lines, numeric=range(1, len(header) - 1))
     return f"<details><summary>Compared with the paper's tables</summary><p>{html.text(lead)}</p>{table}</details>"
 

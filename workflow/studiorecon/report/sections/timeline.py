@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _WIDTH, _LEFT, _BAR, _GAP = 1000, 120, 9, 12
 
 
-def frames_seen(
+def frames_with_detections(
     found: Sequence[Detections], whose: Mapping[tuple[str, int], str], people: Sequence[str], frames: int
 ) -> dict[str, Bool[np.ndarray, "P F"]]:
     """camera → (P + 1, frames) bool: frames with a detection of each person; the last row has detections of rejected

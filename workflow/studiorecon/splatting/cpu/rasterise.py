@@ -42,7 +42,7 @@ from studiorecon.splatting.rendering import (
     Rendering,
     checked_values,
     facing_normals,
-    taken_apart,
+    split_channels,
 )
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ class Rasteriser:
             rgb,
             alpha,
             depth_m,
-            *taken_apart(blended, 0 if values is None else values.shape[1], normals),
+            *split_channels(blended, 0 if values is None else values.shape[1], normals),
         )
 
     def _draw_with(

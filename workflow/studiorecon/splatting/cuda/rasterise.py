@@ -40,7 +40,7 @@ from studiorecon.splatting.rendering import (
     Rendering,
     checked_values,
     facing_normals,
-    taken_apart,
+    split_channels,
 )
 
 if TYPE_CHECKING:
@@ -228,7 +228,7 @@ class GsplatRasteriser:
         if normals:
             wanted.append(facing_normals(arrays[0], arrays[1], arrays[2], camera.centre_m))
         blended = self._blended(np.hstack(wanted)) if wanted else np.zeros((*rendering.alpha.shape, 0), np.float32)
-        parts = taken_apart(blended, 0 if values is None else values.shape[1], normals)
+        parts = split_channels(blended, 0 if values is None else values.shape[1], normals)
         return Rendering(rendering.rgb, rendering.alpha, rendering.depth_m, *parts)
 
     def _blended(self, values: np.ndarray) -> np.ndarray:

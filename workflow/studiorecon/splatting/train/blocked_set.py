@@ -61,7 +61,7 @@ class BlockedSet:
 
     def gaussians(self) -> Gaussians:
         """The current Gaussians, in the order of ``source``."""
-        return state.gaussians_of(self.state)
+        return state.state_gaussians(self.state)
 
     def threads(self) -> AbstractContextManager[None]:
         """The rasteriser's own context of threads."""
@@ -119,7 +119,7 @@ class BlockedSet:
     def snapshot(self) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], dict[str, Any]]:
         """The state, Adam's epsilons, and the rest of the round of targets."""
         adam = {f"adam.{name}": value for name, value in self.adam.arrays().items()}
-        return {**adam, **state.arrays_of(self.state)}, {"pending": self.order.pending}
+        return {**adam, **state.state_arrays(self.state)}, {"pending": self.order.pending}
 
     def resume(self, arrays: dict[str, Shaped[np.ndarray, " ..."]], facts: dict[str, Any]) -> None:
         """Restore a ``snapshot``."""

@@ -64,7 +64,7 @@ class Perceptual(Protocol):
         """The same for two tensors (1, 3, h, w) on the network's device, as a () tensor that carries gradients."""
 
 
-def crop_of(hw: tuple[int, int], settings: PerceptualSettings, rng: np.random.Generator) -> tuple[slice, slice]:
+def choose_crop(hw: tuple[int, int], settings: PerceptualSettings, rng: np.random.Generator) -> tuple[slice, slice]:
     """Rows and columns of the compared crop, at most the whole picture."""
     if settings.whole:
         return slice(0, hw[0]), slice(0, hw[1])
@@ -87,7 +87,7 @@ def perceptual(
     Where ``weight`` (H, W) is 0 the target replaces the rendering, so masked pixels neither count nor affect their
     surroundings (U11). ``weighed``: times the mean weight of the others. 0 for crops below ``SMALLEST_PX``.
     """
-    rows, columns = crop_of(rendered.shape[:2], settings, rng)
+    rows, columns = choose_crop(rendered.shape[:2], settings, rng)
     gradient = np.zeros(rendered.shape, np.float32)
     if min(rows.stop - rows.start, columns.stop - columns.start) < SMALLEST_PX:
         return 0.0, gradient
@@ -119,7 +119,7 @@ def perceptual_of_tensors(
     """
     import torch
 
-    rows, columns = crop_of((weight.shape[0], weight.shape[1]), settings, rng)
+    rows, columns = choose_crop((weight.shape[0], weight.shape[1]), settings, rng)
     if min(rows.stop - rows.start, columns.stop - columns.start) < SMALLEST_PX:
         return rendered.new_zeros(())
     counted = weight[rows, columns]

@@ -49,7 +49,7 @@ class Feedback:
         """Mean PSNR over the last tenth, on the pixels that counted; 0 before the first iteration."""
         return float(np.mean(self.psnrs_db[-self._tenth :])) if self.psnrs_db else 0.0
 
-    def tell(
+    def report_progress(
         self,
         count: int,
         view: str,

@@ -76,7 +76,7 @@ def _laid_out(
     return TrainingState(blocked, raw, *moments, source[order], *sums)
 
 
-def arrays_of(state: TrainingState) -> dict[str, Shaped[np.ndarray, " ..."]]:
+def state_arrays(state: TrainingState) -> dict[str, Shaped[np.ndarray, " ..."]]:
     """The whole state as named arrays, for a checkpoint."""
     arrays = {name: getattr(state, name) for name in STORED}
     return {
@@ -87,7 +87,7 @@ def arrays_of(state: TrainingState) -> dict[str, Shaped[np.ndarray, " ..."]]:
 
 
 def restored(arrays: Mapping[str, Shaped[np.ndarray, " ..."]]) -> TrainingState:
-    """The state of ``arrays_of``, bit for bit."""
+    """The state of ``state_arrays``, bit for bit."""
     count, degree = arrays["shape"].tolist()
     laid = {name: aligned(len(arrays[name])) for name in ("parameters", "raw", "first", "second")}
     for name, place in laid.items():
@@ -103,7 +103,7 @@ def finite(gaussians: Gaussians) -> Bool[np.ndarray, " N"]:
     return np.all([np.isfinite(array).all(axis=tuple(range(1, array.ndim))) for array in arrays], axis=0)
 
 
-def gaussians_of(state: TrainingState) -> Gaussians:
+def state_gaussians(state: TrainingState) -> Gaussians:
     """The Gaussians in the state's order, with the exact log scales and logits of Adam."""
     n, bands = state.blocked.count, (state.blocked.degree + 1) ** 2
     arrays = tuple(np.empty(shape, np.float32) for shape in ((n, 3), (n, 4), (n, 3), (n,), (n, bands, 3)))

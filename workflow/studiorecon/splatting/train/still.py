@@ -19,7 +19,7 @@ from studiorecon.splatting.train.perceptual import Perceptual
 from studiorecon.splatting.train.schedule import TrainingSettings
 from studiorecon.splatting.train.state import finite
 from studiorecon.splatting.train.targets import Target
-from studiorecon.splatting.train.terms import terms_of
+from studiorecon.splatting.train.terms import active_terms
 from studiorecon.splatting.train.trainer import train
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def train_still(
     first, last = span or (0, settings.iterations)
     say(f"{label}: {initial.count} Gaussians on {len(targets)} images, iterations {first} to {last}")
     subject = _on(device, initial, sound, settings, rng, extent_m, threads)
-    terms = terms_of(settings, network)
+    terms = active_terms(settings, network)
     psnr_db = train(subject, terms, (first, last), rng, label=label, checkpoint=checkpoint, previews=previews)
     back = np.argsort(subject.source, kind="stable")
     trained, source = subject.gaussians().take(back), given[subject.source[back]]

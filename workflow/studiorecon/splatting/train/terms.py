@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The terms of a training's loss, each for planes on the CPU (gradient by hand) and tensors on CUDA (autograd).
 
-A training names the weights of its terms, ``terms_of`` builds them, and the loop in ``trainer`` adds them up. Every
+A training names the weights of its terms, ``active_terms`` builds them, and the loop in ``trainer`` adds them up. Every
 term but LPIPS is a mean over the pixels whose weight is above 0, of weight times error: with weights 0 and 1 that is Σ
 m·l / Σ m (U11), and a weight of 3 counts three times (U15). With ``weighing`` "photometric" it is as printed in the
 paper. SSIM enters as 1 − SSIM, not halved (U10).
@@ -264,7 +264,7 @@ WEIGHED: dict[str, Callable[[float], Term]] = {"mask": Silhouette, "density": De
 """Terms with one number as their setting, by its name."""
 
 
-def terms_of(weights: Any, network: Perceptual | None = None) -> list[Term]:
+def active_terms(weights: Any, network: Perceptual | None = None) -> list[Term]:
     """The terms whose weights (fields ``l1``, ``ssim``, ``lpips`` and the names in ``WEIGHED``) are above 0; L1 and
     SSIM always.
 

@@ -95,7 +95,7 @@ def train(
             view = subject.draw(iteration)
             if feedback.add(*subject.step(iteration, view, view.total(terms))):
                 seen = subject.preview()
-                feedback.tell(seen.count, seen.name, seen.shown, seen.wanted, seen.used)
+                feedback.report_progress(seen.count, seen.name, seen.shown, seen.wanted, seen.used)
         if checkpoint is not None and checkpoint.due():
             arrays, facts = subject.snapshot()
             ours = {"iteration": iteration + 1, "generator": rng.bit_generator.state}

@@ -60,7 +60,7 @@ def write(path: Path, decision: Decision, evidence: Evidence, recordings: Record
     if decision.called_for:
         longest_px = evidence.sampling.longest_px
         for video, view, own in zip(recordings.videos, evidence.material.views, recordings.found):
-            course = course_of(video, view.camera, recordings.frames, own, view, longest_px)
+            course = brightness_over_time(video, view.camera, recordings.frames, own, view, longest_px)
             if course is None:
                 say(
                     f"{view.camera.name}: too little of the room is seen without people to follow "
@@ -76,7 +76,7 @@ def cost_s(cameras: Sequence[Camera], frames: int) -> float:
     return round(frames * sum(_FRAME_S + _MEGAPIXEL_S * c.wh[0] * c.wh[1] / 1e6 for c in cameras), 2)
 
 
-def course_of(
+def brightness_over_time(
     path: Path, camera: Camera, frames: int, found: Detections | None, view: ExposureView, longest_px: int
 ) -> Float[np.ndarray, "frames 3"] | None:
     """(frames, 3) factors of a film's brightness against its plate, equal in all channels; None when no frame can be

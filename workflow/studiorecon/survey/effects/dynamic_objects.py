@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
-from studiorecon.survey.scene_change import most, moving_share
+from studiorecon.survey.scene_change import largest_estimate, moving_share
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:
@@ -14,7 +14,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
         moving_share(small.ratio, small.free, small.plate.mean(axis=-1) * 255, small.noise, small.film.runs)
         for small in evidence.small_films
     ]
-    value, interval, name = most(evidence.names, found)
+    value, interval, name = largest_estimate(evidence.names, found)
     if value is None:
         reason = "too little of the room is visible without people to detect objects that move"
     elif value:

@@ -7,7 +7,7 @@ from studiorecon.geometry.statistics import NOTHING
 from studiorecon.rig.body_points import in_world
 from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
 from studiorecon.survey.evidence import LIMITS, Evidence
-from studiorecon.survey.scene_change import floor_ring, most, shadow_share
+from studiorecon.survey.scene_change import floor_ring, largest_estimate, shadow_share
 
 _ANKLES = ("left_ankle", "right_ankle")
 
@@ -22,7 +22,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
         theirs = feet[:, times].transpose(0, 2, 1, 3).reshape(-1, len(times), 3)
         ring = floor_ring(small.camera, small.depth_m, material.floor_m, theirs)
         found.append(shadow_share(small.ratio, small.free, ring, small.film.runs) if ring.any() else NOTHING)
-    value, interval, name = most(evidence.names, found)
+    value, interval, name = largest_estimate(evidence.names, found)
     reason = (
         "no floor near anybody's feet is seen"
         if value is None

@@ -10,7 +10,7 @@ import numpy as np
 from studiorecon.geometry.camera_path import gaps_around
 from studiorecon.scene.effects import COVERED_DEG
 from studiorecon.scene.names import segment_name
-from studiorecon.survey.coverage import PARALLAX_DEG, from_two_sides, seen_by, stage_points
+from studiorecon.survey.coverage import PARALLAX_DEG, from_two_sides, stage_points, visible_points
 from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
 
@@ -28,7 +28,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
         reason = "the cameras are at the point they face, so there is no space between them"
         return Measured(None, None, reason)
     depths_m = [view.depth_m for view in evidence.material.views]
-    seen = seen_by(points, cameras, depths_m, sampling.depth_tolerance)
+    seen = visible_points(points, cameras, depths_m, sampling.depth_tolerance)
     sides = from_two_sides(points, cameras, seen, PARALLAX_DEG)
     gaps = gaps_around(cameras)
     parts = {}

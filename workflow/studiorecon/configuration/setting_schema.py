@@ -8,7 +8,7 @@ import typing
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from studiorecon.configuration.setting import Setting, choices_of, options_of, plain
+from studiorecon.configuration.setting import Setting, literal_choices, plain, union_members
 
 _TYPES = {bool: "boolean", int: "integer", float: "number", str: "string"}
 _BOUNDS = {"minimum": "minimum", "above": "exclusiveMinimum", "maximum": "maximum", "below": "exclusiveMaximum"}
@@ -16,14 +16,14 @@ _BOUNDS = {"minimum": "minimum", "above": "exclusiveMinimum", "maximum": "maximu
 
 def section_schema(settings: Iterable[Setting], meaning: str, required: bool = True) -> dict[str, Any]:
     """The schema of a mapping that holds these settings and no others."""
-    properties = {setting.name: schema_of(setting) for setting in settings}
+    properties = {setting.name: build_schema(setting) for setting in settings}
     demanded = {"required": list(properties)} if required else {}
     return {"description": meaning, "type": "object", "additionalProperties": False, **demanded} | {
         "properties": properties
     }
 
 
-def schema_of(setting: Setting) -> dict[str, Any]:
+def build_schema(setting: Setting) -> dict[str, Any]:
     """The schema of one setting or section."""
     told = setting.described
     if setting.is_section:
@@ -36,10 +36,10 @@ def _shape(setting: Setting) -> dict[str, Any]:
     told = setting.described
     if told.shape is not None:
         return {"description": told.meaning, **told.shape}
-    if choices := choices_of(setting):
+    if choices := literal_choices(setting):
         return {"description": told.meaning, "enum": list(choices)}
     # Other types that code may put there (an array) cannot be in a configuration.
-    kinds = [kind for kind in options_of(setting.kind) if kind in _TYPES or typing.get_origin(kind)]
+    kinds = [kind for kind in union_members(setting.kind) if kind in _TYPES or typing.get_origin(kind)]
     options = [_typed(kind, setting) for kind in kinds]
     if len(options) > 1 and all(set(option) == {"type"} for option in options):
         options = [{"type": [option["type"] for option in options]}]

@@ -30,7 +30,7 @@ _CONVERTED = {*_SDR, *_HDR, ColorTrc.LINEAR}
 
 
 @dataclass(frozen=True)
-class Form:
+class StoredFormat:
     """How a film's frames are stored.
 
     Attributes:
@@ -103,7 +103,7 @@ class Form:
         return wh if self.turn[0][0] else (wh[1], wh[0])
 
 
-def form_of(stream: av.VideoStream, first: av.VideoFrame) -> tuple[Form, tuple[str, ...]]:
+def stored_format(stream: av.VideoStream, first: av.VideoFrame) -> tuple[StoredFormat, tuple[str, ...]]:
     """How the frames of ``stream`` are stored, by its header and ``first`` frame, and sentences about their
     conversion."""
     wh, notes, filters = (first.width, first.height), [], []
@@ -115,7 +115,7 @@ def form_of(stream: av.VideoStream, first: av.VideoFrame) -> tuple[Form, tuple[s
         filters.append(("yadif", "deint=interlaced"))
         notes.append("it is interlaced: lines between the fields are interpolated, which blurs what moves")
     colours, about = _colours(first)
-    return Form(wh, square_wh, turn, (*filters, *colours)), (*notes, *about)
+    return StoredFormat(wh, square_wh, turn, (*filters, *colours)), (*notes, *about)
 
 
 def _square(wh: tuple[int, int], aspect: Fraction | None) -> tuple[tuple[int, int], list[str]]:
