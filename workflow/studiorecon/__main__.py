@@ -34,12 +34,12 @@ from studiorecon.models.catalogue.confined import confine
 from studiorecon.progress import LOGGER, fail, logged
 
 _MAX_PIXELS = 2**28
-# ``kernel_cache``, by name: what is imported here is part of every step's digest, and where machine code lies changes
-# no result. numba's own follow for everybody else's functions.
+# ``kernel_cache``, by name: imports here are part of every step's digest, and the place of machine code changes no
+# result. numba's own locators follow for functions of other packages.
 _OWN = "studiorecon.machine.kernel_cache.ByContent"
 _NUMBAS = "InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator"
 KERNELS = {"NUMBA_CACHE_LOCATOR_CLASSES": f"{_OWN},UserProvidedCacheLocator,{_NUMBAS}"}
-"""Where numba keeps machine code."""
+"""Numba's variable for the place of machine code."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -83,28 +83,27 @@ def _main(argv: list[str]) -> int:
 
 
 def _keep_to_the_threads_given() -> None:
-    # The workflow engine announces a job's share of the cores as OMP_NUM_THREADS; numba only reads its own variable,
-    # and jobs that each take every core slow one another down many times over. Must be set before numba is first
-    # imported: it refuses later.
+    # Snakemake sets OMP_NUM_THREADS to a job's share of the cores, but numba reads only its own variable; jobs that
+    # each use every core slow each other down many times over. It must be set before numba is first imported.
     given = os.environ.get("OMP_NUM_THREADS", "")
     if "numba" not in sys.modules and given.isdigit() and 0 < int(given) <= (os.cpu_count() or 1):
         os.environ.setdefault("NUMBA_NUM_THREADS", given)
     # numba's own threads come with its wheel. The others are the system's (libgomp), which a bare machine lacks, and
-    # which wait for one another in busy loops: several times slower as soon as two jobs share the cores.
+    # which wait for each other in busy loops: several times slower when two jobs share the cores.
     os.environ.setdefault("NUMBA_THREADING_LAYER", "workqueue")
     for variable, chosen in KERNELS.items():
         os.environ.setdefault(variable, chosen)
-    # numpy's linear algebra waits in busy loops as well: on the small matrices here its threads cost time and win none
+    # numpy's linear algebra waits in busy loops as well: on the small matrices here its threads cost time and gain none
     # (filming the demo's studio takes 1.8 times the processor time with two), and their number changes last bits.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Pictures of more pixels than any camera's are damaged or made to fill the memory: a few bytes can announce them.
+    # Pictures of more pixels than any camera's are damaged or an attack on memory: a few bytes can claim any size.
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MAX_PIXELS))
 
 
 def _keep_byte_code() -> None:
-    # Where byte code is not to lie beside the sources (PYTHONDONTWRITEBYTECODE, as in many images), each of a film's
-    # hundred short processes would compile every module it imports, up to two seconds of it: the run keeps it among its
-    # own working files instead.
+    # If byte code may not be next to the sources (PYTHONDONTWRITEBYTECODE, as in many images), each of a film's hundred
+    # short processes would compile every module it imports, up to two seconds of it: the run keeps it among its own
+    # working files instead.
     if sys.dont_write_bytecode and Path(".snakemake").is_dir():
         sys.pycache_prefix, sys.dont_write_bytecode = str(Path(".snakemake/bytecode").resolve()), False
 
@@ -144,7 +143,7 @@ def _sentence(error: Exception) -> str:
 
 
 def _cannot_load(step: str, error: Exception, argv: list[str]) -> int:
-    # What options the step has is not known without it: of them only the log is looked for.
+    # Without the step its options are unknown: only the log's is parsed.
     log = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     log.add_argument("--log", type=Path)
     path = log.parse_known_args(argv)[0].log
@@ -191,7 +190,7 @@ def _parse(step: str, run: typing.Callable, argv: list[str]) -> dict:
 
 
 def options_of(run: Callable) -> Iterator[tuple[str, Any, Any]]:
-    """Name, type and default (or ``dataclasses.MISSING``) of every option of a step but its settings."""
+    """Name, type and default (or ``dataclasses.MISSING``) of every option of a step except its settings."""
     hints = typing.get_type_hints(run)
     for name, parameter in inspect.signature(run).parameters.items():
         if name == "settings":
@@ -205,7 +204,7 @@ def options_of(run: Callable) -> Iterator[tuple[str, Any, Any]]:
 
 
 def gathered(run: Callable, options: Mapping[str, Any]) -> dict[str, Any]:
-    """The keywords of ``run`` from its options: those that are fields of a dataclass make one."""
+    """The keywords of ``run`` from its options; options that are fields of a dataclass are combined."""
     keywords = dict(options)
     for name, kind in typing.get_type_hints(run).items():
         if name not in ("settings", "return") and dataclasses.is_dataclass(kind):

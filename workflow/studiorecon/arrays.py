@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a function asks of its array arguments, checked once where they come in, with a message that names the
-argument; and evenly spread indices."""
+"""Checks of array arguments, with messages that name the argument; and evenly spread indices."""
 
 from __future__ import annotations
 
@@ -24,12 +23,12 @@ def require(
     *,
     finite: bool = False,
 ) -> dict[str, int]:
-    """The sizes that the letters of ``shape`` stand for in ``array``, together with those already ``known``.
+    """The sizes of the letters of ``shape`` in ``array``, together with those already ``known``.
 
-    ``shape`` lists numbers, letters and at most one ``...`` for any number of axes; a letter means one size wherever it
-    stands, so ``sizes = require("pixels", pixels, ("V", "N", 2))`` and then ``require("weights", weights, ("V", "N"),
+    ``shape`` lists numbers, letters and at most one ``...`` for any number of axes; a letter means one size at every
+    place, so ``sizes = require("pixels", pixels, ("V", "N", 2))`` and then ``require("weights", weights, ("V", "N"),
     sizes)`` ties two arguments together. Raises ValueError that names the argument and its shape, or with ``finite``
-    how many of its values are not finite and where the first one is. Costs a microsecond; ``finite`` reads the array
+    how many of its values are not finite and where the first one is. Takes a microsecond; ``finite`` reads the array
     once.
     """
     actual = np.shape(array)
@@ -48,9 +47,9 @@ def require(
 
 
 def evenly_spread(count: int, wanted: int, *, below: bool = False) -> Integer[np.ndarray, " N"]:
-    """At most ``wanted`` indices of ``count`` things, ascending, evenly spread from the first to the last.
+    """At most ``wanted`` indices of ``count`` items, ascending, evenly spread from the first to the last.
 
-    Each is the index nearest to its even place, with ``below`` the one before it.
+    Each is the index nearest to its exact position, with ``below`` the one before it.
     """
     places = np.linspace(0, count - 1, min(wanted, count))
     return np.unique((places if below else places.round()).astype(int))

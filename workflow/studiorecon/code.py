@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A digest of the code that one step runs, so that editing a line re-runs exactly the steps that use it.
+"""A digest of the code that one step runs, so that editing a line reruns exactly the steps that use it.
 
-Snakemake hashes a rule's shell text, not what the program behind it imports. The digest covers the step's module and
+Snakemake hashes a rule's shell text, not the imports of the program behind it. The digest covers the step's module and
 every module of this package that it imports, directly or not, as syntax trees without docstrings: comments, docstrings
 and layout change nothing.
 """
@@ -19,13 +19,15 @@ from functools import cache, lru_cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent
-# Sources read before; more than this many are forgotten, oldest first.
+# Number of sources in the cache; the oldest are dropped first.
 _REMEMBERED = 4000
 
 
 def digest(step: str, by_name: Iterable[str] = ()) -> str:
-    """Sixteen hex digits for ``"stage.step"`` and for modules that it loads ``by_name``, without an import statement;
-    raises FileNotFoundError when there is no such module."""
+    """Sixteen hex digits for ``"stage.step"`` and for modules that it loads ``by_name``, without an import statement.
+
+    Raises FileNotFoundError when there is no such module.
+    """
     # The command line reads the settings of every step, so it belongs to each of them.
     files = reached(["__main__", step, *by_name])
     text = "\n".join(f"{name} {_read(files[name])[0]}" for name in sorted(files))
@@ -34,10 +36,10 @@ def digest(step: str, by_name: Iterable[str] = ()) -> str:
 
 
 def reached(modules: Iterable[str], without: Set[str] = frozenset()) -> dict[str, Path]:
-    """Files of modules and of all they import, directly or not, by name; what only ``without`` imports is not among
-    them.
+    """Files of modules and of all they import, directly or not, by name; modules that only ``without`` imports are left
+    out.
 
-    Raises FileNotFoundError when one of ``modules`` is none of ours.
+    Raises FileNotFoundError when one of ``modules`` is not part of this package.
     """
     files: dict[str, Path] = {}
     waiting, there = list(modules), _modules()
@@ -53,7 +55,7 @@ def reached(modules: Iterable[str], without: Set[str] = frozenset()) -> dict[str
 
 
 def module_path(module: str) -> Path | None:
-    """The file of ``"scene.camera"`` (or of a package, its ``__init__.py``); None when it is not a module of ours."""
+    """The file of ``"scene.camera"`` (or of a package, its ``__init__.py``); None for a module outside this package."""
     return _modules().get(module)
 
 
@@ -64,7 +66,7 @@ def imported_by(path: Path) -> list[str]:
 
 
 def imported_at(statements: list[ast.stmt]) -> set[str]:
-    """The same of statements, whether such modules are there or not."""
+    """The same for statements, whether such modules exist or not."""
     found: set[str] = set()
     for statement in _statements(statements):
         if isinstance(statement, ast.Import):
@@ -75,7 +77,9 @@ def imported_at(statements: list[ast.stmt]) -> set[str]:
 
 
 def _modules() -> Mapping[str, Path]:
-    """File of every module of ours by its name, "" the package itself; looked for anew when a folder has changed."""
+    """File of every module of this package by its name, "" the package itself; listed again when a folder has
+    changed.
+    """
     folders, modules = _find_module(PACKAGE)
     if any(not os.path.isdir(folder) or os.stat(folder).st_mtime_ns != seen for folder, seen in folders.items()):
         _find_module.cache_clear()
@@ -85,7 +89,7 @@ def _modules() -> Mapping[str, Path]:
 
 @cache
 def _find_module(package: Path) -> tuple[dict[str, int], dict[str, Path]]:
-    """When every folder of the package last changed, and the file of every module in them."""
+    """Time of the last change of every folder of the package, and the file of every module in them."""
     folders: dict[str, int] = {}
     modules: dict[str, Path] = {}
     for folder, below, names in os.walk(package):
@@ -94,22 +98,22 @@ def _find_module(package: Path) -> tuple[dict[str, int], dict[str, Path]]:
         within = Path(folder).relative_to(package).parts
         for name in sorted(name for name in names if name.endswith(".py")):
             own = () if name == "__init__.py" else (name.removesuffix(".py"),)
-            # Python takes the package where a module has the same name.
+            # Where package and module share a name, Python takes the package.
             if own == () or ".".join((*within, *own)) not in modules:
                 modules[".".join((*within, *own))] = Path(folder, name)
     return folders, modules
 
 
 def _read(path: Path) -> tuple[str, list[str]]:
-    """Digest of a source file's syntax tree without docstrings, and what of ``studiorecon`` it imports."""
+    """Digest of a source file's syntax tree without docstrings, and its imports from ``studiorecon``."""
     told = os.stat(path)
     return _parsed(path, told.st_mtime_ns, told.st_size)
 
 
-# A file is asked for once per step that reaches it: thirty times before a run.
+# A file is needed once per step that reaches it: thirty times before a run.
 @lru_cache(_REMEMBERED)
 def _parsed(path: Path, changed_ns: int, size: int) -> tuple[str, list[str]]:
-    """The same of a file that last changed then, and has so many bytes."""
+    """The same, cached by the file's time of change and size."""
     source = path.read_bytes()
     known, mark = _known(_memory()), hashlib.sha256(source).hexdigest()
     if mark not in known:
@@ -120,12 +124,12 @@ def _parsed(path: Path, changed_ns: int, size: int) -> tuple[str, list[str]]:
 
 
 def _memory() -> Path:
-    """What is remembered of sources lies beside their byte code; trees look different to another Python."""
+    """The cache file, next to the byte code: syntax trees differ between versions of Python."""
     return PACKAGE / "__pycache__" / f"digests.{sys.implementation.cache_tag}.json"
 
 
 class _Known(dict):
-    """Digest and imports by the hash of a source's bytes; ``stored`` of them are in the file."""
+    """Digest and imports by the hash of a source's bytes; ``stored`` is the number in the file."""
 
     stored = 0
 
@@ -133,8 +137,8 @@ class _Known(dict):
 @cache
 def _known(memory: Path) -> _Known:
     known = _Known()
-    # Parsing every source takes seconds, which Snakemake would spend at every start. No file, or none that can be read:
-    # they are parsed.
+    # Parsing every source takes seconds, which Snakemake would spend at every start. Without a readable file they are
+    # parsed.
     with suppress(OSError, ValueError):
         stored = json.loads(memory.read_text(encoding="ascii"))
         known.update(stored if isinstance(stored, dict) else {})
@@ -143,12 +147,12 @@ def _known(memory: Path) -> _Known:
 
 
 def remember() -> None:
-    """Keep what was read of sources for the next process."""
+    """Store the cache for the next process."""
     memory = _memory()
     known = _known(memory)
     if len(known) == known.stored:
         return
-    # As Python does for byte code: where nothing can be written, nothing is remembered.
+    # As with Python's byte code, a read-only place means no cache.
     with suppress(OSError):
         memory.parent.mkdir(exist_ok=True)
         partial = memory.with_suffix(f".{os.getpid()}.partial")
@@ -158,7 +162,7 @@ def remember() -> None:
 
 
 def _statements(body: list[ast.stmt]) -> Iterator[ast.stmt]:
-    """Every statement of a body and of the bodies in it; no expression holds one."""
+    """Every statement of a body and of its inner bodies, but not inside expressions, which contain none."""
     for statement in body:
         yield statement
         for field in ("body", "orelse", "finalbody"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one exception a step raises when it cannot do honest work."""
+"""The one exception of a step that cannot produce a correct result."""
 
 
 class UserError(Exception):

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the workflow's own files lie: Snakefile, rules, configuration, presets, bundled body and studios.
+"""The place of the workflow's own files: Snakefile, rules, configuration, presets, bundled body and studios.
 
-In a checkout that is the repository's root, in an installed package a folder of its own; it is laid out the same in
-both.
+In a checkout it is the repository's root, in an installed package a folder of its own, with the same layout.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a step tells the world while it works: one sentence per decision, a bar on a terminal, plain lines in a log.
+"""The messages of a step: one sentence per decision, a bar on a terminal, plain lines in a log.
 
-All of it goes through the standard library's logger ``studiorecon``: what is said is INFO and shown, how far a loop has
-come is DEBUG and only in the step's log file.
+All of it goes through the standard library's logger ``studiorecon``: sentences are INFO and shown, the progress of a
+loop is DEBUG and only in the step's log file.
 """
 
 from __future__ import annotations
@@ -20,20 +20,22 @@ from typing import TypeVar
 T = TypeVar("T")
 
 WARNING = "warning: "
-"""How a line of a log begins that ``warn`` wrote."""
+"""First word of a line of a log that ``warn`` wrote."""
 LOGGER = logging.getLogger("studiorecon")
 RUN = "STUDIORECON_RUN"
-"""Set in the environment of a run's steps: ``bar`` where the run draws its bar on this terminal, ``lines`` elsewhere.
-The run lists the warnings at its end, so that its steps do not show them."""
+"""Environment variable of a run's steps: ``bar`` if the run draws its bar on this terminal, otherwise ``lines``. The
+run lists the warnings at its end, so that its steps do not show them.
+"""
 CLEAR_LINE = "\r\x1b[K"
-"""What a terminal takes as: begin this line again, empty."""
+"""Terminal code that clears the line and returns to its start."""
 _LOG_EVERY_S = 10.0
 
 
 class _Shown(logging.Handler):
-    """Standard output as it is when something is said, whoever has replaced it meanwhile.
+    """Standard output as it is at the time of a message, even if it has been replaced.
 
-    Beside a run's bar every sentence is one line of the terminal, put in the bar's place; the log has it whole.
+    While a run draws its bar, every sentence is one line of the terminal, in the bar's place; the log has the full
+    text.
     """
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -59,7 +61,7 @@ def _shown(step: str) -> logging.Handler:
 
 
 class _Kept(logging.FileHandler):
-    """A step's log; what cannot be written to it, on a full disk, is said once and only shown from then on."""
+    """A step's log; after a failed write, as on a full disk, it warns once and then only shows messages."""
 
     def handleError(self, record: logging.LogRecord) -> None:
         if self.level <= logging.CRITICAL:
@@ -74,7 +76,7 @@ LOGGER.handlers = [_shown("studiorecon")]
 
 @contextmanager
 def logged(step: str, log: Path | None) -> Iterator[None]:
-    """Meanwhile sentences are shown with the step's name before them, and written to ``log`` without it."""
+    """Context in which sentences are shown with the step's name before them, and written to ``log`` without it."""
     before, LOGGER.handlers = LOGGER.handlers, [_shown(step)]
     if log is not None:
         log.parent.mkdir(parents=True, exist_ok=True)
@@ -88,29 +90,31 @@ def logged(step: str, log: Path | None) -> Iterator[None]:
 
 
 def say(sentence: str) -> None:
-    """Print one sentence, and write it to the log of the step that is running."""
+    """Print one sentence, and write it to the log of the running step."""
     LOGGER.info(sentence)
 
 
 def warn(sentence: str) -> None:
-    """Say what a user should know before trusting the result; the page lists every such line of a run's logs."""
+    """Print a fact that a user needs before trusting the result; the page lists every such line of a run's logs."""
     say(f"{WARNING}{sentence}")
 
 
 def fail(text: str) -> None:
-    """Print why a step ends without a result where errors go, and write it to its log."""
+    """Print the reason why a step ends without a result to standard error, and write it to its log."""
     beside_bar = os.environ.get(RUN) == "bar" and sys.stderr.isatty()
     print(f"{CLEAR_LINE if beside_bar else ''}{text}", file=sys.stderr, flush=True)
     LOGGER.debug(text)
 
 
 def progress(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
-    """The items, one by one, with a bar on a terminal that has no run's bar, and a plain line in the log every ten
-    seconds."""
+    """The items, one by one, with a progress bar on a terminal.
+
+    The run's own bar replaces it; the log gets a plain line every ten seconds.
+    """
     if total is None and isinstance(items, Sized):
         total = len(items)
     if sys.stderr.isatty() and RUN not in os.environ:
-        # Takes half as long to import as numpy, at the start of every step.
+        # Imported late: it takes half as long as numpy, at the start of every step.
         from tqdm import tqdm
 
         items = tqdm(items, desc=what, total=total, leave=False, file=sys.stderr)

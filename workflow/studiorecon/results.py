@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``results/<scene>`` as numpy arrays, for people: cameras, the room, people, loose things and the films' paths; and
-pictures of it from anywhere."""
+"""``results/<scene>`` as numpy arrays: cameras, the room, people, objects and the films' paths; and renders of it."""
 
 from __future__ import annotations
 
@@ -22,16 +21,16 @@ from studiorecon.splatting.rendering import Rendering
 from studiorecon.splatting.rigid_object import RigidObject
 from studiorecon.splatting.scene_files import SceneFiles
 
-# Nearer to the lens nothing is drawn.
+# Near limit of drawing.
 _NEAR_M = 0.2
 
 
 def load(folder: str | Path, body: str | Path | None = None) -> FinishedScene:
     """The finished scene of ``results/<scene>``.
 
-    ``body`` is the body model that people were fitted with, where that is not the bundled one. Who has no Gaussians,
-    since training failed or has not run, is said and left out; things are read where the survey asked for them, not
-    where an earlier run left some.
+    ``body`` is the body model of the fit if it is not the bundled one. A person without Gaussians, because training
+    failed or has not run, is named in a message and left out. Objects are read if the survey turned them on, and not
+    from files of an earlier run.
 
     Raises:
         UserError: there is no finished scene, a file is missing or broken, or the body model is another one.
@@ -74,13 +73,13 @@ def draw(
     without: Collection[str] = (),
     background_rgb: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> Rendering:
-    """The scene as a camera sees it at a 0-based, possibly fractional frame of the capture: colours, alpha and depth.
+    """A render of the scene at a 0-based, possibly fractional frame of the capture: colours, alpha and depth.
 
-    The room, everybody and every loose thing but those named in ``without`` (``p0``, ``o1``, ``room``). Films of the
-    workflow have people's shadows and the plates' light besides (``render.shot``).
+    It shows the room, all persons and all objects except those named in ``without`` (``p0``, ``o1``, ``room``). Films
+    of the workflow also have people's shadows and the plates' light (``render.shot``).
 
     Raises:
-        UserError: the frame lies outside of the capture, or nobody is called so.
+        UserError: the frame is outside of the capture, or a name is unknown.
     """
     moving: dict[str, Avatar | RigidObject] = {one.person: one for one in scene.people}
     moving |= {one.person: one for one in scene.things}
@@ -94,7 +93,7 @@ def draw(
 
 
 def _people(place: Path, scene: str) -> list[str]:
-    """Everybody whose Gaussians are there; the others are said."""
+    """The people with Gaussians; the others are named in a message."""
     table, there = place / "people" / "people.tsv", []
     for person in read_people(table) if table.is_file() else []:
         if all((place / "humans" / f"{person}.{ending}").is_file() for ending in ("ply", "npz")):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the paths of a step's ``run`` are to its rule: their types say it, and the rule's command line follows.
+"""The types that mark the paths of a step's ``run`` as inputs or outputs; the rule's command line is made from them.
 
-A plain ``Path`` is read: an input of the rule.
+A plain ``Path`` is an input of the rule.
 """
 
 from __future__ import annotations
@@ -13,5 +13,4 @@ Written = Annotated[Path, "written"]
 """A file or folder that the step writes: an output of its rule."""
 
 Place = Annotated[Path, "place"]
-"""A place where the step finds or leaves things that are no product of any rule: weights, logs, working files; one of
-the rule's params."""
+"""A place for files that no rule makes: weights, logs, working files; one of the rule's params."""

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-# In the order in which data meets them. No stage imports another one, no rule takes an input of a later one.
+# In the order of the data. No stage imports another one, and no rule takes an input of a later one.
 STAGES: tuple[str, ...] = (
     "detect",
     "clocks",

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cameras as files: a calibration as somebody wrote it goes in, cameras with our axes and units come out.
+"""Reads and writes camera files: a calibration in anybody's format in, cameras with our axes and units out.
 
 Read in this order:
 
-* ``raw_camera``: one camera of somebody else's file, whether it can be one, and the checks that every reader of such
-  files shares; ``lens_kinds``: which lens model a name means;
-* ``colmap_models``, ``transforms_json``: the two foreign kinds that more than one stage reads;
+* ``raw_camera``: one camera of a foreign file, and the checks that all readers of such files share; ``lens_kinds``: the
+  lens model behind a name;
+* ``colmap_models``, ``transforms_json``: the two foreign formats that several stages read;
 * ``calibration``: the lenses in our own ``calibration.json``;
 * ``colmap``: the undistorted cameras that all later steps read, as COLMAP text.
 """

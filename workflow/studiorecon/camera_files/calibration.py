@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The imported calibration, or that found from people: ``calibration/calibration.json``."""
+"""The imported calibration, or the one estimated from people: ``calibration/calibration.json``."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _CALIBRATION = {
 
 @dataclass(frozen=True)
 class Calibration:
-    """All lenses of a scene, and what is known of them.
+    """All lenses of a scene, and facts about them.
 
     Attributes:
         lenses: by the name of their camera, in the file's order.
         floor_known: whether z = 0 is the floor.
         about: source, format, notes and doubts, for people to read.
-        left_out: camera → why people did not place it; only of a calibration found from people.
+        left_out: camera → the reason why people could not calibrate it; only in a calibration from people.
     """
 
     lenses: Mapping[str, Lens]
@@ -60,7 +60,7 @@ def read_lenses(calibration: Path) -> Mapping[str, Lens]:
 
 
 def find_lens(calibration: Path, camera: str) -> Lens:
-    """The lens of one camera; raises UserError when it is not there."""
+    """The lens of one camera; raises UserError for an unknown camera."""
     lenses = read_lenses(calibration)
     if camera not in lenses:
         raise UserError(

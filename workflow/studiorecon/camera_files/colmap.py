@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""COLMAP text models: what the pipeline's own cameras are stored as, and what other tools read.
+"""COLMAP text models: the format of the pipeline's own cameras, and for other tools.
 
-Only undistorted pinhole cameras are written, and only what was written here is read here: nearly every step reads such
-a model, which takes less time than an import of pycolmap would, and spares the networks' images a package. Models of
-users, with distortion, rigs or in binary, are ``camera_files.colmap_models``'.
+Only undistorted pinhole cameras are written, and only models written here are read: nearly every step reads such a
+model, which takes less time than importing pycolmap, and saves the networks' images a package. Users' models, with
+distortion, rigs or in binary, are read by ``camera_files.colmap_models``.
 """
 
 from __future__ import annotations
@@ -30,10 +30,9 @@ _UNIT = 1e-6
 
 
 def quaternion_from_rotation(rotation: Num[np.ndarray, "3 3"]) -> Num[np.ndarray, " 4"]:
-    """(4,) unit quaternion (w, x, y, z), w ≥ 0, of a (3, 3) rotation, as COLMAP's files have it."""
+    """(4,) unit quaternion (w, x, y, z), w ≥ 0, of a (3, 3) rotation, as in COLMAP's files."""
     direction = rotations.largest_quaternion_row(rotation)
-    # The length of one vector; numpy rounds lengths along an axis otherwise, and models would change in their last
-    # digit.
+    # The length of one vector: along an axis numpy rounds differently, and the last digits of models would change.
     quaternion = direction / np.linalg.norm(direction)
     return quaternion if quaternion[0] >= 0 else -quaternion
 
@@ -72,7 +71,7 @@ def write_model(
 
 
 def read_model(folder: Path) -> list[Camera]:
-    """The cameras of a model written by ``write_model``, in image order; raises UserError naming the offending file."""
+    """The cameras of a model written by ``write_model``, in image order; raises UserError with the file's name."""
     with step_file_context(folder / "cameras.txt"):
         models = _models(_rows(folder / "cameras.txt", 8))
     with step_file_context(folder / "images.txt"):
@@ -110,7 +109,7 @@ def _cameras(rows: Sequence[Sequence[str]], models: Mapping[str, tuple[tuple[int
 
 
 def read_points(folder: Path) -> Num[np.ndarray, "N 3"]:
-    """(N, 3) points of a model written by ``write_model``; raises UserError naming the file."""
+    """(N, 3) points of a model written by ``write_model``; raises UserError with the file's name."""
     with step_file_context(folder / "points3D.txt"):
         rows = [[float(v) for v in row[1:4]] for row in _rows(folder / "points3D.txt", 8)]
         points = np.array(rows, dtype=np.float64).reshape(-1, 3)
@@ -119,8 +118,10 @@ def read_points(folder: Path) -> Num[np.ndarray, "N 3"]:
 
 
 def _rows(path: Path, columns: int) -> list[list[str]]:
-    """The words of every line that is no comment, the last of ``columns`` with its blanks; raises ValueError for a file
-    that is cut off."""
+    """The words of every line that is no comment, where the last of ``columns`` may contain blanks.
+
+    Raises ValueError for a truncated file.
+    """
     text = read_text(path, CURE)
     expect(text.startswith("#") and text.endswith("\n"), "its beginning or its end is missing")
     lines = [line for line in text.split("\n") if line.strip() and not line.startswith("#")]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""COLMAP models of users, text or binary, read by COLMAP's own pycolmap; the results' own text models are
-``camera_files.colmap``'s.
+"""Reads COLMAP models of users, text or binary, by COLMAP's own pycolmap; ``camera_files.colmap`` reads our own text
+models.
 
-Since COLMAP 3.12 a picture's pose is that of its frame after that of its sensor in the rig; ``images.txt`` only repeats
-it, and of rigs COLMAP 4.2.0 exported rotations there that are up to 63° off (colmap#4752). pycolmap composes rigs and
+Since COLMAP 3.12 a picture's pose is that of its frame after that of its sensor in the rig. ``images.txt`` only repeats
+it, and for rigs COLMAP 4.2.0 exported rotations there that are up to 63° off (colmap#4752). pycolmap composes rigs and
 frames where a model has them.
 """
 
@@ -20,17 +20,17 @@ from studiorecon.camera_files.lens_kinds import coefficients, model_named
 from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, rigid_camera_from_world
 from studiorecon.errors import UserError
 
-# COLMAP ends a name in images.txt at its first blank, which folders of pictures may have; this one it keeps.
+# COLMAP ends a name in images.txt at its first blank, which folders of pictures may have; it keeps this character.
 _NO_BREAK = "\u00a0"
 _GENERIC_FOLDERS = {"images", "input", "rgb", "frames", ".", ""}
 
 
 def posed_pictures(files: Sequence[Path]) -> list[RawCamera]:
-    """Camera of every picture of the model ``files`` (cameras, images, and rigs and frames where it has them), in order
-    of picture ids.
+    """Camera of every picture of the model ``files``, in order of picture ids, named after the picture by
+    ``camera_name``.
 
-    Named after the picture by ``camera_name``. Raises UserError for files that COLMAP cannot read or that end early,
-    for lens models that this project lacks, and for pictures without a pose.
+    ``files`` are cameras, images, and rigs and frames where the model has them. Raises UserError for files that COLMAP
+    cannot read or that are truncated, for lens models that this project lacks, and for pictures without a pose.
     """
     folder = files[0].parent
     model = _read(files)
@@ -57,8 +57,9 @@ def camera_name(image: str) -> str:
 
 
 def _read(files: Sequence[Path]) -> Any:
-    """The model without its 3D points, which pycolmap would ask for and nobody here wants: they may be missing, or
-    gigabytes."""
+    """The model without its 3D points, which pycolmap would read but no step needs: they may be missing, or
+    gigabytes.
+    """
     try:
         import pycolmap
     except ImportError as error:
@@ -88,8 +89,8 @@ def _read(files: Sequence[Path]) -> Any:
                 "all from one model"
             ) from None
         if suffix == ".bin":
-            # At the end of a file pycolmap goes on with what it read last: only the length of the same model, written
-            # again, tells.
+            # At the end of a truncated file pycolmap repeats the last values: only the length of the same model,
+            # written again, shows it.
             model.write_binary(str(written))
             for file in files:
                 if (written / file.name).stat().st_size > file.stat().st_size:
@@ -98,16 +99,16 @@ def _read(files: Sequence[Path]) -> Any:
 
 
 def _with_whole_names(images: Path, copy: Path) -> None:
-    """The file with the blanks inside of its pictures' names made ``_NO_BREAK``.
+    """Write the file with ``_NO_BREAK`` for the blanks inside its pictures' names.
 
-    Lines of 2D points stay as they are. An empty one is written where an editor has stripped it: COLMAP would drop the
-    picture, or take the next one for its points.
+    Lines of 2D points stay as they are. An empty one is added where an editor removed it: otherwise COLMAP would drop
+    the picture, or take the next one for its points.
     """
     with (
         open(images, encoding="utf-8", errors="surrogateescape") as file,
         open(copy, "w", encoding="utf-8", errors="surrogateescape") as out,
     ):
-        waiting = False  # for the last picture's points
+        waiting = False  # for the line with the last picture's points
         for line in file:
             fields = line.split(maxsplit=9)
             if line.startswith("#") or (not fields and not waiting):
@@ -123,7 +124,7 @@ def _with_whole_names(images: Path, copy: Path) -> None:
 
 
 def _is_picture(fields: Sequence[str]) -> bool:
-    """Whether a line ends in the name of a picture, not in a 2D point's number."""
+    """Whether a line ends in the name of a picture, and not in a 2D point's number."""
     try:
         return len(fields) > 9 and not np.isfinite(float(fields[9].split()[0]))
     except ValueError:
@@ -131,10 +132,10 @@ def _is_picture(fields: Sequence[str]) -> bool:
 
 
 def _lens(camera: Any, folder: Path) -> tuple[tuple[int, int], np.ndarray, str, np.ndarray]:
-    """Size, intrinsics, model and coefficients in this project's terms."""
+    """Size, intrinsics, model and coefficients in this project's conventions."""
     where = f"camera {camera.camera_id} of the COLMAP model in {folder}"
     kind = model_named(camera.model.name, where)
-    # COLMAP's models of each kind have the first of the kind's numbers.
+    # Each of COLMAP's models has the first coefficients of its kind.
     further = [camera.params[i] for i in camera.extra_params_idxs()]
     distortion = coefficients(kind, further, where)
     focal = (camera.focal_length_x, camera.focal_length_y)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of our two lens models a name means, and the coefficients of each: one table for every format.
+"""The lens model behind a name, and the coefficients of each: one table for every format.
 
-A name that is not in the table is refused: read as the wrong model, a picture's edge would be off by tens of pixels
-without a word.
+A name that is not in the table is refused: with a wrong model, a picture's edge would silently be off by tens of
+pixels.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ _FISHEYE = {
     "OPENCVFISHEYE", "FISHEYE", "SIMPLEFISHEYE", "SIMPLERADIALFISHEYE", "RADIALFISHEYE", "EQUIDISTANT",
     "KANNALABRANDT", "KANNALABRANDT4",
 }  # fmt: skip
-# Entries that name the model, and those that say whether it is a fisheye, without case and separators.
+# Entries that name the model, and those that mark a fisheye, without case and separators.
 _MODELS = {"cameramodel", "lensmodel", "distortionmodel", "projectionmodel", "model"}
 _FLAGS = {"isfisheye", "fisheye", "fisheyemodel"}
 _SAYS = {"TRUE": True, "1": True, "FALSE": False, "0": False}
-# How many numbers OpenCV's lists have; further ones (thin prism, tilt) must be zero.
+# Possible lengths of OpenCV's lists; further numbers (thin prism, tilt) must be zero.
 _COUNTS = {"opencv": (0, 1, 2, 4, 5, 8), "fisheye": (0, 1, 2, 3, 4)}
 _MAX = {"opencv": 8, "fisheye": 4}
 
@@ -56,8 +56,10 @@ def _plain(name: object) -> str:
 
 
 def model_in(table: Mapping[str, Any], where: str) -> str:
-    """The lens model that the entries of ``table`` name, ``"opencv"`` where none does; raises UserError for an unknown
-    name, and for entries that contradict each other."""
+    """The lens model in the entries of ``table``, ``"opencv"`` without one.
+
+    Raises UserError for an unknown name, and for entries that contradict each other.
+    """
     told = {}
     for key, value in table.items():
         plain = _plain(key).lower()
@@ -76,7 +78,7 @@ def model_in(table: Mapping[str, Any], where: str) -> str:
 def coefficients(model: str, values: object, where: str) -> Num[np.ndarray, " C"]:
     """(8,) k1 k2 p1 p2 k3 k4 k5 k6 of the model opencv or (4,) k1 k2 k3 k4 of fisheye; missing ones are 0.
 
-    Raises UserError for what is not a list of numbers, and for a count of numbers that the model does not have.
+    Raises UserError unless ``values`` is a list of numbers of a length that the model can have.
     """
     given = numbers([] if values is None else values, f"{where}: its distortion").reshape(-1)
     most = _MAX[model]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera as somebody else's file describes it, and the checks that every reader of such files shares."""
+"""A camera as described in a foreign file, and the checks that all readers of such files share."""
 
 from __future__ import annotations
 
@@ -17,29 +17,31 @@ if TYPE_CHECKING:
 
 _MAX_SCALE = 1e9
 _AGAIN = "calibrate this camera again"
-# Of the longer side of the picture. Below stand lenses of 160° without any distortion, above telescopes.
+# Share of the longer side of the picture. Lower values belong to lenses of 160° without any distortion, higher ones to
+# telescopes.
 _MIN_FOCAL, _MAX_FOCAL = 0.09, 100.0
 _MAX_SIDE_PX = 65_536
-# Without a size: millimetres of a lens end where pixels of a video's begin.
+# For a camera without a size: lenses have smaller numbers in millimetres, videos larger ones in pixels.
 _MIN_FOCAL_PX, _MAX_FOCAL_PX = 50.0, 1e6
 _MAX_COEFFICIENT = 1e4
 _MAX_LENGTH = 1e9
-# Of the picture's size: a crop of a corner of a sensor has its principal point outside, not a picture further.
+# Share of the picture's size: cropping a corner of a sensor moves the principal point outside, but not a whole picture
+# further.
 _MAX_OFF_CENTRE = 1.5
-# Of the focal length. Half of this is what a skew moves at the edge of a usual picture, as a share of it.
+# Share of the focal length: a skew moves the edge of a usual picture by half of it.
 _MAX_SKEW = 0.01
-# What a number that should be 0 or 1 may be off after a file's rounding.
+# Largest error, after a file's rounding, of a number that should be 0 or 1.
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
 class RawCamera:
-    """One camera as its file describes it, axes and pixel centres already ours, world and unit still the file's.
+    """One camera as described in its file: axes and pixel centres already ours, world and unit still the file's.
 
     Attributes:
-        name: the file's name for it.
-        wh: calibrated size; (0, 0) when the file does not say.
-        intrinsics: (3, 3), pixel centres at +0.5; scale and skew of the file are taken out by ``checked_camera``.
+        name: its name in the file.
+        wh: calibrated size; (0, 0) when the file has none.
+        intrinsics: (3, 3), pixel centres at +0.5; ``checked_camera`` removes scale and skew of the file.
         model, distortion: as in ``scene.camera.Lens``.
         camera_from_world: (4, 4) rigid, OpenCV axes.
     """
@@ -58,10 +60,10 @@ class RawCamera:
 
 
 def checked_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, list[str]]:
-    """The camera with intrinsics as all later steps expect them, and a sentence for every number that was left out.
+    """The camera with intrinsics in the form of all later steps, and a sentence for every number that was left out.
 
-    Raises UserError that names camera, number and likely cause for a size, focal length, skew, principal point,
-    distortion or place that no camera has.
+    Raises UserError with camera, number and likely cause for an impossible size, focal length, skew, principal point,
+    distortion or position.
     """
     where = f"camera {name} in {source}"
     longer = max(camera.wh)
@@ -90,7 +92,7 @@ def checked_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera
 
 
 def _pinhole(matrix: Num[np.ndarray, "3 3"], where: str) -> tuple[Float[np.ndarray, "3 3"], list[str]]:
-    """Intrinsics without scale and skew, and what was left out of them."""
+    """Intrinsics without scale and skew, and sentences about these."""
     scale = float(matrix[2, 2])
     if not (np.isfinite(matrix).all() and scale > 0 and (matrix > 0)[[0, 1], [0, 1]].all()):
         raise UserError(
@@ -118,15 +120,17 @@ def _pinhole(matrix: Num[np.ndarray, "3 3"], where: str) -> tuple[Float[np.ndarr
 
 
 def intrinsics_matrix(fx: float, fy: float, cx: float, cy: float, integer_centres: bool) -> Num[np.ndarray, "3 3"]:
-    """(3, 3) intrinsics with pixel centres at +0.5; ``integer_centres`` says that the file has them at whole numbers
-    (C07)."""
+    """(3, 3) intrinsics with pixel centres at +0.5; ``integer_centres``: the file has them at whole numbers (C07)."""
     shift = 0.5 if integer_centres else 0.0
     return np.array([[fx, 0.0, cx + shift], [0.0, fy, cy + shift], [0.0, 0.0, 1.0]])
 
 
 def as_in_file(matrix: object, where: str, integer_centres: bool = True) -> Float[np.ndarray, "3 3"]:
-    """(3, 3) camera matrix of a file with pixel centres at +0.5, its scale and skew kept for ``checked_camera``;
-    raises UserError for what is no 3×3 list of finite numbers."""
+    """(3, 3) camera matrix of a file with pixel centres at +0.5, with its scale and skew still in it for
+    ``checked_camera``.
+
+    Raises UserError unless it is a 3×3 list of finite numbers.
+    """
     given = numbers(matrix, f"{where}: its camera matrix")
     if given.size != 9:
         raise UserError(f"{where}: its camera matrix holds {given.size} numbers; it must be 3×3")
@@ -144,7 +148,7 @@ def vector(value: object, where: str) -> Float[np.ndarray, " 3"]:
 
 
 def rotation_from_file(value: object, where: str) -> Float[np.ndarray, "3 3"]:
-    """(3, 3) of a rotation matrix, which may still be no rotation, or of an axis times angle in radians."""
+    """(3, 3) from a matrix, which is not checked to be a rotation, or from an axis times angle in radians."""
     given = numbers(value, where)
     if given.size not in (3, 9):
         raise UserError(f"{where} holds {given.size} numbers; a rotation is 3×3, or an axis times its angle")
@@ -156,8 +160,8 @@ def rigid_camera_from_world(
 ) -> tuple[Float[np.ndarray, "4 4"], float]:
     """(4, 4) rigid transform of x_camera = rotation · X + translation, and the scale that was factored out.
 
-    A uniformly scaled block [cR | ct] describes the same picture as [R | t]. The rotation is projected to the nearest
-    one (C01). Raises UserError for a reflection, and for a block that is not a scaled rotation.
+    A uniformly scaled block [cR | ct] gives the same picture as [R | t]. The rotation is projected to the nearest one
+    (C01). Raises UserError for a reflection, and for a block that is not a scaled rotation.
     """
     rotation, translation = (
         np.asarray(rotation, dtype=np.float64).reshape(3, 3),
@@ -165,7 +169,7 @@ def rigid_camera_from_world(
     )
     if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
         raise UserError(f"{where}: the pose holds a number that is not finite; {_AGAIN}")
-    # A damaged number may be of any size: what overflows is refused below.
+    # A damaged number may have any size: overflow is refused below.
     with np.errstate(all="ignore"):
         determinant = np.linalg.det(rotation)
     if not (np.isfinite(determinant) and np.abs(rotation).max() < _MAX_SCALE):
@@ -189,7 +193,9 @@ def rigid_camera_from_world(
 
 
 def camera_from_world_of_pose(world_from_camera: Num[np.ndarray, "R 4"], where: str) -> Num[np.ndarray, "4 4"]:
-    """(4, 4) rigid ``camera_from_world`` of a (3|4, 4) ``world_from_camera`` whose rotation block may carry a scale."""
+    """(4, 4) rigid ``camera_from_world`` of a (3|4, 4) ``world_from_camera`` whose rotation block may include
+    a scale.
+    """
     block = np.asarray(world_from_camera, dtype=np.float64)
     inverse, _ = rigid_camera_from_world(block[:3, :3].T, np.zeros(3), where)
     inverse[:3, 3] = -inverse[:3, :3] @ block[:3, 3]

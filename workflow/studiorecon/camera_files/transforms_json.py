@@ -22,18 +22,20 @@ if TYPE_CHECKING:
 _GENERIC_FOLDERS = {"images", "input", "rgb", "frames", ".", ""}
 _LENS = {"camera_model", "is_fisheye"}
 _TERMS = {"opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), "fisheye": ("k1", "k2", "k3", "k4")}
-# Thin prism, which neither of our models has.
+# Coefficients of the thin prism, which neither of our models has.
 _NEVER = ("sx1", "sy1", "sx2", "sy2", "s1", "s2", "s3", "s4")
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class Transforms:
-    """Attributes:
-    cameras: one per picture, in the file's order, in the world before ``applied_transform``.
-    scales: (N,) what the pose of each picture multiplied lengths by, and what was taken out; 1 for a rigid one.
-    frames: which time each picture shows, as deliveries of this project's own path files say, or None.
-    notes: what was changed or assumed, in sentences.
+    """The contents of a transforms.json.
+
+    Attributes:
+        cameras: one per picture, in the file's order, in the world before ``applied_transform``.
+        scales: (N,) scale of each picture's pose, which was removed; 1 for a rigid one.
+        frames: time that each picture shows, as deliveries of this project's own path files have it, or None.
+        notes: sentences: every change and assumption.
     """
 
     cameras: tuple[RawCamera, ...]
@@ -43,8 +45,9 @@ class Transforms:
 
 
 def read_transforms(path: Path) -> Transforms:
-    """Everything in ``path``. Raises UserError for a file without frames, a frame without lens or pose, and a pose that
-    is no rotation."""
+    """The contents of ``path``; raises UserError for a file without frames, a frame without lens or pose, and a pose
+    without a rotation.
+    """
     content = read_json(path)
     if not isinstance(content, dict) or not content.get("frames"):
         raise UserError(f"{path} has no frames; it is not a nerfstudio transforms.json")
@@ -52,7 +55,7 @@ def read_transforms(path: Path) -> Transforms:
     if "applied_transform" in content:
         applied[:3] = np.asarray(content["applied_transform"], dtype=np.float64)[:3]
         notes.append("the file's applied_transform was undone")
-    # A picture's own lens counts, not the file's.
+    # A picture's own lens takes precedence over the file's.
     common = {key: value for key, value in content.items() if key != "frames"}
     lenses = [
         {**{k: v for k, v in common.items() if k not in _LENS or not _LENS & frame.keys()}, **frame}
@@ -88,7 +91,7 @@ def _camera(lens: dict[str, Any], source_from_file: np.ndarray, where: str) -> t
         raise UserError(f"{where}: its transform_matrix holds numbers that are not finite; calibrate this camera again")
     fy, cx, cy = float(lens.get("fl_y", fx)), float(lens.get("cx", width / 2)), float(lens.get("cy", height / 2))
     model = model_in(lens, where)
-    # distortion_params, where a file has them, are nerfstudio's own order k1 k2 k3 k4 p1 p2.
+    # distortion_params, if a file has them, are in nerfstudio's own order k1 k2 k3 k4 p1 p2.
     listed = dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), lens.get("distortion_params") or ()))
     term = {key: lens.get(key, listed.get(key, 0)) for key in (*_TERMS["opencv"], *_NEVER)}
     if left := [key for key, value in term.items() if value and key not in _TERMS[model]]:

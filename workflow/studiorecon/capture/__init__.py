@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The footage as all later stages see it: lossless, undistorted, at working size and on common moments.
+"""Converts the footage for all later stages: lossless, undistorted, at working size and at common moments.
 
-In come footage, calibration and clocks; out come one video and one description per camera (``frames``), and the list
-of all (``manifest``).
+In: footage, calibration and clocks; out: one video and one description per camera (``frames``), and the list of all
+(``manifest``).
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One camera's footage → lossless, undistorted frames at working size, and what was done to get them.
+"""Converts one camera's footage to lossless, undistorted frames at working size, and lists the changes.
 
 Reads ``width`` and ``picture_fps``. Resizing and undistortion are one sampling of the source frame, averaged over as
 many samples as the frame shrinks by, so that nothing is filtered twice and nothing aliases.
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Settings(PictureRate):
-    """How large the working frames are; the longer side, so that portrait and landscape footage cost the same."""
+    """Size of the working frames: the longer side, so that portrait and landscape footage cost the same."""
 
     width: int = setting(
         480,
@@ -60,7 +60,7 @@ def describe_changes(
     used: Integer[np.ndarray, " N"],
     late_frames: Float[np.ndarray, " N"],
 ) -> list[str]:
-    """Sentences: everything that sets the working frames apart from the file."""
+    """Sentences: all differences between the working frames and the file."""
     changes = list(source.notes)
     if source.rotation_deg:
         changes.append(f"turned by {source.rotation_deg} degrees counter-clockwise, as its rotation tag asks")
@@ -98,10 +98,10 @@ def run(
     video: Written,
     footage: Written,
 ) -> None:
-    """Decode, undistort and resize the frames of ``source`` that ``clocks`` chooses; write ``video`` (lossless) and
+    """Decode, undistort and resize the frames of ``source`` that ``clocks`` selects; write ``video`` (lossless) and
     ``footage`` (JSON).
 
-    ``frame_count`` is how many the user asked for; 0: all, and then an end that is missing is refused.
+    ``frame_count`` is the user's number of frames; 0 means all, and then a missing end is refused.
     """
     opened = open_source(source, settings.picture_fps)
     lens = find_lens(calibration, camera)
@@ -115,7 +115,7 @@ def run(
 
     def pictures() -> Iterator[np.ndarray]:
         wanted = np.bincount(used - used[0])
-        # To the very end where all are wanted, so that a recording that was cut off is noticed.
+        # Decode to the very end when all frames are used, so that a truncated recording is noticed.
         whole = not frame_count and used[-1] >= clock.frames - 1
         decoded = decode(opened, int(used[0]), 0 if whole else len(wanted), damaged)
         for number, frame in enumerate(progress(decoded, "frames", len(wanted))):

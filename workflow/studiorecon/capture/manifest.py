@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All cameras' footage → one manifest."""
+"""Combines all cameras' footage into one manifest."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from studiorecon.signature import Written
 
 
 def run(scene: str, footage: list[Path], manifest: Written) -> None:
-    """Write ``manifest`` of ``footage`` (JSON of every camera)."""
+    """Write ``manifest`` from ``footage`` (JSON of every camera)."""
     cameras = [read_footage(path) for path in footage]
     if not cameras:
         raise UserError(f"scene {scene} has no cameras; put one video per camera into videos/")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``studiorecon``: the workflow as a command for people, each word a thin call of the packaged Snakefile.
+"""``studiorecon``: the workflow as a command for people, each subcommand a thin call of the packaged Snakefile.
 
 Results, logs and Snakemake's own files go to the current folder, wherever the package is installed.
 """
@@ -32,7 +32,7 @@ _PORT = 8642
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one word; the exit status is Snakemake's, or 1 with a sentence where there is nothing to run."""
+    """Run one subcommand; the exit status is Snakemake's, or 1 with a sentence when there is nothing to run."""
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if "--" in given else len(given)
     parser = _parser()
@@ -132,7 +132,7 @@ def _parser() -> argparse.ArgumentParser:
 def _version() -> str:
     try:
         return version("studiorecon")
-    except PackageNotFoundError:  # its folder is on the path, and nothing was installed
+    except PackageNotFoundError:  # the package is on the path, but not installed
         return "not installed"
 
 
@@ -149,11 +149,12 @@ def _doctor(options: argparse.Namespace) -> int:
 
 
 def first_findings(folder: Path) -> Iterator[str]:
-    """What files, headers and two pictures of every camera say, before anything is looked at in full; UserError when
-    there is no capture."""
+    """Sentences from files, headers and two pictures of every camera, before the full check; raises UserError without a
+    capture.
+    """
     from studiorecon.calibration.checks.advice import brightness_and_clipping, footage_notes
     from studiorecon.footage.frames import glimpses
-    from studiorecon.footage.source import open_source  # with OpenCV, which other words do without
+    from studiorecon.footage.source import open_source  # loads OpenCV, which other subcommands do not need
     from studiorecon.plan.discovery import open_dataset
 
     capture = open_dataset(folder, None)
@@ -245,8 +246,10 @@ def preset_file(name: str) -> Path:
 
 
 def snakemake_command(target: str, dataset: str, cores: str, preset: str | None, rest: Sequence[str]) -> list[str]:
-    """The call of the packaged Snakefile. Of an option that Snakemake takes once, what ``rest`` says is joined with
-    what we say."""
+    """The call of the packaged Snakefile.
+
+    If ``rest`` has an option that Snakemake takes only once, its values are merged with ours.
+    """
     config, rest = _taken(rest, ("--config", "-C"))
     overlays, rest = _taken(rest, ("--configfile", "--configfiles"))
     overlays = [*([str(preset_file(preset))] if preset else []), *overlays]
@@ -261,7 +264,7 @@ def snakemake_command(target: str, dataset: str, cores: str, preset: str | None,
         cores,
         *rest,
     ]
-    # Last, since they take as many words as follow.
+    # Last, since they take all words that follow.
     return [*command, *(["--configfile", *overlays] if overlays else []), "--config", f"dataset={dataset}", *config]
 
 
@@ -291,7 +294,7 @@ def _snakemake(target: str, dataset: str, options: argparse.Namespace) -> int:
     budget = getattr(options, "budget", None)
     command = snakemake_command(target, dataset, options.cores, getattr(options, "preset", None), options.rest)
     command += [] if budget is None else [f"budget_min={budget:g}"]
-    # Rules call `python`: the one that this command runs under, also where its environment is not activated.
+    # Rules call `python`: it must be this command's own, even if its environment is not activated.
     path = os.pathsep.join([os.path.dirname(sys.executable), os.environ.get("PATH", "")])
     with subprocess.Popen(command, env={**os.environ, "PATH": path}) as process:
         while True:
@@ -299,14 +302,15 @@ def _snakemake(target: str, dataset: str, options: argparse.Namespace) -> int:
                 status = process.wait()
                 break
             except KeyboardInterrupt:
-                # Snakemake was told as well, and ends its jobs in order.
+                # Snakemake got the signal as well, and ends its jobs in order.
                 continue
     return status
 
 
 def finished_scene(folder: str) -> Path:
-    """The results folder that is meant by a capture's folder, a scene's name or that folder itself; raises UserError
-    when it has no page."""
+    """The results folder for a capture's folder, a scene's name or that folder itself; raises UserError when it has no
+    page.
+    """
     name = Path(folder).stem if folder.endswith((".yaml", ".yml")) else Path(folder).resolve().name
     for place in (Path(folder), Path("results") / folder, Path("results") / name):
         if (place / "report" / "index.html").is_file():

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far a run of the workflow is: what is done, what runs, what is left, and how long that may take.
+"""The progress of a run: finished, running and remaining jobs, and an estimate of the remaining time.
 
-The rest is guessed from how long each rule's jobs took before, on this machine, and corrected by how this run's
-finished jobs compare with that. A rule that never ran here has no guess, and then the answer says so.
+The estimate comes from earlier jobs of each rule on this machine, corrected by the ratio for this run's finished jobs.
+A rule that never ran here has no estimate, and the display says so.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from statistics import median
 from studiorecon.progress import shortened
 
 KEPT = 12
-"""Jobs of one rule and scene whose seconds are remembered."""
-_ENOUGH = 0.9  # share of the jobs left that must have a guess for a plain answer
-_SURE_S = 20.0  # of guessed work that has to be done before this run's own pace is believed
+"""Number of jobs of one rule and scene whose seconds are remembered."""
+_ENOUGH = 0.9  # share of remaining jobs that need an estimate for a plain answer
+_SURE_S = 20.0  # estimated seconds of finished work before this run's own pace counts
 
 
 @dataclass(frozen=True)
 class Running:
-    """A job that runs: its rule, what of (camera, person, film; empty for the scene), since when, threads."""
+    """A running job: its rule, its subject (camera, person, film; empty for the scene), its start, its threads."""
 
     rule: str
     of: str
@@ -34,10 +34,9 @@ class Running:
 
 @dataclass
 class Run:
-    """One run; times are seconds of any clock that goes on evenly.
+    """One run; times are seconds of any steady clock.
 
-    ``planned``, ``done``: jobs per rule. ``seconds``: rule → how long its jobs took before. ``cores``: how
-    many may be busy.
+    ``planned``, ``done``: jobs per rule. ``seconds``: rule → seconds of earlier jobs. ``cores``: number of cores.
     """
 
     seconds: Mapping[str, list[float]]
@@ -50,14 +49,14 @@ class Run:
     took: dict[str, list[float]] = field(default_factory=dict)
 
     def finished(self, job: int, now_s: float) -> None:
-        """A job is done; one that nobody saw starting is ignored."""
+        """Record a finished job; a job whose start was not recorded is ignored."""
         found = self.running.pop(job, None)
         if found:
             self.done[found.rule] += 1
             self.took.setdefault(found.rule, []).append(now_s - found.since_s)
 
     def stopped(self, job: int) -> None:
-        """A job failed."""
+        """Record a failed job."""
         found = self.running.pop(job, None)
         if found:
             self.failed.append(f"{found.rule} {found.of}".strip())
@@ -67,12 +66,12 @@ class Run:
         return max(sum(self.planned.values()), sum(self.done.values()) + len(self.running))
 
     def guess_s(self, rule: str) -> float | None:
-        """Seconds that a job of a rule takes: of this run's where there are any, else of those before."""
+        """Estimated seconds of a job of a rule: from this run if it has any, else from earlier ones."""
         known = self.took.get(rule) or self.seconds.get(rule)
         return median(known) if known else None
 
     def pace(self) -> float:
-        """How much longer than before jobs take in this run (1.0 = alike, or not known yet)."""
+        """Ratio of job times in this run to earlier ones; 1.0 while unknown."""
         before = after = 0.0
         for rule, took in self.took.items():
             if self.seconds.get(rule):
@@ -81,8 +80,10 @@ class Run:
         return after / before if before >= _SURE_S else 1.0
 
     def remaining(self, now_s: float) -> tuple[float, float]:
-        """(seconds left, share of the jobs left that have a guess). Work is spread over the cores; what runs longest
-        sets the least."""
+        """(seconds left, share of the remaining jobs with an estimate).
+
+        Work is spread over the cores; the longest job is a lower bound.
+        """
         left: Counter[str] = Counter(self.planned)
         left.subtract(self.done)
         work = longest = 0.0
@@ -108,7 +109,7 @@ class Run:
         return guess if guess is None or self.took.get(rule) else guess * self.pace()
 
     def left_in_words(self, now_s: float) -> str:
-        """What is left, as a person would say it; at least so much where rules never ran here."""
+        """The remaining time in words; a lower bound if rules have never run here."""
         seconds, share = self.remaining(now_s)
         if not share:
             return "time left not known yet"
@@ -116,7 +117,7 @@ class Run:
         return f"{'about' if share >= _ENOUGH else 'at least'} {plain} left"
 
     def bar(self, now_s: float, columns: int) -> str:
-        """One line of a terminal: how far the run is, what is left, and what runs."""
+        """One line of a terminal: progress, remaining time, and running jobs."""
         done, width = sum(self.done.values()), 20 if columns >= 100 else 10
         full = width * done // max(self.total, 1)
         names = ", ".join(f"{job.rule.replace('_', '.', 1)} {job.of}".strip() for job in self.running.values())
@@ -125,8 +126,7 @@ class Run:
 
 
 def read_seconds(path: Path, scene: str) -> dict[str, list[float]]:
-    """Rule → seconds of earlier jobs, of this scene where it has any, else of all scenes; empty for an unreadable
-    file."""
+    """Rule → seconds of earlier jobs, of this scene if it has any, else of all scenes; empty for an unreadable file."""
     try:
         held = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -139,7 +139,7 @@ def read_seconds(path: Path, scene: str) -> dict[str, list[float]]:
 
 
 def keep_seconds(path: Path, scene: str, took: Mapping[str, list[float]]) -> None:
-    """Add a run's seconds to those that are remembered, completely or not at all."""
+    """Add a run's seconds to the file, completely or not at all."""
     try:
         held = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):

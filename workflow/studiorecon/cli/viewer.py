@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A finished scene's folder in the browser of this machine: read only, behind an address that nobody can guess."""
+"""Serves a finished scene's folder to this machine's browser, read only, at a secret address."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _CHUNK_BYTES = 1 << 16
 class Viewer(http.server.ThreadingHTTPServer):
     """Serves one folder on 127.0.0.1 below ``/<token>/``; not yet running.
 
-    The token is new every time: other people on the machine, and pages of other sites that a browser has open, do not
-    know it. Files are read, never listed, and links that lead out of the folder are not followed.
+    The token is new every time, so that other people on the machine, and other sites' pages in the browser, do not know
+    it. Files are read, never listed, and links that lead out of the folder are not followed.
     """
 
     daemon_threads = True
@@ -42,19 +42,19 @@ class Viewer(http.server.ThreadingHTTPServer):
             ) from None
 
     def address(self, page: str) -> str:
-        """Where a file of the folder is to be opened."""
+        """The address of a file of the folder."""
         return f"http://127.0.0.1:{self.server_port}/{self.token}/{page}"
 
 
 class _Reader(http.server.BaseHTTPRequestHandler):
     server: Viewer
-    # Films are sought by ranges, which came with 1.1.
+    # Browsers seek in films by ranges, which came with 1.1.
     protocol_version = "HTTP/1.1"
-    # Seconds without a byte from or to a client, after which its connection ends. A browser on this machine needs none.
+    # Seconds without traffic after which a connection is closed; a browser on this machine never takes that long.
     timeout = 30
 
     def handle(self) -> None:
-        # A browser that has left wants no more of a film.
+        # A browser that left the page closes the connection in the middle of a film.
         with contextlib.suppress(ConnectionError):
             super().handle()
 
@@ -78,7 +78,7 @@ class _Reader(http.server.BaseHTTPRequestHandler):
     do_HEAD = do_GET
 
     def _path(self) -> Path | None:
-        """The file that was asked for, or the folder whose address lacks its slash; None for what nobody may read."""
+        """The requested file, or the folder whose address lacks its slash; None for a path that may not be read."""
         here = f"http://{self.headers.get('Host', '')}/"
         asked = re.split(r"[?#]", "/" + self.path.removeprefix(here).removeprefix("/"), maxsplit=1)[0]
         token, *parts = [os.fsdecode(unquote_to_bytes(part)) for part in asked.split("/")][1:]
@@ -116,12 +116,14 @@ class _Reader(http.server.BaseHTTPRequestHandler):
             left -= len(chunk)
 
     def _part(self, size: int) -> tuple[HTTPStatus, range]:
-        """The status of an answer and which bytes it holds. Several ranges at once, and what is no range, get the
-        whole file, as the standard allows (RFC 9110, 14.2)."""
+        """The status of an answer and its range of bytes.
+
+        Several ranges at once, or an invalid range, get the whole file, as the standard allows (RFC 9110, 14.2).
+        """
         asked = _RANGE.fullmatch(self.headers.get("Range", "").strip())
         first, last = asked.groups() if asked else ("", "")
         whole = HTTPStatus.OK, range(size)
-        # Files have no name for their version here: who asks for a part of one version gets all of this one.
+        # Files have no version tag here: a request for a part of a certain version gets the whole file.
         if self.command != "GET" or not (first or last) or "If-Range" in self.headers:
             return whole
         if first and last and int(last) < int(first):
@@ -136,9 +138,9 @@ class _Reader(http.server.BaseHTTPRequestHandler):
         self.send_header("Accept-Ranges", "bytes")
         self.send_header("Cache-Control", "no-cache")  # the next run writes the same names
         self.send_header("Connection", "close")
-        self.send_header("Referrer-Policy", "no-referrer")  # a link in a page must not tell the token
+        self.send_header("Referrer-Policy", "no-referrer")  # a link in a page must not reveal the token
         self.send_header("X-Content-Type-Options", "nosniff")
         super().end_headers()
 
     def log_message(self, format: str, *args: object) -> None:
-        """Requests are nothing to tell anybody."""
+        """Drops the message: requests are not logged."""

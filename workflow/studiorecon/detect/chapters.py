@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``detect.chapters``: the files of one recording as one film, for a camera that began a new file on the way."""
+"""``detect.chapters``: lists the files of one recording as one film, for a camera that splits its recording."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``detect.keypoints``: recorded 2D keypoints of one camera in pixels of its video, followed through time, before any
-calibration."""
+"""``detect.keypoints``: tracks recorded 2D keypoints of one camera over time, in pixels of its video, before any
+calibration.
+"""
 
 from __future__ import annotations
 
@@ -34,9 +35,9 @@ from studiorecon.signature import Written
 
 # The layout of an empty recording: nothing reads its points.
 _NOBODYS = "body_25"
-# Pictures that are compared with keypoints: a few dozen show where people move.
+# Number of pictures compared with keypoints: a few dozen show where people move.
 _PICTURES = 64
-# Frames. Films up to this length are decoded from the start (1 to 2 s); longer ones are sought in.
+# Longest film in frames that is decoded from the start (1 to 2 s); longer ones are seeked.
 _FRAMES_READ = 600
 
 
@@ -55,20 +56,19 @@ def run(
     others: list[Path],
     other_cameras: list[str],
 ) -> None:
-    """Write the tracks of ``camera``, by the frames of its footage, to ``sightings`` (npz), the keypoints as they were
-    recorded, in its film's frames and pixels, to ``recorded`` (npz), the video's size and what was decided about
-    keypoints to ``size`` (JSON).
+    """Write the tracks of ``camera``, its keypoints as recorded, and the video's size.
 
-    ``picture_fps`` is the rate of a folder of pictures; ``pixel_map`` (JSON): [scale, x, y] of ``Dataset.pixel_maps``,
-    or []; ``first_frame``: number of the film's first frame in the keypoint files, or "auto". ``keypoints`` are one
-    file or folder, or one for every chapter of ``source``. ``others``: keypoints of ``other_cameras``, looked at where
-    those of ``camera`` do not fit its film.
+    ``sightings`` (npz) gets the tracks by frames of its footage, ``recorded`` (npz) the keypoints in its film's frames
+    and pixels, ``size`` (JSON) the video's size and the decisions on keypoints. ``picture_fps`` is the rate of a folder
+    of pictures; ``pixel_map`` (JSON): [scale, x, y] of ``Dataset.pixel_maps``, or []; ``first_frame``: number of the
+    film's first frame in the keypoint files, or "auto". ``keypoints`` are one file or folder, or one for every chapter
+    of ``source``. ``others``: keypoints of ``other_cameras``, compared when those of ``camera`` do not fit its film.
     """
     about = {"camera": camera, "wh": [0, 0], "pixel_map": json.loads(pixel_map), "refusal": "", "told": []}
     try:
         filmed = open_source(source, picture_fps)
     except UserError as refusal:
-        # Decoding refuses it by name; the other cameras' clocks do not wait for that.
+        # Decoding will raise an error with its name; the clocks of the other cameras need not wait for that.
         warn(f"camera {camera}: {refusal}; until then it sees nobody")
         found, own = _nobody(camera), _none("", "")
     else:
@@ -102,7 +102,7 @@ def _compared(
     filmed: FootageSource,
     pixel_map: str,
 ) -> tuple[Recorded, list[str]]:
-    """The keypoints of a file in the frames and pixels of the film, as far as that bears them out, and what is said."""
+    """The keypoints of a file in the frames and pixels of the film, if they fit it, and sentences about them."""
     given, path = _of_chapters(paths, filmed, first_frame), ", ".join(map(str, paths))
     if not len(given.frame):
         warn(f"{path} ({given.program}) holds no person: camera {camera} sees nobody, and only shows the room")
@@ -135,7 +135,7 @@ def _compared(
 
 
 def _of_chapters(paths: Sequence[Path], filmed: FootageSource, first_frame: int | None) -> Recorded:
-    """What ``read_keypoints`` gives of one file, or of one for each chapter, by the frames of the whole film."""
+    """The result of ``read_keypoints`` for one file, or for one per chapter, by the frames of the whole film."""
     if len(paths) == 1:
         return read_keypoints(paths[0], filmed.wh)
     found, before = list[Recorded](), 0
@@ -156,7 +156,7 @@ def _of_chapters(paths: Sequence[Path], filmed: FootageSource, first_frame: int 
 
 
 def _none(program: str, layout: str) -> Recorded:
-    """Nobody's keypoints."""
+    """An empty recording."""
     name = layout if layout in LAYOUTS else _NOBODYS
     nobody = np.zeros(0, dtype=np.int64)
     return Recorded(program, nobody, nobody, np.zeros((0, len(LAYOUTS[name].keypoints), 3)), True, name)
@@ -168,8 +168,9 @@ def _nobody(camera: str) -> Detections:
 
 
 def _as_filmed(camera: str, filmed: FootageSource, frames: int, pixel_map: str) -> tuple[Lens, Footage]:
-    """Lens and footage whose working pixels are the video's own: a pinhole of any focal length maps them onto
-    themselves."""
+    """Lens and footage whose working pixels are the video's own: a pinhole of any focal length maps them to
+    themselves.
+    """
     wh = filmed.wh
     intrinsics = np.array([[max(wh), 0, wh[0] / 2], [0, max(wh), wh[1] / 2], [0, 0, 1.0]])
     lens = mapped_lens(
@@ -181,7 +182,7 @@ def _as_filmed(camera: str, filmed: FootageSource, frames: int, pixel_map: str) 
 
 
 def motion_in(source: FootageSource, first: int, last: int) -> Motion | None:
-    """Motion in sampled frames from ``first`` to ``last``; None, with a warning, where the film cannot be read."""
+    """Motion in sampled frames from ``first`` to ``last``; None, with a warning, if the film cannot be read."""
     first, last = min(max(first, 0), source.frames - 1), min(max(last, 0), source.frames - 1)
     wanted = np.unique(np.linspace(first, max(last, first), _PICTURES).round().astype(int)).tolist()
     look = stills if last <= _FRAMES_READ else glimpses

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``detect.people``: the people in the footage of one camera, at its full resolution, before any calibration."""
+"""``detect.people``: detects the people in the footage of one camera, at its full resolution, before any
+calibration.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
-# Pictures whose median is the usual one, and those of them, where most moves, that show which way is up.
+# Number of pictures whose median is the background, and number of those with most motion that determine the upright
+# direction.
 _USUAL, _SHOW_UP = 25, 3
 
 
@@ -44,17 +47,18 @@ def run(
     layout: str,
     found: Written,
 ) -> None:
-    """Write who is in the frames of ``source`` to ``found`` (npz): in all, or in those that ``clocks`` (a file, or
-    none) chooses. What differs from the user's own clean ``plate`` (a picture, or none) is looked at more closely.
+    """Write the people in the frames of ``source`` to ``found`` (npz): in all frames, or in those that ``clocks``
+    selects.
 
-    ``networks``: the detector's file, the landmarks', and the table of the confidence by their visibility;
-    ``second``: the user's own network, or none, and ``layout``: of its points.
+    ``clocks`` is a file or none. Pixels that differ from the user's own clean ``plate`` (a picture, or none) are
+    searched more closely. ``networks``: the detector's file, the landmarks', and the table of the confidence by their
+    visibility; ``second``: the user's own network, or none, and ``layout``: of its points.
     """
     detection, landmarks, table = networks
     try:
         footage = open_source(source, picture_fps)
     except UserError as refusal:
-        # Decoding refuses it by name; the other cameras' clocks do not wait for that.
+        # Decoding will raise an error with its name; the clocks of the other cameras need not wait for that.
         warn(f"camera {camera}: {refusal}; until then it sees nobody")
         write_raw_detections(
             found, RawDetections.of(camera, LAYOUT, LANDMARKS, [], (0, 0), "footage that cannot be read")
@@ -100,8 +104,10 @@ def run(
 
 
 def _empty_room(plate: Path, wh: tuple[int, int]) -> list[Integer[np.ndarray, "h w 3"]]:
-    """The user's clean plate at the size that films of ``wh`` are compared at; none where its shape is another, because
-    it has the calibration's pixels."""
+    """The user's clean plate at the size for comparison with films.
+
+    None where its shape is another, because it has the calibration's pixels.
+    """
     width, height = wh
     room = to_bytes(read_plate(plate)[0])
     if abs(room.shape[1] * height - room.shape[0] * width) > width:

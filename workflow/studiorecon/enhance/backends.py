@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a configuration's ``enhancer`` stands for: the embedded one, or an upstream network.
+"""The enhancers of the setting ``enhancer``: the embedded one, or an upstream network.
 
-The embedded enhancer carries over to the new view what the renders miss at the training cameras (``images.transfer``).
+The embedded enhancer transfers to a new view the difference between photos and renders of the training cameras
+(``images.transfer``).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Unchanged:
-    """The enhancer ``none``: what comes in goes out; injection around it only steadies the picture."""
+    """The enhancer ``none``: returns its input; injection around it only makes the picture steadier."""
 
     def enhance(
         self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
@@ -31,7 +32,7 @@ class Unchanged:
 
 
 class ResidualTransfer:
-    """The enhancer ``residual``: adds ``strength`` × cover × the carried-over residual of the moment."""
+    """The enhancer ``residual``: adds ``strength`` × cover × the transferred residual of the moment."""
 
     def __init__(
         self, sources_at: Callable[[float], Sequence[ResidualSource]], strength: float, transfer: Transfer
@@ -41,7 +42,7 @@ class ResidualTransfer:
     def enhance(
         self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
     ) -> Float[np.ndarray, "H W 3"]:
-        """The corrected picture; history in it already carries corrections, so only the fresh share is corrected again.
+        """The corrected picture; injected history is already corrected, so only the fresh share is corrected.
 
         Without that factor the fixed point of the recursion would be 1 / (1 - w) times the residual.
         """
@@ -53,7 +54,7 @@ class ResidualTransfer:
 
 
 def network(name: EnhancerName, weights: Path, device: str, seed: int) -> Enhancer:
-    """The enhancer of that name that needs nothing but a picture and a photo; ``none`` leaves pictures as they are.
+    """The enhancer of that name that needs only a picture and a photo; ``none`` leaves pictures as they are.
 
     Raises UserError when a network's weights, package or memory are missing.
     """

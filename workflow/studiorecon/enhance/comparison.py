@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``enhance.comparison``: two films that compare: side by side (render | enhanced | photo), and a wipe between the
-first and the last."""
+"""``enhance.comparison``: writes two comparison films: side by side (render | enhanced | photo), and a wipe between the
+first and the last.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +24,14 @@ if TYPE_CHECKING:
 
 _BAR_PX = 24
 _GAP_PX = 4
-# The wipe goes from one side to the other and back in so many seconds.
+# Seconds in which the wipe goes from one side to the other and back.
 _WIPE_S = 4.0
 
 
 def side_by_side(
     pictures: Sequence[Integer[np.ndarray, "H W 3"]], words: Sequence[str]
 ) -> Integer[np.ndarray, "h w 3"]:
-    """(H + bar, W', 3) uint8: the pictures next to one another, each under its word."""
+    """(H + bar, W', 3) uint8: the pictures next to each other, each under its label."""
     height = pictures[0].shape[0] + _BAR_PX
     parts = []
     for picture, word in zip(pictures, words, strict=True):
@@ -44,8 +45,9 @@ def side_by_side(
 def wiped(
     left: Integer[np.ndarray, "H W 3"], right: Integer[np.ndarray, "H W 3"], share: float, words: tuple[str, str]
 ) -> Integer[np.ndarray, "H W 3"]:
-    """(H, W, 3) uint8: ``left`` up to ``share`` of the width, ``right`` beyond, a white line between, a word on either
-    side."""
+    """(H, W, 3) uint8: ``left`` up to ``share`` of the width, ``right`` beyond, a white line between, a label on either
+    side.
+    """
     width = left.shape[1]
     at = round(np.clip(share, 0, 1) * width)
     picture = right.copy()
@@ -58,8 +60,7 @@ def wiped(
 
 
 def wipe_share(picture: int, fps: float) -> float:
-    """Where the line of the wipe stands: it starts in the middle and travels from side to side at an even, gentle
-    pace."""
+    """Position of the wipe's line as a share of the width; it starts in the middle and moves at an even, slow speed."""
     return 0.5 + 0.45 * float(np.sin(2 * np.pi * picture / (fps * _WIPE_S)))
 
 
@@ -89,8 +90,9 @@ def run(
     beside: Written,
     wipe: Written,
 ) -> None:
-    """Write both films; photos are shown where a camera of ``videos`` took one (the shots train and heldout), else
-    render and enhanced."""
+    """Write both films, with photos where a camera of ``videos`` took them (the shots train and heldout), else render
+    and enhanced.
+    """
     steps, fps = read_path(render_path)
     photos = list(photo_at_steps(steps[:1], videos))
     with_photos = photos[0] is not None
@@ -112,7 +114,7 @@ def run(
 
 
 def _fitted(photo: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """The photo in the top left of a picture of the film's size (see ``render/shots.py``, every_frame)."""
+    """The photo at the top left of a picture of the film's size (see ``render/shots.py``, every_frame)."""
     fitted = np.zeros(shape, np.uint8)
     fitted[: photo.shape[0], : photo.shape[1]] = photo[: shape[0], : shape[1]]
     return fitted

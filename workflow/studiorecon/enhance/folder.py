@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``enhance.folder``: any method's rendered pictures, with any photos for reference, through an enhancer with
-consistency injection.
+"""``enhance.folder``: enhances any method's rendered pictures, with photos for reference and consistency injection.
 
     python -m studiorecon enhance.folder --settings config/config.yaml --pictures DIR --references DIR --output DIR
     [--first N --count M]
 
-Pictures and references are folders of pictures (in the order of their names) or videos. A part of a clip goes on from
-what lies in the output folder already: the same bytes as one pass, so a long clip can be made in parts, and a killed
-one can be gone on with.
+Pictures and references are folders of pictures (in the order of their names) or videos. A part of a clip continues from
+the pictures already in the output folder, with the same bytes as one pass. So a long clip can be made in parts, and an
+interrupted one continued.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ _VIDEOS = {".mkv", ".mp4", ".mov", ".avi", ".webm"}
 
 @dataclass(frozen=True)
 class Settings(Enhancing, Injecting):
-    """What the step is told."""
+    """Settings of this step."""
 
 
 def read_pictures(source: Path, first: int = 0, count: int | None = None) -> Iterator[Integer[np.ndarray, "H W 3"]]:
@@ -78,8 +77,8 @@ def run(
 ) -> None:
     """Enhance pictures ``first`` … ``first + count - 1`` (0 = to the end) into ``output``/000000.png, 000001.png, …
 
-    References are one photo for all pictures, or one per picture. Raises UserError where an enhancer needs what a
-    folder does not have, where the numbers of pictures and references do not fit, and where the outputs before
+    References are one photo for all pictures, or one per picture. Raises UserError when an enhancer needs inputs that a
+    folder does not have, when the numbers of pictures and references do not agree, and when the outputs before
     ``first`` are missing.
     """
     if settings.enhancer == "residual":
@@ -123,7 +122,7 @@ def run(
     each = read_pictures(references, first, wanted) if references is not None and given == total and total > 1 else None
 
     def reference(step: PathStep) -> np.ndarray:
-        # ``enhanced`` asks once per picture, in order.
+        # ``enhanced`` calls this once per picture, in order.
         return next(each) if each is not None else photos[0] if photos else np.zeros((1, 1, 3), np.uint8)
 
     parts = read_pictures(pictures, first, wanted)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings that several steps of the stage are told."""
+"""Settings that several steps of the stage share."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from studiorecon.recursive.injection import Injection
 
 @dataclass(frozen=True)
 class Enhancing:
-    """Who improves a picture; ``seed`` is of a network's noise."""
+    """The enhancer; ``seed`` is that of a network's noise."""
 
     enhancer: EnhancerName = setting(
         "residual",
@@ -29,7 +29,7 @@ class Enhancing:
 
 @dataclass(frozen=True)
 class Carrying:
-    """How much of what photos show and renders miss is added; ``auto`` is judged on ``judged_frames`` moments."""
+    """Strength of the transferred residual; ``auto`` is estimated on ``judged_frames`` moments."""
 
     strength: float | Literal["auto"] = setting(
         "auto",
@@ -44,7 +44,7 @@ class Carrying:
 
 @dataclass(frozen=True)
 class Injecting:
-    """How earlier outputs steady a film."""
+    """Settings of the injection of earlier outputs."""
 
     injection: Injection = setting(
         Injection(), "Earlier outputs, warped onto the current picture, enter the enhancer's input."

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The training cameras' photos beside their renders: what an enhancer looks at, and what it is judged on."""
+"""The training cameras' photos with their renders: the input of an enhancer, and the reference for its gain."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Training:
-    """The training cameras' footage and renders, frame by frame; photos are shown in the ``exposure`` and light of the
-    renders."""
+    """The training cameras' footage and renders, frame by frame, with photos in the ``exposure`` and light of the
+    renders.
+    """
 
     cameras: Sequence[Camera]
     photos: Sequence[Playback]
@@ -34,11 +35,11 @@ class Training:
     exposure: Factors = NONE
 
     def photo(self, index: int, frame: int) -> Integer[np.ndarray, "h w 3"]:
-        """(h, w, 3) uint8 photo of one camera, as it were filmed with the common exposure in the plate's light."""
+        """(h, w, 3) uint8 photo of one camera, corrected to the common exposure and the plate's light."""
         return self.exposure.even(self.cameras[index].name, self.photos[index].at(frame), frame)
 
     def nearest_frame(self, frame: float) -> int:
-        """The whole frame that is shown at a fractional one."""
+        """The nearest whole frame to a fractional one."""
         return int(np.clip(round(frame), 0, self.frames - 1))
 
     def sources(self, frame: int, transfer: Transfer) -> list[ResidualSource]:
@@ -49,7 +50,7 @@ class Training:
         ]
 
     def residual(self, index: int, frame: int) -> Float[np.ndarray, "h w 3"]:
-        """(h, w, 3) float32 photo less render of one camera, colours in 0..1."""
+        """(h, w, 3) float32 photo minus render of one camera, colours in 0..1."""
         photo = self.photo(index, frame)
         render = self.renders[index].at(frame)[: photo.shape[0], : photo.shape[1]]
         return (photo.astype(np.float32) - render.astype(np.float32)) / 255
@@ -64,8 +65,8 @@ class Training:
 def open_training(
     cameras: list[Camera], steps: list[PathStep], videos: list[Path], renders: Path, depths: Path, frames: int
 ) -> Training:
-    """The footage ``videos`` of ``cameras``, with their renders and depths, which are films of one camera after the
-    other (``steps``).
+    """The footage ``videos`` of ``cameras``, with their renders and depths, which are films of all cameras in sequence
+    (``steps``).
 
     Raises UserError when the films are of other cameras or frames.
     """

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``enhance.sheet``: how one picture of a film was made: the render, what was injected into it from where, and what
-came out.
+"""``enhance.sheet``: shows how one picture of a film was made: render, injected parts and their sources, output.
 
-Computed again from the stored films: what is fed back is what is stored, so the sheet shows exactly what happened.
+It is recomputed from the stored films, which are also the feedback of the recursion, so the sheet is exact.
 """
 
 from __future__ import annotations
@@ -33,20 +32,21 @@ if TYPE_CHECKING:
 
 _BAR_PX = 22
 _INK, _PAPER = (30, 30, 30), (255, 255, 255)
-# Differences between output and render are shown this many times larger, about mid grey.
+# Amplification of the differences between output and render, about mid grey.
 _GAIN = 8
 
 
 @dataclass(frozen=True)
 class Settings(Injecting):
-    """What the step is told."""
+    """Settings of this step."""
 
 
 def flow_picture(
     flow: Float[np.ndarray, "H W 2"], valid: Bool[np.ndarray, "H W"]
 ) -> tuple[Integer[np.ndarray, "H W 3"], float]:
-    """(H, W, 3) uint8: direction as hue, length as strength, white = no motion, grey = not to be trusted; and the
-    longest, pixels."""
+    """(H, W, 3) uint8: direction as hue, length as strength, white = no motion, grey = invalid; and the longest flow,
+    pixels.
+    """
     length = np.hypot(flow[..., 0], flow[..., 1])
     longest = float(np.percentile(length[valid], 99)) if valid.any() else 0.0
     hue = (np.degrees(np.arctan2(flow[..., 1], flow[..., 0])) % 360 / 2).astype(np.uint8)
@@ -59,7 +59,8 @@ def sheet(
     render: Integer[np.ndarray, "H W 3"], mixed: Blend, output: Integer[np.ndarray, "H W 3"]
 ) -> Integer[np.ndarray, "h w 3"]:
     """(H', W', 3) uint8 contact sheet: render, input, output and change; below, flow and confidence of each earlier
-    output."""
+    output.
+    """
     change = np.clip(128 + _GAIN * (output.astype(np.int16) - render), 0, 255).astype(np.uint8)
     share = to_bytes(mixed.injected)
     top = [

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``enhance.shot``: one shot, picture by picture, through an enhancer with motion-adaptive consistency injection, where
-this scene calls for either (``trial``)."""
+"""``enhance.shot``: enhances one shot, picture by picture, with motion-adaptive consistency injection, if this scene
+needs either (``trial``).
+"""
 
 from __future__ import annotations
 
@@ -43,13 +44,13 @@ else:
 
 @dataclass(frozen=True)
 class Settings(Enhancing, Carrying, Injecting):
-    """How a film is enhanced, and from where it is worth it, which ``survey.effects.Decided`` declares for all."""
+    """Settings of enhancing a film, with the thresholds that ``survey.effects.Decided`` declares for all effects."""
 
     thresholds: Mapping[Named, float] = thresholds(FILMED)
     force: Mapping[Named, str] = force(FILMED)
 
     def threshold(self, effect: str) -> float:
-        """From where one of the effects that are decided here is called for."""
+        """The threshold of one of the effects that are decided here."""
         return self.thresholds.get(effect) or next(one.threshold for one in FILMED if one.name == effect)
 
 
@@ -73,15 +74,18 @@ def run(
     device: str = "cpu",
     exposure: list[Path] | None = None,
 ) -> None:
-    """Enhance one shot; ``videos`` is the training footage in the order of the model's cameras, ``train`` its render:
-    film, path and depth, or nothing, where the film stays as it is drawn.
+    """Enhance one shot.
 
-    Photos are divided by the gains and the light that ``exposure`` names, as the training pictures were: a residual
-    would carry steps of exposure from camera to camera into the film. What was decided, and why, goes to ``decisions``.
+    ``videos`` is the training footage in the order of the model's cameras, ``train`` its render: film, path and depth,
+    or nothing if the film stays as rendered.
 
-    A shot in which somebody stands in for a person brings its ``truth`` film: what it calls invented was never
-    photographed, so no photo corrects it. An ``edited`` picture, if there is one, is what a network looks at instead of
-    the photos (paper: one edited reference). A film that was ``made`` of this shot elsewhere stands as it is.
+    Photos are divided by the gains and the light in ``exposure``, as the training pictures were: otherwise a residual
+    would carry steps of exposure from camera to camera into the film. Decisions and reasons are written to
+    ``decisions``.
+
+    A shot with a replaced person has a ``truth`` film: its invented parts were never photographed, so no photo corrects
+    them. An ``edited`` picture, if given, is a network's reference instead of the photos (paper: one edited reference).
+    A film ``made`` of this shot by another tool stays as it is.
     """
     capture = read_manifest(manifest)
     steps, fps = read_path(render_path)
@@ -134,7 +138,7 @@ def run(
 
 @dataclass(frozen=True)
 class Drawn:
-    """A rendered film. Where ``truth`` says that pixels were never photographed, its depth is unknown."""
+    """A rendered film; depth is unknown where ``truth`` says that pixels were never photographed."""
 
     steps: Sequence[PathStep]
     render: Path
@@ -155,8 +159,7 @@ class Drawn:
 
 
 def chosen_enhancer(settings: Settings, training: Training, weights: Path, device: str) -> tuple[Enhancer, Decision]:
-    """What improves the pictures, and why: a network that was asked for, or what photos show and renders miss, where
-    that is worth adding."""
+    """The enhancer of the film, and the decision: the selected network, or the residual transfer if it gains enough."""
     if settings.enhancer != "residual":
         on = settings.enhancer != "none"
         decision = settled(ENHANCEMENT, on, f"enhance.enhancer is {settings.enhancer}")
@@ -180,7 +183,7 @@ def chosen_enhancer(settings: Settings, training: Training, weights: Path, devic
 
 
 def nothing_added(decision: Decision) -> Decision:
-    """A decision on enhancement where there is nothing to add, whatever was forced: the film is the render."""
+    """A decision against enhancement where there is nothing to add, even if it was forced: the film is the render."""
     if not decision.called_for:
         return decision
     reason = f"{decision.reason}, but there is nothing to add: choose enhance.enhancer, or a strength above 0"
@@ -195,7 +198,7 @@ def chosen_injection(
     enhancer: Enhancer,
     search: Flow,
 ) -> tuple[Injection, Decision]:
-    """How earlier outputs enter later ones, and why: where enhanced pictures flicker more than renders do."""
+    """The injection settings of the film, and the decision: on if enhanced pictures flicker more than renders."""
     injection = adapt_injection(settings.injection, drawn.steps)
     if not injection.history:
         decision = settled(INJECTION, False, "enhance.injection.history is 0")
@@ -217,8 +220,10 @@ def _of(verdicts: Mapping[str, str], effect: str) -> dict[str, str]:
 
 
 def made_elsewhere(film: Path, render: Path, count: int) -> Iterator[Integer[np.ndarray, "h w 3"]]:
-    """(h, w, 3) uint8 pictures of a film that was made from a shot's render; raises UserError when it is of another
-    number or size."""
+    """(h, w, 3) uint8 pictures of a film that another tool made from a shot's render.
+
+    Raises UserError when number or size of the pictures differ.
+    """
     (drawn,) = read_frames(render, 0, 1)
     pictures = read_frames(film)
     number = -1

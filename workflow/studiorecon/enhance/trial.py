@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does this film call for enhancement, and for earlier outputs in it? Told on a few pictures, before the film is made.
+"""Decides whether a film needs enhancement and injection, on a few pictures before the film is made.
 
-``transfer_strength``: what residuals that are carried over gain at training cameras that took no part; ``flicker``: how
-much more enhanced pictures change than the renders they are made of. Held-out cameras have no say.
+``transfer_strength``: the gain of transferred residuals at training cameras that were left out; ``flicker``: how much
+more enhanced pictures change than their renders. Held-out cameras are not used.
 """
 
 from __future__ import annotations
@@ -29,18 +29,19 @@ from studiorecon.scene.path import PathStep
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
-# Below this share of pixels seen by two training cameras at once, nothing can be said about the residual's worth.
+# Below this share of pixels seen by two training cameras at once, the residual's gain cannot be measured.
 _MIN_EVIDENCE = 0.01
-# Neighbouring pictures of a film that are compared, and how few say nothing; a change of less than one level is none.
+# Number of compared pairs of neighbouring pictures, the fewest for an estimate, and the smallest change that counts:
+# one level.
 _PAIRS, _MIN_PAIRS, _LEVEL = 8, 3, 1 / 255
 
 
 def transfer_strength(training: Training, frames: int, transfer: Transfer, threshold: float) -> tuple[float, Decision]:
-    """Strength of the residual transfer, the factor that best predicts each training camera from the other ones, and
-    whether it is worth adding.
+    """Strength of the residual transfer, the factor that best predicts each training camera from the other ones; and
+    the decision on it.
 
-    Every camera is predicted with the factor of the others, over ``frames`` moments; its gain, in dB, is that of the
-    pixels that others see too, for films stay nearer to the cameras than those are to one another. Undetermined, and
+    Every camera is predicted with the factor of the others, over ``frames`` moments. Its gain, in dB, counts only
+    pixels that others see too, for films stay nearer to the cameras than those are to each other. Undetermined, with
     strength 0, when the training cameras see too little in common.
     """
     count = len(training.cameras)
@@ -68,7 +69,7 @@ def transfer_strength(training: Training, frames: int, transfer: Transfer, thres
         factor, shared = best_strength(*_of([k for k in everybody if k != index], predicted, smoothed))
         left = before[index] - 2 * factor * with_photo[index] + factor**2 * with_itself[index]
         if shared >= _MIN_EVIDENCE:
-            # Renders that are the photos leave nothing to gain.
+            # Renders equal to the photos leave nothing to gain.
             gains[index] = 10 * np.log10(before[index] / max(left, 1e-9 * before[index])) if before[index] > 0 else 0.0
     gain = mean(gains, 2)
     if gain.value is None:
@@ -97,10 +98,11 @@ def flicker(
     enhancer: Enhancer,
     search: Flow,
 ) -> Estimate:
-    """By which share the change between neighbouring pictures of a film grows through enhancement, along the flow of
-    the renders; nothing for films of fewer than three pairs.
+    """Relative increase, by enhancement, of the change between neighbouring pictures of a film along the flow of the
+    renders.
 
-    ``render``, ``depth``: the film's pictures and its millimetres; ``reference``: the photo beside a picture.
+    No estimate for films of fewer than three pairs. ``render``, ``depth``: the film's pictures and depths in
+    millimetres; ``reference``: the photo for a picture.
     """
     pairs = [i for i in range(1, len(steps)) if steps[i].segment == steps[i - 1].segment]
     grown = []
@@ -128,7 +130,7 @@ def flicker(
 def _alone(
     enhancer: Enhancer, picture: np.ndarray, millimetres: np.ndarray, step: PathStep, photo: np.ndarray
 ) -> np.ndarray:
-    """A picture (h, w, 3) through the enhancer without earlier ones; what is not finite stays as rendered."""
+    """A picture (h, w, 3) through the enhancer without earlier ones; non-finite values stay as rendered."""
     depth_m, image = millimetres.astype(np.float32) / 1000, to_float(picture)
     moment = Moment(step.camera, step.frame, depth_m, np.zeros(depth_m.shape, np.float32))
     output = enhancer.enhance(image, to_float(photo), moment)
@@ -136,7 +138,7 @@ def _alone(
 
 
 def decide_injection(change: Estimate, threshold: float) -> Decision:
-    """Do enhanced pictures change so much more than the renders that earlier ones should be injected?"""
+    """The decision whether enhanced pictures change so much more than the renders that earlier ones are injected."""
     if change.value is None:
         reason = "the film has too few pictures that follow one another"
         return INJECTION.decide(None, None, reason, threshold=threshold)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The machine that a step runs on, and what it has to be asked for.
+"""The machine that a step runs on: its refusals, its GPUs, and the cache of machine code.
 
-``refusals`` says in a sentence what it denies (disk, memory, open files) and ``libraries`` which library does not load;
-``fault`` says where the program itself failed, and ``output`` keeps a step going whose output nobody reads;
-``gpu`` takes one GPU that no other job holds; ``kernel_cache`` is where numba keeps machine code.
+``refusals`` explains refusals (disk, memory, open files) and ``libraries`` names a library that does not load;
+``fault`` describes a failure of the program itself, and ``output`` keeps a step running when its output has no reader;
+``gpu`` reserves one GPU for a job; ``kernel_cache`` is where numba stores machine code.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A fault of the program in one sentence: where it is, which file was being read, and how to report it."""
+"""Describes a fault of the program in one sentence: its place, the file that was being read, and how to report it."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from types import FrameType
 _FORM = ".github/ISSUE_TEMPLATE/wrong.yml"
 _PACKAGE = Path(__file__).parents[1]
 FAULTS = Path("logs/fault.log")
-"""Where the trace of a fault is kept that has no step's log."""
+"""File for the trace of a fault outside a step's log."""
 
 
 def fault_sentence(error: BaseException, log: Path | None) -> str:
-    """What to tell a user of ``error``, which is no ``UserError``; ``log`` is the file that holds its trace."""
+    """The sentence for a user about ``error``, which is no ``UserError``; ``log`` is the file that holds its trace."""
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     lines = [line for _, line in traceback.walk_tb(error.__traceback__)]
     ours = [k for k, frame in enumerate(frames) if Path(frame.f_code.co_filename).is_relative_to(_PACKAGE)]
@@ -42,7 +42,7 @@ def keep_trace(error: BaseException) -> Path | None:
 
 
 def _file_at_hand(frames: list[FrameType]) -> Path | None:
-    """The file that the innermost function which knows one was about."""
+    """The file that the innermost function with a file argument was working on."""
     for frame in reversed(frames):
         for value in reversed(list(frame.f_locals.values())):
             if isinstance(value, Path) and not value.is_relative_to(_PACKAGE) and value.exists():

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several GPUs in one machine: every job takes one that no other job holds.
+"""Reserves one GPU per job on a machine with several.
 
-Snakemake counts GPUs (``--resources gpu=4``) but does not say which one is whose. A cluster's scheduler does, and its
-word stands.
+Snakemake counts GPUs (``--resources gpu=4``) but does not assign them. A cluster's scheduler does, and its choice is
+kept.
 """
 
 from __future__ import annotations
@@ -19,15 +19,14 @@ from typing import TextIO
 from studiorecon.progress import say, warn
 
 _VISIBLE = "CUDA_VISIBLE_DEVICES"
-# Open for as long as the process lives; the lock goes with it, however it ends.
+# Open as long as the process lives; the system releases the lock when it ends in any way.
 _HELD: list[TextIO] = []
 
 
 def claim() -> None:
-    """Make one GPU the only one this process sees, where there are several to choose from; to be called before CUDA is
-    first asked.
+    """Make one GPU the only visible one for this process if there are several; call it before CUDA is initialised.
 
-    Where the environment names one GPU, or none, somebody has chosen already.
+    If the environment names one GPU, or none, the choice is already made.
     """
     devices = visible()
     if len(devices) < 2 or _HELD:
@@ -47,7 +46,7 @@ def claim() -> None:
 
 
 def visible() -> list[str]:
-    """Names of the GPUs that this process may use, as CUDA_VISIBLE_DEVICES has them: indices or UUIDs."""
+    """Names of the GPUs that this process may use, as in CUDA_VISIBLE_DEVICES: indices or UUIDs."""
     given = os.environ.get(_VISIBLE)
     if given is not None:
         return [name.strip() for name in given.split(",") if name.strip()]
@@ -60,7 +59,7 @@ def visible() -> list[str]:
 
 
 def first_free(devices: Sequence[str], folder: Path) -> tuple[str, TextIO | None]:
-    """The first of ``devices`` whose lock in ``folder`` nobody holds, with the lock; ("", None) when all are held."""
+    """The first of ``devices`` whose lock in ``folder`` is free, with the lock; ("", None) when all are taken."""
     for device in devices:
         lock = open(folder / f"{device.replace('/', '_')}.lock", "w")  # noqa: SIM115
         try:

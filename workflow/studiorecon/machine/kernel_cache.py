@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where numba keeps the machine code of our kernels: by what is compiled, not by where the checkout lies.
+"""Numba's cache of our kernels' machine code, keyed by the code and not by the checkout's path.
 
-numba itself keeps it beside the sources, so a second clone compiles everything again, and it looks at one file alone,
-so a kernel that was compiled into another one may stay as it was. Here the name of a folder is the digest of a module
-and of all it imports. numba finds ``ByContent`` by a variable that ``__main__`` sets, and that older ones ignore.
+numba's own cache is next to the sources, so a second clone compiles everything again. It also compares a single file,
+so a kernel that was compiled into another one may stay outdated. Here a folder's name is the digest of a module and of
+all its imports. numba finds ``ByContent`` by a variable that ``__main__`` sets, and that older versions ignore.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from pathlib import Path
 
 from studiorecon import code
 
-# Of a module's machine code so many versions are kept: that of this checkout, and of others beside it.
+# Versions of a module's machine code that are kept: that of this checkout, and of others on the machine.
 _VERSIONS = 4
 
 
 def folder() -> Path:
-    """Where it lies: ``kernels`` in the user's cache, or what NUMBA_CACHE_DIR says."""
+    """The cache folder: ``kernels`` in the user's cache, or the one in NUMBA_CACHE_DIR."""
     if given := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(given)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "studiorecon" / "kernels"
 
 
 class ByContent:
-    """Place and freshness of one compiled function, as numba asks for them."""
+    """Path and freshness of one compiled function, in the form of numba's cache locators."""
 
     def __init__(self, function: Callable, module: str) -> None:
         self._line = function.__code__.co_firstlineno
@@ -38,17 +38,17 @@ class ByContent:
 
     @classmethod
     def from_function(cls, function: Callable, file: str) -> ByContent | None:
-        """None for a function that is not of this package, or where nothing can be written."""
+        """A locator; None for a function outside this package, or where the cache cannot be written."""
         try:
             module = ".".join(Path(file).relative_to(code.PACKAGE).with_suffix("").parts)
             found = cls(function, module)
             found.ensure_cache_path()
-        except (ValueError, OSError, RuntimeError):  # another package's; no room or no right; nobody's home
+        except (ValueError, OSError, RuntimeError):  # another package's; disk full or not writable; no home
             return None
         return found
 
     def ensure_cache_path(self) -> None:
-        """Make the folder; of older versions of the module only the latest are kept."""
+        """Make the folder, and delete all but the latest versions of the module."""
         if not self._place.is_dir():
             self._place.mkdir(parents=True, exist_ok=True)
             versions = sorted(self._place.parent.iterdir(), key=lambda path: path.stat().st_mtime)
@@ -62,17 +62,17 @@ class ByContent:
         return str(self._place)
 
     def get_source_stamp(self) -> str:
-        """What must be the same for machine code to be taken."""
+        """The stamp that must match before machine code is used."""
         return self._digest
 
     def get_disambiguator(self) -> str:
-        """Tells functions of one name apart."""
+        """A string that differs between functions of one name."""
         return str(self._line)
 
 
 @cache
 def _digest(module: str) -> str:
-    """Of the sources of a module and of all that it imports of ours: machine code has what it calls in it."""
+    """Digest of the sources of a module and of all its imports from this package, which its machine code includes."""
     total, files = hashlib.sha256(), code.reached([module])
     code.remember()
     for name, path in sorted(files.items()):

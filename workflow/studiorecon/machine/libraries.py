@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A library that does not load says which it is, and what brings it."""
+"""Names a library that does not load, and the way to install it."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ EXTRAS = {
     "open3d": "mesh",
     "pxr": "usd",
 }
-"""Library, as it is imported, → the extra that brings it; every other library of the package is part of the plain
-environment."""
+"""Library, by its import name → the extra that installs it; every other library of the package is in the plain
+environment.
+"""
 
 
 def unloaded(error: BaseException) -> str | None:
-    """The library whose loading ended in ``error``, as it is imported; None for another error, and for our own modules.
+    """The import name of the library whose loading ended in ``error``; None for another error, and for our own modules.
 
-    Python says which module is missing; of a shared object that the system's loader did not find, only the stack tells
-    whose it was.
+    Python names a missing module; for a shared object that the system's loader did not find, only the stack shows the
+    library.
     """
     if isinstance(error, ImportError) and error.name:
         library = error.name.partition(".")[0]
         return library if library != OWN.name else None
     stack = traceback.extract_tb(error.__traceback__)
     frames = [frame.filename for frame in stack]
-    # The importer's own frames are mostly cut out of the stack.
+    # The importer's own frames are mostly missing in the stack.
     importing = any(
         f.filename.startswith("<frozen importlib") or (f.name == "<module>" and "site-packages" in f.filename)
         for f in stack
@@ -49,7 +50,7 @@ def unloaded(error: BaseException) -> str | None:
 
 
 def remedy(library: str) -> str:
-    """How to get a library: with its extra, or with the environment itself."""
+    """The way to install a library: by its extra, or with the environment itself."""
     extra = EXTRAS.get(library.partition(".")[0])
     if extra:
         return f"the extra {extra} brings it: uv sync --inexact --extra {extra}, or pip install 'studiorecon[{extra}]'"

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Output that no reader can break: what it cannot encode is shown otherwise, and where nobody reads on
-(``| head -1``) the work goes on in silence."""
+"""Output streams that cannot fail: unencodable characters are replaced, and output without a reader (``| head -1``) is
+dropped.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ class _Unbroken:
             self._close()
 
     def _close(self) -> None:
-        # Also for what Python flushes at its end, and for processes that inherit the descriptor.
+        # Also for Python's flush at its end, and for processes that inherit the descriptor.
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self._stream.fileno())
         os.close(nowhere)
@@ -41,7 +42,7 @@ class _Unbroken:
 
 @contextmanager
 def unbroken_output() -> Iterator[None]:
-    """Meanwhile standard output and standard error are such streams."""
+    """Context in which standard output and standard error are such streams."""
     before = sys.stdout, sys.stderr
     for stream in before:
         if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape"):

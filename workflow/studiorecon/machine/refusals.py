@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the machine refuses a step, in a sentence: disks that are full, closed or failing, memory, open files."""
+"""Explains the machine's refusals in a sentence: disks that are full, closed or failing, memory, open files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 _FAILING = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.ENODEV, errno.ENOTCONN)
 _OPEN = (errno.EMFILE, errno.ENFILE)
-# A thread that cannot be started is "try again".
+# A thread that cannot be started gives EAGAIN ("try again").
 _NO_MEMORY = (errno.ENOMEM, errno.EAGAIN)
 _STARVED = (
     "failed to map segment",
@@ -24,32 +24,37 @@ _STARVED = (
     "Available memory of",
     "process pool was terminated abruptly",
 )
-# OpenCV's code for an allocation that failed.
+# OpenCV's code for a failed allocation.
 _NO_MEMORY_CV = -4
-# Of what is allowed: at its very end nobody can tell how much the failing library had asked for.
+# Share of the memory limit from which a failure is attributed to it: the size of the failed allocation is unknown.
 _MAX = 0.8
 
 
 def without_thread(error: BaseException) -> bool:
-    """Whether a decoder got no thread, where memory or processes are limited. That it got no memory may be the file's
-    doing: a damaged one asks for any amount."""
+    """Whether a decoder could not start a thread, because memory or processes are limited.
+
+    Lack of memory does not count: a damaged file may request any amount.
+    """
     return isinstance(error, OSError) and error.errno == errno.EAGAIN
 
 
 def starved(error: BaseException) -> bool:
-    """Whether ``error`` is what too little memory looks like: to Python and numpy, OpenCV, decoders that start no
-    thread, ONNX Runtime, the system's loader of libraries, and whoever waits for a process that the system killed."""
+    """Whether ``error`` is a sign of too little memory.
+
+    It knows those of Python and numpy, OpenCV, decoders that start no thread, ONNX Runtime, the system's loader of
+    libraries, and of processes that the system killed.
+    """
     if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _NO_MEMORY):
         return True
     if type(error).__module__ == "cv2":
         return getattr(error, "code", None) == _NO_MEMORY_CV
-    # Some libraries say in their own words which shared object they miss, and the system's come before that.
+    # Some libraries name the missing shared object in their own message, which follows the system's.
     told = f"{error} {error.__context__}"
     return any(words in told for words in _STARVED)
 
 
 def refused(error: BaseException) -> str | None:
-    """What the machine refused and what would help, where ``error`` says that it did; None for any other error."""
+    """The machine's refusal and a remedy, if ``error`` is one; None for any other error."""
     if starved(error):
         return (
             f"there is not enough memory ({_first_line(error) or 'it did not say for what'}); run fewer jobs at once "
@@ -77,8 +82,10 @@ def refused(error: BaseException) -> str | None:
 
 
 def short_of_memory() -> str | None:
-    """What to add to whatever went wrong in a process that has used up most of the memory its user allows it (ulimit
-    -v): libraries that find none left say all kinds of things. None on most machines, which allow any amount."""
+    """A hint for any error in a process that has used most of its memory limit (ulimit -v); None without a limit.
+
+    Without memory, libraries fail with all kinds of messages.
+    """
     allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
     try:
         found = re.search(r"^VmPeak:\s+(\d+) kB", Path("/proc/self/status").read_text(encoding="utf-8"), re.M)

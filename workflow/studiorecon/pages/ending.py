@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last lines of a run: every warning once, then where the results are."""
+"""The last lines of a run: every warning once, then the paths of the results."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from studiorecon.progress import WARNING
 
-# What a user opens, the files that it may be below results/<scene>, and the rule that makes it.
+# Results that a user opens: name, possible files below results/<scene>, and the rule that makes them.
 _RESULTS = (
     ("film", "enhance/*.mp4", "enhance_shot"),
     ("page", "report/index.html", "report_page"),
@@ -20,8 +20,10 @@ _OF_A_WHOLE_RUN = 3
 
 
 def read_warnings(logs: Path) -> list[tuple[str, str]]:
-    """(step, sentence) of every warning in the logs of a scene's latest jobs; each sentence once, in the order of the
-    files' names. A first look (``people/first``) that the step itself has repeated since does not count."""
+    """(step, sentence) of every warning in the logs of a scene's latest jobs; each sentence once, by file name.
+
+    Warnings of a preview (``people/first``) do not count once the step itself has run.
+    """
     found: dict[tuple[str, str], None] = {}
     for log in sorted(logs.rglob("*.log")):
         if log.parent.name == "first" and (log.parents[1] / log.name).is_file():
@@ -34,13 +36,15 @@ def read_warnings(logs: Path) -> list[tuple[str, str]]:
 
 
 def list_results(folder: Path, rules: Collection[str] | None) -> list[tuple[str, Path]]:
-    """(what, file) of ``results/<scene>`` that a run of these ``rules`` made; None: of a run that had nothing to do,
-    everything that a user opens. A run that made the page made all of them."""
+    """(name, file) of the results in ``results/<scene>`` that a run of these ``rules`` made.
+
+    None means a run that had nothing to do: all results count. A run that made the page made all of them.
+    """
     whole = rules is None or "report_page" in rules
     found = []
     for k, (what, pattern, rule) in enumerate(_RESULTS):
         files = sorted(path for path in folder.glob(pattern) if "." not in path.stem)
-        # The film of the held-out cameras is there to be measured.
+        # The film of the held-out cameras is only for measurement.
         files = [path for path in files if path.stem != "heldout"] or files
         if files and ((k < _OF_A_WHOLE_RUN) if whole else rule in (rules or ())):
             found.append((what, files[0]))
@@ -50,7 +54,7 @@ def list_results(folder: Path, rules: Collection[str] | None) -> list[tuple[str,
 def ending(
     scene: str, rules: Collection[str] | None, results: Path = Path("results"), logs: Path = Path("logs")
 ) -> str:
-    """The last lines of a run of ``rules``; of a run that had nothing to do (None) without the warnings."""
+    """The last lines of a run of ``rules``; without the warnings for a run that had nothing to do (None)."""
     warned: dict[str, list[str]] = {}
     for step, sentence in read_warnings(logs / scene) if rules is not None else ():
         warned.setdefault(sentence, []).append(step)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks of pages: every function returns a piece of HTML with everything it shows inside it.
+"""Blocks of pages: every function returns a complete piece of HTML.
 
-Blocks are templates, so what they are given is escaped; where a block takes HTML, it says so.
+Blocks are templates, so their arguments are escaped; a block that takes HTML says so.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def text(value: object) -> str:
 
 
 def heading(title: str, lead: str = "") -> str:
-    """A section's heading and, below it, what the reader is looking at."""
+    """A section's heading and, below it, an explanation of the section."""
     return str(filled(_HEADING, title=title, lead=lead, anchor=re.sub(r"\W+", "-", title.lower()).strip("-")))
 
 
@@ -81,7 +81,7 @@ def figure(address: str, caption: str) -> str:
 
 
 def row(figures: Sequence[str], columns: int | None = None) -> str:
-    """Figures (HTML) side by side."""
+    """Figures (HTML) in one row."""
     return str(filled(_ROW, figures=[Markup(f) for f in figures], columns=columns or max(len(figures), 1)))
 
 
@@ -93,8 +93,10 @@ def film(mp4: bytes, caption: str) -> str:
 def table(
     header: Sequence[str], rows: Sequence[Sequence[str]], numeric: Sequence[int] = (), raw: Sequence[int] = ()
 ) -> str:
-    """A table; columns in ``numeric`` are aligned right, cells of columns in ``raw`` are HTML already. On a phone the
-    rows of one with many columns are lists."""
+    """A table; columns in ``numeric`` are aligned right, cells of columns in ``raw`` are HTML already.
+
+    On a phone the rows of a table with many columns become lists.
+    """
     cells = [[Markup(v) if i in raw else str(v) for i, v in enumerate(r)] for r in rows]
     return str(filled(_TABLE, header=header, rows=cells, numeric=numeric, wide=len(header) > _COLUMNS_OF_A_PHONE))
 
@@ -105,5 +107,5 @@ def bar(share: float) -> str:
 
 
 def folded(title: str, content: str) -> str:
-    """Text that opens on demand."""
+    """Text that the reader can expand."""
     return str(filled(_FOLDED, title=title, content=content))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a run that is on: what is done, what runs, what is left, and what can be looked at already."""
+"""The page of a live run: finished, running and remaining jobs, and results that can be opened already."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from studiorecon.pages import html, skeleton
 
 RELOAD_S = 4
-# What is worth a look before the report is there, in the order in which it appears: pattern, and what it shows.
+# Results worth opening before the report is finished, in the order of their appearance: pattern and description.
 _EARLY = (
     ("calibration/doctor.html", "the cameras"),
     ("plates/*.png", "the room without people"),
@@ -60,8 +60,10 @@ def written(
     failed: Sequence[str],
     on: bool,
 ) -> str:
-    """The page for ``folder`` (``results/<scene>``), where it looks for pictures. It loads itself again while the run
-    is ``on``, and leads to the report once that is there."""
+    """The page for ``folder`` (``results/<scene>``), in which it searches for pictures.
+
+    It reloads itself while the run is ``on``, and forwards to the report once that exists.
+    """
     done, total = sum(s.done for s in stages), sum(s.total for s in stages)
     rows = [[s.name, f"{s.done} of {s.total}", html.bar(s.done / s.total if s.total else 1.0)] for s in stages]
     found = early(folder)
@@ -85,7 +87,7 @@ def written(
 
 
 def early(folder: Path) -> Mapping[str, str]:
-    """What there is to look at below ``folder``: name → what it shows."""
+    """name → description of the results below ``folder`` that can be opened already."""
     found: dict[str, str] = {}
     for pattern, about in _EARLY:
         for path in sorted(folder.glob(pattern))[:_MAX]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The looks that all pages share, the whole document, and how a template is filled."""
+"""The style that all pages share, the whole document, and filling of templates."""
 
 from __future__ import annotations
 
@@ -92,17 +92,17 @@ def _compiled(template: str) -> Any:
 
 
 def filled(template: str, **values: Any) -> Markup:
-    """``template`` (jinja2) with ``values``, all of which are escaped but those that a template has made.
+    """``template`` (jinja2) with ``values``, all of which are escaped except the output of templates.
 
-    Raises UndefinedError for a value that the template names and nobody gave.
+    Raises UndefinedError for a value that the template names and that is missing.
     """
     return Markup(_compiled(template).render(**values))
 
 
 def page(title: str, body: Sequence[str], style: str = "", reload_s: int | None = None, then: str = "") -> str:
-    """The whole document from pieces of HTML; ``style`` is added to what every page has.
+    """The whole document from pieces of HTML; ``style`` is added to the common style.
 
-    With ``reload_s`` a browser loads it again after so many seconds, or goes on to ``then``.
+    With ``reload_s`` a browser reloads it after that many seconds, or goes on to ``then``.
     """
     pieces = [Markup(part) for part in body]
     return filled(_DOCUMENT, title=title, style=Markup(STYLE + style), body=pieces, reload_s=reload_s, then=then)

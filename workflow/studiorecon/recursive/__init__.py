@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's recursive module: pictures in order through an enhancer, each seen together with those before it.
+"""The paper's recursive module: passes pictures in order through an enhancer, each blended with earlier outputs.
 
-In reading order: ``flows`` (what finds where things moved), ``alignment`` (where earlier pictures lie on the current
-one), ``injection`` (how much of them enters it), ``clip`` (picture after picture). The enhancer and the flow are
-whatever satisfies ``models.protocols``. Films go through it (``enhance``), and views of the half-trained room
-(``background.refined``).
+In reading order: ``flows`` (optical flow), ``alignment`` (earlier pictures warped to the current one), ``injection``
+(their share in it), ``clip`` (picture after picture). Enhancer and flow are any objects that satisfy
+``models.protocols``. Films (``enhance``) and views of the half-trained room (``background.refined``) use it.
 """

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where earlier pictures of a film lie on the current one: flow of the raw renders, straight to each or over those
-between (U06)."""
+"""Flow from the current picture to earlier ones, between the raw renders: direct to each, or chained over those between
+(U06).
+"""
 
 from __future__ import annotations
 
@@ -25,9 +26,9 @@ class Past:
     """An earlier picture of the film.
 
     Attributes:
-        output: (H, W, 3) float32 what the enhancer made of it.
+        output: (H, W, 3) float32 output of the enhancer.
         render: (H, W, 3) uint8 its raw render.
-        flow, valid: (H, W, 2) flow to the picture before it and (H, W) where that holds; None for the first of a
+        flow, valid: (H, W, 2) flow to the picture before it and (H, W) where it is valid; None for the first of a
             segment.
     """
 
@@ -40,8 +41,9 @@ class Past:
 def backward_flow(
     picture: Integer[np.ndarray, "H W 3"], past: Integer[np.ndarray, "H W 3"], search: Flow, check: bool
 ) -> tuple[Float[np.ndarray, "H W 2"], Bool[np.ndarray, "H W"]]:
-    """Flow (H, W, 2) from a picture to an earlier one, and (H, W) bool where it leads back; everywhere when not to be
-    checked."""
+    """Flow (H, W, 2) from a picture to an earlier one, and (H, W) bool where the forward flow agrees; everywhere
+    without ``check``.
+    """
     if picture.shape != past.shape:
         raise UserError(f"optical flow needs pictures of one size, not {picture.shape[1::-1]} and {past.shape[1::-1]}")
     backward = search.flow(picture, past)
@@ -55,8 +57,8 @@ def flows_back(
 ) -> list[tuple[Float[np.ndarray, "H W 2"], Bool[np.ndarray, "H W"]]]:
     """Flow and validity from the current picture to every earlier one, latest first.
 
-    ``chained`` costs one search per picture whatever the history and adds up the errors of its links; ``direct``
-    searches once per earlier picture. Either way every stored output is warped once (E08).
+    ``chained`` costs one search per picture whatever the history, and accumulates the errors of its links; ``direct``
+    searches once per earlier picture. In both cases every stored output is warped once (E08).
     """
     if injection.flow == "direct":
         return list(pool.map(lambda past: backward_flow(picture, past.render, search, injection.check), history))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A clip through an enhancer, picture by picture, with earlier outputs injected into its input.
 
-What is fed back is the picture as it is stored, in eight bits. So a clip can be cut anywhere and gone on with from the
-stored outputs of the K pictures before the cut: the bytes are those of one pass. Memory holds K pictures whatever the
-length of the clip.
+The feedback is the picture as stored, in eight bits. So a clip can be cut anywhere and continued from the stored
+outputs of the K pictures before the cut, with the same bytes as one pass. Memory holds K pictures whatever the length
+of the clip.
 """
 
 from __future__ import annotations
@@ -31,23 +31,21 @@ from studiorecon.scene.path import PathStep
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
 
-# Pictures that differ by less than this from the ones before them, in levels of 255 on average, show a clip that stands
-# still.
+# Pictures that differ by less than this from the ones before them, in levels of 255 on average, make a static clip.
 _STILL_LEVELS = 0.25
 
-# An enhancer may answer a brighter picture by this much before its recursion drifts visibly (E14: 5 % becomes 7
-# %).
+# Largest gain of an enhancer on brightness before its recursion drifts visibly (E14: 5 % becomes 7 %).
 _LARGEST_GAIN = 1.02
-# By how much brighter and darker than it is an enhancer is shown a picture, of 1: no more than exposures differ.
+# Change of brightness, of 1, in the test of an enhancer's gain: no more than exposures differ.
 _PROBE = np.float32(8 / 255)
 
 
 @dataclass(frozen=True)
 class Blend:
-    """What one picture's injection was made of.
+    """The parts of one picture's injection.
 
     Attributes:
-        flows: per earlier picture, latest first, (H, W, 2) flow to it; ``valid``: (H, W) bool where that holds.
+        flows: per earlier picture, latest first, (H, W, 2) flow to it; ``valid``: (H, W) bool where it is valid.
         confidences: per earlier picture (H, W) float32.
         blended: (H, W, 3) float32 input of the enhancer; ``injected``: (H, W) share of it that comes from earlier
             outputs.
@@ -66,7 +64,7 @@ def blend(
     """The enhancer's input for a picture (H, W, 3) uint8 with earlier pictures, latest first; the render itself after a
     cut.
 
-    A cut is where less than ``injection.cut_share`` of the picture is found again in the one before it.
+    A cut is where less than ``injection.cut_share`` of the picture matches the one before it.
     """
     render = to_float(picture)
     flows = flows_back(picture, history, injection, search, pool)
@@ -87,12 +85,12 @@ def enhanced(
     search: Flow,
     before: Sequence[tuple[Integer[np.ndarray, "H W 3"], Num[np.ndarray, "H W 3"]]] = (),
 ) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-    """The enhanced (H, W, 3) uint8 pictures, in order; history starts anew with every segment of the path and at every
+    """The enhanced (H, W, 3) uint8 pictures, in order; history restarts with every segment of the path and at every
     cut.
 
-    ``before``: raw picture and stored output of the pictures before the first one, oldest first, of the same segment:
-    what a part of a clip starts from. Raises UserError for pictures of different sizes and for an enhancer whose
-    outputs may not be fed back.
+    ``before``: raw picture and stored output of the pictures before the first one, oldest first, of the same segment,
+    as the start of a part of a clip. Raises UserError for pictures of different sizes and for an enhancer whose outputs
+    may not be fed back.
     """
     history: deque[Past] = deque(maxlen=injection.history)
     segment = steps[0].segment if steps and before else None
@@ -132,10 +130,9 @@ def enhanced(
 def clip_history(
     before: Sequence[tuple[Integer[np.ndarray, "H W 3"], Num[np.ndarray, "H W 3"]]], injection: Injection, search: Flow
 ) -> list[Past]:
-    """What a picture's injection starts from, latest first: the last K of the raw pictures and stored outputs
-    ``before`` it.
+    """The history of a picture, latest first: the last K of the raw pictures and stored outputs ``before`` it.
 
-    Nothing from before a cut. Deterministic inside ``one_thread``.
+    Pictures before a cut are left out. Deterministic inside ``one_thread``.
     """
     history: list[Past] = []
     for raw, output in list(before)[-injection.history :] if injection.history else ():
@@ -149,8 +146,9 @@ def clip_history(
 
 
 def adapt_injection(injection: Injection, steps: Sequence[PathStep]) -> Injection:
-    """The injection for a film along ``steps``: with ``moving_strength`` where the camera moves or zooms within a
-    segment."""
+    """The injection for a film along ``steps``: with ``moving_strength`` if the camera moves or zooms within
+    a segment.
+    """
     for one, other in itertools.pairwise(steps):
         if one.segment == other.segment and not (
             np.array_equal(one.camera.camera_from_world, other.camera.camera_from_world)
@@ -161,9 +159,9 @@ def adapt_injection(injection: Injection, steps: Sequence[PathStep]) -> Injectio
 
 
 def is_still(steps: Sequence[PathStep], pictures: Iterable[Integer[np.ndarray, "H W 3"]]) -> bool:
-    """Whether no picture of a clip differs from the one before it in its segment: there is nothing to steady then.
+    """Whether no picture of a clip differs from the one before it in its segment, so that it cannot flicker.
 
-    Reads on only until two pictures differ. A clip of single pictures stands still.
+    Reading stops at the first two pictures that differ. A clip of single pictures is static.
     """
     earlier: tuple[str, np.ndarray] | None = None
     for step, picture in zip(steps, pictures):
@@ -180,14 +178,14 @@ def is_still(steps: Sequence[PathStep], pictures: Iterable[Integer[np.ndarray, "
 def _aligned(
     render: np.ndarray, injection: Injection, past: Past, flow: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """An earlier output on the current picture, and its confidence there."""
+    """An earlier output warped to the current picture, and its confidence there."""
     backward, valid = flow
     warped, inside = warp(past.output, backward)
     return warped, confidence(render, warped, inside & valid, injection)
 
 
 def _finite(output: np.ndarray, picture: np.ndarray, step: PathStep) -> np.ndarray:
-    """(H, W, 3) uint8: the output, as rendered where the enhancer made something that is no number."""
+    """(H, W, 3) uint8: the output, as rendered where the enhancer's value is not finite."""
     bad = ~np.isfinite(output).all(axis=-1)
     if bad.any():
         warn(
@@ -200,14 +198,15 @@ def _finite(output: np.ndarray, picture: np.ndarray, step: PathStep) -> np.ndarr
 def loop_gain(
     enhancer: Enhancer, render: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "H W 3"], moment: Moment
 ) -> float:
-    """How much the enhancer amplifies a change of a real render's (H, W, 3) brightness: its mean answer to a picture a
-    little brighter and a little darker, as a multiple of what they differ by.
+    """The enhancer's gain on a change of brightness of a real render (H, W, 3).
 
-    A flat field would say less: a network is trained on pictures, and makes up what it likes where there is none.
+    It is the mean difference of the outputs for a slightly brighter and a slightly darker picture, relative to that of
+    the inputs. A flat field would be less reliable: networks are trained on pictures, and invent content where there is
+    none.
     """
     darker, brighter = np.clip(render - _PROBE, 0, 1), np.clip(render + _PROBE, 0, 1)
     low, high = (enhancer.enhance(picture, reference, moment) for picture in (darker, brighter))
-    known = np.isfinite(low) & np.isfinite(high)  # what is no number is left as rendered
+    known = np.isfinite(low) & np.isfinite(high)  # non-finite values stay as rendered
     answer = np.where(known, high, 0).astype(np.float64) - np.where(known, low, 0)
     given = np.where(known, brighter, 0).astype(np.float64) - np.where(known, darker, 0)
     return float(answer.sum() / given.sum()) if known.any() else float("nan")
@@ -215,7 +214,8 @@ def loop_gain(
 
 def check_gain(gain: float, strength: float) -> None:
     """Raises UserError when outputs fed back with share ``strength`` would diverge (w·g ≥ 1) or visibly drift (g >
-    1.02)."""
+    1.02).
+    """
     if not np.isfinite(gain) or strength * gain >= 1 or (strength > 0 and gain > _LARGEST_GAIN):
         raise UserError(
             f"the enhancer answers a brighter render {gain:.3f} times as brightly, so feeding its outputs "

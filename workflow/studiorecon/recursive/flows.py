@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a configuration's ``enhance.flow`` stands for: dense inverse search, or an upstream network."""
+"""The optical flow of the setting ``enhance.flow``: dense inverse search, or an upstream network."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ Preset = Literal["ultrafast", "fast", "medium"]
 
 @dataclass(frozen=True)
 class DisFlow:
-    """Dense inverse search on luminance; the same everywhere inside ``images.flow.one_thread``."""
+    """Dense inverse search on luminance; deterministic inside ``images.flow.one_thread``."""
 
     preset: Preset
 
     def flow(
         self, first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]
     ) -> Float[np.ndarray, "H W 2"]:
-        """See ``models.protocols.Flow``."""
+        """Optical flow; see ``models.protocols.Flow``."""
         return dis_flow(grey_levels(first), grey_levels(second), self.preset)
 
 

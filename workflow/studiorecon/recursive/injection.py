@@ -39,7 +39,7 @@ class Injection:
         blurred: the confidence, or the error before it becomes confidence (U05); ``blur_px``, ``blur_sigma_px``: the
             kernel.
         flow: of the raw renders, direct to each earlier picture, or chained over those between (U06).
-        cut_share: with less of a picture than this found again in the one before it, injection starts anew; 0 = never.
+        cut_share: if a smaller share than this of a picture matches the one before it, injection restarts; 0 = never.
             Needs ``check``.
     """
 
@@ -103,8 +103,8 @@ def confidence(
     """(H, W) float32 confidence of one warped earlier output against the current render, both (H, W, 3) in [0, 1].
 
     Order: error → confidence → blur → zero where ``valid`` (H, W) is False or the error is not finite, so that the blur
-    cannot carry confidence back into uncovered or undefined pixels (U05, E04, E10). Raises ValueError for
-    pictures of two sizes.
+    cannot spread confidence into uncovered or undefined pixels (U05, E04, E10). Raises ValueError for pictures of two
+    sizes.
     """
     sizes = require("render", render, ("H", "W", 3))
     require("warped", warped, ("H", "W", 3), sizes)
@@ -113,8 +113,7 @@ def confidence(
         np.ascontiguousarray(warped), np.ascontiguousarray(render), _ERRORS[injection.error]
     )
     usable = np.isfinite(error_levels) & valid
-    # What is not finite counts as certainly wrong: just past the threshold, so that a blurred error stays in
-    # proportion.
+    # Non-finite values count as certainly wrong: just past the threshold, so that a blurred error stays in proportion.
     error_levels = np.where(usable, np.where(usable, error_levels, 0.0), injection.error_threshold)
     if injection.blurred == "error":
         error_levels = gaussian_blur(error_levels, injection.blur_px, injection.blur_sigma_px)
@@ -132,7 +131,7 @@ def inject(
     """The blended input (H, W, 3) float32 and the share of it (H, W) that comes from earlier outputs; latest frame
     first.
 
-    Without earlier frames the render itself and zeros. Constants stay constant in the residual form whatever the
+    Without earlier frames it is the render itself and zeros. Constants stay constant in the residual form whatever the
     confidences. Raises ValueError for pictures of two sizes, or a confidence missing.
     """
     sizes = require("render", render, ("H", "W", 3))
@@ -153,8 +152,8 @@ def inject(
 
 
 def whole_levels(change: Float[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
-    """float32 ``change`` of values in [0, 1], cut towards 0 to whole levels of 255."""
-    # A change of a whole level stays one, although its float32 may lie just below.
+    """float32 ``change`` of values in [0, 1], rounded towards 0 to whole levels of 255."""
+    # A change of a whole level stays one, although its float32 may be just below.
     levels = 255 * change
     return np.trunc(levels + np.copysign(np.float32(1e-3), levels)).astype(np.float32) * np.float32(1 / 255)
 
@@ -189,8 +188,10 @@ def add_share(
     trust: Float[np.ndarray, "H W"],
     weight: float,
 ) -> None:
-    """Adds weight × trust (H, W) to ``shares`` and that times ``picture`` (H, W, 3) to ``added``; where trust is zero
-    the picture may be anything, NaN included."""
+    """Adds weight × trust (H, W) to ``shares`` and that times ``picture`` (H, W, 3) to ``added``.
+
+    Where trust is zero the picture may have any value, including NaN.
+    """
     for i in range(shares.shape[0]):
         for j in range(shares.shape[1]):
             share = np.float32(weight) * trust[i, j]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``sweep.page``: one page and one CSV of what accuracy costs, from the records of one or several scenes."""
+"""``sweep.page``: writes one page and one CSV on the cost of accuracy, from the records of one or several scenes."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ _BOOTSTRAP = Bootstrap(1000, 0)
 
 
 def run(records: list[Path], page: Written, table: Written) -> None:
-    """Write the page, and ``table`` with all runs; records of several scenes show how much depends on the scene.
+    """Write the page, and ``table`` with all runs; records of several scenes show the dependence on the scene.
 
-    Records of different machines are refused: their seconds do not compare.
+    Records of different machines are refused: their seconds are not comparable.
     """
     if not records:
         raise UserError("name the records to show: --records results/SCENE/sweep/TABLE/ROW.json …")
@@ -80,8 +80,11 @@ def section(scene: str, records: Sequence[Record]) -> str:
 
 
 def effects(base: Record, records: Sequence[Record]) -> list[tuple[Record, float, list[float] | None, float]]:
-    """Per run that changes one parameter: record, change of PSNR (dB), its 95 % interval over blocks of frames (None:
-    too few frames) and change of seconds; greatest effect first."""
+    """Per run that changes one parameter: record, change of PSNR (dB), its 95 % interval and change of seconds;
+    greatest effect first.
+
+    The interval is over blocks of frames; None when there are too few.
+    """
     found = []
     for record in records:
         if not base["failed"] and record["parameter"] and not record["failed"]:
@@ -92,8 +95,11 @@ def effects(base: Record, records: Sequence[Record]) -> list[tuple[Record, float
 
 
 def mean_effects(scenes: Mapping[str, Sequence[Record]]) -> list[dict[str, Any]]:
-    """Per configuration that finished in every scene: mean change of each measure from the scene's base (the first
-    record), least and greatest change of PSNR, and mean change of seconds (paper, section 4.3)."""
+    """Per configuration that finished in every scene: mean change of each measure, range of change of PSNR, and mean
+    change of seconds.
+
+    Changes are relative to the scene's base, its first record (paper, section 4.3).
+    """
     found = []
     for name in dict.fromkeys(r["name"] for rows in scenes.values() for r in rows[1:]):
         pairs = [(rows[0], r) for rows in scenes.values() for r in rows if r["name"] == name and not r["failed"]]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``sweep.row``: one configuration of a table as a Snakemake run in a folder of its own, and its record.
+"""``sweep.row``: runs one configuration of a table as a Snakemake run in a folder of its own, and writes its record.
 
-The base runs from nothing. Every other row starts from a copy of the base's folder, so that Snakemake makes again only
-what the row changes. A run that fails, takes too long or measures nothing gives a record with the reason.
+The base runs from nothing. Every other row starts from a copy of the base's folder, so that Snakemake remakes only the
+outputs that the row changes. A run that fails, takes too long or measures nothing gives a record with the reason.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from studiorecon.scene.files import read_json, write_json, write_text
 from studiorecon.signature import Place, Written
 from studiorecon.sweep.table import BASE, read_rows, row_configuration
 
-# Filming a synthetic studio is no cost of reconstructing it, and scoring is no cost of making the film.
+# Filming a synthetic studio is not part of reconstructing it, and scoring not part of making the film.
 NOT_CHARGED = ("studio", "report")
 _PICTURES = ("psnr", "ssim", "lpips", "flip", "psnr_people", "psnr_background", "psnr_unseen", "warp_rms")
 
@@ -72,10 +72,10 @@ def run(
 
 
 def copy_run(source: Path, target: Path) -> None:
-    """Copy a finished run's folder, results as hard links where the disk allows it.
+    """Copy a finished run's folder, with results as hard links where the disk allows it.
 
     Steps write to a temporary name and rename, and Snakemake removes outputs before it runs their job, so a link's
-    other end never changes. Logs, timings and Snakemake's records are written in place: these are real copies.
+    other end never changes. Logs, timings and Snakemake's records are modified in place: these are real copies.
     """
     shutil.copytree(source / "results", target / "results", copy_function=_link, symlinks=True)
     for name in ("logs", "timings", ".snakemake/metadata"):
@@ -169,7 +169,7 @@ def reason_of_failure(output: str, folder: Path, limit_minutes: float | None) ->
 
 
 def machine() -> dict[str, Any]:
-    """Processor, cores and Python: seconds of two machines do not compare."""
+    """Processor, cores and Python, because seconds of two machines are not comparable."""
     info = Path("/proc/cpuinfo")
     names = re.findall(r"^model name\s*: (.*)$", info.read_text(), re.MULTILINE) if info.is_file() else []
     processor = names[0] if names else platform.processor() or platform.machine()
@@ -177,7 +177,7 @@ def machine() -> dict[str, Any]:
 
 
 def with_absolute_paths(value: Any) -> Any:
-    """A configuration whose existing files and folders have absolute names, since every run has its own folder.
+    """A configuration with absolute paths of existing files and folders, since every run has its own folder.
 
     A word without a slash or a dot, such as ``depth``, is a choice and no path.
     """

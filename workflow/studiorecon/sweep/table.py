@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sweep's table: one configuration a row, ``name parameter preset settings``, tab-separated.
+"""A sweep's table: one configuration per row, ``name parameter preset settings``, tab-separated.
 
 ``settings`` holds ``section.key=value`` pairs, separated by `` ; ``, values as in YAML. The first row is ``base``.
 Every other row changes it, except rows with a ``preset``, which change that file of ``config/presets`` instead.
@@ -25,7 +25,10 @@ BASE = "base"
 @dataclass(frozen=True)
 class Row:
     """One configuration: its name, the parameter it changes ("" for several), its preset ("" for none) and its
-    settings, dotted key → value."""
+    settings.
+
+    Settings map dotted keys to values.
+    """
 
     name: str
     parameter: str
@@ -34,7 +37,7 @@ class Row:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Rows of a table; UserError naming file and row where a name or a setting cannot be read."""
+    """Rows of a table; raises UserError with file and row where a name or a setting cannot be read."""
     rows: list[Row] = []
     for number, cells in enumerate(read_table(path, COLUMNS), 2):
         where, name = f"row {number} of {path}", cells["name"] or ""
@@ -50,7 +53,7 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def parse_settings(text: str, where: str) -> dict[str, Any]:
-    """``"a.b=1 ; c.d=x"`` → {"a.b": 1, "c.d": "x"}; UserError for anything that is not of that form."""
+    """``"a.b=1 ; c.d=x"`` → {"a.b": 1, "c.d": "x"}; raises UserError for any other form."""
     settings: dict[str, Any] = {}
     for part in filter(None, (p.strip() for p in text.split(" ; "))):
         key, equals, value = part.partition("=")
@@ -64,7 +67,7 @@ def parse_settings(text: str, where: str) -> dict[str, Any]:
 
 
 def row_configuration(given: Mapping[str, Any], base: Row, row: Row, presets: Path) -> dict[str, Any]:
-    """The whole configuration of one run: as given, then base or preset, then the row's own settings."""
+    """The whole configuration of one run: the given one, then base or preset, then the row's own settings."""
     below = nested(base.settings)
     if row.preset:
         path = presets / f"{row.preset}.yaml"

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``tracks.bodies``: a network's bodies of one camera, or a file of them, as detections with 2D points, poses and
-pelvis depth.
+"""``tracks.bodies``: converts a network's bodies of one camera, or a file of them, to detections with 2D points, poses
+and pelvis depth.
 
-It takes the place of ``tracks.keypoints`` where no keypoint files are there, and is what the paper's association works
-on.
+It replaces ``tracks.keypoints`` when there are no keypoint files, and gives the input of the paper's association.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from studiorecon.signature import Place, Written
 
 @dataclass(frozen=True)
 class Settings(Detected):
-    """Where bodies come from, and how few points are too few."""
+    """The source of bodies, and the smallest number of points."""
 
     source: DetectionSource = setting(
         "auto",
@@ -49,7 +48,7 @@ class Settings(Detected):
 
 
 def load_estimator(source: DetectionSource) -> type[BodyEstimator]:
-    """The network of that name; for files that were made elsewhere the first, whose names files have."""
+    """The network of that name; the first one for precomputed files, which use its names."""
     networks = CHOICES["detect.source"].networks
     return adapter("body estimator", source if source in networks else networks[0])
 
@@ -57,8 +56,10 @@ def load_estimator(source: DetectionSource) -> type[BodyEstimator]:
 def detections_from_bodies(
     bodies: Iterable[tuple[int, Bodies]], layout: str, footage: Footage, settings: Settings
 ) -> Detections:
-    """Detections from (frame, bodies) whose points are those of ``layout``; points outside the picture, and bodies with
-    too few points inside, are left out."""
+    """Detections from (frame, bodies) whose points are those of ``layout``.
+
+    Points outside the picture, and bodies with too few points inside, are left out.
+    """
     frames, tracks, points, poses, pelvises, shapes = [], [], [], [], [], []
     for frame, found in bodies:
         for k in range(len(found.tracks)):
@@ -89,7 +90,7 @@ def detections_from_bodies(
 
 
 def require_used_frames(bodies: Iterable[tuple[int, Bodies]], frames: int, what: str) -> Iterator[tuple[int, Bodies]]:
-    """The same, as they come; raises UserError for bodies of a frame that is not in use."""
+    """The bodies, as they come; raises UserError for bodies of a frame that is not used."""
     for frame, found in bodies:
         if not 0 <= frame < frames:
             raise UserError(f"{what} has bodies at frame {frame}, but {frames} frames are in use; they count from 0")
@@ -99,7 +100,7 @@ def require_used_frames(bodies: Iterable[tuple[int, Bodies]], frames: int, what:
 def read_bodies(path: Path, estimator: type[BodyEstimator]) -> list[tuple[int, Bodies]]:
     """(frame, bodies) of a file (npz, or a .pt of tensors) with the network's own names, one row per person and frame.
 
-    Raises UserError naming the file.
+    Raises UserError with the file's name.
     """
     rows = _rows(path)
     for name, values in rows.items():
@@ -121,7 +122,7 @@ def _rows(path: Path) -> dict[str, np.ndarray]:
     file_size(path)
     try:
         saved: Any = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # damage ends in whatever the unpickler meets first
+    except Exception as error:  # damage can raise any error in the unpickler
         raise UserError(
             f"{path} is not a readable torch file ({first_line(error)}); save a dictionary of tensors, or an .npz"
         ) from None
@@ -142,8 +143,7 @@ def run(
 ) -> None:
     """Write the detections of one camera's working frames, by the network or from ``given`` (none or one file).
 
-    ``clocks`` say how far beside its moment each picture was taken: keypoints are moved by that, bodies are those of
-    the picture.
+    ``clocks`` give the time error of each picture: keypoints are corrected for it, bodies stay those of the picture.
     """
     about = read_footage(footage)
     estimator = load_estimator(settings.source)

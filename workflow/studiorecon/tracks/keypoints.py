@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``tracks.keypoints``: recorded 2D keypoints of one camera → undistorted working pixels, followed through time."""
+"""``tracks.keypoints``: converts recorded 2D keypoints of one camera to undistorted working pixels, tracked
+over time.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +31,10 @@ def run(
     detections: Written,
     clocks: Path | None = None,
 ) -> None:
-    """Read the ``keypoints`` of ``camera``, recorded ones as ``detect.keypoints`` wrote them or the detector's; write
-    ``detections`` (npz).
+    """Write ``detections`` (npz) from the ``keypoints`` of ``camera``: those of ``detect.keypoints`` or the detector's.
 
-    ``clocks`` say which picture shows which of the scene's moments; without them one after the other, as the footage
-    was used. Raises UserError where the film does not bear out what was recorded.
+    ``clocks`` assign pictures to the scene's moments; without them all pictures count in order. Raises UserError when
+    recorded keypoints do not fit the film.
     """
     used = read_footage(footage)
     common = read_clocks(clocks) if clocks else None

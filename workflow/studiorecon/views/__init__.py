@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Views between the training cameras, for the background to train on. In come plates, depth and cameras; out come
-pictures with the support that photos give them.
+"""Synthesises views between the training cameras, for the training of the background. In: plates, depth and cameras;
+out: pictures and their support by photos.
 
-``path`` (where from) → ``synthesize`` (``forward``: photos carried through their depth). By a network instead:
-``request``, ``generate``, ``fitted``, with ``frame`` for its picture size, ``first_moment`` for the people it is shown
-and ``people`` for another network that finds them in its views.
-``warp_settings``: settings of several steps.
+``path`` (the poses) → ``synthesize`` (``forward``: photos warped by their depth). With a network instead: ``request``,
+``generate``, ``fitted``, with ``frame`` for its picture size, ``first_moment`` for the people in its input, and
+``people`` for another network that detects them in its views. ``warp_settings``: settings of several steps.
 """

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""People in the new views, the paper's way: key frames are the first pictures as they were filmed, so that a network's
-views show who stood there, and the room is trained without those pixels (Eq. 5: 1 − M).
+"""People in synthesised views, as in the paper: key frames are the first pictures as filmed, including people.
 
-The paper has the people's depth from Pi3 and M from SAM 3 on every view, and so it is with ``depth.reference:
-calibration`` and ``views.people: network``. By default both are the fitted bodies': they are known at that moment in
-metres, in every camera there is.
+The network's views then show the people of that moment, and the room is trained without those pixels (Eq. 5: 1 − M).
+The paper takes the people's depth from Pi3 and M from SAM 3 on every view, which ``depth.reference: calibration`` and
+``views.people: network`` do here. By default both come from the fitted bodies, which are known at that moment in
+metres, in every camera.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ _FIRST = 0
 
 @dataclass(frozen=True)
 class FirstMomentPeople:
-    """Who stood there at the first moment; nobody when ``people`` is empty."""
+    """The bodies of the people at the first moment; none when ``people`` is empty."""
 
     people: Sequence[Person]
     body: BodyModel | None
 
     @staticmethod
     def read(fits: Sequence[Path], body: Path | None) -> FirstMomentPeople:
-        """From body files; UserError names one that is broken."""
+        """The bodies from their files; raises UserError with the name of a broken one."""
         return FirstMomentPeople([read_person(path) for path in fits], BodyModel.load(body) if fits and body else None)
 
     def depth_m(self, camera: Camera) -> Float[np.ndarray, "H W"]:
@@ -67,12 +67,11 @@ def first_pictures(
     depth_jump: float,
     measured: bool = False,
 ) -> list[WarpSource]:
-    """The first pictures in the plates' place, with bodies before the room in their depth; where the depth is
-    ``measured`` at that moment, people among the rest, it is taken as it is.
+    """The first pictures in place of the plates, with bodies in front of the room in their depth.
 
-    Pixels that a mask calls somebody's and no body covers (hair, clothes) take the depth of the nearest pixel that one
-    covers; whoever is not fitted is not carried over, nor is what lies beside a jump in depth. Raises UserError for
-    pictures of another size.
+    ``measured`` depth of that moment already contains people and is used as it is. Pixels of a person's mask outside
+    the body (hair, clothes) take the depth of the nearest pixel inside it. People without a fit, and pixels near a jump
+    in depth, are not warped. Raises UserError for pictures of another size.
     """
     one_each([p.camera for p in photos], videos=list(videos))
     seen = []

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``views.fitted``: a generated film of one segment at the working size, with the support that photos give it.
+"""``views.fitted``: converts a generated film of one gap to the working size, and measures its support by photos.
 
-What no photo shows is the network's invention and stays named so: 0 in the mask, whatever the picture holds. Where the
-network was shown people, they stand in its views: the mask says where.
+Parts that no photo shows are the network's invention and are marked so: 0 in the mask, whatever the picture holds. If
+the network's input shows people, they are in its views, and the mask marks them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Settings(Made, Shown, Warping):
-    """Whose film it is, and how support is measured.
+    """Source of the film, and settings of the support.
 
     ``dilation_px``, with first_frames: side of the square by which people in the views are dilated (U24).
     """
@@ -45,7 +45,7 @@ class Settings(Made, Shown, Warping):
 
 
 def networks_sizes(synthesizer: Synthesizer) -> list[tuple[int, int]]:
-    """(h, w) that films of this network have; of all networks for films that were made elsewhere."""
+    """(h, w) of this network's films; of all networks for films from other tools."""
     networks = CHOICES["views.synthesizer"].networks
     return [adapter("view synthesizer", name).hw for name in networks if synthesizer in (name, "precomputed")]
 
@@ -53,10 +53,10 @@ def networks_sizes(synthesizer: Synthesizer) -> list[tuple[int, int]]:
 def fit_picture(
     picture: Integer[np.ndarray, "h w 3"], camera: Camera, sizes: Sequence[tuple[int, int]], radius: int
 ) -> tuple[Integer[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
-    """(H, W, 3) uint8 working picture of a film's, and (H, W) bool: the film shows it; what it does not is painted from
-    its rim.
+    """(H, W, 3) uint8 working picture from a film's picture, and (H, W) bool: pixels that the film shows.
 
-    ``sizes`` (h, w) are what networks make. Raises UserError for a picture of another size than they or the camera.
+    Other pixels are painted from the film's rim. ``sizes`` (h, w) are those of networks. Raises UserError for a picture
+    of another size than these or the camera's.
     """
     if picture.shape[:2] == camera.hw:
         return picture, np.ones(camera.hw, bool)
@@ -77,8 +77,10 @@ def fit_views(
     people: Callable[[Camera, tuple[int, int]], Bool[np.ndarray, "H W"]] | None,
     settings: Settings,
 ) -> Iterator[tuple]:
-    """(H, W, 3) uint8 picture and (H, W) uint8 support of every camera of the segment; ``people`` (H, W) bool: who is
-    in the one that is asked for next, whose film's pictures have (h, w)."""
+    """(H, W, 3) uint8 picture and (H, W) uint8 support of every camera of the gap.
+
+    ``people`` (camera, (h, w)) gives the mask of people in the next view, at the size of the film's pictures.
+    """
     sizes = networks_sizes(settings.synthesizer)
     for camera, picture in zip(progress(cameras, "views"), film):
         own, inside = fit_picture(picture, camera, sizes, settings.inpaint_radius)
@@ -90,7 +92,9 @@ def fit_views(
 
 
 def read_person_masks(film: Path) -> Callable[[Camera, tuple[int, int]], Bool[np.ndarray, "H W"]]:
-    """Who is in each view by a network's ``film`` of masks (``views.people``), asked for view after view."""
+    """A function that returns the mask of people of each view in turn, from a network's ``film`` of masks
+    (``views.people``).
+    """
     masks = read_frames(film)
 
     def people(camera: Camera, hw: tuple[int, int]) -> np.ndarray:
@@ -120,8 +124,11 @@ def run(
     views: Written,
     support: Written,
 ) -> None:
-    """Write the pictures and the support of one segment from its ``film``, one picture per view of the path; ``fits``
-    and their ``body`` only where the network was shown them, or ``seen``, where another network sees them in it."""
+    """Write the pictures and the support of one gap from its ``film``, one picture per view of the path.
+
+    ``fits`` and their ``body`` are given only if the network's input showed people, ``seen`` only if another network
+    detects them in its views.
+    """
     photos = read_photos(model, plates, depths, gains, settings.depth_jump)
     cameras, fps = read_segment(path, segment)
     count = sum(1 for _ in read_frames(film))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A photo seen from elsewhere: its pixels carried through their depth, nearest surface first, holes left as holes."""
+"""Warps a photo to another camera: each pixel by its depth, nearest surface first; holes stay holes."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ from studiorecon.splatting.seeds import SAME_SURFACE
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# Nothing nearer than this is drawn: a view inside a surface would be covered by one pixel.
+# Nothing nearer than this is drawn: one pixel would cover a view inside a surface.
 _NEAR_M = 0.1
-# Detail is what is left of a picture without its means over so many pixels of the view: side and standard deviation.
+# Detail is a picture minus its local mean over this window of the view: side and standard deviation.
 _BLUR_PX, _DETAIL_PX = 11, 2.0
-# More samples of a photo in a pixel than this show nothing finer. Less of a mean than that is none.
+# More samples of a photo in a pixel than this add no detail; a smaller mean than the second counts as none.
 _MAX_SAMPLES, _MIN_MEAN = 4.0, 1e-6
 
 
 @dataclass(frozen=True)
 class WarpSource:
-    """A photo with depth: camera, (H, W, 3) float32 RGB, (H, W) depth in metres, (H, W) bool pixels that may be
-    carried."""
+    """A photo with depth: camera, (H, W, 3) float32 RGB, (H, W) depth in metres, (H, W) bool pixels that may
+    be warped.
+    """
 
     camera: Camera
     rgb: Float[np.ndarray, "H W 3"]
@@ -45,7 +46,7 @@ def source(
     depth_m: Float[np.ndarray, "H W"],
     jump: float,
 ) -> WarpSource:
-    """A source without the pixels whose colour is not measured or whose depth is unknown or beside a jump."""
+    """A source without pixels of unmeasured colour, of unknown depth, or near a jump in depth."""
     return WarpSource(
         camera, rgb.astype(np.float32), depth_m.astype(np.float64), measured & ~depth_breaks(depth_m, jump)
     )
@@ -57,7 +58,7 @@ def carry(
     """(H, W, 3) colour, (H, W) depth (inf in holes) and (H, W) samples per pixel of a photo in another camera.
 
     Every usable pixel becomes ``oversampling``² samples, with colour and 1/z interpolated to the neighbours that
-    continue the surface; a pixel keeps the mean of the samples within ``z_tolerance`` of its nearest.
+    continue the surface; a pixel is the mean of the samples within ``z_tolerance`` of its nearest.
     """
     target_from_source = camera.camera_from_world @ photo.camera.world_from_camera
     pixel_map = camera.intrinsics @ target_from_source[:3, :3] @ np.linalg.inv(photo.camera.intrinsics)
@@ -85,9 +86,10 @@ def carry(
 def close_pinholes(
     rgb: Float[np.ndarray, "H W 3"], depth_m: Float[np.ndarray, "H W"], count: Float[np.ndarray, "H W"]
 ) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
-    """Fill pixels that fell between the samples of one surface; they count half a sample, so their support stays low.
+    """The view with pixels between the samples of one surface filled; each counts half a sample, so its support stays
+    low.
 
-    A pixel is such a pinhole when at least five of its eight neighbours are covered and lie at one depth; the edge of a
+    A pixel is such a pinhole when at least five of its eight neighbours are covered and have one depth; the edge of a
     true hole has neighbours missing on one side or a nearer surface on the other.
     """
     covered = count > 0
@@ -126,7 +128,7 @@ def _splat(rgb, depth, usable, pixel_map, shift, oversampling, tolerance, gather
                 for sx in range(oversampling):
                     p = (sx + 0.5) / oversampling - 0.5
                     i = min(max(x + (1 if p > 0 else -1), 0), width - 1)
-                    # Beside a dropped neighbour the surface is continued by its own pixel, never mixed with the other
+                    # Next to a dropped neighbour the surface is continued by its own pixel, never mixed with the other
                     # side.
                     smooth = usable[y, i] and usable[j, x] and usable[j, i]
                     a, b = (abs(p), abs(q)) if smooth else (0.0, 0.0)
@@ -159,7 +161,9 @@ def _splat(rgb, depth, usable, pixel_map, shift, oversampling, tolerance, gather
 def ray_angles_rad(
     camera: Camera, depth_m: Float[np.ndarray, "H W"], other_centre_m: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) angle at the seen point between the ways to this camera and to another; NaN where there is no point."""
+    """(H, W) angle at the visible point between the directions to this camera and to another; NaN where there is no
+    point.
+    """
     points = camera.unproject(camera.pixel_centres(), np.where(np.isfinite(depth_m), depth_m, np.nan))
     here, there = camera.centre_m - points, other_centre_m - points
     return np.arctan2(np.linalg.norm(np.cross(here, there), axis=-1), (here * there).sum(axis=-1))
@@ -171,11 +175,11 @@ def blend(
     """(H, W, 3) float32 colour, (H, W) float32 support in [0, 1] and (H, W) depth (0 in holes) of several photos in one
     camera.
 
-    The nearest surface wins. Coarse colours are averages of the photos that show it with weight exp(-angle/fade): they
-    change with the direction, and depth is least wrong from nearby. What is finer than a few pixels is
-    averaged with the square of the samples per pixel, from wherever: a floor that one camera sees at a grazing angle is
-    sharp to another. Support is 1 where some photo shows the pixel at no less than half its resolution, falls with
-    thinner sampling, and is 0 in holes.
+    The nearest surface wins. Coarse colours are averages of the photos that show it with weight exp(-angle/fade):
+    colours change with the direction, and depth errors matter least for near directions. Detail finer than a few pixels
+    is averaged with the square of the samples per pixel, from any direction: a floor that one camera sees at a grazing
+    angle is sharp in another. Support is 1 where some photo shows the pixel at no less than half its resolution, falls
+    with thinner sampling, and is 0 in holes.
     """
     carried = [carry(photo, camera, oversampling, z_tolerance) for photo in sources]
     nearest = np.min([depth_m for _, depth_m, _ in carried], axis=0)
@@ -185,7 +189,7 @@ def blend(
         shows = np.isfinite(depth_m) & (depth_m <= nearest * (1 + SAME_SURFACE))
         smooth = _local_mean(rgb, shows)
         angle = ray_angles_rad(camera, depth_m, photo.camera.centre_m)
-        # A floor under the weights keeps the only witness of a surface, however oblique.
+        # A lower bound of the weights keeps the only photo of a surface, however oblique.
         share = np.where(shows, np.exp(-np.nan_to_num(angle) / fade_rad) + 1e-6, 0)
         coarse, weight = coarse + share[..., None] * smooth, weight + share
         density = np.minimum(count / oversampling**2, _MAX_SAMPLES)
@@ -199,6 +203,6 @@ def blend(
 
 
 def _local_mean(rgb: Float[np.ndarray, "H W 3"], shows: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H W 3"]:
-    """(H, W, 3) Gaussian means of the pixels that are shown; 0 far from any."""
+    """(H, W, 3) Gaussian means of the visible pixels; 0 far from any."""
     share, total = (gaussian_blur(x, _BLUR_PX, _DETAIL_PX) for x in (shows, rgb * shows[..., None]))
     return total / np.maximum(share, _MIN_MEAN)[..., None]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The network's picture and ours: 1280×704 laid over a working picture, so that it fills the network's frame; the rest
-is cut."""
+"""Maps between the network's picture and ours: the working picture fills the network's 1280×704, and its rest is cut
+off.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +17,15 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Num
 
-# 16:9 footage loses 2 % of its rows in 1280×704; what loses more than this needs another crop, not this one.
+# 16:9 footage loses 2 % of its rows in 1280×704; footage that loses more than this share needs another crop.
 _MAX_CUT = 0.15
 
 
 @dataclass(frozen=True)
 class NetworkFrame:
-    """One network pixel is ``step`` working pixels; the network's upper left corner lies at (row, column) ``start`` of
-    ours."""
+    """One network pixel is ``step`` working pixels; the network's upper left corner is at (row, column) ``start`` of
+    ours.
+    """
 
     working_hw: tuple[int, int]
     network_hw: tuple[int, int]
@@ -31,7 +33,7 @@ class NetworkFrame:
     start: tuple[float, float]
 
     def camera(self, camera: Camera) -> Camera:
-        """The working camera as the network's."""
+        """The network's camera for a working camera."""
         move = np.array([[1, 0, -self.start[1]], [0, 1, -self.start[0]], [0, 0, self.step]]) / self.step
         return replace(camera, wh=self.network_hw[::-1], intrinsics=move @ camera.intrinsics)
 
@@ -44,7 +46,7 @@ class NetworkFrame:
         return placed_nearest(values, self.network_hw, self.start, self.step)
 
     def back(self, picture: Float[np.ndarray, "h w 3"]) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
-        """(H, W, 3) float32 working picture of a network's, and (H, W) bool: all of the pixel lies inside it."""
+        """(H, W, 3) float32 working picture from a network's, and (H, W) bool: all of the pixel is inside it."""
         start = (-self.start[0] / self.step, -self.start[1] / self.step)
         made, share = placed(picture, self.working_hw, start, 1 / self.step)
         # A pixel in the frame's corner has 0.875 of its triangle filter inside along either side.
@@ -52,7 +54,7 @@ class NetworkFrame:
 
 
 def fit_network_frame(working_hw: tuple[int, int], network_hw: tuple[int, int]) -> NetworkFrame:
-    """How a working picture fills the network's frame, centred; UserError when too much of it would be cut."""
+    """The centred frame for a working picture; raises UserError when too much of it would be cut off."""
     step = min(ours / theirs for ours, theirs in zip(working_hw, network_hw))
     left = tuple(ours - theirs * step for ours, theirs in zip(working_hw, network_hw))
     cut = 1 - (step * network_hw[0]) * (step * network_hw[1]) / (working_hw[0] * working_hw[1])

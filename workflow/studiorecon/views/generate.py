@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``views.generate``: a network's films of checked requests, lossless; the network is loaded once for all requests of a
-job."""
+"""``views.generate``: makes a network's films of checked requests, lossless; the network is loaded once for all
+requests of a job.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +31,9 @@ _FPS = 24.0
 
 @dataclass(frozen=True)
 class Gen3cSettings:
-    """How GEN3C runs: denoising steps, guidance, seed, whether parts wait in main memory, and which points of the
-    cache are dropped."""
+    """Settings of GEN3C: denoising steps, guidance, seed, storage of parts in main memory, and the filter of the
+    cache's points.
+    """
 
     steps: int = 35
     guidance: float = 1.0
@@ -46,7 +48,7 @@ class Gen3cSettings:
 
 @dataclass(frozen=True)
 class Settings(Made):
-    """Which network, and how it runs."""
+    """The network and its settings."""
 
     gen3c: Gen3cSettings = setting(Gen3cSettings(), "How GEN3C runs.")
 
@@ -59,7 +61,7 @@ def read_request(path: Path) -> dict[str, Shaped[np.ndarray, " ..."]]:
 def request_frames(
     network: ViewSynthesizer, request: dict[str, Shaped[np.ndarray, " ..."]]
 ) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-    """(H, W, 3) uint8 pictures of one request; UserError when there are more or fewer than were asked for."""
+    """(H, W, 3) uint8 pictures of one request; raises UserError when their number differs from the requested one."""
     wanted, made = len(request["w2cs_all"]), 0
     for part in network.views(request):
         made += len(part)
@@ -70,7 +72,7 @@ def request_frames(
 
 
 def run(settings: Settings, requests: list[Path], films: list[Written], weights: Place) -> None:
-    """Write one film per request, in order; a film that is finished stays when a later one fails."""
+    """Write one film per request, in order; a finished film stays when a later one fails."""
     if len(requests) != len(films):
         raise UserError(f"{len(requests)} requests for {len(films)} films")
     asked = [read_request(path) for path in requests]

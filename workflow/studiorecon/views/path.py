@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the new views look from: between every two neighbouring training cameras, in segments that share their ends.
+"""The poses of synthesised views: between every two neighbouring training cameras, in segments that share their ends.
 
 Writes ``views/path.json`` (``scene.path``): segments "00", "01", … of ``views_per_segment`` + 1 views each, all at
-frame 0. Which of them are made the survey says.
+frame 0. The survey decides which of them are made.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from studiorecon.signature import Written
 
 @dataclass(frozen=True)
 class Settings:
-    """Number of views and shape of the way."""
+    """Number of views and shape of the path."""
 
     views_per_segment: int = setting(
         12,
@@ -56,7 +56,7 @@ class Settings:
 
 
 def plan(cameras: list[Camera], settings: Settings) -> tuple[list[PathStep], list[str]]:
-    """All steps in flying order, and sentences on what had to be decided."""
+    """All steps in the order of the path, and sentences on choices that had to be made."""
     centre_m, gaps = scene_centre(cameras), gaps_around(cameras)
     notes = [
         f"the scene's centre is ({centre_m[0]:.2f}, {centre_m[1]:.2f}, {centre_m[2]:.2f}) m; cameras in order "

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``views.people``: where people stand in a generated film, as the network sees them that finds people's masks: the
-paper's M of every synthesized view.
+"""``views.people``: masks of people in a generated film by the network for people's masks: the paper's M of every
+synthesised view.
 
-Writes ``views/<segment>.people.mkv`` (FFV1 grey, the film's size): 255 where anybody is.
+Writes ``views/<segment>.people.mkv`` (FFV1 grey, the film's size): 255 for any person.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _SOMEBODY = 255
 
 
 def anybody(maps: Iterable[Integer[np.ndarray, "H W"]], shares: list[float]) -> Iterator[Integer[np.ndarray, "H W"]]:
-    """(H, W) uint8, 255 where a label map (H, W) calls somebody; ``shares`` receives how much of each that is."""
+    """(H, W) uint8, 255 where a label map (H, W) has a person; ``shares`` receives the share of such pixels."""
     for labels in maps:
         people = labels > 0
         shares.append(float(people.mean()))
@@ -35,7 +35,7 @@ def anybody(maps: Iterable[Integer[np.ndarray, "H W"]], shares: list[float]) -> 
 
 
 def run(segment: str, film: Path, network: str, chunk: int, weights: Place, device: str, people: Written) -> None:
-    """Write who is in the ``film`` of one segment by ``network``, ``chunk`` pictures at once."""
+    """Write the masks of people in the ``film`` of one gap by ``network``, ``chunk`` pictures at once."""
     segmenter = load("person segmenter", network, weights, device, chunk=chunk, prompt="person")
     shares: list[float] = []
     pictures = progress(read_frames(film), f"views of segment {segment}")

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``views.request``: what a network is asked for one segment, checked by rendering it again before any GPU hour is
-spent on it.
+"""``views.request``: makes a network's request for one gap, and checks it by rendering before it costs a GPU hour.
 
-Key frames are the clean plates of the training cameras, so nobody is in them, or the first pictures as they were filmed
-(``first_moment``); pixels that were never seen empty, or have no depth or lie beside a jump in it, are masked.
+Key frames are the clean plates of the training cameras, without people, or the first pictures as filmed
+(``first_moment``). Pixels that were never seen empty, have no depth or are near a jump in it are masked.
 """
 
 from __future__ import annotations
@@ -31,12 +30,11 @@ from studiorecon.views.warp_settings import Made, Warping
 
 @dataclass(frozen=True)
 class Settings(Made, Warping):
-    """Which network, and which photos are given to it."""
+    """The network, and the photos in its input."""
 
 
 def key_frame(photo: WarpSource, frame: NetworkFrame, radius: int) -> KeyFrame:
-    """A photo at the network's size; colours that were never measured are painted from their rim, since frame 0 seeds
-    the film."""
+    """A photo at the network's size; unmeasured colours are painted from their rim, since frame 0 seeds the film."""
     whole = (
         to_float(paint_holes(photo.rgb, photo.usable.astype(np.float32), radius))
         if not photo.usable.all()
@@ -52,8 +50,9 @@ def key_frame(photo: WarpSource, frame: NetworkFrame, radius: int) -> KeyFrame:
 
 
 def chosen(path: list[Camera], photos: list[WarpSource], count: int) -> list[WarpSource]:
-    """The ``count`` photos nearest to the middle of the path, in the order given, always with the one that the path
-    starts at."""
+    """The ``count`` photos nearest to the middle of the path, in the given order, always including the one at its
+    start.
+    """
     middle_m = path[len(path) // 2].centre_m
     distance = [np.linalg.norm(photo.camera.centre_m - middle_m) for photo in photos]
     picked = [photos[i] for i in sorted(np.argsort(distance, kind="stable")[:count])]
@@ -76,8 +75,11 @@ def run(
     reference: str,
     request: Written,
 ) -> None:
-    """Write the checked request (npz) of one segment; ``videos`` (with ``masks``, ``fits`` and their ``body``) only
-    where their first pictures are the key frames. ``reference``: what measured ``depths`` (``depth.reference``)."""
+    """Write the checked request (npz) of one gap.
+
+    ``videos`` (with ``masks``, ``fits`` and their ``body``) are given only if their first pictures are the key frames.
+    ``reference``: the source of ``depths`` (``depth.reference``).
+    """
     photos = read_photos(model, plates, depths, gains, settings.depth_jump)
     if settings.key_frames == "first_frames":
         standing, factors = FirstMomentPeople.read(fits, body), read_factors(gains)

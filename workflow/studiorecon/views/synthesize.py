@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The views of one segment: photos warped through their depth, holes painted over in the picture and named in the mask.
+"""The views of one gap: photos warped by their depth, with holes painted in the picture and marked in the mask.
 
 Writes ``views/<segment>.mkv`` (RGB, holes inpainted) and ``views/<segment>.mask.mkv`` (255 supported by a photo … 0
-hole). Colours are those of the photos, at the rig's mean exposure where the survey calls for it.
+hole). Colours are those of the photos, at the rig's mean exposure if the survey turned exposure correction on.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Settings(Warping):
-    """How photos are warped and blended."""
+    """Settings of warping and blending."""
 
 
 def paint_holes(
@@ -60,8 +60,9 @@ def synthesize_views(
 def read_photos(
     model: Path, plates: list[Path], depths: list[Path], gains: list[Path], depth_jump: float
 ) -> list[WarpSource]:
-    """The training cameras' plates divided by the ``gains``, with depth; UserError for a missing or
-    misshapen one."""
+    """The training cameras' plates divided by the ``gains``, with depth; raises UserError for a missing or misshapen
+    one.
+    """
     cameras = read_model(model.parent)
     one_each(cameras, plates=plates, depth_maps=depths)
     factors = read_factors(gains)
@@ -74,7 +75,7 @@ def read_photos(
 
 
 def read_segment(path: Path, segment: str) -> tuple[list[Camera], float]:
-    """The cameras of one segment of a path, and its frame rate; UserError when there is no such segment."""
+    """The cameras of one segment of a path, and its frame rate; raises UserError when there is no such segment."""
     steps, fps = read_path(path)
     wanted = [step.camera for step in steps if step.segment == segment]
     if not wanted:

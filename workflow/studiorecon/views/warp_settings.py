@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings that several steps of the stage are told."""
+"""Settings that several steps of the stage share."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from studiorecon.models.choices import Synthesizer
 
 @dataclass(frozen=True)
 class Made:
-    """Who makes the views."""
+    """The source of the views."""
 
     synthesizer: Synthesizer = setting(
         "warp",
@@ -31,7 +31,7 @@ class Made:
 
 @dataclass(frozen=True)
 class Shown:
-    """Who is in the views."""
+    """The people in the views."""
 
     people: Literal["bodies", "network"] = setting(
         "bodies",
@@ -44,14 +44,14 @@ class Shown:
 
 @dataclass(frozen=True)
 class Warping:
-    """How photos are carried through their depth: all of them into each view (paper: all N, section on view synthesis).
+    """Settings of warping photos by their depth: all of them into each view (paper: all N, section on view synthesis).
 
     Attributes:
         oversampling: samples per pixel side when a photo is splatted.
         z_tolerance: share of depth within which surfaces count as one.
-        depth_jump: pixels beside a relative jump in depth above this are not carried over: they mix two surfaces.
+        depth_jump: pixels next to a larger relative jump in depth are not warped: they mix two surfaces.
         fade_deg: photos fade with the angle between their ray and the view's, exp(-angle / fade).
-        inpaint_radius: holes are painted over from their rim within so many pixels; the mask still calls them holes.
+        inpaint_radius: distance in pixels from a hole's rim within which it is inpainted; the mask still marks it.
     """
 
     oversampling: int = 3
