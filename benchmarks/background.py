@@ -38,11 +38,11 @@ from tests.defaults import loaded
 from tests.made.steps import call
 
 RESULTS = Path(__file__).parent / "results" / "background.json"
-FOUR_PHOTOS = {"views_share": 0.0, "fill": False}
+FOUR_PHOTOS = {"views_share": 0.0, "fill_unseen": False}
 ROWS: dict[str, dict[str, Any]] = {
     "as it is": {},
     "without views between the photos": {"views_share": 0.0},
-    "without discs where nobody sees": {"fill": False},
+    "without discs where nobody sees": {"fill_unseen": False},
     "the four photos alone, from their depth": FOUR_PHOTOS,
     "the four photos alone, from anywhere": {**FOUR_PHOTOS, "start": "random"},
     "with true depth": {"true_depth": True},

@@ -94,7 +94,9 @@ def rows(
             continue
         seconds = time.process_time() - begun
         before, (turn, direction) = apart(stale, truth)[0], apart(outcome.training, truth)
-        stale_report = outcome.report.get("stale", {"sigma_deg": {"": float("nan")}, "between_deg": float("nan")})
+        stale_report = outcome.report.get(
+            "moved_cameras", {"sigma_deg": {"": float("nan")}, "between_deg": float("nan")}
+        )
         sigma = max(stale_report["sigma_deg"].values())
         found.append(
             {

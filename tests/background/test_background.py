@@ -44,7 +44,7 @@ def test_the_full_path_beats_four_photos_from_views_between_them(
     settings: Callable, capture: dict, between: list[Camera], tmp_path: Path
 ) -> None:
     marks = run(settings(), capture, tmp_path / "full")
-    run(settings(start="random", random_count=4000, fill=False, views_share=0.0), capture, tmp_path / "fourview")
+    run(settings(start="random", random_count=4000, fill_unseen=False, views_share=0.0), capture, tmp_path / "fourview")
     full, fourview = score(tmp_path / "full", between), score(tmp_path / "fourview", between)
     assert full > 24
     assert full - fourview > 3.5
@@ -84,8 +84,8 @@ def test_colours_have_harmonics_only_where_the_survey_calls_for_them(
     ):
         run(section, capture, tmp_path / name, specularity=specularity)
         assert read_ply(tmp_path / name / "scene.ply").sh.shape[1] == kept
-    run(replace(section, sh_cap=False), capture, tmp_path / "free", specularity=[])
-    assert read_ply(tmp_path / "free/scene.ply").sh.shape[1] == 4, "without sh_cap the setting counts"
+    run(replace(section, limit_sh_to_views=False), capture, tmp_path / "free", specularity=[])
+    assert read_ply(tmp_path / "free/scene.ply").sh.shape[1] == 4, "without limit_sh_to_views the setting counts"
 
 
 def test_wrong_sizes_and_counts_are_refused_by_name(
@@ -307,7 +307,7 @@ def test_harmonics_go_no_further_than_the_real_cameras_do(
     degree: int,
 ) -> None:
     """Naive: four photos and degree 2 reproduce every camera's exposure error exactly (G15)."""
-    asked = settings(sh_cap=cap)
+    asked = settings(limit_sh_to_views=cap)
     asked = replace(asked, training=replace(asked.training, sh_degree=wanted))
     cameras = ring([360 * i / count for i in range(count)], "c")
     start = random_volume(cameras, 50, 0.1, 3, np.random.default_rng(0))

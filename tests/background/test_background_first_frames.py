@@ -67,7 +67,7 @@ def test_without_dilation_people_are_baked_into_the_room(
     for size_px in (1, 21):
         folder = tmp_path / str(size_px)
         folder.mkdir()
-        run(settings(120, photos="first_frames", dilation_px=size_px, views_share=0.5), capture | filmed, folder)
+        run(settings(120, room_targets="first_frames", dilation_px=size_px, views_share=0.5), capture | filmed, folder)
         room = read_ply(folder / "scene.ply")
         around = np.zeros(WH[::-1], bool)
         around[TOP : TOP + SIDE, LEFT : LEFT + SIDE] = True

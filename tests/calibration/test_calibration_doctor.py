@@ -174,9 +174,9 @@ def off(camera: Camera, degrees: float, metres: float) -> Camera:
 
 def test_what_people_leave_open_is_told_where_it_is_much(options):
     report = examined(ring(), options)
-    assert 0 < report["refined"]["asked_deg"] < report["refined"]["between_deg"] < 2
+    assert 0 < report["refined"]["disagreement_deg"] < report["refined"]["between_deg"] < 2
     # As a real man on one spot leaves it.
-    report["refined"] |= {"asked_deg": 3.9, "between_deg": 3.4}
+    report["refined"] |= {"disagreement_deg": 3.9, "between_deg": 3.4}
     name, sentences = verdict(report, 12.8)
     assert name == "good", "nothing speaks against the calibration"
     assert any("a calibration that is off by up to 7.3° fits these people" in sentence for sentence in sentences)

@@ -452,7 +452,7 @@ def test_cameras_that_all_moved_by_degrees_are_put_back_where_people_see_them(tm
     ours, true = ([c.camera_from_world[:3, :3] for c in group] for group in (model, truth))
     pairs = [(i, j) for i in range(len(truth)) for j in range(i)]
     between = [np.degrees(np.linalg.norm(log(ours[i] @ ours[j].T @ (true[i] @ true[j].T).T))) for i, j in pairs]
-    assert max(between) < 3 * max(report["stale"]["sigma_deg"].values())
+    assert max(between) < 3 * max(report["moved_cameras"]["sigma_deg"].values())
     assert max(between) < 0.6
     assert report["after_px"] < 3
 
@@ -460,5 +460,5 @@ def test_cameras_that_all_moved_by_degrees_are_put_back_where_people_see_them(tm
 def test_cameras_that_stayed_are_not_moved_for_a_detector_that_errs(tmp_path, options):
     truth = ring()
     model, _, report = refined(tmp_path, truth, truth, options(refine.Settings))
-    assert "stale" not in report
+    assert "moved_cameras" not in report
     assert np.abs(seen_error(model, truth)).max() < 1.0

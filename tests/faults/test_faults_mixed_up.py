@@ -141,7 +141,7 @@ def test_a_camera_that_was_knocked_is_put_right_and_not_taken_for_a_cropped_pict
         is not None
     )
     found = decided(with_pose((truth, detections), yawed(degrees)))
-    assert found.report["stale"]
+    assert found.report["moved_cameras"]
     turned = [
         np.degrees(rotations.angle(f.camera_from_world[:3, :3], t.camera_from_world[:3, :3]))
         for f, t in zip(found.training, truth)

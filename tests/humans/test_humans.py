@@ -287,7 +287,7 @@ def test_a_turning_body_shows_four_cameras_more_sides_than_one_that_stands_still
         poses[:, 2] = turn_rad * np.arange(frames)
         motion = RefinedMotion(poses, np.zeros((frames, 3)), np.zeros((24, 3)), np.r_[-1, np.arange(23)])
         assert rest_pose.supported_degree(asked, motion, crops) == degree
-        assert rest_pose.supported_degree(replace(asked, sh_cap=False), motion, crops) == 2
+        assert rest_pose.supported_degree(replace(asked, limit_sh_to_views=False), motion, crops) == 2
 
 
 @pytest.mark.parametrize(("cut_px", "expected"), [(-2, (0, 0)), (0, (0, 0)), (1, (0, 2)), (2, (2, 3)), (5, (5, 6))])

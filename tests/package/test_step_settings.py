@@ -60,9 +60,9 @@ def test_a_step_says_once_what_it_reads(tmp_path: Path, monkeypatch: pytest.Monk
         shutil.copytree(code.PACKAGE, tmp_path / "studiorecon", ignore=shutil.ignore_patterns("__pycache__")),
     )
     step_settings._known.cache_clear()
-    smooth = {"memory_s": 1.0, "sigma_s": 2.0, "passes": "average"}
+    smooth = {"forget_s": 1.0, "sigma_s": 2.0, "passes": "average"}
     assert step_settings.select_settings("people.fit", {"smooth": smooth, "review": {}}) == {
-        "smooth": {"memory_s": 1.0, "sigma_s": 2.0}
+        "smooth": {"forget_s": 1.0, "sigma_s": 2.0}
     }, "the third is a constant"
     (memory,) = (tmp_path / "studiorecon/__pycache__").glob("settings.*.json")
     assert len(json.loads(memory.read_text())) == 1

@@ -33,7 +33,7 @@ def doctors_page(name: str) -> str:
         "without_keypoints": [],
         "px_per_camera": {name: 1.0},
         "lags_frames": {name: {"valid": True, "frames": 3.0, "low": 2.0, "high": 4.0}},
-        "odd_one_out": None,
+        "outlier_camera": None,
         "lengths": None,
         "edges": None,
         "hypotheses": [{"hypothesis": name, "score": 0.5, "remedy": f"turn {name}"}],

@@ -161,7 +161,7 @@ def test_gap_is_filled_marked_and_harms_no_other_frame(body: BodyModel, made: Ma
 
 def test_smoothing_lowers_jitter(body: BodyModel, made: Made, default_settings) -> None:
     detections = detect(body, made, 5)
-    rough = {**default_settings("people")["smooth"], "memory_s": 0.0, "sigma_s": 0.0}
+    rough = {**default_settings("people")["smooth"], "forget_s": 0.0, "sigma_s": 0.0}
     smooth = solve(body, made, detections, default_settings("people"))
     raw = solve(body, made, detections, default_settings("people", smooth=rough))
     jitter = [np.linalg.norm(np.diff(p.joints, n=2, axis=0), axis=-1).mean() for p in (smooth, raw)]

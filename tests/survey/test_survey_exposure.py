@@ -157,7 +157,7 @@ def test_the_degree_is_written_apart(files: dict, settings: step.Settings) -> No
     step.run(settings, **files)
     decision = read_decisions(files["decisions"])["view_dependent_colour"]
     assert json.loads(artefact(files, "specularity").read_text()) == {"degree": decision.detail["degree"]}
-    assert "sh_cap" in decision.obeyed_by
+    assert "limit_sh_to_views" in decision.obeyed_by
 
 
 def test_people_seen_by_keypoints_are_left_out(tmp_path: Path) -> None:

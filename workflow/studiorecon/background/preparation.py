@@ -132,22 +132,22 @@ def seeds(
 
 
 def supported(settings: Settings, start: Gaussians, cameras: Sequence[Camera], varied: bool = True) -> Settings:
-    """The settings, with ``sh_cap`` limited to the harmonics that the real cameras distinguish at the middle of the
-    room.
+    """The settings, with ``limit_sh_to_views`` limited to the harmonics that the real cameras distinguish at the middle
+    of the room.
 
     None at all unless colours are ``varied`` with the direction of view. Synthesized views are made of the photos and
     have no highlights of their own to add (G15).
     """
     middle_m = np.median(start.means_m, axis=0)
     degree = degree_supported(np.array([camera.centre_m - middle_m for camera in cameras])) if varied else 0
-    if not settings.sh_cap or degree >= settings.training.sh_degree:
+    if not settings.limit_sh_to_views or degree >= settings.training.sh_degree:
         return settings
     why = (
         f"{len(cameras)} cameras cannot resolve more"
         if varied
         else "the survey finds no colour that changes with the view"
     )
-    say(f"harmonics of degree {degree} instead of {settings.training.sh_degree}: {why} (sh_cap)")
+    say(f"harmonics of degree {degree} instead of {settings.training.sh_degree}: {why} (limit_sh_to_views)")
     return replace(settings, training=replace(settings.training, sh_degree=degree))
 
 
@@ -180,7 +180,7 @@ def view_targets(
         beside = min(np.linalg.norm(step.camera.centre_m - c.centre_m) for c in cameras)
         if beside < _SAME_PLACE_M and nearest < _SAME_ANGLE_RAD:
             continue
-        weight = view_weight(nearest, cutoff, settings.plate_boost)
+        weight = view_weight(nearest, cutoff, settings.photo_weight)
         picture, hole = to_float(rgb), support == 0
         if painted and hole.any():
             apart = cv2.distanceTransform(hole.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
@@ -214,7 +214,7 @@ def without_people(
         if not known.any():
             raise UserError(
                 f"camera {photo.camera.name} shows nothing but people at the first frame, {dilation_px} px about them "
-                "included: set background.photos to plates"
+                "included: set background.room_targets to plates"
             )
         say(
             f"{photo.camera.name}: {np.mean(~known):.1%} of the first picture is people and {dilation_px} px about them"
@@ -271,9 +271,9 @@ def prepared(
     box = read_room(sources.room_box)
     factors = read_factors(sources.gains)
     photos = read_photos(cameras, sources.plates, sources.depths, factors)
-    if settings.photos == "first_frames":
+    if settings.room_targets == "first_frames":
         photos = without_people(photos, sources.videos, sources.masks, settings.dilation_px, factors)
-    painted = painted_room(photos, box, settings) if settings.fill else []
+    painted = painted_room(photos, box, settings) if settings.fill_unseen else []
     if settings.start == "depth":
         start, marks = seeds(photos, painted, settings)
         shares = [int((marks == kind).sum()) for kind in (MEASURED, INFERRED, INVENTED)]
@@ -288,7 +288,7 @@ def prepared(
         marks = np.full(start.count, MEASURED, np.uint8)
         say(f"{start.count} Gaussians to start from, anywhere: the baseline that knows nothing but the photos")
     settings = supported(settings, start, cameras, varied)
-    real = plate_targets(photos, settings.plate_boost)
+    real = plate_targets(photos, settings.photo_weight)
     synthesized = read_views(sources.path, sources.views, sources.supports, cameras, painted, settings)
     drawn = settings.views_share if synthesized else 0.0
     say(f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {drawn:.0%} of the steps")

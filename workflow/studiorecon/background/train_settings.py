@@ -27,7 +27,7 @@ class Settings:
     seed_size: float = 0.6
     seed_opacity: float = 0.7
     measured_confidence: float = 0.2
-    photos: Literal["plates", "first_frames"] = setting(
+    room_targets: Literal["plates", "first_frames"] = setting(
         "plates",
         "Image that a training camera contributes: plates = its clean plate; first_frames = its first picture "
         "without people and dilation_px around them.",
@@ -43,7 +43,7 @@ class Settings:
         paper="21, appendix A; U24",
         paper_value=21,
     )
-    fill: bool = setting(
+    fill_unseen: bool = setting(
         True,
         "Cover the parts of floor, walls and ceiling that no camera sees with discs painted from their surroundings "
         "(marked invented).",
@@ -74,14 +74,14 @@ class Settings:
         paper="1",
         paper_value=1.0,
     )
-    plate_boost: float = setting(
+    photo_weight: float = setting(
         2.0,
         "What pixels of photos weigh more than those of synthesized views; views near a photo share it.",
         minimum=0,
         paper="λ_gt 2, appendix C",
         paper_value=2.0,
     )
-    sh_cap: bool = setting(
+    limit_sh_to_views: bool = setting(
         True,
         "Lower training.sh_degree to what the real cameras can resolve: degree d needs (d + 1)² directions (G15).",
         paper="no limit",

@@ -169,7 +169,7 @@ def decide(
         between_deg = moved_rotation_interval_deg(anew, settings.limits)
         report_moved_cameras(given, anew, between_deg)
         training, seen = anew.cameras, anew.seen
-        report = {**report, "stale": {**anew.report, "between_deg": between_deg}}
+        report = {**report, "moved_cameras": {**anew.report, "between_deg": between_deg}}
     if blind and (share := contradicted(training, seen, detections, settings.limits)) > _MAX_CONTRADICTED:
         raise UserError(
             "the calibration does not fit the footage: no keypoint agrees in three cameras, "

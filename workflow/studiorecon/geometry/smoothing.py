@@ -36,7 +36,7 @@ class Smoothing:
     ``passes``: the second exponential pass runs over the first one's result, or the two are averaged (U40).
     """
 
-    memory_s: float = setting(
+    forget_s: float = setting(
         0.0277,
         "Time in which a sample is forgotten to 1/e; 0 = none.",
         unit="s",
@@ -54,7 +54,7 @@ class Smoothing:
     )
     passes: Literal["cascade", "average"] = "cascade"
     root: bool = setting(True, "Smooth the pelvis's turn and position too.", paper="false; U42", paper_value=False)
-    turns_on: Literal["rotations", "axis_angles"] = setting(
+    smooth_in: Literal["rotations", "axis_angles"] = setting(
         "rotations",
         "rotations on SO(3), or the components of axis_angles, which break near half a turn (U42).",
         paper="of the fitted pose parameters, appendix B; U42",
@@ -71,7 +71,7 @@ class Smoothing:
         sizes = require("local", local, ("T", 24, 3, 3), finite=True)
         require("trans_m", trans_m, ("T", 3), sizes, finite=True)
         alpha, sigma = at_frame_rate(self, fps)
-        if self.turns_on == "axis_angles":
+        if self.smooth_in == "axis_angles":
             turns = rotations.exp(smooth_vectors(rotations.log(local), alpha, sigma, self.passes))
         else:
             turns = smooth_rotations(local, alpha, sigma, self.passes)
@@ -81,13 +81,13 @@ class Smoothing:
 
 
 def at_frame_rate(smoothing: Smoothing, fps: float) -> tuple[float, float]:
-    """(α, σ in frames) at ``fps``: α is the share that an exponential of ``memory_s`` forgets in one frame.
+    """(α, σ in frames) at ``fps``: α is the share that an exponential of ``forget_s`` forgets in one frame.
 
     Raises ValueError for a frame rate that is not positive.
     """
     if not fps > 0:
         raise ValueError(f"fps must be positive, not {fps}")
-    forgotten = 1.0 - np.exp(-1.0 / (fps * smoothing.memory_s)) if smoothing.memory_s > 0 else 1.0
+    forgotten = 1.0 - np.exp(-1.0 / (fps * smoothing.forget_s)) if smoothing.forget_s > 0 else 1.0
     return float(forgotten), smoothing.sigma_s * fps
 
 

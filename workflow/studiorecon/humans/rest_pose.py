@@ -86,9 +86,12 @@ def first_colours(
 
 
 def supported_degree(settings: Settings, motion: RefinedMotion, crops: Sequence[Crop]) -> int:
-    """``sh_degree``, or with ``sh_cap`` at most the degree that the turning body's viewing directions support (G15)."""
+    """``sh_degree``, or with ``limit_sh_to_views`` at most the degree that the turning body's viewing directions
+    support (G15)."""
     looks = [motion.local[c.frame, 0].T @ (c.camera.centre_m - motion.trans_m[c.frame]) for c in crops]
-    return min(settings.sh_degree, degree_supported(np.array(looks))) if settings.sh_cap else settings.sh_degree
+    return (
+        min(settings.sh_degree, degree_supported(np.array(looks))) if settings.limit_sh_to_views else settings.sh_degree
+    )
 
 
 @dataclass(frozen=True)
@@ -135,7 +138,7 @@ def rest_pose(
     if degree < settings.sh_degree:
         say(
             f"{person}: harmonics of degree {degree} instead of {settings.sh_degree}: the "
-            "crops show too few sides of the body (sh_cap)"
+            "crops show too few sides of the body (limit_sh_to_views)"
         )
     start = gaussians_on(samples, degree)
     start.sh[:, 0] = sh_from_rgb(fill_unseen(colours, seen, near, twin))

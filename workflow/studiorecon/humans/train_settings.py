@@ -27,7 +27,7 @@ class Trained(Started):
         paper="2, appendix D",
         paper_value=2,
     )
-    sh_cap: bool = setting(
+    limit_sh_to_views: bool = setting(
         True,
         "Lower sh_degree to what the viewing directions of the turning body can resolve.",
         paper="no limit",

@@ -192,7 +192,7 @@ class Files(UserInputs):
 
     def first_pictures(self, wildcards: Any) -> list[str]:
         """Footage of the training cameras, where training uses their first pictures instead of the plates."""
-        if self.config["background"]["photos"] == "plates":
+        if self.config["background"]["room_targets"] == "plates":
             return []
         return [f"results/{wildcards.scene}/capture/{camera}.mkv" for camera in self.training(wildcards)]
 

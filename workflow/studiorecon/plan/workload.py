@@ -186,7 +186,7 @@ def _gaussians(room: Mapping[str, Any], seeds: float) -> float:
     cap = room["training"]["cap"] / _MEGA or float("inf")
     if room["training"]["densify"] != "none" and cap < float("inf"):
         return cap
-    unseen = min(_UNSEEN_M2 / room["fill_step_m"] ** 2, room["fill_limit"]) if room["fill"] else 0.0
+    unseen = min(_UNSEEN_M2 / room["fill_step_m"] ** 2, room["fill_limit"]) if room["fill_unseen"] else 0.0
     return min(seeds + unseen / _MEGA, cap)
 
 

@@ -51,11 +51,11 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
         # No other check is valid in lengths that are not metres; a sentence about their unit follows below.
         return "wrong", [*refused, report["lengths"]]
     with_keypoints = len(report["cameras"]) - len(report["without_keypoints"])
-    alone = report["people"] and len(report["sees_nobody"]) >= with_keypoints - 1
+    alone = report["people"] and len(report["inactive_cameras"]) >= with_keypoints - 1
     wrong, unclear, rest = (
         [] if alone else _wrong(report, limit_px),
         _unclear(report),
-        list(report["sees_nobody"].values()) + list(report["oddities"]) + _clocks(report) + _footage(report),
+        list(report["inactive_cameras"].values()) + list(report["oddities"]) + _clocks(report) + _footage(report),
     )
     if not report["people"]:
         unclear = [
@@ -77,7 +77,7 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
     if report["refined"] is not None and report["refined"]["elsewhere"] and not _better_read(report):
         # Cameras that were moved since: nothing fits as read, another reading may seem to fit, and refinement corrects
         # it.
-        wrong, unclear = [report["odd_one_out"]] if report["odd_one_out"] else [], []
+        wrong, unclear = [report["outlier_camera"]] if report["outlier_camera"] else [], []
     if report["edges"] is not None and report["edges"]["clear"] and not wrong:
         told = [edge_sentence(report["edges"])]
         if is_beyond_refinement(report["edges"]):
@@ -109,7 +109,7 @@ def _wrong(report: dict[str, Any], limit_px: float) -> list[str]:
     rows = {row["hypothesis"]: row for row in report["hypotheses"]}
     best = max((r for r in report["hypotheses"] if "median_px" not in r), key=lambda row: row["score"])
     as_read = rows["as read"]
-    found = [report["odd_one_out"]] if report["odd_one_out"] else []
+    found = [report["outlier_camera"]] if report["outlier_camera"] else []
     if best["score"] > _MIN_AGREEMENT and best["score"] > CLEAR_MARGIN * as_read["score"]:
         found.append(
             f"people fit if {best['hypothesis']} (agreement {best['score']:.2f}, "
@@ -170,7 +170,7 @@ def _left_open(report: dict[str, Any]) -> list[str]:
     refined = report["refined"]
     if refined is None or refined["between_deg"] is None:
         return []
-    asked, between = refined["asked_deg"], refined["between_deg"]
+    asked, between = refined["disagreement_deg"], refined["between_deg"]
     if asked + between <= _TOLD_DEG:
         return []
     remedy = "let somebody walk through the whole room while all cameras film, or calibrate again if that is not enough"
@@ -197,7 +197,7 @@ def _better_read(report: dict[str, Any]) -> bool:
 def _unclear(report: dict[str, Any]) -> list[str]:
     found = []
     for camera, margin in report["margin"].items():
-        if camera in report["without_keypoints"] or camera in report["sees_nobody"]:
+        if camera in report["without_keypoints"] or camera in report["inactive_cameras"]:
             continue
         if margin is None:
             found.append(

@@ -35,8 +35,8 @@ class Refined:
         seen: the observations of people.
         px, elsewhere: their median error, and whether the cameras are clearly at other poses than given.
         better: whether people fit clearly better with them, so that refinement keeps them.
-        asked_deg, between_deg: uncertainty of the cameras' relative rotation (``rotation_observability``); None with
-            too few data.
+        disagreement_deg, between_deg: uncertainty of the cameras' relative rotation (``rotation_observability``); None
+            with too few data.
     """
 
     cameras: list[Camera]
@@ -44,7 +44,7 @@ class Refined:
     px: float
     elsewhere: bool
     better: bool
-    asked_deg: float | None
+    disagreement_deg: float | None
     between_deg: float | None
 
     def as_json(self, given: Sequence[Camera]) -> dict[str, Any]:
@@ -54,7 +54,7 @@ class Refined:
             "elsewhere": self.elsewhere,
             "better": self.better,
             "moves": move_by_camera(self.cameras, given),
-            "asked_deg": self.asked_deg,
+            "disagreement_deg": self.disagreement_deg,
             "between_deg": self.between_deg,
         }
 
@@ -100,6 +100,6 @@ def refined_on_people(
         if anew is None
         else (0.0, moved_rotation_interval_deg(anew, limits))
     )
-    asked_deg, between_deg = (None, None) if told is None else told
+    disagreement_deg, between_deg = (None, None) if told is None else told
     better = median_px is None or px < (1 - _WORTH_REFINING) * median_px
-    return Refined(held.cameras, seen, px, anew is not None, better, asked_deg, between_deg)
+    return Refined(held.cameras, seen, px, anew is not None, better, disagreement_deg, between_deg)

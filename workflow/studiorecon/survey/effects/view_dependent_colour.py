@@ -51,7 +51,7 @@ EFFECT = SurveyedEffect(
     statistic="share of covisible static points whose colour varies between views beyond the noise's 99 % limit",
     threshold=0.05,
     hidden_by=("moving_cameras", "exposure"),
-    obeyed_by="background.train: unless on, with sh_cap, the room's colours have no harmonics",
+    obeyed_by="background.train: unless on, with limit_sh_to_views, the room's colours have no harmonics",
     measure=measure,
     artefact=Artefact("specularity.json", write),
 )
