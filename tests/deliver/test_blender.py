@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The scene in Blender, by its own Python: cameras see a point at the pixel where ours do, bodies stand where they
-stood, films lie behind what is seen.
+"""The scene in Blender's own Python: cameras project points to the same pixels, bodies have their poses, films are
+behind the scene.
 
 ``uv run --with bpy --group test pytest tests/deliver/test_blender.py`` (Blender as a package, 350 MB).
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""deliver: what is exported can be read back, is described, and nothing stale stays."""
+"""deliver: exports can be read back and are described, and stale files are removed."""
 
 from __future__ import annotations
 

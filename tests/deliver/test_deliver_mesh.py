@@ -28,7 +28,7 @@ ROOM = RoomBox(
     np.array([True, True, True, False, True, False]),
     np.full(6, 0.9),
 )
-# The crate stands on the floor, its sides along the room's.
+# The crate is on the floor, its sides parallel to the room's.
 CRATE = RoomBox(0.3, np.array([-0.4, -0.3, 0.0]), np.array([0.4, 0.3, 0.7]), np.ones(6, bool), np.ones(6))
 WH = (240, 180)
 RED, GREY = np.array([0.8, 0.2, 0.1]), np.array([0.5, 0.5, 0.5])
@@ -51,7 +51,7 @@ CAMERAS = [
 
 
 def entered(box: RoomBox, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Length along rays to a box from outside, inf where it is missed."""
+    """Length along rays to a box from outside, inf where they miss it."""
     start, towards = origin @ box.axes.T, directions @ box.axes.T
     a, b = (box.low_m - start) / towards, (box.high_m - start) / towards
     enter, leave = np.minimum(a, b).max(-1), np.maximum(a, b).min(-1)
@@ -112,7 +112,7 @@ def test_planes_are_exact_face_inwards_and_say_what_was_seen(tmp_path: Path, vie
 def test_what_stands_in_the_room_is_fused_where_it_is(views: list[FusedView]) -> None:
     surface = fuse(views, 0.02)
     standing = without(surface, distance_m(ROOM, surface.vertices_m) < 0.06)
-    # The wall that is not kept as a plane is fused like everything else.
+    # The wall that is not a plane of the mesh is fused like everything else.
     crate = standing.vertices_m[np.abs(standing.vertices_m @ ROOM.axes.T)[:, 1] < 1.0]
     off = np.abs(crate @ ROOM.axes.T - [0, 0, 0.35]) - [0.4, 0.3, 0.35]
     outside = np.linalg.norm(np.maximum(off, 0), axis=1) + np.minimum(off.max(axis=1), 0)

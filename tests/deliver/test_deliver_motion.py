@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""deliver: a person's motion in other programs' files, read back by the rules of those formats and not by our own
-code."""
+"""deliver: a person's motion in other programs' files, read back by the rules of those formats and not by our
+own code.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +32,9 @@ def body(root: Path) -> BodyModel:
 
 @pytest.fixture(scope="module")
 def person(body: BodyModel) -> Person:
-    """Seven frames of a body that turns through a half circle and bends everything a little; one frame was filled."""
+    """Seven frames of a body that turns through a half circle and bends every joint slightly; one frame was
+    interpolated.
+    """
     rng = np.random.default_rng(4)
     poses = 0.5 * rng.normal(size=(1, 72)) + 0.05 * rng.normal(size=(FRAMES, 72))
     upright = Rotation.from_matrix([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
@@ -96,7 +99,7 @@ def test_bvh_in_centimetres_is_the_same_motion(tmp_path: Path, person: Person, b
 
 
 def long_motion(person: Person, body: BodyModel, frames: int, fps: float = 120.0) -> Person:
-    """Somebody who walks a millimetre a frame, and is not measured in the last."""
+    """A person who walks a millimetre a frame, and is not measured in the last."""
     trans = np.zeros((frames, 3))
     trans[:, 0] = 0.001 * np.arange(frames)
     poses, valid = np.zeros((frames, 72)), np.arange(frames) < frames - 1
@@ -122,7 +125,7 @@ def test_a_long_motion_comes_back_whole_from_c3d(
 
 
 def test_an_hour_of_ntsc_is_timed_right_in_every_format(tmp_path: Path, person: Person, body: BodyModel) -> None:
-    """A program that counts frames by the rate in the file must end within a tenth of a frame."""
+    """Time from the rate in the file must be right within a tenth of a frame at the end."""
     fps, hour = 30_000 / 1001, 108_000
     ntsc = replace(person, fps=fps)
     rates = []
@@ -329,5 +332,5 @@ def test_while_somebody_is_away_formats_say_so_that_can(tmp_path: Path, person: 
     assert not any(c["target"]["path"] == "scale" for c in always["animations"][0]["channels"])
     rows = [line.split("\t") for line in (tmp_path / "away/p2.trc").read_text().splitlines()[6:]]
     assert set(rows[6][2:]) == {""}
-    # BVH has no word for it: the skeleton goes on.
+    # BVH cannot mark absence: the skeleton continues.
     assert (tmp_path / "away/p2.bvh").read_text() == (tmp_path / "always/p2.bvh").read_text()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The finished scene in memory is what its files hold, and broken Gaussians are refused before they are delivered."""
+"""The finished scene in memory equals its files, and broken Gaussians are refused before they are delivered."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The player in a browser without a window: the same pictures as ours, no network, and what a user does with it."""
+"""The player in a headless browser: the same pictures as ours, no network, and a user's actions."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ from tests.made.player import drawn, scene_of, shade_for, write_page
 
 pytestmark = pytest.mark.browser
 FRAMES = 7
-# Times at which pictures are compared: a thing is nowhere at the first, and the last two lie between frames, or end.
+# Times of the compared pictures: an object is absent at the first, and the last two are between frames, or at the end.
 TIMES = (0.0, 3.5, FRAMES - 1.0)
 EVERYTHING = [None, *range(8)]
-# Where a control group of either kind tells what its processes used at most.
+# Files of both kinds of control groups with the peak memory of their processes.
 PEAKS = ("memory.max_usage_in_bytes", "memory.peak")
 
 
@@ -65,7 +65,7 @@ def opened(browser: Browser, page: Path, link: str = "frame=0") -> None:
 
 
 def seen(browser: Browser, **state: object) -> np.ndarray:
-    """What the player shows at 160 × 100 pixels, exposures left out, once ``state`` holds."""
+    """The player's picture at 160 × 100 pixels, without exposures, once ``state`` holds."""
     eye = {name: state.pop(name) for name in ("mode", "camera", "film", "picture", "eye", "target") if name in state}
     script = f"(Object.assign(player.state, {json.dumps(state)}), Object.assign(player.eye, {json.dumps(eye)}), "
     return pixels(browser, script + "player.picture({ wh: [160, 100], exposure: [1, 1, 1] }))")
@@ -99,7 +99,7 @@ def test_it_draws_what_our_rasteriser_draws(browser: Browser, page: Path) -> Non
 
 
 def unexpected(browser: Browser) -> list[str]:
-    """What was logged beside the driver's advice on speed, which reading pixels brings about."""
+    """Logged messages except the driver's advice on speed, which reading pixels causes."""
     return [line for line in browser.logged if "GL Driver Message" not in line]
 
 
@@ -148,7 +148,7 @@ def test_the_truth_map_is_the_one_of_films(browser: Browser, page: Path) -> None
     for number, frame in ((0, 1.0), (1, FRAMES - 1.0)):
         levels = truth_levels(canvas.draw(scene.cameras[number], frame, (0, 0, 0))[1])
         tinted = seen(browser, mode="camera", camera=number, frame=frame, tinted=True).astype(int)
-        # Half of a tinted pixel is grey: what is left of its colour says which tint it has.
+        # Half of a tinted pixel is grey: the rest of its colour shows the tint.
         apart = {
             level: np.abs((tinted - tinted.mean(-1, keepdims=True)) - (0.5 * (np.array(tint) - np.mean(tint))))
             for level, tint in tints.items()
@@ -259,7 +259,7 @@ def test_a_path_of_keys_is_a_film_that_validates(browser: Browser, page: Path, r
     assert [steps[picture].frame for picture in at] == pytest.approx([0, 4, 4], abs=1e-6)
     for picture, place in zip(at, [scene.cameras[1].centre_m, *views]):
         assert steps[picture].camera.centre_m == pytest.approx(place, abs=1e-3)
-    # The last key's picture is what the player showed there.
+    # The last key's picture equals the player's there.
     ours = to_bytes(drawn(scene, steps[-1].camera, 4.0, shade_for(scene)))
     assert psnr(seen(browser, mode="free", eye=views[1], target=[0, 0, 1], frame=4.0), ours) > 38
 
@@ -357,7 +357,7 @@ def test_scenes_of_all_sizes_open(browser: Browser, tmp_path: Path, people: int,
 
 
 def test_five_minutes_open_and_end_where_they_end(browser: Browser, tmp_path: Path) -> None:
-    """9,000 frames at 30 per second: the slider reaches the last, and its picture is the one of that frame."""
+    """9,000 frames at 30 per second: the slider reaches the last one, and its picture is of that frame."""
     frames = 9000
     short = scene_of(people=2, frames=4, things=False, step_m=0.5, degree=0)
     again = np.arange(frames) % 4
@@ -385,7 +385,7 @@ def test_without_webgl2_there_is_a_picture_and_a_sentence(tmp_path: Path, page: 
 
 
 def test_a_graphics_card_that_gives_up_leaves_the_picture_and_a_sentence(browser: Browser, page: Path) -> None:
-    """As where memory is short: the browser takes the card away, whatever was drawn is gone."""
+    """As with too little memory: the browser loses the graphics context and all drawn content."""
     opened(browser, page)
     browser.wait("document.getElementById('poster').hidden")
     browser.run(
@@ -398,7 +398,7 @@ def test_a_graphics_card_that_gives_up_leaves_the_picture_and_a_sentence(browser
 
 @pytest.mark.slow
 def test_a_browser_that_gets_2_gb_shows_a_large_scene(tmp_path: Path) -> None:
-    """200,000 Gaussians and seven people through 300 frames, drawn without a card: its memory counts too."""
+    """200,000 Gaussians and seven people through 300 frames, drawn without a card, so that its memory counts too."""
     scene = scene_of(people=7, frames=300, things=False, step_m=0.022, degree=1)
     page = write_page(tmp_path / "player.html", scene)
     assert len(scene.room.means_m) > 200_000

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the cameras filmed, over the scene: in a browser without a window, as its screen shows it."""
+"""The cameras' films over the scene, in a headless browser, as shown on its screen."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def opened(browser: Browser, page: Path, link: str) -> None:
 
 
 def shown(browser: Browser) -> tuple[int, float]:
-    """What lies over the scene: the number of the camera whose colour it has, -1 for none, and the frame of its bar."""
+    """The film over the scene: the number of the camera with its colour, -1 for none, and the frame of its bar."""
     screen = cv2.imdecode(np.frombuffer(browser.screenshot(), np.uint8), cv2.IMREAD_COLOR)[..., ::-1].astype(int)
     place = "document.getElementById('{}').getBoundingClientRect()"
     visible = browser.run("getComputedStyle(document.getElementById('film')).visibility") == "visible"

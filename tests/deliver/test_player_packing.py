@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the player is told can be read back within what a picture shows, whatever the scene; without a browser."""
+"""The player's data can be read back within the precision of a picture, whatever the scene; without a browser."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ from tests.made.player import drawn, scene_of, shade_for, write_page
 
 
 def unpacked(data: bytes, described: dict) -> np.ndarray:
-    """As the page's reader has it: (N, C) float64 of ``Bytes.levels``, uint64 of ``whole``, float32 of ``floats``."""
+    """The arrays of the page's reader: (N, C) float64 of ``Bytes.levels``, uint64 of ``whole``, float32 of
+    ``floats``.
+    """
     count, columns = described["count"], described["columns"]
     if described["packed"] == "floats":
         return np.frombuffer(data, "<f4", count * columns, described["at"]).reshape(count, columns)
@@ -261,7 +263,7 @@ def test_the_page_s_own_script_says_who_is_there_as_films_do(root: Path) -> None
         assert there == late.there(frame), frame
         low, high = int(frame), int(np.ceil(frame))
         if there or not (late.present[low] or frame == scene.capture.frames - 1):
-            # Beside a frame in which they are away they keep the pose of the one in which they are there; while they
-            # are, who follows them is led on.
+            # Next to a frame of absence a person keeps the pose of the frame of presence; during absence the path
+            # continues for cameras that follow.
             at = frame if late.present[low] == late.present[high] else low if late.present[low] else high
             assert np.abs(np.array(pelvis_m) - late.pose_at(at)[1]).max() < 1e-4

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""deliver.player from files to a page: what it takes, what it leaves, what it refuses; without a browser."""
+"""deliver.player from files to a page: its inputs, outputs and refusals; without a browser."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The scene as one glTF: checked by Khronos' validator, read by pygltflib, loaded and played by three.js, drawn by
-PlayCanvas in a browser."""
+"""The scene as one glTF: checked by Khronos' validator, read by pygltflib, played by three.js, drawn by PlayCanvas in a
+browser.
+"""
 
 from __future__ import annotations
 
@@ -73,8 +74,8 @@ gltf.scene.traverse((one) => {
 console.log(JSON.stringify(told));
 """
 
-# The page asks for the engine and the scene beside it; ``shown`` draws some pictures of the room alone with one of the
-# scene's cameras, and gives the last.
+# The page loads the engine and the scene from its folder; ``shown`` draws some pictures of the room alone with one of
+# the scene's cameras, and returns the last.
 _PLAYCANVAS = """<!doctype html><canvas id="c" width="WIDTH" height="HEIGHT"></canvas>
 <script src="playcanvas.js"></script>
 <script>
@@ -110,7 +111,7 @@ app.assets.load(asset);
 
 
 def node(package: str) -> dict[str, str]:
-    """The environment in which Node finds a package; skips where it does not."""
+    """The environment in which Node finds a package; skips the test without it."""
     if shutil.which("node") is None:
         pytest.skip("no node on this machine")
     environment = {**os.environ, "NODE_PATH": os.environ.get("STUDIORECON_NODE_MODULES", "")}
@@ -185,7 +186,7 @@ def test_the_room_is_stored_as_the_extension_says(tmp_path: Path, root: Path) ->
 
 
 def with_a_thing(folder: Path, given: dict) -> None:
-    """The scene of ``given`` with a loose thing, as its glTF."""
+    """Write the scene of ``given`` with an object, as its glTF."""
     scene = call(read_finished, **{name: value for name, value in given.items() if name != "glb"})
     own = scene.room.take(np.arange(9))
     places = np.linspace([0.0, 0, 1], [1, 0, 1], FRAMES)
@@ -198,7 +199,9 @@ def with_a_thing(folder: Path, given: dict) -> None:
 
 
 def unknown_attribute(message: dict) -> bool:
-    """Whether the validator speaks of an attribute of the extension, which its latest release does not know yet."""
+    """Whether the validator's message is about an attribute of the extension, which its latest release does not know
+    yet.
+    """
     attribute = message["pointer"].rpartition("/")[2]
     return message["code"] == "MESH_PRIMITIVE_INVALID_ATTRIBUTE" and attribute.startswith(scene_glb.NAMES)
 
@@ -242,8 +245,11 @@ def test_three_loads_it_and_moves_the_bodies_as_they_moved(tmp_path: Path, root:
 @pytest.mark.slow
 @pytest.mark.browser
 def test_playcanvas_draws_the_room_through_the_scene_s_own_cameras(tmp_path: Path, root: Path) -> None:
-    """In a browser, by an engine that knows KHR_gaussian_splatting. It leaves out the faint rims of Gaussians that our
-    films have, which is 3 % of the brightness here; mirrored, turned or in another colour space it would be 10 dB."""
+    """In a browser, by an engine that supports KHR_gaussian_splatting.
+
+    It omits the faint rims of Gaussians that our films have, which is 3 % of the brightness here; a mirrored or turned
+    room, or another colour space, would cost 10 dB.
+    """
     modules = Path(node("playcanvas")["NODE_PATH"])
     cameras = write_scene(tmp_path, root, people=2, filmed=False)["training"]
     given = options(tmp_path, 2)
@@ -269,7 +275,7 @@ def test_playcanvas_draws_the_room_through_the_scene_s_own_cameras(tmp_path: Pat
 
 @contextmanager
 def served_from(folder: Path) -> Iterator[str]:
-    """The address below which a folder's files are there to read, on this machine alone."""
+    """The address of a folder's files, served on this machine only."""
 
     class Handler(SimpleHTTPRequestHandler):
         def log_message(self, *_: object) -> None:

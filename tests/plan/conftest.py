@@ -35,7 +35,7 @@ def capture(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def configured(capture: Path) -> Callable[..., dict[str, Any]]:
-    """The default configuration of that dataset; sections are changed by keyword, settings of theirs by mapping."""
+    """The default configuration of that dataset; sections are changed by keyword, their settings by mapping."""
 
     def make(**changes: Any) -> dict[str, Any]:
         config = copy.deepcopy(_DEFAULTS) | {"dataset": str(capture)}

@@ -101,7 +101,7 @@ def test_a_prediction_takes_rule_after_rule_and_their_jobs_side_by_side() -> Non
 
 
 class Planned:
-    """What of a plan a prediction asks for."""
+    """The attributes of a plan that a prediction needs."""
 
     def __init__(self, forced: dict[str, str] | None = None, cameras: int = 4) -> None:
         self.scene, self.people, self.forced = "there", True, forced or {}

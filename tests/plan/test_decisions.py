@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is decided before anything runs, and what is refused."""
+"""The decisions of a plan before the first job, and refused configurations."""
 
 from __future__ import annotations
 

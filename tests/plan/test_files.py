@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which files rules take: of the dataset, of who was found, of what the survey decided."""
+"""The input files of rules: from the dataset, by the people detected, by the survey's decisions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SCENE = Wildcards(scene="capture")
 
 
 class Asked:
-    """Snakemake's checkpoints of a run in which ``finished`` have run; who was asked is counted."""
+    """Snakemake's checkpoints of a run in which ``finished`` have run; requests are counted."""
 
     def __init__(self, folder: Path, **finished: Any) -> None:
         self.asked: list[str] = []
@@ -96,7 +96,9 @@ def test_the_detectors_cameras_are_looked_at_twice(configured, capture, home):
 
 
 def test_cameras_that_people_do_not_place_take_no_part(configured, capture, home, tmp_path):
-    """Everything after the calibration hangs on whom it placed; a user's own calibration asks nobody."""
+    """Everything after a calibration from people depends on the calibrated cameras; a user's own calibration waits for
+    no checkpoint.
+    """
     (capture / "capture.yaml").write_text("held_out: [left]\n")
     asked = Asked(tmp_path)
     own = files_of(configured(), home, asked)

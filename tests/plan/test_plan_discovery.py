@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What lies in a capture's folder is used, or named with the reason."""
+"""Every file of a capture's folder is used, or named with the reason."""
 
 from __future__ import annotations
 
@@ -22,8 +22,10 @@ GB = 10**9
 
 @pytest.fixture
 def made(tmp_path: Path) -> Callable[..., Path]:
-    """A folder with these files, of so many bytes where a number stands behind a colon; a name that ends in / is a
-    folder. Films differ in size, so that none is another's copy."""
+    """A folder with these files, of so many bytes where a number follows a colon; a name that ends in / is a folder.
+
+    Films differ in size, so that none is another's copy.
+    """
 
     def make(names: str | Iterable[str]) -> Path:
         for number, entry in enumerate(names.split() if isinstance(names, str) else names):

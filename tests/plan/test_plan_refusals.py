@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that settings name are looked for before anything runs, and bringing them is enough."""
+"""Missing files that settings name are refused before the first job, and accepted once they exist."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""render: shots, the composite, and the files a shot leaves."""
+"""render: shots, the composite, and the output files of a shot."""
 
 from __future__ import annotations
 
@@ -254,7 +254,7 @@ def test_the_canvas_draws_what_rasterising_everything_together_draws(root: Path)
 
 
 def test_a_picture_does_not_depend_on_those_drawn_before_it(root: Path) -> None:
-    """What is kept from picture to picture: poses, classes of measured and filled-in frames, shade."""
+    """State that persists between pictures: poses, classes of measured and interpolated frames, shade."""
     rng = np.random.default_rng(0)
     person = avatar(BodyModel.load(root / "resources/body.npz"), rng, "p0")
     static, lamp = room(rng, 0.2), Lamps(np.array([[0.5, 0.5, 2.5]]), np.array([[0, 0, -1.0]]), np.array([0.3]))

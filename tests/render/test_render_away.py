@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""render: somebody who is there for a part of the clip leaves no pixel, no shadow and no obstacle in the rest of it."""
+"""render: a person who is present for a part of the clip leaves no pixel, no shadow and no obstacle in the
+rest of it.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ from studiorecon.scene.path import PathStep
 from tests.made.scene import FRAMES, avatar, render_options, ring, room, write_scene
 from tests.made.steps import call
 
-# There from frame 2 to frame 3.
+# Present from frame 2 to frame 3.
 THERE = np.array([False, False, True, True, False, False])
 
 
@@ -73,7 +75,7 @@ def test_they_throw_no_shadow_where_they_are_away(person: Avatar) -> None:
 
 
 def test_a_plate_does_not_show_the_shadow_of_who_was_away_most_of_the_time(person: Avatar) -> None:
-    """Somebody who stands still all the time shades their plate; somebody who came for a third of it does not."""
+    """A static person shades the plate; a person present for a third of the time does not."""
     static, frames = room(np.random.default_rng(0)), 30
     still = replace(
         person, poses=np.repeat(person.poses[:1], frames, axis=0), trans=np.repeat(person.trans[:1], frames, axis=0)
@@ -102,7 +104,7 @@ def test_a_camera_may_stand_where_they_will_be(person: Avatar) -> None:
 def test_films_and_cameras_that_follow_them(
     tmp_path: Path, root: Path, body: BodyModel, default_settings: Callable, capsys: pytest.CaptureFixture
 ) -> None:
-    """The step: pictures, depth and truth; and a camera follows the whole way, along what leads it back."""
+    """The step: pictures, depth and truth; and a camera follows the whole path, including the interpolated part."""
     write_scene(tmp_path, root, people=1, filmed=False)
     section = default_settings("render")
     section["shots"] = {

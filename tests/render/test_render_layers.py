@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""render: a film taken apart into OpenEXR files, read back with the OpenEXR package."""
+"""render: a film split into OpenEXR layers, read back with the OpenEXR package."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_every_picture_has_its_file_with_named_channels_of_the_right_type(folder
 
 
 def test_the_layers_are_the_film(folder: Path) -> None:
-    """Put together over black they are the picture, and their depth is the film's to a millimetre."""
+    """Composited over black they equal the picture, and their depth is the film's to a millimetre."""
     film, depths = read_stack(folder / "render/orbit.mkv"), read_stack(folder / "render/orbit.depth.mkv")
     for index in range(3):
         channels = channels_of(folder / f"render/orbit.layers/{index:06d}.exr")

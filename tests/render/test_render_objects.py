@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""render: loose things in films, in front of and behind people, gone where nobody knows where they are; and in nobody's
-mask."""
+"""render: objects in films, in front of and behind people, hidden while their position is unknown, and in no person's
+mask.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ ABSENT, FILLED = 4, 2
 
 
 def ball(centres_m: np.ndarray) -> RigidObject:
-    """A green ball of 15 cm; its position is unknown in frame 4 and filled in in frame 2."""
+    """A green ball of 15 cm; its position is unknown in frame 4 and interpolated in frame 2."""
     rng = np.random.default_rng(0)
     normals = rng.normal(size=(500, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -47,7 +48,7 @@ def ball(centres_m: np.ndarray) -> RigidObject:
 
 @pytest.fixture(scope="module")
 def films(tmp_path_factory: pytest.TempPathFactory, root: Path, default_settings: Callable) -> Path:
-    """Films with and without a ball that stands between one camera and the walking person."""
+    """Films with and without a ball between one camera and the walking person."""
     folder = tmp_path_factory.mktemp("scene")
     write_scene(folder, root, filmed=False)
     section = default_settings("render")
@@ -65,7 +66,7 @@ def films(tmp_path_factory: pytest.TempPathFactory, root: Path, default_settings
 
 
 def seen(folder: Path, frame: int, kind: str = "heldout.mkv") -> np.ndarray:
-    """Where the film of the first held-out camera changes when the ball is in."""
+    """Pixels of the first held-out camera's film that the ball changes."""
     first, second = (read_frame(folder / name / kind, frame).astype(int) for name in ("with", "without"))
     return np.abs(first - second).reshape(*first.shape[:2], -1).max(axis=-1) > 30
 

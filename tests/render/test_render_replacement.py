@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""render: somebody else in a person's place, on planted people of known shape."""
+"""render: replacement of a person, on planted people of known shape."""
 
 from __future__ import annotations
 
@@ -54,8 +54,7 @@ def same(one: Avatar, other: Avatar) -> None:
 
 
 def test_the_replacement_stands_where_the_performer_stood(people: list[Avatar], body: BodyModel) -> None:
-    """Every Gaussian projects to the donor's own surface in the performer's pose, at the performer's place, feet on the
-    floor."""
+    """Every Gaussian projects to the donor's own surface in the performer's pose and position, feet on the floor."""
     performer, other = people
     stand_in = retarget(donor_from_avatar(other), performer)
     index = np.arange(0, len(body.weights), 12)
@@ -66,7 +65,7 @@ def test_the_replacement_stands_where_the_performer_stood(people: list[Avatar], 
             body.vertices(pose, performer.betas, trans, body.proxy_vertices)[..., 2].min()
             - body.vertices(pose, other.betas, trans, body.proxy_vertices)[..., 2].min()
         )
-        # One strongest joint each, as the planted people have it.
+        # One joint per Gaussian, as for the planted people.
         expected = performer.model.joint_transforms(pose, other.betas, trans)[0][other.bones[:, 0]]
         rest = body.rest_vertices(other.betas)[index]
         surface = np.einsum("nxy,ny->nx", expected[:, :3, :3], rest) + expected[:, :3, 3]
@@ -136,7 +135,7 @@ def test_a_canonical_file_takes_a_persons_place_in_a_film(
     assert where.sum() > 200
     assert (truth[where] == 0).mean() > 0.9, "the new person is invented"
     assert (measured[where] == 0).mean() < 0.1
-    # The performer's own weights and shape, in green: what the bound stranger has to cover.
+    # The performer's own weights and shape, in green: the target that the bound stranger must cover.
     (tmp_path / "own").mkdir()
     write_ply(tmp_path / "own/green.ply", replace(own, sh=green))
     shutil.copy(scene / "humans/p0.npz", tmp_path / "own/green.npz")
@@ -182,7 +181,7 @@ def test_who_cannot_stand_in_is_named(scene: Path, default_settings: Callable, w
 def test_a_file_without_its_motion_is_bound_like_any_other(
     scene: Path, body: BodyModel, people: list[Avatar], tmp_path: Path
 ) -> None:
-    """Beside its ``.npz`` a person keeps the weights that were trained; alone, the surface's are close to them."""
+    """With its ``.npz`` a person keeps the trained weights; without it, the surface's are close to them."""
     ply = read_ply(scene / "humans/p0.ply")
     write_ply(tmp_path / "alone.ply", ply)
     alone = replace_people(people[:1], {"p0": str(tmp_path / "alone.ply")}, "swap")[0]

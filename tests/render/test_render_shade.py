@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""render.shade: the shadows that films show, as a file for pictures that others draw."""
+"""render.shade: the shadows of films, as a file for other renderers."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_the_shade_is_the_one_of_films(files: dict) -> None:
     means = read_ply(files["background"]).means_m[found["at"]]
     for frame in (0, FRAMES - 1):
         assert np.abs(found["factors"][frame] - composite.shading.factor(float(frame))).max() < 1e-3
-        # The darkest place of the floor lies beside the person.
+        # The darkest place of the floor is next to the person.
         person = composite.people[0].joints_m(float(frame))[0]
         darkest = means[found["factors"][frame].argmin()]
         assert np.linalg.norm((darkest - person)[:2]) < 1.5

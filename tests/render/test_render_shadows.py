@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""render.light and the shade of films: planted lamps are found again, and nothing is made of shadows that are not
-there."""
+"""render.light and the shade of films: planted lamps are recovered, and no light is estimated without shadows."""
 
 from __future__ import annotations
 
@@ -54,7 +53,7 @@ def settings(default_settings: Callable) -> render_light.LightSettings:
 
 
 def walking(body: BodyModel, frames: int = MOMENTS) -> Avatar:
-    """Somebody who crosses the room along x, then y."""
+    """A person who crosses the room along x, then y."""
     person = avatar(body, np.random.default_rng(0), "p0", frames)
     half = frames // 2
     across = np.linspace(-1.3, 1.3, half), np.linspace(-1.3, 1.3, frames - half)
@@ -75,8 +74,7 @@ def floor_grid(step_m: float = 0.2) -> np.ndarray:
 
 
 def sampled_shade(points: np.ndarray, body: np.ndarray) -> np.ndarray:
-    """(N,) hidden share of the planted lamp, the slow way: 49 points on a square, hard rays, each ray sampled every 2
-    cm."""
+    """(N,) hidden share of the planted lamp by brute force: 49 points on a square, hard rays, sampled every 2 cm."""
     spots = np.linspace(-LAMP_HALF_M, LAMP_HALF_M, 7)
     blocked = np.zeros(len(points))
     low, high = np.minimum(body[:, :3], body[:, 3:6]).min(0) - 0.3, np.maximum(body[:, :3], body[:, 3:6]).max(0) + 0.3
@@ -99,7 +97,7 @@ def sampled_shade(points: np.ndarray, body: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def planted(body: BodyModel) -> tuple[np.ndarray, np.ndarray, list[list[np.ndarray]]]:
-    """Floor points, their ratio to the open (P, T) under the planted lamp, with noise, and the bodies."""
+    """Floor points, their ratio to the unshaded floor (P, T) under the planted lamp, with noise, and the bodies."""
     points, bodies = floor_grid(), [[b] for b in capsules(walking(body))]
     shade = np.stack([sampled_shade(points, b[0]) for b in bodies], axis=1)
     assert (shade > 0.5).any(axis=0).all(), "there is a shadow at every moment"
@@ -111,7 +109,7 @@ def planted(body: BodyModel) -> tuple[np.ndarray, np.ndarray, list[list[np.ndarr
 
 
 def found_lamp_deg(light: Light) -> float:
-    """Degrees, from the middle of the floor, between the planted lamp and the middle of what was found."""
+    """Angle in degrees, at the middle of the floor, between the planted lamp and the middle of the estimated one."""
     ways = light.lamps.positions_m / np.linalg.norm(light.lamps.positions_m, axis=1, keepdims=True)
     middle = (light.share[:, None] * ways).sum(axis=0)
     return float(np.degrees(np.arccos(middle @ LAMP_M / np.linalg.norm(middle) / np.linalg.norm(LAMP_M))))
@@ -131,7 +129,7 @@ def test_a_ball_hides_what_lies_behind_it_and_half_at_its_edge() -> None:
 
 
 def in_closed_form(points: np.ndarray, lamp: np.ndarray, body: np.ndarray) -> np.ndarray:
-    """(N,) the lamp's share that a body hides, capsule by capsule for every point, whatever stands where."""
+    """(N,) the lamp's share that a body hides, computed for every capsule and point without culling."""
     towards = lamp[:3] - points
     away = np.linalg.norm(towards, axis=1, keepdims=True)
     ray, left = towards / away, np.ones(len(points))
@@ -302,7 +300,7 @@ def test_the_step_finds_the_lamp_in_files_and_refuses_what_does_not_fit(
     one, cameras = walking(body), ring([20, 110], "cam", wh=(160, 100))
     disc = np.array([[*LAMP_M, 2 * LAMP_HALF_M / np.sqrt(np.pi)]])
     write_model(tmp_path / "cameras", cameras)
-    # On a platform: shadows are looked for where people stand, not on the floor below it.
+    # On a platform shadows are searched on its top, not on the floor below it.
     platform = Platform(ROOM_BOX.low_m[:2], ROOM_BOX.high_m[:2], 0.0)
     write_room(tmp_path / "room.json", replace(ROOM_BOX, low_m=np.array([-3.0, -3.0, -0.4]), platform=platform))
     for camera in cameras:
@@ -417,7 +415,7 @@ def test_stand_ins_throw_their_own_shadow_and_broken_poses_none(body: BodyModel)
 
 
 def thing(centres_m: np.ndarray, half_m: tuple[float, float, float], turns: np.ndarray | None = None) -> RigidObject:
-    """An ellipsoid of 400 discs that goes along ``centres_m`` (T, 3), turned by ``turns`` (T, 3, 3) if given."""
+    """An ellipsoid of 400 discs that moves along ``centres_m`` (T, 3), turned by ``turns`` (T, 3, 3) if given."""
     k = np.arange(400) + 0.5
     level, turn = np.arccos(1 - k / 200), np.pi * (1 + np.sqrt(5)) * k
     normals = np.stack([np.cos(turn) * np.sin(level), np.sin(turn) * np.sin(level), np.cos(level)], axis=1)
@@ -430,7 +428,7 @@ def thing(centres_m: np.ndarray, half_m: tuple[float, float, float], turns: np.n
 
 
 def test_things_throw_shadows_and_those_of_a_board_turn_with_it() -> None:
-    """Against the lamp's hidden share sampled ray by ray behind true balls and capsules."""
+    """Against the lamp's hidden share, ray-traced with true balls and capsules."""
     points, moments = floor_grid(0.1), np.linspace([-1.0, 0.2, 0.5], [1.0, 0.2, 0.5], 9)
     floor = Gaussians(
         points,
@@ -506,7 +504,9 @@ def test_patches_lie_on_the_box_and_face_into_it() -> None:
 
 
 def test_a_hall_has_hardly_more_patches_than_a_room_and_as_much_ceiling() -> None:
-    """Patches far away are joined: as wide as before for who looks at them, and as large as what they stand for."""
+    """Distant patches are merged: at most as wide as seen from people, and as large as the patches that they
+    replace.
+    """
     hall = replace(ROOM_BOX, low_m=np.array([-16.0, -17.0, 0.0]), high_m=np.array([16.0, 17.0, 3.2]), yaw_rad=0.3)
     room_lamps, lamps = (patches(room_box, 0.75, np.zeros(3)) for room_box in (ROOM_BOX, hall))
     assert len(lamps.radius_m) < 4 * len(room_lamps.radius_m)

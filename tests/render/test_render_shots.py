@@ -32,7 +32,7 @@ T = 41
 
 @pytest.fixture(scope="module")
 def subjects() -> LookAtTargets:
-    """One person walks 2 m along x, facing there; another stands at (0, 1)."""
+    """One person walks 2 m along x and faces that way; another is static at (0, 1)."""
     walk = np.stack([np.linspace(-1, 1, T), np.zeros(T), np.full(T, 0.95)], axis=1)
     facing = np.tile([1.0, 0.0], (T, 1))
     stands = np.tile([0.0, 1.0, 0.95], (T, 1))
@@ -48,7 +48,7 @@ def subjects() -> LookAtTargets:
 
 
 def seen_size(step: PathStep, place_m: np.ndarray) -> float:
-    """Pixels that a horizontal metre, square to the view, takes at a place."""
+    """Size in pixels of a horizontal metre at a position, perpendicular to the view."""
     return step.camera.focal_px[0] / float(step.camera.project(place_m[None])[1][0])
 
 
@@ -95,7 +95,7 @@ def test_an_oscillation_swings_evenly_about_its_camera(subjects: LookAtTargets) 
     assert (azimuth.min(), azimuth.max()) == pytest.approx((-20, 20), abs=0.1)
     assert np.linalg.norm(eyes[:, :2], axis=1) == pytest.approx(0.9 * 2.4)
     assert np.ptp(eyes[:, 2]) == pytest.approx(0.2, abs=1e-3)
-    # Pictures follow each other without a jump, also from the last to the first: the film can be looped.
+    # The path has no jump, also from the last picture to the first: the film can be looped.
     gaps = np.linalg.norm(np.diff(eyes, axis=0, append=eyes[:1]), axis=1)
     assert gaps.max() < 2 * np.median(gaps)
 
@@ -229,7 +229,7 @@ def test_who_is_not_there_cannot_be_looked_at(subjects: LookAtTargets) -> None:
 
 
 def test_a_shot_of_people_looks_where_they_are_while_they_are_there(subjects: LookAtTargets) -> None:
-    """Who left is led on to where they come back, which is no place of theirs."""
+    """The path of an absent person leads to the place of return; it is no position of theirs."""
     early = np.arange(T) < 10
     left = replace(subjects, present={"p0": early, "p1": np.ones(T, bool)})
     assert left.still("p0", "shot") == pytest.approx(np.median(subjects.pelvis_m["p0"][:10], axis=0))

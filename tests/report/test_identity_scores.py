@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Association accuracy, precision, IDF1 and switches on planted identities whose scores can be counted by hand."""
+"""Association accuracy, precision, IDF1 and switches on planted identities with known scores."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_a_view_that_swaps_two_people_in_one_frame() -> None:
     swapped = (FRAME == 4) & (VIEW == 1)
     given[swapped] = 1 - given[swapped]
     scores = identity_scores(FRAME, VIEW, TRUTH, given)
-    # Of that frame's six true pairs only the two of views 0 and 2 hold; of its six claimed pairs too.
+    # Of that frame's six true pairs only the two of views 0 and 2 are right; of its six claimed pairs too.
     assert scores.accuracy == pytest.approx(56 / 60)
     assert scores.precision == pytest.approx(56 / 60)
     assert scores.idf1 == pytest.approx(58 / 60)

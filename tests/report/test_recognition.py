@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``report.recognition``: a film that is its photos shows the same people; what is moved, missing or left out is
-told."""
+"""``report.recognition``: a film identical to its photos scores perfectly; moved, missing or omitted people lower the
+score.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ WH, FRAMES = (160, 120), 8
 
 
 def found_in(_network: object, picture: np.ndarray, _worth: object) -> list[np.ndarray]:
-    """Stands in for the detector: somebody is a bright box, 33 points on its diagonal, the last three unseen."""
+    """Replaces the detector: a person is a bright box, 33 points on its diagonal, the last three invisible."""
     rows, columns = np.nonzero(picture[..., 0] > 150)
     if not len(rows):
         return []
@@ -40,7 +41,7 @@ def picture(shift_px: float | None) -> np.ndarray:
 
 @pytest.fixture
 def recognised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict]:
-    """Scores of a film whose people stand so many pixels beside those of the photos (None: are not there)."""
+    """Scores of a film whose people are shifted by so many pixels from those of the photos (None: are missing)."""
     monkeypatch.setattr(recognition, "detect_keypoints", found_in)
     monkeypatch.setattr(recognition, "BlazePose", lambda *_: None)
     cameras = ring([45, 135], "view")
@@ -82,7 +83,7 @@ def test_a_film_that_is_its_photos_shows_the_same_people(recognised: Callable[..
 
 
 def test_points_are_right_within_their_share_of_the_persons_size(recognised: Callable[..., dict]) -> None:
-    # 30 of 33 points along 80 pixels: 70.5 is the longer side of what is seen.
+    # 30 of 33 points along 80 pixels: 70.5 is the longer side of the visible part.
     found = recognised(0.0, lambda _: 5.0, better=9.0)
     assert (found["raw"]["pck_0.05"], found["raw"]["pck_0.1"]) == (0.0, 1.0)
     assert (found["enhanced"]["pck_0.05"], found["enhanced"]["pck_0.1"]) == (0.0, 0.0)

@@ -86,8 +86,7 @@ def test_flicker_of_a_still_picture_is_zero_and_of_noise_its_own_size() -> None:
 
 
 def test_what_was_not_enhanced_has_the_same_numbers_as_if_measured_alone() -> None:
-    """Enhanced pictures are the raw ones in frames 0, 1 and 3: also the changes into and out of frame 2 are their
-    own."""
+    """Enhanced pictures equal the raw ones in frames 0, 1 and 3; the changes into and out of frame 2 differ."""
     rng = np.random.default_rng(0)
     photos = [cv2.GaussianBlur(rng.integers(0, 255, (48, 64, 3), dtype=np.uint8), (0, 0), 2) for _ in range(5)]
     raw = [np.clip(photo + rng.normal(0, 9, photo.shape), 0, 255).astype(np.uint8) for photo in photos]
@@ -168,7 +167,7 @@ def test_cost_adds_jobs_and_leaves_what_was_not_measured_null(tmp_path: Path) ->
 
 
 def wall_view(camera, masks: Path) -> TrueView:
-    """Truth of a camera that looks at the wall x = -3."""
+    """Truth of a camera in front of the wall x = -3."""
     origin, rays = camera.rays()
     depth = np.where(rays[..., 0] < -1e-6, (-3 - origin[0]) / np.minimum(rays[..., 0], -1e-6), 0).astype(np.float32)
     return TrueView(camera, depth, masks)
@@ -344,7 +343,7 @@ def test_scores_equal_the_planted_error_and_say_what_is_missing(reported: Path) 
 def test_a_network_that_saw_the_held_out_cameras_is_declared(
     reported: Path, default_settings: Callable, tmp_path: Path
 ) -> None:
-    """Nothing but the network tells where held-out cameras stand, so what it saw of them stands in the protocol."""
+    """Held-out poses come only from the network here, so the protocol lists the pictures that it saw."""
     told = {}
     for calibrator in ("none", "pi3"):
         evaluate.run(
@@ -564,7 +563,7 @@ def test_a_film_of_another_run_is_refused_by_name(reported: Path, tmp_path: Path
 def test_without_held_out_cameras_the_training_cameras_are_compared_apart(
     reported: Path, default_settings: Callable, tmp_path: Path
 ) -> None:
-    """The footage itself as render: the numbers stand under ``training``, and none among the results."""
+    """The footage itself as render: the numbers are under ``training``, and none is among the results."""
     for name in ("cameras", "images"):
         (tmp_path / f"{name}.txt").write_text("# none\n")
     training = read_model(reported / "cameras")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects of a trained scene: what training and films decided becomes one table."""
+"""Effects of a trained scene: the decisions of training and films are combined in one table."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the report's page says of the cameras."""
+"""The section on cameras of the report's page."""
 
 from __future__ import annotations
 

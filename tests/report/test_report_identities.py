@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""report: who is who and where bodies appear in held-out pictures, against planted truth."""
+"""report: identities, and bodies in held-out pictures, against planted truth."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def standing() -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize(("swapped", "share"), [(False, 1.0), (True, 0.5)])
 def test_identities_swapped_in_one_of_four_cameras_halve_the_pairs(swapped: bool, share: float) -> None:
-    """Of the six pairs of four cameras, three do without the swapped one."""
+    """Of the six pairs of four cameras, three exclude the swapped one."""
     cameras = {camera.name: camera for camera in ring([10, 100, 190, 280], "c")}
     people, found, given = standing(), [], {}
     for camera in cameras.values():
@@ -52,7 +52,7 @@ def test_identities_swapped_in_one_of_four_cameras_halve_the_pairs(swapped: bool
 
 
 def test_rejected_tracks_have_no_identity_in_common() -> None:
-    """False detections of two cameras are nobody's, not the same nobody's: they make no pair and no wrong frame."""
+    """False detections of two cameras form no pair and no wrong frame."""
     cameras = {camera.name: camera for camera in ring([10, 100], "c")}
     people, found, given = standing(), [], {}
     for camera in cameras.values():
@@ -82,8 +82,9 @@ def test_bodies_in_held_out_pictures_are_scored_where_they_can_be_seen(tmp_path:
 
 
 def test_association_by_itself_is_scored_against_the_users_own_table() -> None:
-    """The paper's manual annotation: names need not agree, who is nobody there is a false detection, and a track that
-    the table does not name counts nowhere."""
+    """The paper's manual annotation: names need not agree, tracks of no person are false detections, unlisted tracks do
+    not count.
+    """
     names = ("c0", "c1", "c2")
     seen = [
         Detections(
@@ -96,7 +97,7 @@ def test_association_by_itself_is_scored_against_the_users_own_table() -> None:
     found = score_against(seen, annotated, alike)
     assert (found["accuracy"], found["precision"], found["idf1"], found["reason"]) == (1.0, 1.0, 1.0, None)
     assert (found["pairs"], found["detections"]) == (2 * 3 * FRAMES, 2 * 3 * FRAMES)
-    # Ben is left out in one camera, and a poster there is taken for him.
+    # Ben is missing in one camera, and a poster there has his identity.
     wrong = alike | {("c2", 1): "", ("c2", 2): "p0"}
     found = score_against(seen, annotated, wrong)
     assert found["accuracy"] == pytest.approx((3 + 1) / 6)
@@ -108,7 +109,7 @@ def test_cameras_overlap_as_the_papers_table_measures_it() -> None:
     even = overlap(ring([10, 100, 190, 280], "c"))
     assert even["training_cameras"] == 4
     assert even["position_deg"] == pytest.approx(120, abs=0.5)
-    # Level, four axes of an even ring are a right angle apart; these look a little down, towards each other.
+    # Level axes of an even ring of four are a right angle apart; these point slightly down, towards each other.
     assert 80 < even["viewing_deg"] <= 90
     near = overlap(ring([0, 17, 34], "c"))
     assert near["position_deg"] == pytest.approx((17 + 17 + 34) / 3, abs=0.5)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page: complete without a network, its numbers those of the JSON, and at work in a browser without a window where
-there is one."""
+"""The page: complete without a network, with the numbers of the JSON, and working in a headless browser if there is
+one.
+"""
 
 from __future__ import annotations
 
@@ -50,8 +51,10 @@ class Addresses(HTMLParser):
 
 
 def opened(page: Path, *arguments: str, script: str = "") -> tuple[str, str]:
-    """The document after its scripts ran in a browser that reaches no host, and what the browser logged. ``script``
-    runs at the end."""
+    """The document after its scripts ran in a browser without access to any host, and the browser's log.
+
+    ``script`` runs at the end.
+    """
     if script:
         page = page.with_name("scripted.html")
         source = (page.with_name("index.html")).read_text(encoding="utf-8")
@@ -198,7 +201,7 @@ def test_what_was_delivered_is_linked_by_folder(tmp_path: Path) -> None:
 
 @pytest.mark.browser
 def test_nothing_is_cut_on_a_phone(reported: Path) -> None:
-    """In a frame as wide as a phone: browsers' own windows are wider."""
+    """In a frame as wide as a phone, because browsers' own windows are wider."""
     frame = reported / "report/frame.html"
     write_text(
         frame,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The licence section: the strictest terms decide, every network has its line, files from elsewhere are called so."""
+"""The licence section: the strictest terms decide, every network has its line, and external files are marked."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Survey: planted effects are found, absent ones are not, and what cannot be known is called undetermined."""
+"""Survey: planted effects are detected, absent ones are not, and the rest is undetermined."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class TestCoverage:
         assert verdict(list(range(0, 360, 20))) == "off"
 
     def test_every_gap_between_neighbours_is_decided_by_itself(self, settings: step.Settings) -> None:
-        """Close together but for two gaps, of 33 and of 80 degrees."""
+        """Cameras close together except for two gaps, of 33 and of 80 degrees."""
         cameras = ring([0, 20, 40, 60, 93, 173, 193, 213, 233, 253, 273, 293, 313, 333], focal_px=40)
         views = [blank(camera) for camera in cameras]
         nobody = tracks([], {}, [], 0, 0.0)
@@ -185,7 +185,7 @@ class TestStep:
     def test_the_floor_is_where_people_stand(
         self, files: dict, settings: step.Settings, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        """On a platform their shadows fall on it, not on the room's floor below."""
+        """Shadows of people on a platform fall on it, not on the room's floor below."""
         box, heights_m = read_room(files["room_box"]), []
         monkeypatch.setattr(step, "Material", lambda *given: heights_m.append(given[5]) or Material(*given))
         for platform in (None, Platform(box.low_m[:2], box.high_m[:2], 0.3)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""survey: what is written for who divides exposure and light out of the pictures."""
+"""survey: the files of factors that divide exposure and light out of the pictures."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def written(path: Path) -> dict[str, np.ndarray]:
 
 
 def artefact(files: dict, name: str) -> Path:
-    """A file that the step writes beside its decisions."""
+    """A file that the step writes next to its decisions."""
     return next(path for path in files["artefacts"] if path.stem == name)
 
 
@@ -94,8 +94,9 @@ def test_a_camera_that_shares_nothing_is_named_and_kept(settings: step.Settings)
 
 
 def film(path: Path, course: np.ndarray, hidden: slice = slice(0)) -> tuple:
-    """A film of the floor in a light of that course, with 1 level of noise, and somebody dark over part of the
-    picture."""
+    """A film of the floor under light of that course, with 1 level of noise, and a dark person over part of the
+    picture.
+    """
     view, rng = floor_view(ring([0], wh=(96, 72), focal_px=60.0)[0]), np.random.default_rng(3)
     frames = []
     for t, level in enumerate(course):
@@ -161,7 +162,7 @@ def test_the_degree_is_written_apart(files: dict, settings: step.Settings) -> No
 
 
 def test_people_seen_by_keypoints_are_left_out(tmp_path: Path) -> None:
-    """Somebody in white who fills the most of the picture: without their outline the light would seem to rise."""
+    """A person in white fills most of the picture: without the outline the light would seem to rise."""
     view = floor_view(ring([0], wh=(96, 72), focal_px=60.0)[0])
     frames = [np.rint(view.rgb * 255).astype(np.uint8) for _ in range(3)]
     for frame in frames:

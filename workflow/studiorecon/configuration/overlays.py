@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of settings that users lay over the defaults, before Snakemake reads them as YAML 1.1."""
+"""Opens the files of settings that users lay over the defaults, before Snakemake reads them as YAML 1.1."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from studiorecon.scene.outside import read_yaml
 
 
 def check_overlay(path: Path) -> None:
-    """Raises UserError for a file that is missing, no text, no mapping of settings, names one twice, or holds a number
-    that YAML 1.1 takes for another (010 for 8)."""
+    """Raises UserError unless a file is a readable mapping of settings.
+
+    It also refuses a repeated setting, and a number that YAML 1.1 reads as another (010 as 8).
+    """
     held = read_yaml(path, yaml.SafeLoader)
     if held is not None and not isinstance(held, Mapping):
         raise UserError(f"{path} holds no settings; its lines look like capture: {{width: 960}}")

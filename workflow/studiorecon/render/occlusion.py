@@ -94,10 +94,10 @@ class Groups:
 def pack_capsules(
     bodies: Sequence[Float[np.ndarray, "C 7"]],
 ) -> tuple[Float[np.ndarray, "C 7"], Float[np.ndarray, "B 7"], Integer[np.ndarray, " B+1"]]:
-    """Capsules (C, 7) of all bodies, a ball around each body (B, 7) as a capsule of length 0, and the start index of
-    each one's capsules (B + 1,).
+    """Capsules (C, 7) of all bodies, a ball around each body (B, 7), and the start index of each one's capsules (B +
+    1,).
 
-    Raises ValueError for other shapes.
+    A ball is a capsule of length 0. Raises ValueError for other shapes.
     """
     there = [np.asarray(body, np.float64) for body in bodies if len(body)]
     for body in there:

@@ -123,8 +123,11 @@ def timings(summary: str) -> list[Path]:
 
 
 def spent(folder: Path, paths: list[Path], began_s: float) -> dict[str, Any]:
-    """Seconds and memory of a run: ``from_nothing_s`` of all its jobs, ``ran_s`` of those run since ``began_s``
-    (seconds of the epoch), ``processor_s``, seconds per stage and the largest job's memory."""
+    """Seconds and memory of a run, from the timing files ``paths`` of its jobs.
+
+    ``from_nothing_s`` is of all its jobs, ``ran_s`` of those run since ``began_s`` (seconds of the epoch); also
+    ``processor_s``, seconds per stage and the largest job's memory.
+    """
     stages: dict[str, float] = {}
     ran_s = processor_s = peak_mb = 0.0
     for path in paths:
