@@ -88,7 +88,7 @@ def test_depth_sweep_finds_the_planes_of_the_rest(
     swept: Callable[[str], dict], clean_sweep: dict, fault: str, capsys: pytest.CaptureFixture
 ) -> None:
     found = swept(fault)
-    assert "found a plane among" in capsys.readouterr().out
+    assert "of the pixels match one of" in capsys.readouterr().out
     assert abs(float(found["floor_m"])) < 0.05
     np.testing.assert_allclose(found["gains"], clean_sweep["gains"], atol=0.02)
     # The yaw, and with it the catalogue, may differ by a step of the search; planes are compared by where they put a

@@ -64,7 +64,7 @@ def killed_and_taken_up(step: str, section: dict, options: Mapping, names: Mappi
     assert process.returncode == -signal.SIGKILL
     assert not any(path.exists() for path in outputs("killed").values())
     finish(start("killed", 1e-9))
-    went_on = re.search(r"goes on at iteration (\d+)", (folder / "killed.log").read_text())
+    went_on = re.search(r"continues at iteration (\d+)", (folder / "killed.log").read_text())
     assert went_on, (folder / "killed.log").read_text()
     assert 0 < int(went_on.group(1)) < ITERATIONS
     for whole, again in zip(outputs("whole").values(), outputs("killed").values()):

@@ -169,7 +169,7 @@ def test_the_second_mirror_is_asked_and_goes_on_where_it_broke_off(
     assert (tmp_path / file.path).read_bytes() == inner
     assert pins[file.path]["sha256"] == file.sha256
     assert [path.name for path in (tmp_path / "net").iterdir()] == ["points.onnx"]
-    assert "asking the next mirror" in capsys.readouterr().out
+    assert "trying the next mirror" in capsys.readouterr().out
 
 
 def test_a_mirror_with_other_bytes_is_refused(tmp_path: Path) -> None:

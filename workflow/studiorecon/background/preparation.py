@@ -286,7 +286,7 @@ def prepared(
             list(cameras), settings.random_count, settings.random_size_m, settings.training.sh_degree, rng
         )
         marks = np.full(start.count, MEASURED, np.uint8)
-        say(f"{start.count} Gaussians to start from, anywhere: the baseline that knows nothing but the photos")
+        say(f"{start.count} Gaussians to start from, at random: the baseline without depth")
     settings = supported(settings, start, cameras, varied)
     real = plate_targets(photos, settings.photo_weight)
     synthesized = read_views(sources.path, sources.views, sources.supports, cameras, painted, settings)

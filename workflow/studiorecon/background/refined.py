@@ -64,4 +64,4 @@ def run(
     pictures = progress(read_frames(renders, 0, len(steps)), "views of the room", total=len(steps))
     repaired = enhanced(steps, pictures, depths_mm, reference, network, adapt_injection(how, steps), search)
     write_lossless(refined, repaired, fps)
-    say(f"{len(steps)} views of the room as {enhancer} repairs them, each after those before it")
+    say(f"{len(steps)} views of the room, repaired by {enhancer} one after the other")

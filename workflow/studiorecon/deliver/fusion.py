@@ -162,7 +162,7 @@ def decimated(surface: FusedSurface, triangles: int) -> FusedSurface:
         o3d.utility.Vector3dVector(surface.vertices_m), o3d.utility.Vector3iVector(surface.triangles.astype(np.int32))
     )
     mesh.vertex_colors = o3d.utility.Vector3dVector(surface.rgb)
-    say(f"the surface of {len(surface.triangles)} triangles is brought down to {triangles}")
+    say(f"the surface is simplified from {len(surface.triangles)} to {triangles} triangles")
     return _arrays(mesh.simplify_quadric_decimation(triangles))
 
 

@@ -98,7 +98,7 @@ def run(model: Path, background: Path, provenance: Path, room_box: Path, path: P
         1, sum(len(p.rgb) for p in flat)
     )
     say(
-        f"room.glb: {', '.join(p.name for p in flat)} as planes ({100 * unseen:.0f} % unseen, marked) and "
+        f"room.glb: {', '.join(p.name for p in flat)} as planes ({100 * unseen:.0f} % unseen and marked) and "
         f"{len(standing.triangles)} triangles of furniture, {mesh.stat().st_size / 1e6:.1f} MB"
     )
     if left_out:

@@ -142,7 +142,7 @@ def build_document(scene: FinishedScene, buffer: Buffer) -> dict[str, Any]:
     for thing in scene.things:
         motion = thing_motion(buffer, thing, scene.capture.fps, len(nodes))
         if motion is None or not thing.gaussians.count:
-            say(f"scene.glb: {thing.person} has no known place, and is left out")
+            say(f"scene.glb: {thing.person} has no known position and is left out")
             continue
         moved(motion)
         roots.append(len(nodes))

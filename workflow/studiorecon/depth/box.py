@@ -165,7 +165,7 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     if raised is not None:
         lower = np.array([[0.0, 0.0, 1.0, level] for level in raised.levels_m]).reshape(-1, 4)
         planes = np.concatenate([planes, lower])
-    say(f"{len(planes) - 6} planes inside the room are worth trying")
+    say(f"{len(planes) - 6} planes inside the room are candidates")
     write_room(box, replace(fitted, planes=planes, gains={c.name: g for c, g in zip(cameras, swept.gains)}))
 
 

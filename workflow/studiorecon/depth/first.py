@@ -31,8 +31,5 @@ def run(camera: str, model: Path, first: Path, found: Path, depth: Written) -> N
     known = depth_m > 0
     if not known.any():
         raise UserError(f"{first} knows no pixel of camera {camera}; {_INSTEAD}")
-    say(
-        f"{camera}: the network that estimated the cameras gives depth for {known.mean():.0%} of the first moment's "
-        "depth"
-    )
+    say(f"{camera}: the network that estimated the cameras gives depth for {known.mean():.0%} of the first frame")
     write_depth(depth, depth_m.astype(np.float32), np.where(known, np.clip(sure, 0, 1), 0).astype(np.float32))

@@ -70,7 +70,7 @@ def run(settings: Settings, camera: str, model: Path, source: Path, depth: Writt
         )
     below = found[0].unproject(found[0].pixel_centres(), np.where(known, depth_m, 1.0))[..., 2][known]
     lowest_m = float(np.percentile(below, 2))
-    say(f"depth of {camera} was given: {known.mean():.0%} known, median {np.median(depth_m[known]):.2f} m")
+    say(f"depth of {camera} from your file: {known.mean():.0%} known, median {np.median(depth_m[known]):.2f} m")
     if abs(lowest_m) > 0.5:
         warn(
             f"its lowest points are at z = {lowest_m:.2f} m, not near the floor at 0: is it z-depth in metres of this "

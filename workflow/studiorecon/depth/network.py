@@ -96,8 +96,8 @@ def run(
         off = np.abs(np.array(camera.principal_px) / camera.wh - 0.5).max()
         if off > _OFF_CENTRE:
             warn(
-                f"{camera.name}: the principal point is {off:.0%} off the middle, which "
-                f"{card.title} does not know; its depth will lean"
+                f"{camera.name}: the principal point is {off:.0%} off the image centre, which {card.title} ignores; "
+                "its depth will be tilted"
             )
     pictures = [to_bytes(read_plate(plate)[0]) for plate in plates]
     say(f"depth of {len(cameras)} plates by {card.title} ({card.terms.weights}), upstream at {card.runtime.commit}")

@@ -216,15 +216,18 @@ def run(
     others = [(c.resized(a.shape[::-1]), a) for i, (c, a) in enumerate(zip(cameras, agreed)) if i != index]
     labelled, floating = snap_to_room_box(labelled, pictures[index].camera, room, others)
     say(
-        f"{floating:.1%} of {camera} would float: other cameras see through it, or none agrees; moved to the walls and "
-        "floor"
+        f"{camera}: {floating:.1%} of the pixels would float, because no other camera confirms them; moved to walls "
+        "and floor"
     )
     rgb, _ = read_plate(plates[index], cameras[index].wh)
     depth_m, source = at_full_size(
         cameras[index], rgb / gains[index].astype(np.float32), pictures[index], labelled, room.planes
     )
     certainty = confidence(labelled, room.fitted, settings.default_confidence).ravel()[source]
-    say(f"{(~labelled.judged).mean():.0%} of {camera} rests on the default: no other camera sees the surface there")
+    say(
+        f"{camera}: {(~labelled.judged).mean():.0%} of the pixels have default depth, because no other camera sees "
+        "that surface"
+    )
     depth_m, certainty, shown = draw_primitives(
         cameras[index],
         index,
@@ -236,7 +239,7 @@ def run(
         settings,
     )
     say(
-        f"{shown.mean():.0%} of {camera} is boxes and cylinders, "
-        f"{(labelled.plane >= 6).mean():.0%} other surfaces inside the room"
+        f"{camera}: {shown.mean():.0%} of the pixels show boxes and cylinders, {(labelled.plane >= 6).mean():.0%} "
+        "other surfaces inside the room"
     )
     write_depth(depth, depth_m, certainty)

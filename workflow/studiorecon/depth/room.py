@@ -110,7 +110,7 @@ def run(
                 free_ray_points(cameras, bodies, [read_detections(path) for path in detections], whose),
             ]
         )
-        say(f"{len(free_m)} places of {len(bodies)} people and of what cameras saw of them are kept free of furniture")
+        say(f"{len(free_m)} points of {len(bodies)} people and of rays to them are kept free of furniture")
         furniture = fit_primitives(
             small,
             lambda view: read_pictures([cameras[view]], [plates[view]], cameras[view].wh[0])[0],
@@ -121,7 +121,7 @@ def run(
             least_gain=settings.primitives_gain,
             most=settings.primitives,
         )
-        say(f"{len(furniture)} boxes and cylinders explain what walls and floor do not")
+        say(f"{len(furniture)} boxes and cylinders added to walls and floor")
     seen_m = swept.votes.inside(pictures, fitted).depths_m(pictures, fitted)
     starts = [in_front(furniture, p.camera, depth_m)[0] for p, depth_m in zip(pictures, seen_m)]
     depths = agreeing_depths(pictures, fitted, furniture, starts, settings)

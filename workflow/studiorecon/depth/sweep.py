@@ -99,11 +99,11 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
     if support < _MIN_YAW_SUPPORT:
         yaw_rad = matched_yaw(pictures, floor_m, settings.reach_m, settings.near_m, settings.far_m)
         say(
-            f"no common direction of lines (support {support:.2f}): walls at "
-            f"{np.degrees(yaw_rad):.0f}° and across match best"
+            f"no common direction of lines (support {support:.2f}): walls at {np.degrees(yaw_rad):.0f}° and "
+            "perpendicular to it match best"
         )
     else:
-        say(f"lines run at {np.degrees(yaw_rad):.1f}° and across (support {support:.2f})")
+        say(f"straight lines run at {np.degrees(yaw_rad):.1f}° and perpendicular to it (support {support:.2f})")
     planes = hypotheses(
         rig_centre(cameras),
         yaw_rad,
@@ -118,7 +118,7 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
     chosen = label(cost, pictures[index].rgb, settings.sweep_penalty)
     chosen_cost = np.take_along_axis(cost, chosen[..., None], axis=-1)[..., 0]
     confident = (chosen_cost < CONFIDENT) & pictures[index].known & pictures[index].textured(settings.window)
-    say(f"{confident.mean():.0%} of {camera} found a plane among {len(planes)}")
+    say(f"{camera}: {confident.mean():.0%} of the pixels match one of {len(planes)} planes")
     write_npz(
         sweep,
         {

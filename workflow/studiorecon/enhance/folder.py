@@ -131,7 +131,7 @@ def run(
     outputs = enhanced(steps[first : first + wanted], parts, depths, reference, enhancer, injection, search, before)
     for index, picture in enumerate(progress(outputs, f"pictures of {pictures.name}", total=wanted), first):
         write_png(output / f"{index:06d}.png", picture)
-    say(f"{wanted} pictures of {pictures} are in {output}; {overlap} outputs before them were gone on from")
+    say(f"{wanted} pictures of {pictures} are in {output}; the film continues from {overlap} earlier outputs")
 
 
 def _earlier(output: Path, first: int, count: int) -> Iterator[np.ndarray]:

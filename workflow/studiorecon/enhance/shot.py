@@ -95,7 +95,7 @@ def run(
     )
     if made:
         _write(writers, made_elsewhere(made[0], render, len(steps)), shot, len(steps))
-        say(f"shot {shot}: the pictures are those of {made[0]}")
+        say(f"shot {shot}: the pictures come from {made[0]}")
         write_decisions(decisions, [])
         return
     drawn = Drawn(steps, render, render_depth, truth[0] if truth else None)

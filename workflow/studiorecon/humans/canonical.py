@@ -29,5 +29,5 @@ def run(photo: Path, weights: Place, gaussians: Written) -> None:
     network = load("canonical avatar", CANONICAL, weights, "cuda")
     made = network.avatar(np.ascontiguousarray(stored[..., 2::-1]), stored[..., 3] >= _INSIDE)
     name = photo.name.partition(".")[0]
-    say(f"{name}: {made.count} Gaussians in the rest pose, {np.ptp(made.means_m[:, 1]):.2f} m high")
+    say(f"{name}: {made.count} Gaussians in the rest pose, height {np.ptp(made.means_m[:, 1]):.2f} m")
     write_ply(gaussians, made)

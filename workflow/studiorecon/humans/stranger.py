@@ -76,7 +76,7 @@ def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
         picture = np.rint(255 * rgb).astype(np.uint8)
         if own.all() or not own.any():
             raise UserError(f"{photo} has an alpha channel without a person; {_ASK}")
-        say(f"{stranger}: cut out as the photo's alpha says")
+        say(f"{stranger}: the photo's alpha is the mask")
     else:
         # Decoded again, because this way the photo's orientation tag is applied.
         picture = np.ascontiguousarray(decoded(photo, cv2.IMREAD_COLOR)[..., ::-1])
@@ -88,9 +88,9 @@ def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
         if len(found) > 1:
             if found[1].region.side * _MEANT > found[0].region.side:
                 raise UserError(f"{photo} shows several people of like size to the embedded detector; {_ASK}")
-            say(f"{stranger}: the largest of {len(found)} people that the detector sees in the photo is meant")
+            say(f"{stranger}: the photo shows {len(found)} people; the largest one is used")
         own = cut_out(picture, whole_mask(found[0], wh))
-        say(f"{stranger}: cut out by the embedded detector and by colours; {cut.name} shows how well")
+        say(f"{stranger}: the embedded detector and colours give the mask; check it in {cut.name}")
     rows = np.flatnonzero(own.any(axis=1))
     say(f"{stranger}: {len(rows) and int(np.ptp(rows)) + 1} px high in the photo")
     write_png(cut, np.dstack([picture, np.where(own, np.uint8(255), np.uint8(0))]))

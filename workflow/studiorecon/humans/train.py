@@ -109,10 +109,7 @@ def run(
     # The interval of checkpoints changes no byte of the result.
     trained_from = cache_key(replace(settings, checkpoint_every_s=0.0), crops, [fit, body], *about)
     if is_up_to_date(trained_from, gaussians, avatar, working):
-        say(
-            f"{person}: nothing has changed in the {len(crops)} crops around {person}, the fit "
-            f"and the settings; {STANDS}"
-        )
+        say(f"{person}: its {len(crops)} crops, fit and settings have not changed; {STANDS}")
         return
     rng = np.random.default_rng(settings.seed)
     rest = rest_pose(settings, person, fitted, body_model, crops, rng)

@@ -37,7 +37,7 @@ def described(file: WeightFile, folder: Path) -> str:
         if file.md5
         else "no published checksum, held to the hub's own and to what it was then"
         if file.revision
-        else "no published checksum, held to what it was when first seen"
+        else "no published checksum, compared with its first download"
     )
     inner = f"/{file.remote}" if file.repository else ""
     at = f" at {file.revision[:12]}" if file.revision else ""
@@ -73,7 +73,7 @@ def run(models: list[str], weights: Place, fetching: str) -> None:
     Raises UserError when, with fetching, a file is still missing or wrong; a listing alone never fails.
     """
     if not models:
-        say("no setting asks for an upstream network: every stage uses its own method, and nothing has to be fetched")
+        say("no setting uses an upstream network: every stage uses its own method, and nothing has to be fetched")
         return
     weights.mkdir(parents=True, exist_ok=True)
     pins = read_pins(weights)

@@ -122,8 +122,8 @@ def objects_in(
     for camera, count in zip(cameras, alone):
         if count:
             say(
-                f"{camera.name}: in {count} of {frames} frames something differs that no second "
-                "camera shows at a place; it is left out"
+                f"{camera.name}: in {count} of {frames} frames a difference to the plate is confirmed by no second "
+                "camera; it is left out"
             )
     made_objects: list[RigidObject] = []
     for track in linked(found, fps, settings.follow):
@@ -136,11 +136,10 @@ def objects_in(
                 made_objects.append(thing)
                 continue
         if len(track) > 2:
-            say(f"a thing in {where} is left out: {result if isinstance(result, str) else 'no crop shows all of it'}")
+            say(f"an object in {where} is left out: {result if isinstance(result, str) else 'no crop shows all of it'}")
     if not made_objects:
         say(
-            f"no thing is seen by two cameras for {settings.follow.min_s:g} s: films "
-            "show none. Clean plates of your own "
+            f"no object is seen by two cameras for {settings.follow.min_s:g} s: films show none. Your own clean plates "
             "(plates/CAMERA.png) and more cameras help"
         )
     return made_objects
@@ -173,11 +172,9 @@ def _made(
     agreement_db = -10 * np.log10(max(mean_squared_errors(thing.gaussians, judged, threads)[0], 1e-10))
     between, unknown = int((thing.present & ~thing.valid).sum()), int((~thing.present).sum())
     say(
-        f"{name}: radius {100 * track.radius_m:.1f} cm, measured in {int(thing.valid.sum())} "
-        f"frames, between measured ones in {between}, "
-        f"unknown and left out in {unknown}; {thing.gaussians.count} Gaussians from "
-        f"{len(looks)} looks, {agreement_db:.1f} dB in looks "
-        f"kept apart; {told}"
+        f"{name}: radius {100 * track.radius_m:.1f} cm, measured in {int(thing.valid.sum())} frames, between measured "
+        f"ones in {between}, unknown and left out in {unknown}; {thing.gaussians.count} Gaussians from {len(looks)} "
+        f"crops, {agreement_db:.1f} dB on validation crops; {told}"
     )
     return thing
 

@@ -282,9 +282,9 @@ def run(
     frames = normalise_light(frames, factors)
     if np.ptp(factors.mean(axis=1)) > 2 * STEADY:
         low, high = factors.mean(axis=1).min(), factors.mean(axis=1).max()
-        say(f"{about.camera}: the light changes between {low:.0%} and {high:.0%}, which is divided out of the plate")
+        say(f"{about.camera}: the light changes between {low:.0%} and {high:.0%}; the plate is normalised for it")
     colour, measured = temporal_plate(frames, occupied, options)
-    say(f"{about.camera}: {measured.mean():.1%} of the plate shows in the footage ({len(frames)} pictures looked at)")
+    say(f"{about.camera}: {measured.mean():.1%} of the plate is visible in {len(frames)} pictures of the footage")
     for picture in given:
         colour, measured = _add_given(picture, calibration, about, frames, occupied, colour, measured, options)
     if measured.mean() < 0.8:
@@ -328,7 +328,7 @@ def _add_given(
     colour, both, person = merge(colour, measured, matched, known, np.any(free, axis=0), *told)
     if moving := float((person & measured).mean()):
         warn(
-            f"{about.camera}: {moving:.1%} of the picture hides what {given.name} shows, and "
-            "moves: somebody undetected; the plate counts"
+            f"{about.camera}: {moving:.1%} of the picture moves in front of {given.name}: a person without detection; "
+            "the plate is used"
         )
     return colour, both

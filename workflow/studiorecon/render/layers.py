@@ -71,6 +71,6 @@ def run(
     for index, step in enumerate(progress(steps, f"layers of {shot}")):
         write_channels(folder / f"{index:06d}.exr", channels(canvas.layers(step.camera, step.frame), people))
     say(
-        f"{len(steps)} pictures of {shot} are taken apart in {folder}, with mattes "
-        f"of {', '.join(['the room', *people])}"
+        f"{len(steps)} pictures of {shot} are split into layers in {folder}, with mattes of "
+        f"{', '.join(['the room', *people])}"
     )

@@ -91,9 +91,8 @@ def clear_path(
     factors = np.where(clear, np.array(_SHRINK)[np.argmin(inside, axis=0)], 1.0)
     if inside[0].any():
         say(
-            f"shot {shot} would pass within {clearance_m} m of walls or furniture in "
-            f"{inside[0].sum()} pictures and steps inwards there, "
-            f"by up to {100 - 100 * factors.min():.0f} %"
+            f"shot {shot} would pass within {clearance_m} m of walls or furniture in {inside[0].sum()} pictures; its "
+            f"path is moved inwards there, by up to {100 - 100 * factors.min():.0f} %"
         )
     return path(smooth_dips(factors))
 

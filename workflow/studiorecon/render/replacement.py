@@ -70,8 +70,8 @@ def read_donor(path: Path, model: BodyModel) -> Donor:
         return donor_from_avatar(read_avatar(path, beside, model, brought=True))
     binding = bind(read_ply(path, "export it again"), model, str(path))
     say(
-        f"{path.name}: {binding.gaussians.count} Gaussians are bound to the body, 95 % of which "
-        f"is within {1000 * binding.misfit_m:.0f} mm"
+        f"{path.name}: {binding.gaussians.count} Gaussians are bound to the body, 95 % of them within "
+        f"{1000 * binding.misfit_m:.0f} mm"
     )
     return Donor(binding.gaussians, binding.bones, binding.weights, binding.betas)
 

@@ -35,4 +35,7 @@ def run(manifest: Path, files: SceneFiles, light: Path, shade: Written) -> None:
         return
     factors = np.stack([found.factor(float(time)) for time in progress(times, "moments with shadows")])
     write_npz(shade, {"at": found.at, "times": times, "factors": np.round(factors, 3)})
-    say(f"shade: {len(found.at)} Gaussians of the room at {len(times)} moments, down to {factors.min():.0%}")
+    say(
+        f"shade: {len(found.at)} Gaussians of the room darken at {len(times)} moments, down to {factors.min():.0%} of "
+        "their brightness"
+    )

@@ -328,4 +328,4 @@ def _log_measures(pictures: Mapping[str, Any], bodies: Mapping[str, Any]) -> Non
     if bodies["mpjpe_world_mm"] is None:
         say(f"joint errors are not measured: {bodies['reason']}")
     else:
-        say(f"joints are off by {bodies['mpjpe_world_mm']:.1f} mm in the mean, over {len(bodies['people'])} people")
+        say(f"mean joint error: {bodies['mpjpe_world_mm']:.1f} mm, over {len(bodies['people'])} people")

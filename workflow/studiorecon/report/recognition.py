@@ -82,7 +82,7 @@ def run(
     for name, one in scores.items():
         if one["people"]:
             say(
-                f"{name}: the detector finds {one['detection_rate']:.0%} of the photos' people again, "
+                f"{name}: the detector finds {one['detection_rate']:.0%} of the photos' people in the film, "
                 f"{one['pck_0.05']:.1%} of their points within 5 % of their size"
             )
     write_json(

@@ -95,7 +95,7 @@ class Effect:
 
     def left_to(self, report: str) -> Decision:
         """The effect as an entry without a verdict, with the name of the report that will decide it."""
-        reason = f"not measured here: only a trained scene shows it; {report} decides"
+        reason = f"measured after training; see {report}"
         return Decision(self.name, self.statistic, None, None, None, "undetermined", reason)
 
 

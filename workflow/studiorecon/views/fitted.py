@@ -145,7 +145,7 @@ def run(
         who = lambda camera, hw: standing.depth_m(camera) > 0  # noqa: E731
     made = list(fit_views(read_frames(film), cameras, photos, who, settings))
     holes = np.mean([mask == 0 for _, mask in made])
-    say(f"segment {segment}: {len(made)} generated views; {holes:.1%} of them is shown by no photo, 0 in the mask")
+    say(f"segment {segment}: {len(made)} generated views; {holes:.1%} of their pixels appear in no photo (mask 0)")
     if who:
         covered = np.mean([mask == SOMEBODY for _, mask in made])
         told = "people as a network sees them" if seen else f"{len(fits)} people"

@@ -75,8 +75,8 @@ def plan(cameras: list[Camera], settings: Settings) -> tuple[list[PathStep], lis
         )
         if bent:
             notes.append(
-                f"segment {name} ({start.name} to {end.name}) flies an arc: the straight "
-                "line comes too near the scene's centre"
+                f"segment {name} ({start.name} to {end.name}) follows an arc: the straight line passes too near the "
+                "scene's centre"
             )
         steps += [PathStep(replace(view, name=f"{name}.{k:04d}"), 0.0, name) for k, view in enumerate(views)]
     if steps:

@@ -91,8 +91,8 @@ def run(
     count = min(len(photos), network.most_key_frames)
     if count < len(photos):
         warn(
-            f"segment {segment}: of {len(photos)} photos the {count} nearest are its key frames, which is what the "
-            "network bears at once"
+            f"segment {segment}: of {len(photos)} photos the {count} nearest are its key frames: the network takes no "
+            "more at once"
         )
     key_frames = [key_frame(photo, frame, settings.inpaint_radius) for photo in chosen(way, photos, count)]
     try:

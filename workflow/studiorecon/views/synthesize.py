@@ -100,7 +100,8 @@ def run(
     made = list(synthesize_views(wanted, photos, settings))
     holes = np.mean([mask == 0 for _, mask in made])
     say(
-        f"{holes:.1%} of the {len(made)} views of segment {segment} is hole: painted over in the picture, 0 in the mask"
+        f"segment {segment}: {holes:.1%} of the pixels of {len(made)} views are holes, painted in the picture and 0 in "
+        "the mask"
     )
     write_lossless(views, (picture for picture, _ in made), fps)
     write_lossless(support, (mask for _, mask in made), fps)

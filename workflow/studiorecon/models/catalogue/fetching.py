@@ -155,7 +155,7 @@ def from_mirrors(file: WeightFile, target: Path) -> str:
             if mirror == file.mirrors[-1] or error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
                 raise
             host = mirror.split("://")[-1].partition("/")[0]
-            warn(f"{host} does not answer ({_first_line(error)}); asking the next mirror")
+            warn(f"{host} does not answer ({_first_line(error)}); trying the next mirror")
     if zipfile.is_zipfile(partial):
         try:
             _unpack(partial, file, target)

@@ -44,7 +44,7 @@ def staged(card: Card, folder: Path) -> Path:
                 f"program may; licence: {card.terms.weights}), or choose another back end"
             )
         if file.path not in pins and not (file.sha256 or file.md5):
-            say(f"{folder / file.path} is new here: from now on it is held to what it is now")
+            say(f"{folder / file.path} is new: its checksum is recorded and verified from now on")
         pins[file.path] = verified(folder, file, pins)
     for file in code_in(folder, card.weights):
         if file.path not in pins:
@@ -57,7 +57,7 @@ def staged(card: Card, folder: Path) -> Path:
         try:
             write_pins(folder, pins)
         except OSError as error:
-            warn(f"{folder / PINS} cannot be written ({error.strerror}): what was seen now is hashed again next time")
+            warn(f"{folder / PINS} cannot be written ({error.strerror}): files are hashed again next time")
     confine()
     return folder
 

@@ -95,7 +95,7 @@ def train_still(
     left_out += int(np.count_nonzero(~kept))
     for count, what in ((sum(masked), "pixels of targets"), (left_out, "Gaussians"), (refused, "gradient entries")):
         if count:
-            say(f"{label}: {count} {what} were not finite and were left out")
+            say(f"{label}: {count} {what} were not finite and are left out")
     return TrainedGaussians(trained.take(kept), source[kept], psnr_db, refused, left_out, int(sum(masked)))
 
 

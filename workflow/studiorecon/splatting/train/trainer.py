@@ -88,7 +88,7 @@ def train(
         subject.resume(arrays, facts)
         feedback.resume(arrays)
         begin, rng.bit_generator.state = facts["iteration"], facts["generator"]
-        say(f"{label}: goes on at iteration {begin}, where it was interrupted")
+        say(f"{label}: continues at iteration {begin}, after an interruption")
     for iteration in progress(range(begin, last), label, last - begin):
         with subject.threads():
             subject.begin(iteration)

@@ -63,8 +63,8 @@ def write(path: Path, decision: Decision, evidence: Evidence, recordings: Record
             course = brightness_over_time(video, view.camera, recordings.frames, own, view, longest_px)
             if course is None:
                 say(
-                    f"{view.camera.name}: too little of the room is seen without people to follow "
-                    "its light; its frames stay as they are"
+                    f"{view.camera.name}: too little of the room is visible without people to measure its light; its "
+                    "frames are unchanged"
                 )
             else:
                 changes[view.camera.name] = course

@@ -22,7 +22,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
             f"a thing of {value:.2%} of the picture moves in {name}; followed as a rigid thing where two cameras see it"
         )
     else:
-        reason = "nothing but people and shadows moves"
+        reason = "only people and shadows move"
     return Measured(value, interval, reason)
 
 

@@ -16,7 +16,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
     elif not found:
         reason = "no person was seen by enough cameras; the film shows the empty room"
     else:
-        reason = f"{', '.join(found)} will be reconstructed, each on its own"
+        reason = f"{', '.join(found)} will be reconstructed, one at a time"
     return Measured(float(count), (float(count),) * 2, reason)
 
 
