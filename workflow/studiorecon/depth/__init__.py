@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room's shape and a depth map for every training camera.
+"""The room's shape, and a depth map for every training camera; inputs are cameras, clean plates and people.
 
-In come cameras, clean plates and people; out come the room box, its primitives and one depth map per plate. The
-embedded way: ``sweep`` (one camera's votes), ``box`` (the walls, all cameras together), ``room`` (furniture, and depths
-that agree), ``refine`` (one camera's final depth), on ``stereo`` and ``layout``; ``preview`` films the box while the
-rest runs. Instead of it: ``network`` with ``aligned``, ``first``, or ``given``. ``sweep_settings``: settings of several
-steps; ``kernels``: what the fit of the room runs on, compiled ahead.
+Outputs are the room box, its primitives and one depth map per plate. The embedded way: ``sweep`` (one camera's votes),
+``box`` (the walls, all cameras together), ``room`` (furniture, and depths that agree), ``refine`` (one camera's final
+depth), on ``stereo`` and ``layout``; ``preview`` films the box while the rest runs. Alternatives: ``network`` with
+``aligned``, ``first``, or ``given``. ``sweep_settings``: settings of several steps; ``kernels``: compiles the code of
+the room's fit in advance.
 """

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``depth.aligned``: a network's depth, or a file of it, in metres: fitted to what stereo of the planes has measured in
-the same picture.
+"""``depth.aligned``: a network's depth, or a file of it, in metres, aligned to the plane stereo of the same picture.
 
-A network's depth is smooth and complete but its scale is not to be relied on (the paper aligns MoGe to Pi3's first
-frame; GEN3C's authors name the mismatch as the first cause of failure). What both say counts as measured, what the
-network alone says as inferred.
+A network's depth is smooth and complete but its scale is unreliable (the paper aligns MoGe to Pi3's first frame;
+GEN3C's authors name the mismatch as the first cause of failure). Depth on which both agree counts as measured, the
+network's alone as inferred.
 """
 
 from __future__ import annotations
@@ -33,14 +32,13 @@ if TYPE_CHECKING:
 _MILLIMETRES = 1000.0
 # A map may differ from the working shape by rounding only.
 _SHAPE_TOLERANCE = 0.02
-# Half the pixels must be within this factor of the measured depth after alignment, or the two do not show the same
-# thing.
+# Half the pixels must be within this factor of the measured depth after alignment, or the two show different scenes.
 _WORST_GAP = 0.25
 
 
 @dataclass(frozen=True)
 class Settings(Near, Assumed):
-    """A network's depth counts as measured within ``agree_share`` of what the planes say, else as inferred."""
+    """A network's depth counts as measured within ``agree_share`` of the planes' depth, else as inferred."""
 
     agree_share: float = 0.05
 
@@ -90,8 +88,10 @@ def joined(
     found: Alignment,
     settings: Settings,
 ) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
-    """Depth in metres and confidence: the planes' own where both agree, at most ``default_confidence`` where the
-    network stands alone."""
+    """Depth in metres and confidence: the planes' own where both agree, elsewhere the network's.
+
+    The network alone has at most ``default_confidence``.
+    """
     depth_m = found.apply(estimate, settings.near_m).astype(np.float32)
     known = depth_m > 0
     agree = known & (planes_m > 0) & (np.abs(depth_m - planes_m) <= settings.agree_share * planes_m)

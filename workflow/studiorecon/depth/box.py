@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room around all cameras, from every sweep's votes: where its walls, floor and ceiling are, and which planes
-inside are worth a closer look. People need not be known for it.
+"""The room box around all cameras, from every sweep's votes, and candidate planes inside it; needs no people.
 
 Writes ``depth/box.json`` (``scene.room.RoomBox``).
 """
@@ -32,17 +31,17 @@ if TYPE_CHECKING:
 _PLACING_SPAN_M, _PLACING_STEP_M = 0.08, 0.01
 _CANDIDATE_SPAN_M, _CANDIDATE_STEP_M = 0.04, 0.02
 _VOTER_REACH_M = 0.15
-# A wall this far along on either side votes for offsets this much times sin(turn) apart when its yaw was off by the
-# turn.
+# A wall whose yaw is off by some angle votes, over this length on either side, for offsets that differ by this much
+# times sin(angle).
 _HALF_WALL_M = 4.0
-# Span and step of the walls' turn: first what the sweep may be off by without lines, then to a tenth of a degree.
+# Span and step of the search for the walls' yaw: first the error of a sweep without lines, then to a tenth of a degree.
 _YAW_SEARCH_RAD = ((np.radians(2.5), np.radians(0.5)), (np.radians(0.4), np.radians(0.1)))
 
 
 @dataclass(frozen=True)
 class Settings(Matching, FirstLook):
-    """What makes a wall: so far outside the outermost camera, with so many of all pixels behind it; the height of a
-    ceiling that nobody sees."""
+    """Limits of a wall: distance outside the outermost camera, and share of all pixels behind it; height of an unseen
+    ceiling."""
 
     wall_clearance_m: float = 0.3
     wall_votes: float = 0.004
@@ -55,8 +54,8 @@ class Settings(Matching, FirstLook):
 def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m: float, settings: Settings) -> RoomBox:
     """The box of the most voted walls around all cameras; faces that too few pixels voted for are defaults.
 
-    A default wall stands ``far_m`` beyond the cameras, the default ceiling at ``ceiling_default_m`` above the floor (at
-    least a metre above the highest camera): an open place has no walls, and ``fitted`` says so.
+    A default wall is ``far_m`` beyond the cameras, the default ceiling at ``ceiling_default_m`` above the floor (at
+    least a metre above the highest camera): an open place has no walls, which ``fitted`` records.
     """
     how = _matching(settings)
     count = votes.count()
@@ -73,8 +72,7 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
 
     walls = {face: offset for face in range(4) if (offset := found(face, settings.wall_clearance_m)) is not None}
     turn, turned = 0.0, {face: np.array([*start.axes[face // 2], offset]) for face, offset in walls.items()}
-    # Every pixel that looks at a wall takes part, not only its voters: those were chosen by agreeing with the yaw that
-    # is in question.
+    # Every pixel on a wall takes part, not only its voters: those were chosen by the yaw that is to be tested.
     looks = [p.textured(settings.window) & p.known for p in pictures]
     for span_rad, step_rad in _YAW_SEARCH_RAD:
         box = replace(
@@ -85,8 +83,7 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
         faces = [box.intersect(*p.camera.rays())[1] for p in pictures]
         pixels = {face: [m & (at == face) for m, at in zip(looks, faces)] for face in turned}
         turn += room.refine_yaw(pictures, [(turned[face], pixels[face]) for face in turned], span_rad, step_rad, how)
-        # A wall turns about what is seen of it: about the world's origin, which may be far off, it would leave its
-        # place.
+        # A wall turns about its visible part: about the world's origin, which may be far away, it would move.
         for face, normal in ((face, replace(start, yaw_rad=yaw_rad + turn).axes[face // 2]) for face in turned):
             offset = room.turned_offset(pictures, pixels[face], turned[face], normal, how)
             turned[face] = np.array([*normal, offset])
@@ -121,7 +118,7 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
 def refine_candidates(
     pictures: list[Picture], votes: Votes, planes: Float[np.ndarray, "L 4"], settings: Settings
 ) -> Float[np.ndarray, "L 4"]:
-    """The candidate planes with their offsets placed by their own voters; the six faces of the room box stay."""
+    """The candidate planes with their offsets refined on their own voters; the six faces of the room box stay."""
     how = _matching(settings)
     placed = planes.copy()
     for k in progress(range(6, len(planes)), "placing planes"):
@@ -174,7 +171,7 @@ def _matching(settings: Settings) -> room.Matching:
 
 
 def _on_lower_floor(box: RoomBox, raised: Raised, pictures: list[Picture], settings: Settings) -> RoomBox:
-    """The box with its floor where it lies around what people stand on."""
+    """The box with its floor at the level around the people's platform."""
     size_m = raised.platform.high_m - raised.platform.low_m
     say(
         f"people stand {raised.platform.top_m - raised.floor_m:.2f} m above the floor, on something of "
@@ -190,5 +187,5 @@ def _on_lower_floor(box: RoomBox, raised: Raised, pictures: list[Picture], setti
 
 
 def _least_voters(pictures: list[Picture]) -> int:
-    """A plane needs this many pixels: 40 at 320×176, the size the value was measured at."""
+    """Least number of pixels of a plane: 40 at 320×176, the size the value was measured at."""
     return max(8, round(40 * pictures[0].rgb.shape[0] * pictures[0].rgb.shape[1] / (320 * 176)))

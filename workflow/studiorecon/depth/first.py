@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``depth.first``: the first moment's depth by the network that found the cameras, as it is: the paper's own, with whom
-it shows.
+"""``depth.first``: the first moment's depth from the network that estimated the cameras, unchanged, as in the paper.
 
-Stereo of planes is not asked. People stand in it where they stood; who trains the room masks them.
+It includes the people at their first positions; training of the room masks them. Plane stereo is not used.
 """
 
 from __future__ import annotations

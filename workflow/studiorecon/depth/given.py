@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A depth map the user brought (metres, OpenEXR), fitted to the working size and checked; it takes the place of
-``depth.refine``."""
+"""The user's depth map (metres, OpenEXR), fitted to the working size and checked; it replaces ``depth.refine``."""
 
 from __future__ import annotations
 
@@ -29,14 +28,14 @@ _MIN_KNOWN = 0.05
 
 @dataclass(frozen=True)
 class Settings(Near):
-    """The range in which depth is believed."""
+    """The range of valid depth."""
 
 
 def fit(
     depth_m: Num[np.ndarray, "h w"], confidence: Num[np.ndarray, "h w"], camera: Camera, near_m: float
 ) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
-    """Depth and confidence at the camera's size by nearest sampling: an average across an edge is on neither surface
-    (C12).
+    """Depth and confidence at the camera's size by nearest sampling, because an average across an edge is on neither
+    surface (C12).
 
     Values that are not finite or nearer than ``near_m`` become unknown (0, confidence 0).
     """

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kernels that the room is fitted with, compiled while cameras and people are still being looked for.
+"""Compiles the kernels of the room's fit while cameras and people are still being estimated.
 
-That takes a quarter of a minute of one core on a machine that has never run them, and all of the depth waits for the
-fit. Where they are compiled already this takes a second and changes nothing.
+That takes a quarter of a minute of one core on a new machine, and the whole depth stage waits for the fit. Where they
+are compiled already this takes a second and changes nothing.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ _WH, _FOCAL_PX = (24, 16), 20.0
 
 
 def run(kernels: Written) -> None:
-    """Explains two noise pictures of a bare box as a room is explained, and throws it away; ``kernels`` says that it is
-    done."""
+    """Fit two noise pictures of a bare box as a room is fitted, and discard the result; write ``kernels`` when done."""
     settings = PassSettings()
     pictures = _pictures()
     low_m = np.array([-_HALF_ROOM_M, -_HALF_ROOM_M, 0.0])
@@ -47,7 +46,7 @@ def run(kernels: Written) -> None:
 
 
 def _pictures() -> list[Picture]:
-    """Two cameras that look at each other across the box."""
+    """Two cameras that face each other across the box."""
     rng = np.random.default_rng(0)
     intrinsics = np.array([[_FOCAL_PX, 0, _WH[0] / 2], [0, _FOCAL_PX, _WH[1] / 2], [0, 0, 1]])
     pictures = []

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``depth.network``: what an upstream network says about the depth of every clean plate, in its own unit, one job for
-all cameras.
+"""``depth.network``: an upstream network's depth of every clean plate, in its own unit, one job for all cameras.
 
-Writes ``depth/<camera>.estimate.exr``: Z in the network's unit, A its confidence. ``depth.aligned`` makes metres of it.
+Writes ``depth/<camera>.estimate.exr``: Z in the network's unit, A its confidence. ``depth.aligned`` converts it to
+metres.
 """
 
 from __future__ import annotations
@@ -30,8 +30,7 @@ from studiorecon.signature import Place, Written
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# A principal point further off the middle than this share of the width bends what a network makes of a known focal
-# length.
+# A principal point further off the middle than this share of the width biases a network that uses a known focal length.
 _OFF_CENTRE = 0.05
 _SUFFIX = ".estimate.exr"
 _NOTHING = np.zeros((1, 1), np.float32)
@@ -84,8 +83,10 @@ def estimates(
 def run(
     settings: Settings, model: Path, plates: list[Path], weights: Place, device: str, depths: list[Written]
 ) -> None:
-    """Write ``depths`` (EXR, in the network's unit) of the ``plates``, which are in the order of the model's cameras;
-    of a camera that the model has not, an empty one."""
+    """Write ``depths`` (EXR, in the network's unit) of the ``plates``; empty for a camera that the model lacks.
+
+    The plates are in the order of the model's cameras.
+    """
     cameras = read_model(model.parent)
     one_each(cameras, plates=plates)
     written = {path.name.removesuffix(_SUFFIX): path for path in depths}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A first film of the room while nothing is trained yet: the plates on the planes that the sweeps found.
+"""An early film of the room before any training: the plates on the planes of the sweeps.
 
-Writes ``depth/preview.mp4``: from camera to camera at the sweep's size, without people and furniture that no camera was
-sure of; what no camera sees is grey. It is there to be looked at early, and nothing is made from it.
+Writes ``depth/preview.mp4``: from camera to camera at the sweep's size, without people and without furniture that no
+camera was confident of; unseen surfaces are grey. It is only for viewing; no step uses it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from studiorecon.splatting.seeds import finest, seeds_from_depth
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-# Seconds from the first camera once around, and pictures a second: as slow as somebody walks.
+# Seconds of one round from the first camera, and pictures a second: walking speed.
 _AROUND_S, _FPS = 8.0, 12
 _SIZE, _OPACITY, _NEAR_M = 0.6, 0.95, 0.05
 _UNSEEN_RGB = (0.5, 0.5, 0.5)
@@ -43,7 +43,8 @@ class Settings(FirstLook):
 
 
 def discs_from_depths(pictures: Sequence[Picture], depths_m: Sequence[Float[np.ndarray, "H W"]]) -> Gaussians:
-    """A disc for every pixel of the picture that shows its surface finest; ``depths_m`` (H, W) of each picture."""
+    """A disc for every pixel whose picture has the highest resolution of its surface; ``depths_m`` (H, W) of each
+    picture."""
     known = [p.known & (depth_m > 0) for p, depth_m in zip(pictures, depths_m)]
     wanted = finest([p.camera for p in pictures], depths_m, known)
     return concatenate(
@@ -55,8 +56,10 @@ def discs_from_depths(pictures: Sequence[Picture], depths_m: Sequence[Float[np.n
 
 
 def preview_path(cameras: Sequence[Camera]) -> list[Camera]:
-    """Once around past every camera; there and back where they stand in an arc. A single camera stays. All pictures
-    have the size of the first camera's, and one lens: the middle one of the cameras'."""
+    """One round past every camera, or there and back if they are in an arc; a single camera stays.
+
+    All pictures have the size of the first camera's, and the median lens of all.
+    """
     wh = cameras[0].wh
     focal_px = float(np.median([np.mean(c.focal_px) / c.wh[0] for c in cameras])) * wh[0]
     lens = np.array([[focal_px, 0, wh[0] / 2], [0, focal_px, wh[1] / 2], [0, 0, 1]])
@@ -79,14 +82,14 @@ def preview_path(cameras: Sequence[Camera]) -> list[Camera]:
 
 
 def drawn(room: Gaussians, cameras: Sequence[Camera]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-    """(H, W, 3) uint8 of every camera."""
+    """Yields (H, W, 3) uint8 of every camera."""
     rasteriser = Rasteriser(near_m=_NEAR_M)
     for camera in progress(cameras, "pictures"):
         yield to_bytes(rasteriser.forward(room, camera, background_rgb=_UNSEEN_RGB).rgb)
 
 
 def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path], box: Path, film: Written) -> None:
-    """Film the room ``box`` with the plates on it, and before it what the ``sweeps`` are sure of."""
+    """Film the room ``box`` with the plates on it, and in front of it the confident planes of the ``sweeps``."""
     cameras = read_model(model.parent)
     swept, fitted = read_sweeps(sweeps, len(cameras)), read_room(box)
     pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), swept.gains)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One camera's final depth: the room's planes judged once more at full detail, then carried to the working size along
+"""One camera's final depth: the room's planes evaluated again at full detail, then carried to the working size along
 edges.
 
-Writes ``depth/<camera>.exr``: Z metres, A confidence. Pixels that rest on the room box because no other camera could
-judge them have A at or below ``default_confidence``; measured ones lie above it. Furniture (``depth/primitives.json``)
-stands before all of it.
+Writes ``depth/<camera>.exr``: Z metres, A confidence. Pixels that have the room box's depth because no other camera
+could judge them have A at or below ``default_confidence``; measured ones are above it. Furniture
+(``depth/primitives.json``) is drawn in front.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _EDGE_CONTRAST = 0.15
 
 @dataclass(frozen=True)
 class Settings(PassSettings, Assumed):
-    """The size of the last look."""
+    """The size of the final pass."""
 
     refine_width: int = setting(
         320, "Width at which the chosen planes are evaluated last, at most the working width.", minimum=32, maximum=4096
@@ -58,8 +58,8 @@ def confidence(
     """(H, W) float32: 1 for a perfect match down to ``default_confidence`` for none; half of it where the depth is a
     default.
 
-    A default is what no other camera can judge, and every pixel on a face of the room box that was not ``fitted`` (6,):
-    the sky of an open place looks the same from everywhere, which is no evidence for a wall.
+    A default is a pixel that no other camera can judge, and every pixel on a face of the room box that was not
+    ``fitted`` (6,): the sky of an open place looks the same from everywhere, which is no evidence for a wall.
     """
     quality = np.clip(1 - labelled.cost, 0, 1)
     measured = default_confidence + (1 - default_confidence) * np.maximum(quality, 1 / 255)
@@ -70,8 +70,7 @@ def confidence(
 def carry(
     values: Integer[np.ndarray, "h w"], guide: Float[np.ndarray, "h w 3"], rgb: Float[np.ndarray, "H W 3"]
 ) -> Integer[np.ndarray, "H W"]:
-    """(H, W) int index into the flattened small picture: for every full-size pixel the small pixel it takes its plane
-    from.
+    """(H, W) int index into the flattened small picture: the small pixel whose plane each full-size pixel takes.
 
     ``values`` (h, w) are the small picture's planes, ``guide`` (h, w, 3) its colours, ``rgb`` (H, W, 3) the full
     picture. The plane with the most weight among the 3×3 nearest small pixels wins; weight falls with distance and
@@ -113,7 +112,7 @@ def _carry(values, guide, rgb, contrast):
                 for b in range(n):
                     if values.flat[where[a]] == values.flat[where[b]]:
                         total += weights[b]
-                # Among the winners' pixels the heaviest one hands on its cost and confidence.
+                # Cost and confidence come from the winning pixel of the largest weight.
                 total += 1e-6 * weights[a]
                 if total > best_weight:
                     best, best_weight = a, total
@@ -133,8 +132,7 @@ def at_full_size(
     source = carry(labelled.plane, small.rgb, rgb)
     plane = planes[labelled.plane.ravel()[source]]
     depth_m = replace(small, camera=camera).plane_depths_of_pixels(plane)
-    # A plane that is grazed can run off just beyond the pixel it was found at: never further than its neighbours' depth
-    # allows.
+    # A grazing plane can diverge just beyond its pixel: never further than its neighbours' depth.
     found = labelled.depth_m.ravel()[source]
     runaway = (depth_m <= 0) | (depth_m > 1.5 * found + 0.1)
     return np.where(runaway, found, depth_m).astype(np.float32), source
@@ -168,11 +166,10 @@ def draw_primitives(
     certain: Float[np.ndarray, "H W"],
     settings: Settings,
 ) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
-    """Depth (H, W), confidence (H, W) and (H, W) bool ``shown`` of one camera at full size with the primitives before
-    everything else.
+    """Depth (H, W), confidence (H, W) and (H, W) bool ``shown`` of one camera at full size, with the primitives in
+    front.
 
-    What another camera sees of a primitive has the confidence of its match; the rest of it is as little measured as a
-    default.
+    Parts of a primitive that another camera sees have the confidence of their match; the rest counts as a default.
     """
     depth_m, shown = in_front(primitives, camera, depth_m)
     if not shown.any():

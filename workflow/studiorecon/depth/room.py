@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands in the room, and a first depth of every camera that agrees with the others.
+"""The furniture in the room, and a first depth of every camera that agrees with the others.
 
 Writes ``depth/room.json`` (``scene.room.RoomBox``), ``depth/primitives.json`` (``depth.layout.primitives.Primitive``)
 with a picture of them, and ``depth/passes.npz`` (one (H, W) depth per camera at the sweep's size).
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Settings(PassSettings, FirstLook):
-    """The size in pixels of pictures that furniture is fitted to, and what it must explain."""
+    """Size in pixels of the pictures for the furniture's fit, and the least gain of a primitive."""
 
     passes: int = setting(2, "Rounds in which each camera is judged against the others' depth.", minimum=1, maximum=10)
     primitives: int = setting(
@@ -59,8 +59,8 @@ def agreeing_depths(
     starts: list[Float[np.ndarray, "H W"]],
     settings: Settings,
 ) -> list[Float[np.ndarray, "H W"]]:
-    """Depth (H, W) of every picture after ``passes`` rounds in which each is judged against the others' latest depth
-    and the primitives."""
+    """Depth (H, W) of every picture after ``passes`` rounds, each judged against the others' latest depth and the
+    primitives."""
     depths = [plane_depths(p, room_box.planes, room_box, settings) for p in pictures]
     scores = [
         [plane_scores(p, o, room_box.planes, d, settings) for j, o in enumerate(pictures) if j != i]
@@ -93,9 +93,9 @@ def run(
     picture: Written,
     passes: Written,
 ) -> None:
-    """Put furniture into the room ``box``, and let the cameras agree on depth.
+    """Fit furniture in the room ``box``, and let the cameras agree on depth.
 
-    ``fits``, ``detections`` and ``identities`` tell where nothing can stand; without them only the cameras do.
+    ``fits``, ``detections`` and ``identities`` show which space is free; without them only the cameras do.
     """
     cameras = read_model(model.parent)
     swept, fitted = read_sweeps(sweeps, len(cameras)), read_room(box)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""First look of one camera: which plane of the whole catalogue explains each pixel best.
+"""The first pass of one camera: the plane of the whole catalogue that best explains each pixel.
 
 Writes ``depth/<camera>.sweep.npz``: planes (L, 4) and the (H, W) index of each pixel's plane, its cost, whether the
-pixel is confident, and what the scene shares: floor height, wall yaw, exposure gains.
+pixel is confident, and values common to the scene: floor height, wall yaw, exposure gains.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Cost of a plane where no other camera can judge it, and of one that is out of range.
+# Cost of a plane where no other camera can judge it, or out of range.
 UNJUDGED = 0.75
 IMPOSSIBLE = 2.0
 # A pixel votes for its plane when the plane's cost is below this.
@@ -41,7 +41,10 @@ _MIN_YAW_SUPPORT = 0.12
 @dataclass(frozen=True)
 class Settings(Matching, FirstLook):
     """The catalogue of planes: up to ``furniture_m``, through the range ``ceiling_m``, and walls up to ``reach_m`` from
-    the rig's centre; ``sweep_penalty`` is the price of changing the plane between neighbouring pixels."""
+    the centre.
+
+    ``sweep_penalty`` is the cost of a change of plane between neighbouring pixels.
+    """
 
     horizontal_step_m: float = setting(
         0.04,
@@ -82,7 +85,7 @@ def best_costs(
 
 
 def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep: Written) -> None:
-    """Sweep the planes through one camera's plate and write what it voted for."""
+    """Sweep the planes through one camera's plate and write its votes."""
     cameras = read_model(model.parent)
     names = [c.name for c in cameras]
     if camera not in names:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings that several steps of the stage are told."""
+"""Settings that several steps of the stage share."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from studiorecon.configuration.setting import setting
 
 @dataclass(frozen=True)
 class Near:
-    """z-depth in metres nearer than which no surface is looked for."""
+    """Least z-depth in metres of a surface."""
 
     near_m: float = 0.3
 
 
 @dataclass(frozen=True)
 class Assumed:
-    """Confidence of pixels that rest on a default wall is at or below this, measured ones lie above: a share of 1, not
-    a logit (U23)."""
+    """Upper limit of the confidence of pixels on a default wall; measured ones are above. A share of 1, not a logit
+    (U23)."""
 
     default_confidence: float = 0.2
 
 
 @dataclass(frozen=True)
 class Matching(Near):
-    """How planes are compared with the pictures; ``mean_weight`` is the cost of a difference of mean colour beside
+    """How planes are compared with the pictures; ``mean_weight`` is the cost of a difference of mean colour, added to
     correlation."""
 
     far_m: float = setting(
@@ -40,7 +40,7 @@ class Matching(Near):
 
 @dataclass(frozen=True)
 class FirstLook:
-    """The size of the first look."""
+    """The size of the first pass."""
 
     sweep_width: int = setting(
         240,

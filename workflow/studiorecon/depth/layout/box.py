@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From votes to a room: the most voted wall on each side, its place to the centimetre, and the planes worth trying
-inside."""
+"""From votes to a room: the most voted wall on each side, its offset to the centimetre, and candidate planes inside."""
 
 from __future__ import annotations
 
@@ -17,10 +16,10 @@ from studiorecon.scene.room import RoomBox
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Scores below this are other surfaces, not this one: they would drag the mean that places a plane.
+# Lower scores belong to other surfaces and would bias the mean that places a plane.
 _SAME_SURFACE = 0.2
 _MIN_VOTERS = 30
-# Walls with this share of the best one's votes are its rivals; the window that decides spans a tenth of the picture's
+# Walls with this share of the best one's votes are its rivals; the window that decides is a tenth of the picture's
 # width.
 _RIVAL_SHARE, _MAX_RIVALS = 0.2, 6
 _WIDE_SHARE = 20
@@ -43,8 +42,8 @@ def plane_support(
     plane: Float[np.ndarray, " 4"],
     how: Matching,
 ) -> tuple[float, int]:
-    """Mean score of a plane over the pixels that voted for it (all pairs that see it), and how many comparisons that
-    is."""
+    """Mean score of a plane over the pixels that voted for it (all pairs that see it), and the number of
+    comparisons."""
     total, count = 0.0, 0
     for i, picture in enumerate(pictures):
         if voters[i].sum() < _MIN_VOTERS:
@@ -67,11 +66,11 @@ def place_plane(
     step_m: float,
     how: Matching,
 ) -> tuple[float, float]:
-    """The offset near ``offset`` at which the voters' pictures agree best (parabola through the best three), and that
-    score."""
+    """The offset near ``offset`` with the best agreement of the voters' pictures (parabola through the best three), and
+    its score."""
     tried = offset + np.arange(-round(span_m / step_m), round(span_m / step_m) + 1) * step_m
     support = [plane_support(pictures, voters, np.array([*normal, o]), how) for o in tried]
-    # Comparisons are lost at the wrong offset, so the mean alone would reward a plane that few pixels still match.
+    # Comparisons are lost at a wrong offset, so the mean alone would reward a plane that few pixels still match.
     most = max(count for _, count in support)
     if most < _MIN_VOTERS:
         return offset, float("nan")
@@ -140,10 +139,10 @@ def decide_face(
     side: int,
     how: Matching,
 ) -> float:
-    """Which of several strong walls on one side explains the pixels of all of them best, seen through a wide window.
+    """The strong wall on one side that best explains the pixels of all candidates, through a wide window.
 
-    A striped wallpaper correlates with itself a period further, and gathers votes there; in a window wide enough to
-    hold a picture or a door frame it no longer does. Neither the most voted nor the outermost plane is safe.
+    A striped wallpaper correlates with itself one period further, and gathers votes there; in a window wide enough for
+    a picture or a door frame it no longer does. Neither the most voted nor the outermost plane is reliable.
     """
     if len(offsets) == 1:
         return offsets[0]
@@ -173,10 +172,9 @@ def refine_yaw(
     step_rad: float,
     how: Matching,
 ) -> float:
-    """Turn (radians) of all walls, each a plane (4,) and per picture the (H, W) pixels that look at it, that matches
-    best; 0 without walls.
+    """Turn (radians) of all walls that matches best; 0 without walls.
 
-    Every wall turns about the middle of what is seen of it.
+    Each wall is a plane (4,) with, per picture, the (H, W) pixels on it; it turns about the middle of its visible part.
     """
     turns = np.arange(-round(span_rad / step_rad), round(span_rad / step_rad) + 1) * step_rad
     value = np.zeros(len(turns))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a round thing stands that one camera alone sees: by its outline in the picture at full size.
+"""The position of a round object that only one camera sees, from its outline in the picture at full size.
 
 Nothing matches there, so its distance is that of its foot on the floor. A row of a picture 160 pixels wide is 0.3 m of
-floor at seven metres, and pillars and lamps are wider at their foot than above it: both put it too near.
+floor at seven metres, and pillars and lamps are wider at their foot than above it: both make it too near.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Edges are looked for in steps of so much of a pixel; colours so far to either side of one are compared.
+# Step of the search for edges, pixels, and distance to either side at which colours are compared.
 _STEP_PX, _BESIDE_PX = 0.25, 0.5
 # An edge differs by this much in colour (sum over channels), where this share of its points and so many of them are
-# known. Its middle is that of the places where it differs by nearly as much as at most.
+# known. Its middle is the mean of the positions with nearly the largest difference.
 _MIN_CONTRAST, _MIN_SHARE, _MIN_POINTS, _NEARLY = 0.06, 0.35, 6, 0.9
-# Sides are looked at above the lower quarter: what is below may be a base. Points of a side, of a foot.
+# Sides are measured above the lower quarter, because a base may be below. Points of a side, of a foot.
 _ABOVE_BASE, _SIDE_POINTS, _FOOT_POINTS = 0.25, 60, 41
-# The part of a foot's front that counts, to either side of its middle.
+# The part of a foot's front that is used, to either side of its middle.
 _FRONT_RAD = 0.6
-# A base is at most so much wider, and is looked for between these heights above the contact.
+# A base is at most so much wider, and is searched between these heights above the contact.
 _WIDEST, _BASE_STEP, _BASE_PX = 1.6, 0.02, (1.0, 4.0)
 
 
 def localise_by_contact(
     cylinder: Float[np.ndarray, " 8"], picture: Picture, reach_px: float
 ) -> Float[np.ndarray, " 8"]:
-    """A cylinder (8,) that stands on the floor, with its sides and its foot moved onto the edges of the picture that
-    shows it, no further than ``reach_px`` in it; as it was where its foot has no edge there.
+    """A cylinder (8,) on the floor, with its sides and its foot moved onto the edges of its picture, by at most
+    ``reach_px``.
 
-    Its front is where the picture changes most along the front of its foot, and its axis behind that by half of what
-    it is wide down there.
+    Unchanged where its foot has no edge. Its front is where the picture changes most along the front of its foot; its
+    axis is behind that by half its width at the foot.
     """
     camera, (x, y), low_m, high_m = picture.camera, cylinder[1:3], cylinder[6], cylinder[7]
-    # Between pixels a colour is known where all around it are.
+    # Between pixels a colour is known where all neighbours are.
     known = ~dilated(~picture.known, 3)
     centre_m, pixel_rad = camera.centre_m, 1 / camera.focal_px[0]
     apart_m, azimuth = float(np.hypot(x - centre_m[0], y - centre_m[1])), np.arctan2(y - centre_m[1], x - centre_m[0])
@@ -114,8 +114,7 @@ def _front(camera: Camera, azimuth: float, front_m: float, radius_m: float, low_
 
 
 def _change(rgb: np.ndarray, known: np.ndarray, before_px: np.ndarray, after_px: np.ndarray) -> float:
-    """By how much colours (sum over channels) at two rows of pixels (N, 2) differ in the mean; NaN where too few of
-    them are known."""
+    """Mean difference of colours (sum over channels) between two rows of pixels (N, 2); NaN where too few are known."""
     pixels = np.stack([before_px, after_px])
     colours, inside = sample(rgb, pixels)
     usable = (inside & sample(known, pixels, "nearest")[0]).all(axis=0)
@@ -125,8 +124,7 @@ def _change(rgb: np.ndarray, known: np.ndarray, before_px: np.ndarray, after_px:
 
 
 def _peak(change: Callable[[float], float], places: Float[np.ndarray, " N"]) -> float | None:
-    """The middle of where ``change`` is about greatest, if that is an edge: higher than what is beside it, and known
-    there."""
+    """The middle of the largest ``change``, if it is an edge: larger than its surroundings, and known there."""
     found = np.array([change(place) for place in places])
     if not np.nanmax(found, initial=0.0) >= _MIN_CONTRAST:
         return None

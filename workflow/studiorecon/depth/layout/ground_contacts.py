@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a wall stands that nothing matches: where upright edges end on the floor.
+"""Walls without matches, located by the lower ends of upright edges on the floor.
 
-Frames of doors and windows, cupboards and corners of a room are upright, and what is upright does not lie on the
-floor: it stands no further away than where its lower end would meet it. What hides a lower end makes that too far, and
-what stands about in the room is nearer; of a wall itself many meet the floor in one line. One camera is enough, where a
-match needs two that see the same piece of wall.
+Frames of doors and windows, cupboards and corners of a room are upright, and an upright object is no further away than
+where its lower end would meet the floor. A hidden lower end makes that too far, and furniture is nearer; of a wall
+itself many edges meet the floor in one line. One camera is enough, where a match needs two that see the same piece of
+wall.
 """
 
 from __future__ import annotations
@@ -23,27 +23,28 @@ from studiorecon.scene.room import RoomBox
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# An edge is upright to within this, so long at least, and its lower end so far below the horizon and from the picture's
-# rim (share of its longer side).
+# An edge is upright to within this, at least so long, and its lower end so far below the horizon and from the picture's
+# border (share of its longer side).
 _UPRIGHT_DEG, _MIN_SPAN_DEG, _BELOW_HORIZON_DEG, _RIM_SHARE = 2.0, 2.5, 1.0, 0.02
 # Long edges count up to this.
 _MAX_SPAN_DEG = 15.0
-# What an end is off by, seen from the camera; and how straight the foot of a wall is, with skirting and frames.
+# Sigma of an end, seen from the camera; and deviation of a wall's foot from a line, with skirting and frames.
 _END_DEG, _FOOT_M = 0.2, 0.16
-# A wall is faced where a look goes along its normal by this much.
+# Least cosine between a wall's normal and the line of sight.
 _FACED = 0.35
 _STEP_M = 0.05
-# So many edges, and so many of them a degree apart as seen from their camera, over so much of the wall, with this share
-# of what all edges that face it count, and no less sure than this.
+# Least evidence for a wall: edges, edges a degree apart as seen from their camera, width of the wall, share of all
+# edges that face it; largest sigma.
 _MIN_EDGES, _MIN_APART, _MIN_WIDTH_M, _MIN_SHARE, _MAX_SIGMA_M = 5, 4, 0.6, 0.2, 0.3
-# Furniture makes a line of feet too: of two lines about as strong the further one is the wall.
+# Furniture makes lines of feet too: of two lines about as strong, the further one is the wall.
 _RIVAL = 0.8
-# Lines nearer than this to the middle of what cameras look at are furniture, and so much before the outermost camera.
+# Lines nearer than this to the middle of the cameras' view are furniture, and so are lines so far in front of the
+# outermost camera.
 _BEYOND_MIDDLE_M, _BEFORE_CAMERAS_M = 2.5, 0.2
-# Where so many walls are known, others are no further behind the cameras than these, or than this; and where no camera
-# stands one might, as far from the middle as others do.
+# Where so many walls are known, others are no further behind the cameras than these, or than the second distance. On a
+# side without cameras, one is assumed as far from the middle as the others, with this much space.
 _KNOWN_WALLS, _CLOSE_BY_M, _ROOM_FOR_ONE_M = 2, 2.0, 0.5
-# Cupboards and desks stand along a wall, and cameras beside them: it is so far behind their feet, and behind cameras.
+# Cupboards, desks and cameras are along a wall: it is so far behind their feet, and behind cameras.
 _BEHIND_M, _BEHIND_CAMERAS_M = 0.5, 0.3
 
 
@@ -55,7 +56,7 @@ class GroundContacts:
         place_m: (N, 2) x and y.
         towards: (N, 2) unit, from the camera.
         sigma_m: (N,) along that.
-        span_deg: (N,) how long the edge is, seen from the camera; ``camera``: (N,) whose.
+        span_deg: (N,) length of the edge, seen from the camera; ``camera``: (N,) its index.
     """
 
     place_m: Float[np.ndarray, "N 2"]
@@ -65,12 +66,12 @@ class GroundContacts:
     camera: Integer[np.ndarray, " N"]
 
     def of(self, chosen: Bool[np.ndarray, " N"]) -> GroundContacts:
-        """Some of them."""
+        """The chosen contacts."""
         return GroundContacts(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
 
 def find_ground_contacts(cameras: Sequence[Camera], rooms: Sequence[RoomPicture], floor_m: float) -> GroundContacts:
-    """Of the upright edges in the pictures of the room of all cameras; z is up."""
+    """Lower ends of the upright edges in all cameras' pictures of the room; z is up."""
     found = [_contacts_in_view(v, *one, floor_m) for v, one in enumerate(zip(cameras, rooms, strict=True))]
     return GroundContacts(*(np.concatenate([getattr(one, f.name) for one in found]) for f in fields(GroundContacts)))
 
@@ -101,8 +102,11 @@ def _contacts_in_view(view: int, camera: Camera, room: RoomPicture, floor_m: flo
 def wall_line(
     seen: GroundContacts, normal: Float[np.ndarray, " 2"], nearest_m: float, furthest_m: float
 ) -> tuple[float, Bool[np.ndarray, " N"], float] | None:
-    """(offset along ``normal``, which feet, their degrees of edge) of the line of feet on that side, between
-    ``nearest_m`` and ``furthest_m``; None where none stands out."""
+    """(offset along ``normal``, which feet, their degrees of edge) of the line of feet between ``nearest_m`` and
+    ``furthest_m``.
+
+    None where no line is clear.
+    """
     offsets = seen.place_m @ normal
     sigma = np.hypot(seen.sigma_m * (seen.towards @ normal), _FOOT_M)
     faced = (seen.towards @ normal > _FACED) & (offsets > nearest_m - 2 * sigma)
@@ -112,7 +116,7 @@ def wall_line(
     places = np.arange(nearest_m, furthest_m, _STEP_M)
     off = (places[:, None] - offsets) / sigma
     score = (np.exp(-0.5 * off**2) * weight).sum(1)
-    # What is strongest at the nearest place has its peak before that.
+    # A score that is largest at the nearest position has its peak before that.
     peaks = 1 + np.flatnonzero((score[1:-1] >= score[:-2]) & (score[1:-1] > score[2:]))
     beside = np.array([-normal[1], normal[0]])
     for k in peaks[::-1]:
@@ -133,11 +137,11 @@ def wall_line(
 def place_default_walls(
     box: RoomBox, seen: GroundContacts, cameras: Sequence[Camera]
 ) -> tuple[RoomBox, dict[int, int]]:
-    """The box with walls that are defaults put where uprights stand, and face → number of edges that say so; 0 where it
-    is put as far behind the cameras as the walls that are known.
+    """The box with default walls moved to upright edges, and face → number of edges.
 
-    They stay defaults (``fitted``): nothing was matched there. The wall with most uprights comes first, and what stands
-    along it says nothing of others.
+    The number is 0 where a wall is put as far behind the cameras as the known walls. Moved walls stay defaults
+    (``fitted``), because nothing was matched there. The wall with most edges comes first; edges along it do not count
+    for others.
     """
     outwards = np.array([[-1.0], [1.0], [-1.0], [1.0]])
     normals, offsets_m = outwards * box.axes[[0, 0, 1, 1], :2], outwards[:, 0] * box.faces[:4, 3]

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What people stand on where the room's floor lies lower: a treadmill, a stage, a plate on the floor.
+"""A platform: a raised surface under people, such as a treadmill, a stage, or a plate on a lower floor.
 
-The height z = 0 is where feet are. Where photos agree on that height only on one piece of it, and see surfaces below
-it all around, that piece is a platform, and the floor of the room is down there: every wall that is placed by what ends
-on the floor, and everything painted on the floor, would otherwise be too near.
+The height z = 0 is that of feet. If photos agree on that height only in one area, and see surfaces below it all around,
+that area is a platform, and the room's floor is lower. Every wall located by the floor, and everything painted on the
+floor, would otherwise be too near.
 
-A polished floor shows what stands on it mirrored, below itself, but the photos agree on it nearly everywhere: what lies
-below counts outside the piece on which they agree, and must be much in comparison.
+A polished floor mirrors objects below itself, but the photos agree on it nearly everywhere. So lower surfaces count
+outside the area of agreement, and must be large in comparison.
 """
 
 from __future__ import annotations
@@ -25,39 +25,39 @@ from studiorecon.scene.room import Platform
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Heights about where people stand that are compared: as deep as the floor may lie, and so far up that what is there is
-# told from what is below.
+# Heights relative to people's feet that are compared: down to the deepest floor, and up far enough to separate surfaces
+# above from those below.
 _STEP_M, _DEEPEST_M, _HIGHEST_M = 0.04, 1.2, 1.0
 # A floor on which no more than this share of textured pixels disagrees is the room's.
 _AGREED, _DISAGREED, _MIN_DISAGREEING = 0.6, 0.3, 0.25
-# A pixel's height counts where it matches so well, so much better than any that is further off than so many steps, and
-# the pixel that it is found at in the other picture says the same to a step.
+# A pixel's height counts if it matches so well, so much better than any height further off than so many steps, and if
+# its pixel in the other picture has the same height to a step.
 _MIN_SCORE, _MIN_LEAD, _APART = 0.7, 0.08, 3
-# What people stand on is where their height matches nearly as well as any lower one, and the rest is where it matches
-# clearly worse: stripes match at many heights.
+# The platform is where the feet's height matches nearly as well as any lower one, the rest is where it matches clearly
+# worse: stripes match at many heights.
 _NEARLY, _WORSE = 0.15, 0.3
-# Surfaces are counted in cells of the floor, not in pixels: near ones would outvote the rest.
+# Surfaces are counted in cells of the floor, not in pixels, because near ones would outvote the rest.
 _CELL_M = 0.1
-# A cell belongs to what people stand on where this share of the pixels about it says so.
+# A cell belongs to the platform where this share of its pixels agrees.
 _CELL_AGREES = 0.4
-# So many cells around the platform must lie lower, and this share of all that were told there, and of those on it.
-# Nearer than this many steps is the platform's own height.
+# So many cells around the platform must be lower, at least this share of all known ones there, and of those on it.
+# Within this many steps a cell is at the platform's own height.
 _MIN_CELLS, _MIN_SHARE, _MIN_AROUND, _OWN = 50, 0.6, 0.4, 1
-# Mats and boxes lie on the floor: it is the lowest height that this share of the most frequent one's cells lie at. A
-# floor that lies less than so far down is within what cameras may be off by.
+# Mats and boxes are on the floor, which is the lowest height with this share of the most frequent one's cells. A floor
+# less than so far down is within the cameras' error.
 _LOWEST_SHARE, _MIN_DOWN_M = 0.6, 0.14
 
 
 @dataclass(frozen=True)
 class _HeightVotes:
-    """What pixels say of their height.
+    """The heights that pixels vote for.
 
     Attributes:
-        place_m: (N, 3) where those are whose height two cameras agree on.
-        step: (N,) their height, in steps above where people stand.
+        place_m: (N, 3) points on whose height two cameras agree.
+        step: (N,) their height, in steps above people's feet.
         score: (N,) how well they match.
-        at_feet_m: (M, 2) where all that can be compared see the height where people stand.
-        stood_on: (M,) bool: what they see may lie there.
+        at_feet_m: (M, 2) positions of all comparable pixels at the height of people's feet.
+        stood_on: (M,) bool: their surface may be at that height.
     """
 
     place_m: Float[np.ndarray, "N 3"]
@@ -69,12 +69,12 @@ class _HeightVotes:
 
 @dataclass(frozen=True)
 class Raised:
-    """People stand on something.
+    """People are on a platform.
 
     Attributes:
-        platform: what they stand on.
+        platform: the platform.
         floor_m: height of the room's floor around it. score: how well that matches.
-        levels_m: heights of other surfaces that lie lower than people stand.
+        levels_m: heights of other surfaces below people's feet.
     """
 
     platform: Platform
@@ -86,7 +86,7 @@ class Raised:
 def fit_platform(
     pictures: Sequence[Picture], axes: Float[np.ndarray, "3 3"], standing_m: float, how: Matching
 ) -> Raised | None:
-    """What people stand on at ``standing_m``, or None where that is the floor; ``axes`` (3, 3) are the room box's.
+    """The platform under people at ``standing_m``, or None where that is the floor; ``axes`` (3, 3) are the room box's.
 
     A tenth of a second for four pictures 240 pixels wide where photos agree on the floor, 3 s where they do not.
     """
@@ -103,18 +103,17 @@ def fit_platform(
     on_it = len(_cells(local[level & ~outside]))
     if lower < max(_MIN_CELLS, _MIN_SHARE * (lower + same), _MIN_AROUND * on_it):
         return None
-    # Cells at every step below where people stand, and as far above it.
+    # Cells at every step below people's feet, and as far above them.
     count, above = np.zeros((2, round(_DEEPEST_M / _STEP_M) + 2))
     for step in range(_OWN + 1, len(count)):
         count[step], above[step] = (len(_cells(local[outside & (told.step == at)])) for at in (-step, step))
     around = np.convolve(count, np.ones(3), mode="same")
     lowest = int(np.flatnonzero(around >= _LOWEST_SHARE * around.max())[-1])
-    # The peak beside it, and where in its step: cells of three steps, the middle one the fullest.
+    # The neighbouring peak, and its fraction of a step: cells of three steps, the middle one the fullest.
     peak = lowest - 1 + int(count[lowest - 1 : lowest + 2].argmax())
     span = np.arange(peak - 1, min(peak + 2, len(count)))
     floor_m = standing_m - _STEP_M * float((span * count[span]).sum() / count[span].sum())
-    # The floor that people stand on lies apart as well where cameras are a degree off, but as much of it above as
-    # below.
+    # If cameras are a degree off, the floor under people separates too, but as much of it above as below.
     if standing_m - floor_m < _MIN_DOWN_M or above[: peak + 2].sum() > count[: peak + 2].sum():
         return None
     mats = [
@@ -127,8 +126,7 @@ def fit_platform(
 
 
 def _disagreeing(pictures: Sequence[Picture], standing_m: float, how: Matching) -> float:
-    """Which share of the textured pixels that look at the height where people stand, and are seen by others there, does
-    not match."""
+    """Share of the textured pixels at the height of people's feet, seen by other cameras there, that do not match."""
     agreed = disagreed = 0
     for i, picture in enumerate(pictures):
         best = np.full(picture.known.shape, UNKNOWN, np.float32)
@@ -149,8 +147,10 @@ def _score(picture: Picture, other: Picture, height_m: float, how: Matching) -> 
 
 @dataclass(frozen=True)
 class _Pair:
-    """A picture compared with another, (H, W): which height matches best, how well, bool: clearly; and how well the
-    best of where people stand, and the best of all up to there."""
+    """A picture compared with another, (H, W): best height, its score, bool whether it is clear, and two more scores.
+
+    These are the best score at people's feet, and the best of all heights up to there.
+    """
 
     best: Integer[np.ndarray, "H W"]
     top: Float[np.ndarray, "H W"]
@@ -169,7 +169,7 @@ def _pair(picture: Picture, other: Picture, standing_m: float, steps: np.ndarray
 
 
 def _height_votes(pictures: Sequence[Picture], standing_m: float, how: Matching) -> _HeightVotes:
-    """What the pixels of all pictures say of their height, each compared with every other picture."""
+    """The height votes of all pictures' pixels, each picture compared with every other."""
     steps = np.arange(-round(_DEEPEST_M / _STEP_M), round(_HIGHEST_M / _STEP_M) + 1)
     plane = np.array([0.0, 0.0, 1.0, standing_m])
     pairs = {
@@ -182,7 +182,7 @@ def _height_votes(pictures: Sequence[Picture], standing_m: float, how: Matching)
     feet, stood_on = [np.zeros((0, 2))], [np.zeros(0, bool)]
     for i, picture in enumerate(pictures):
         centre, centres = picture.camera.centre_m, picture.camera.pixel_centres()
-        # Only what looks down meets heights below the camera.
+        # Only rays that point down meet heights below the camera.
         usable = picture.known & picture.textured(how.window + 2) & (picture.depth(plane, how.near_m, how.far_m) > 0)
         rays = picture.camera.unproject(centres, np.ones(usable.shape)) - centre
         theirs = [pair for (first, _), pair in pairs.items() if first == i]
@@ -219,8 +219,11 @@ def _cells(local_m: Float[np.ndarray, "N 3"]) -> Integer[np.ndarray, "M 2"]:
 def _densest(
     places_m: Float[np.ndarray, "N 2"], agreed: Bool[np.ndarray, " N"]
 ) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]:
-    """(2,) least and (2,) greatest coordinates of the rectangle in which most cells agree and fewest do not: the
-    greatest sum, over cells, of the share of pixels about them that agree, less what makes a cell one of it."""
+    """(2,) least and (2,) greatest coordinates of the rectangle in which most cells agree and fewest do not.
+
+    It has the greatest sum, over cells, of the share of pixels that agree, less the least share of a cell of the
+    platform.
+    """
     cell = np.floor(places_m / _CELL_M).astype(int)
     first = cell.min(axis=0)
     yes, every = np.zeros((2, *(np.ptp(cell, axis=0) + 1)))
@@ -232,7 +235,7 @@ def _densest(
     total = np.pad(value.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     best, found = -np.inf, (0, 0, 1, 1)
     for top in range(len(value)):
-        # Sums of rows top..bottom up to every column; the best stretch of columns is the greatest rise.
+        # Sums of rows top..bottom up to every column; the best range of columns is the greatest rise.
         band = total[top + 1 :] - total[top]
         lowest = np.minimum.accumulate(band, axis=1)
         rise = band - lowest

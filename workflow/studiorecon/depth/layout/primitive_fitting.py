@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Upright boxes and cylinders, added one by one where they explain all photos better than the room without them."""
+"""Adds upright boxes and cylinders one by one where they explain all photos better than the room without them."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ if TYPE_CHECKING:
 
 _STEPS_M = (0.16, 0.08, 0.04, 0.02)
 _MAX_MOVES = 8
-# A move explains so many pixels more; of what people stand on, such a share of what it explains: whatever is wrong
-# about the floor beside it explains a little.
+# A move must explain so many pixels more; of a platform, such a share of its own gain, because errors of the
+# surrounding floor give small gains.
 _MIN_MORE, _MIN_MORE_SHARE = 0.2, 0.02
 _MIN_SIDE_M, _MIN_HEIGHT_M = 0.05, 0.04
 _CLEARANCE_M = 0.05
-# A box is tried as a cylinder when its sides differ by less than this share; one of one photo always is, and may
+# A box is tried as a cylinder when its sides differ by less than this share; one seen in one photo always is, and may
 # explain so much less.
 _SQUARE_SHARE, _ROUND_SHARE = 0.4, 0.85
-# What one photo alone shows to stand is moved by so many pixels of the small pictures at most.
+# A primitive seen in one photo is moved by at most so many pixels of the small pictures.
 _REACH_PX = 1.5
-# So many proposals are priced anew at a time, and so many of them moved.
+# So many proposals are evaluated again at a time, and so many of them moved.
 _HEAD, _CLIMBERS = 16, 2
-# Proposals this near the middle of one that was refused are moved to it.
+# Proposals this near the middle of a refused one would be moved to it.
 _REFUSED_M = 0.25
 
 
 def neighbour_primitives(primitive: Float[np.ndarray, " 8"], step_m: float, turns: bool) -> Float[np.ndarray, "M 8"]:
-    """(M, 8) neighbours of a primitive: every face moved in or out, the whole moved, and turned if it may."""
+    """(M, 8) neighbours of a primitive: every face moved in or out, the whole moved, and turned if allowed."""
     c, s = np.cos(primitive[3]), np.sin(primitive[3])
     found = []
 
@@ -78,8 +78,7 @@ def neighbour_primitives(primitive: Float[np.ndarray, " 8"], step_m: float, turn
 def is_allowed(
     primitives: Float[np.ndarray, "N 8"], room_box: RoomBox, taken: Float[np.ndarray, "M 4"]
 ) -> Bool[np.ndarray, " N"]:
-    """(N,) bool: of some size, inside the room, and away from ``taken`` (M, 4: points and the distance to keep from
-    each, metres)."""
+    """(N,) bool: large enough, inside the room, and away from ``taken`` (M, 4: points and least distances, metres)."""
     large = (primitives[:, 4:6] >= _MIN_SIDE_M).all(axis=1) & (primitives[:, 7] - primitives[:, 6] >= _MIN_HEIGHT_M)
     centres = np.stack([primitives[:, 1], primitives[:, 2], (primitives[:, 6] + primitives[:, 7]) / 2], axis=-1)
     fits = (
@@ -124,8 +123,9 @@ def hill_climb(
     gain: float,
     steps_m: tuple[float, ...],
 ) -> tuple[Float[np.ndarray, " 8"], float]:
-    """The primitive moved face by face while that explains more, in steps down to centimetres, and what it gains."""
-    # What stands along the walls stays along them: two faces seen do not tell a small turn from a wrong place.
+    """The primitive moved face by face while that explains more, in steps down to centimetres, and its gain."""
+    # Furniture along the walls stays parallel to them: two visible faces do not separate a small turn from a wrong
+    # position.
     turns = abs((primitive[3] - room_box.yaw_rad + np.pi / 4) % (np.pi / 2) - np.pi / 4) > 1e-6
 
     def others(now: Float[np.ndarray, " 8"], step_m: float) -> Float[np.ndarray, "M 8"]:
@@ -138,7 +138,7 @@ def hill_climb(
 def _widened(
     room: PhotoCostVolume, platform: Float[np.ndarray, " 8"], gain: float
 ) -> tuple[Float[np.ndarray, " 8"], float]:
-    """What people stand on with its sides moved outwards while that explains more, and what it gains."""
+    """The platform with its sides moved outwards while that explains more, and its gain."""
 
     def others(now: Float[np.ndarray, " 8"], step_m: float) -> Float[np.ndarray, "M 8"]:
         around = neighbour_primitives(now, step_m, False)
@@ -170,10 +170,10 @@ def _moved(
 
 
 class Proposals:
-    """Primitives that may be added, each with what it last explained; prices only fall as a room is filled."""
+    """Candidate primitives with their last gains; gains only fall as a room is filled."""
 
     def __init__(self, least: float) -> None:
-        """Nothing yet; what explains less than ``least`` pixels is forgotten."""
+        """Start empty; primitives that explain fewer than ``least`` pixels are dropped."""
         self._least = least
         self._primitives: list[np.ndarray] = []
         self._heap: list[tuple[float, int]] = []
@@ -182,7 +182,7 @@ class Proposals:
         return bool(self._heap)
 
     def keep(self, primitives: Iterable[tuple[Float[np.ndarray, " 8"], float]]) -> None:
-        """Put primitives (8,) in, each with how many pixels it explains."""
+        """Add primitives (8,), each with the number of pixels it explains."""
         for primitive, price in primitives:
             if price >= self._least:
                 heapq.heappush(self._heap, (-float(price), len(self._primitives)))
@@ -191,13 +191,13 @@ class Proposals:
     def take(
         self, room: PhotoCostVolume, most: int, refused_m: Float[np.ndarray, "M 4"]
     ) -> list[tuple[Float[np.ndarray, " 8"], float]]:
-        """The best by what they explain now, ``most`` at most, with that many pixels; they are taken out.
+        """Remove and return the best primitives by their current gain, at most ``most``, with that number of pixels.
 
-        What cameras contradict goes too where it is near one of ``refused_m`` (M, 4: points and distances): it would be
-        moved to what was refused there.
+        Primitives that cameras contradict are removed too near one of ``refused_m`` (M, 4: points and distances),
+        because they would be moved to the refused one.
         """
         while self._heap:
-            # The best few by their last price, priced anew, hold the best.
+            # The best few by their last gain, evaluated again, include the best.
             head = [heapq.heappop(self._heap)[1] for _ in range(min(_HEAD, len(self._heap)))]
             prices = room.gains(np.array([self._primitives[k] for k in head]))
             ranked = sorted((-float(price), k) for k, price in zip(head, prices) if price >= self._least)
@@ -224,14 +224,13 @@ def fit_primitives(
     least_gain: float,
     most: int,
 ) -> list[Primitive]:
-    """The primitives that explain the pictures better than the bare room box, in the order they were found.
+    """The primitives that explain the pictures better than the bare room box, in the order of selection.
 
-    Greedy: of all proposals the best few are moved to where they explain most, the best of them is added when the
-    photos' disagreement falls by ``least_gain`` pixels and not against what the cameras see of it, and the rest are
-    priced anew. Nothing is put where a camera or one of ``free_m`` (M, 4: points and distances to keep) is: somebody
-    walked there, or was seen through it. What one camera alone sees is put where its foot stands in its picture
-    at ``full`` size, which is asked for by its number. What people stand on comes first. Costs some 10 s for four
-    pictures 160 pixels wide.
+    Greedy: the best few proposals are moved to where they explain most. The best of them is added if the photos'
+    disagreement falls by ``least_gain`` pixels and the cameras do not contradict it; then the rest are evaluated again.
+    No primitive may contain a camera or one of ``free_m`` (M, 4: points and distances to keep), where a person walked
+    or was seen through. An object that only one camera sees is put at its foot in that camera's picture at ``full``
+    size, which is loaded by its number. The platform comes first. Costs some 10 s for four pictures 160 pixels wide.
     """
     room = PhotoCostVolume.by_room_box(pictures, room_box, window, mean_weight)
     evidence: list[float] = []
@@ -257,9 +256,9 @@ def fit_primitives(
         leg = [one for one in legs.take(room, 1, np.zeros((0, 4))) if one[1] >= least_gain]
         if not tried and not leg:
             continue
-        # A leg waits for whatever explains more once it is moved: four of them also explain some of a box that stands
-        # there. Legs are looked for every few centimetres, stay as thin and as long as they are, and are too thin to
-        # match by themselves: they are there for what they carry.
+        # Legs come after everything that explains more once it is moved, because four of them also explain part of a
+        # box. They are tried every few centimetres, keep their size, and are too thin to match: they are only accepted
+        # under a slab.
         is_leg = bool(leg) and (not tried or leg[0][1] > tried[0][1])
         primitive, gain = (leg if is_leg else tried).pop(0)
         others.keep(tried)
@@ -281,7 +280,7 @@ def fit_primitives(
 
 
 def _platform_box(platform: Platform, room_box: RoomBox) -> Float[np.ndarray, " 8"]:
-    """(8,) what people stand on, from the floor up."""
+    """(8,) the platform, from the floor up."""
     middle = (np.array([*(platform.low_m + platform.high_m) / 2, 0.0]) @ room_box.axes)[:2]
     size_m = platform.high_m - platform.low_m
     return np.array([0, *middle, room_box.yaw_rad, *size_m, room_box.low_m[2], platform.top_m])
@@ -294,10 +293,10 @@ def to_cylinder(
     primitive: Float[np.ndarray, " 8"],
     gain: float,
 ) -> tuple[Float[np.ndarray, " 8"], float]:
-    """A cylinder in place of a nearly square box when it explains more; two numbers less, so a tie is its own.
+    """A cylinder instead of a nearly square box if it explains more; it has two parameters less, so it wins a tie.
 
-    Of what one photo alone shows nobody knows how deep it is: it is as deep as it is wide, a cylinder, unless that
-    explains clearly less.
+    The depth of an object seen in one photo is unknown: it is as deep as wide, a cylinder, unless that explains clearly
+    less.
     """
     if primitive[0] != 0:
         return primitive, gain
@@ -313,7 +312,7 @@ def to_cylinder(
 
 
 def _is_single_view(room: PhotoCostVolume, primitive: Float[np.ndarray, " 8"], gain: float) -> bool:
-    """Whether most of what a primitive gains is what one photo alone shows."""
+    """Whether most of a primitive's gain comes from one photo alone."""
     return gain - float(room.gains(primitive[None], looks=False)[0]) > gain / 2
 
 
@@ -325,8 +324,7 @@ def _on_its_foot(
     primitive: Float[np.ndarray, " 8"],
     gain: float,
 ) -> Float[np.ndarray, " 8"]:
-    """A cylinder that one photo alone shows where its foot is on the floor in that photo
-    (``single_view_proposals``)."""
+    """A cylinder seen in one photo, moved to its foot on the floor in that photo (``single_view_proposals``)."""
     if primitive[0] != 1 or primitive[6] > room.floor_m + STANDING_M or not _is_single_view(room, primitive, gain):
         return primitive
     view = int(room.shown(primitive).argmax())

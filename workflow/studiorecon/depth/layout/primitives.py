@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Furniture as a few convex primitives: upright boxes and upright cylinders, and where a camera's rays meet them."""
+"""Furniture as a few convex primitives: upright boxes and upright cylinders, and their intersections with camera
+rays."""
 
 from __future__ import annotations
 
@@ -42,7 +43,7 @@ class Primitive:
         size_m: (2,) lengths along and across that direction; twice the radius, twice, for a cylinder.
         low_m: height of its foot.
         high_m: height of its top.
-        evidence: how many pixels' worth of disagreement between the photos it removes, at the width it was fitted at.
+        evidence: disagreement between the photos that it removes, in pixels, at the width of the fit.
     """
 
     kind: str
@@ -55,7 +56,7 @@ class Primitive:
 
     @property
     def numbers(self) -> Float[np.ndarray, " 8"]:
-        """(8,) kind, x, y, yaw, both sizes, foot, top: what the kernels take."""
+        """(8,) kind, x, y, yaw, both sizes, foot, top: the layout of the kernels."""
         return np.array(
             [KINDS.index(self.kind), *self.centre_m, self.yaw_rad, *self.size_m, self.low_m, self.high_m], np.float64
         )
@@ -76,10 +77,9 @@ class Primitive:
 def in_front(
     primitives: Sequence[Primitive], camera: Camera, depth_m: Float[np.ndarray, "H W"]
 ) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
-    """Depth (H, W) with every primitive that stands before it, in the type of ``depth_m``, and (H, W) bool: a
-    primitive is what is seen.
+    """Depth (H, W) with every nearer primitive, in the type of ``depth_m``, and (H, W) bool: a primitive is visible.
 
-    Unknown depth (0) is taken to be behind.
+    Unknown depth (0) counts as behind.
     """
     nearest = np.where(depth_m > 0, depth_m, np.inf)
     shown = np.zeros(depth_m.shape, bool)
@@ -91,12 +91,12 @@ def in_front(
 
 
 def write_primitives(path: Path, primitives: Sequence[Primitive]) -> None:
-    """Write ``depth/primitives.json``: the primitives in the order they were found."""
+    """Write ``depth/primitives.json``: the primitives in the order of selection."""
     write_json(path, {"primitives": [dict(vars(primitive)) for primitive in primitives]})
 
 
 def read_primitives(path: Path) -> list[Primitive]:
-    """Read ``depth/primitives.json``; raises UserError as ``intermediate.read`` does."""
+    """The primitives in ``depth/primitives.json``; raises UserError as ``intermediate.read`` does."""
     return read(path, {"primitives": Listed(_PRIMITIVE)}, lambda value: [_primitive(v) for v in value["primitives"]])
 
 
@@ -117,9 +117,10 @@ def _meet(primitive, origin, rays, depth_m):
 @njit(cache=True)
 def enter(primitive, c, s, origin, ray, normal):
     """Length along ``ray`` (3,) at which it enters a primitive (8,), -1 when it misses; fills the outward ``normal``
-    (3,) there. ``c`` and ``s`` are the cosine and sine of its yaw.
+    (3,) there.
 
-    A ray that starts inside misses: a camera inside a piece of furniture sees the room, not the furniture.
+    ``c`` and ``s`` are the cosine and sine of its yaw. A ray that starts inside misses: a camera inside a piece of
+    furniture sees the room, not the furniture.
     """
     x, y = origin[0] - primitive[1], origin[1] - primitive[2]
     ou, ov = c * x + s * y, c * y - s * x

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A picture of the furniture that was found: its edges on every photo, and the room from above with cameras."""
+"""A picture of the fitted furniture: its edges on every photo, and the room from above with cameras."""
 
 from __future__ import annotations
 
@@ -43,8 +43,7 @@ def edges(primitive: Primitive) -> Float[np.ndarray, "E 2 3"]:
 def outlined(
     picture: Picture, primitives: Sequence[Primitive], depth_m: Float[np.ndarray, "h w"]
 ) -> Integer[np.ndarray, "H W 3"]:
-    """(H, W, 3) uint8: the photo with the edges that no nearer surface of ``depth_m`` (h, w) hides, one colour a
-    primitive."""
+    """(H, W, 3) uint8: the photo with the edges that no surface of ``depth_m`` (h, w) hides, one colour a primitive."""
     height = round(_WIDTH * picture.camera.hw[0] / picture.camera.wh[0])
     camera = picture.camera.resized((_WIDTH, height))
     canvas = cv2.resize(to_bytes(picture.rgb), (_WIDTH, height), interpolation=cv2.INTER_CUBIC)

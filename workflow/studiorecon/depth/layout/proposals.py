@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where furniture may stand: rectangles of table tops in plan and of fronts in elevation that match better than what is
-behind them.
+"""Furniture candidates: rectangles of table tops in plan and of fronts in elevation that match better than the
+background.
 
-The photos are laid on every horizontal and upright plane inside the room (orthographic, a few centimetres a cell), each
-pair of cameras is correlated there, and what the present explanation of the same pixels already achieves is taken off.
-Rectangles of the largest sum are the tops and fronts of boxes to try; what hangs in the air may have legs.
+The photos are projected onto every horizontal and upright plane inside the room (orthographic, a few centimetres a
+cell), each pair of cameras is correlated there, and the score of the same pixels' current explanation is subtracted.
+Rectangles of the largest sum are the tops and fronts of boxes to try; floating boxes may have legs.
 """
 
 from __future__ import annotations
@@ -28,28 +28,29 @@ _CELL_M = 0.06
 _WINDOW = 5
 _TOPS_M = np.arange(0.12, 1.35, 0.03)
 _FRONT_STEP_M, _FRONT_HEIGHT_M = 0.06, 2.2
-# Sides of the rectangles that are tried, metres; yaws of tops against the walls, radians.
+# Sides of the rectangles to try, metres; yaws of tops against the walls, radians.
 _SIDES_M = (0.24, 0.36, 0.6, 0.9, 1.4, 2.1)
 _YAWS_RAD = np.radians([0, 22.5, 45, 67.5])
 _FLAT_VARIANCE = 4e-4
-# Cells of a rectangle count from this sum on; overlapping ones are one; the best so many of every plane go on.
+# Least sum of a rectangle's cells; overlap from which two are one; number of best ones of every plane.
 _MIN_SUM, _OVERLAP, _PER_PLANE = 6.0, 0.5, 3
 _DEPTHS_M = (0.25, 0.45, 0.8)
 _TO_WALL_M = 1.0
-# How far outside the cameras furniture is looked for where there is no wall.
+# How far outside the cameras furniture is searched where there is no wall.
 _REACH_M = 2.5
 _SLAB_M = 0.06
-# A slab this far above the floor is held up by something: posts so wide, looked for under all of it at such steps.
+# A slab this far above the floor needs support: widths of posts, and step at which they are tried under all of it.
 _MIN_UNDER_M, _POSTS_M, _POST_STEP_M = 0.3, (0.06, 0.1), 0.04
-# What is unlike the face behind it, how far up and aside its pieces may lie apart, and how much of it there must be.
+# Least difference from the face behind, largest gaps up and aside between parts, least area, and least pixels on the
+# floor.
 _UNLIKE, _GAP_PX, _MIN_AREA, _MIN_ON_FLOOR = 0.2, (5, 3), 40, 3
 
 
 def advantage(
     room: PhotoCostVolume, points_m: Float[np.ndarray, "A B 3"], outward: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, "A B"]:
-    """(A, B) float32: by how much more the best pair of cameras agrees on a grid of surface points (A, B, 3) than on
-    what they show now.
+    """(A, B) float32: gain in agreement of the best pair of cameras on surface points (A, B, 3) over the current
+    explanation.
 
     Only cameras on the side that ``outward`` (3,) points to take part; 0 where no two see the point.
     """
@@ -87,8 +88,10 @@ def advantage(
 def rectangles(
     value: Num[np.ndarray, "A B"], sides: tuple[int, ...], standing: bool
 ) -> list[tuple[float, int, int, int, int]]:
-    """Best (sum, top, left, rows, columns) of a map, overlapping ones reduced to the best; ``contact_localisation``
-    ones start at row 0."""
+    """Best (sum, top, left, rows, columns) of a map, overlapping ones reduced to the best.
+
+    ``contact_localisation`` ones start at row 0.
+    """
     total = np.pad(value.cumsum(axis=0, dtype=np.float64).cumsum(axis=1), ((1, 0), (1, 0)))
     found = []
     bands = {rows: total[rows:] - total[:-rows] for rows in sides if rows < value.shape[0]}
@@ -121,9 +124,9 @@ def _overlap(one: tuple[float, int, int, int, int], other: tuple[float, int, int
 
 
 def ground(room: PhotoCostVolume, room_box: RoomBox) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-    """(3,) least and (3,) greatest coordinates along the room box's axes between which furniture is looked for.
+    """(3,) least and (3,) greatest coordinates along the room box's axes of the search for furniture.
 
-    That is the room; where a wall is a default, as far as furniture can be told from two cameras.
+    That is the room; towards a default wall, it ends where two cameras no longer resolve furniture.
     """
     centres = room.centre @ room_box.axes.T
     fitted = room_box.fitted.reshape(3, 2)
@@ -216,7 +219,7 @@ def fronts(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Fl
 
 
 def single_view_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
-    """(area, primitive (8,)) of what one camera alone sees unlike the wall and floor behind it, standing on its lowest
+    """(area, primitive (8,)) of regions seen by one camera that differ from the wall and floor behind, on their lowest
     point."""
     for v in range(len(room.known)):
         alone = room.known[v] & (room.cost[v] >= UNSEEN) & (room.surface[v] < 6)
@@ -247,10 +250,10 @@ def single_view_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[
 
 
 def leg_candidates(slab: Float[np.ndarray, " 8"], floor_m: float) -> Float[np.ndarray, "N 8"]:
-    """(N, 8) upright bars between the floor and a box (8,) that hangs in the air, everywhere under it: legs.
+    """(N, 8) upright bars between the floor and a floating box (8,), at all positions under it: legs.
 
-    They are too thin to be found by what stands on the floor, and each of them explains little; under a table top they
-    are looked for one by one. None under what is not a box or stands nearly on the floor.
+    They are too thin to be detected as furniture, and each of them explains little; under a table top they are tried
+    one by one. None under other primitives, or under boxes nearly on the floor.
     """
     if slab[0] != 0 or slab[6] - floor_m < _MIN_UNDER_M:
         return np.zeros((0, 8))

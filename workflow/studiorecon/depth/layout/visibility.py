@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Space that people show to be free: where their joints were, and between a camera and what it saw of them.
+"""Space that people show to be free: positions of their joints, and lines of sight from a camera to them.
 
-A photo that shows somebody tells that nothing stands in between, which no agreement of colours can overrule: where
-cameras share little, a large box around everything agrees with more pixels than an empty room does.
+A photo of a person proves that nothing is in between, whatever the agreement of colours: where cameras share little, a
+large box around everything agrees with more pixels than an empty room does.
 """
 
 from __future__ import annotations
@@ -19,23 +19,21 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _CELL_M, _CLEARANCE_M = 0.2, 0.05
-# A line of sight is a point every so often; of the points in one cell one stays, where it was: rounded, lines would cut
+# Lines of sight are sampled at this step; one point per cell is kept, at its exact position: rounded, lines would cut
 # corners of tables.
 _LINE_CELL_M, _LINE_STEP_M = 0.1, 0.05
-# Keypoints this sure count; a line ends this far before the joint that it leads to, which may lie on a seat or behind a
-# sleeve.
+# Least confidence of a keypoint; a line ends this far before its joint, which may be on a seat or behind a sleeve.
 _CONFIDENCE, _BEFORE_M = 0.5, 0.3
-# A keypoint belongs to the joint that is projected nearest, within this share of the picture's longer side.
+# A keypoint belongs to the nearest projected joint, within this share of the picture's longer side.
 _NEAR_SHARE = 0.03
-# Detectors guess hidden joints now and then: so many lines must cross a place.
+# Detectors guess hidden joints at times, so this many lines must cross a position.
 _MIN_LINES = 3
-# Lines are counted so many at a time: a long film has millions of them, but a room has only so many cells.
+# Lines are counted in blocks of this size: a long film has millions of them, but a room has few cells.
 _LINES_AT_ONCE = 20_000
 
 
 def joint_places(people: Sequence[Person]) -> Float[np.ndarray, "M 4"]:
-    """(M, 4) places, 20 cm apart along an axis, where a joint of somebody was measured at some time, and 5 cm to keep
-    from it."""
+    """(M, 4) positions, 20 cm apart along an axis, of measured joints at any time, with a least distance of 5 cm."""
     places = np.concatenate([np.zeros((0, 3)), *(person.joints[person.valid].reshape(-1, 3) for person in people)])
     return with_distance(
         np.unique(np.round(places[np.isfinite(places).all(axis=1)] / _CELL_M), axis=0) * _CELL_M, _CLEARANCE_M
@@ -43,7 +41,7 @@ def joint_places(people: Sequence[Person]) -> Float[np.ndarray, "M 4"]:
 
 
 def with_distance(places_m: Float[np.ndarray, "M 3"], distance_m: float) -> Float[np.ndarray, "M 4"]:
-    """(M, 4): places (M, 3) and the distance that primitives keep from each."""
+    """(M, 4): positions (M, 3) and the least distance of primitives from each."""
     return np.column_stack([places_m, np.full(len(places_m), distance_m)])
 
 
@@ -53,11 +51,11 @@ def free_ray_points(
     found: Sequence[Detections],
     whose: Mapping[tuple[str, int], str],
 ) -> Float[np.ndarray, "M 4"]:
-    """(M, 4) places, one in ten centimetres, that at least three sure keypoints were seen through, and 0: a line may
-    graze a primitive.
+    """(M, 4) positions, one in ten centimetres, on lines of sight to at least three confident keypoints, with distance
+    0.
 
-    ``found`` are detections of any of the cameras in their working pixels, ``whose`` names the person of (camera,
-    track).
+    A line may graze a primitive. ``found`` are detections of any of the cameras in their working pixels, ``whose``
+    names the person of (camera, track).
     """
     bodies, views = {person.name: person for person in people}, {camera.name: camera for camera in cameras}
     lines: list[np.ndarray] = []
@@ -81,7 +79,7 @@ def free_ray_points(
 
 
 def _counted(places_m: np.ndarray, crossed: np.ndarray, lines: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Places (M, 3), one in a cell, that lines went through so far, and how many did (M,), with some more ``lines``."""
+    """Positions (M, 3), one per cell, that lines have crossed so far, and how many did (M,), after adding ``lines``."""
     points = np.concatenate([places_m, *lines])
     cells, first, cell_of = np.unique(np.round(points / _LINE_CELL_M), axis=0, return_index=True, return_inverse=True)
     times = np.ones(len(points), np.int64)
@@ -92,7 +90,7 @@ def _counted(places_m: np.ndarray, crossed: np.ndarray, lines: Sequence[np.ndarr
 
 
 def _sighted(camera: Camera, keypoints: np.ndarray, joints_m: np.ndarray) -> np.ndarray:
-    """(S, 3) joints (24, 3) that one of the sure keypoints (K, 3: x, y, confidence) shows."""
+    """(S, 3) joints (24, 3) at which one of the confident keypoints (K, 3: x, y, confidence) is."""
     sure = keypoints[(keypoints[:, 2] >= _CONFIDENCE) & np.isfinite(keypoints).all(axis=1), :2]
     pixels, z = camera.project(joints_m)
     usable = np.isfinite(pixels).all(axis=1) & (z > 0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sweeps of all cameras say together: per pixel a plane of the common catalogue, and where it is sure."""
+"""The votes of all cameras' sweeps: per pixel a plane of the common catalogue, and whether it is confident."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _OUTSIDE_MARGIN_M = 0.05
 
 @dataclass(frozen=True)
 class Votes:
-    """What the sweeps said: planes (L, 4), and per picture the chosen plane (H, W), confident pixels (H, W) bool."""
+    """The sweeps' votes: planes (L, 4), and per picture the chosen plane (H, W), confident pixels (H, W) bool."""
 
     planes: Num[np.ndarray, "L 4"]
     chosen: Sequence[Integer[np.ndarray, "H W"]]
@@ -42,7 +42,7 @@ class Votes:
         return [m & near[c] for c, m in zip(self.chosen, self.confident)]
 
     def inside(self, pictures: Sequence[Picture], room_box: RoomBox) -> Votes:
-        """The votes whose points lie inside the room box; nothing is seen through a wall."""
+        """The votes with points inside the room box, because no camera sees through a wall."""
         kept = []
         for picture, chosen, confident in zip(pictures, self.chosen, self.confident):
             depth_m = picture.plane_depths_of_pixels(self.planes[chosen])
@@ -51,7 +51,7 @@ class Votes:
         return replace(self, confident=kept)
 
     def depths_m(self, pictures: Sequence[Picture], room_box: RoomBox) -> list[Float[np.ndarray, "H W"]]:
-        """(H, W) float32 depth of every picture: its pixel's plane where that is sure, else the room box."""
+        """(H, W) float32 depth of every picture: its pixel's plane where that is confident, else the room box."""
         return [
             np.where(sure, p.plane_depths_of_pixels(self.planes[at]), room_box.intersect(*p.camera.rays())[0]).astype(
                 np.float32
@@ -66,7 +66,7 @@ class Swept:
 
     Attributes:
         votes: of all cameras. gains: (V, 3) exposure that makes them agree on the floor.
-        floor_m, yaw_rad: height of the floor, and direction of the walls, that the catalogue was made for.
+        floor_m, yaw_rad: height of the floor, and direction of the walls, of the catalogue.
     """
 
     votes: Votes
@@ -93,7 +93,7 @@ def _checked(arrays: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_sweeps(sweeps: Sequence[Path], cameras: int) -> Swept:
-    """The sweeps of so many ``cameras``; raises UserError unless there is one of each, all of one catalogue."""
+    """The sweeps of ``cameras``; raises UserError unless there is one of each, all of one catalogue."""
     swept = [read(path, _SWEEP, _checked, sizes={"V": cameras}) for path in sweeps]
     if len(swept) != cameras or not all(np.array_equal(s["planes"], swept[0]["planes"]) for s in swept):
         raise UserError(

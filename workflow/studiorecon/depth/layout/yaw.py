@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The walls' yaw where there are no lines to tell it: upright planes in all directions, and the direction pair that
-matches most."""
+"""The walls' yaw without line segments: upright planes in all directions, and the pair of directions that matches
+most."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from studiorecon.depth.stereo.planes import rig_centre
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.footage.stills import shrink
 
-# A coarse look is enough: a wall 4° off is 20 cm off three metres along, some two pixels at this width.
+# Coarse pictures suffice: a wall 4° off is 20 cm off three metres along, some two pixels at this width.
 _WIDTH = 96
 _WINDOW = 7
 _OFFSET_STEP_M = 0.25
-# Score above which a pixel speaks for a wall; chance matches of a coarse picture reach a little less.
+# Score above which a pixel counts as a match; chance matches of a coarse picture reach a little less.
 _SPEAKS = 0.7
 _COARSE_RAD, _FINE_RAD = np.radians(7.5), np.radians(1.5)
 
@@ -25,7 +25,7 @@ _COARSE_RAD, _FINE_RAD = np.radians(7.5), np.radians(1.5)
 def matched_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, near_m: float, far_m: float) -> float:
     """Yaw in [0, pi/2) at which walls along it and across it explain most pixels above the floor; 0 when none match.
 
-    First every 7.5°, then every 1.5° beside the best. Costs some seconds; ``wall_yaw`` needs none when there are lines.
+    First every 7.5°, then every 1.5° around the best. Costs some seconds; ``wall_yaw`` needs none when there are lines.
     """
     if sum(bool(picture.known.any()) for picture in pictures) < 2:
         return 0.0
@@ -43,7 +43,7 @@ def matched_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, nea
                 explained[key] = _explained(small, np.radians(key / 2), reach_m, near_m, far_m)
             walls.append(explained[key])
         for one, across, below in zip(*walls, floor_scores):
-            # Only what the floor does not explain as well.
+            # Only pixels that the floor does not explain as well.
             best = np.maximum(one, across)
             total += float(np.clip(best - np.maximum(below, _SPEAKS), 0, None).sum(dtype=np.float64))
         return total
@@ -64,7 +64,7 @@ def _smaller(picture: Picture) -> Picture:
 
 
 def _best_score(pictures: Sequence[Picture], index: int, plane: np.ndarray, near_m: float, far_m: float) -> np.ndarray:
-    """(H, W) best agreement of one picture with any other through a plane; -1 where there is none."""
+    """(H, W) best agreement of one picture with any other through a plane; -1 for none."""
     scores = [
         pictures[index].score(o, plane, _WINDOW, 1.0, near_m, far_m) for j, o in enumerate(pictures) if j != index
     ]
@@ -79,7 +79,7 @@ def _explained(
     middle = normal @ rig_centre([p.camera for p in pictures])
     along = np.array([normal @ p.camera.centre_m for p in pictures])
     offsets = middle + np.arange(-reach_m, reach_m + 1e-9, _OFFSET_STEP_M)
-    # Walls stand outside the cameras; planes between them are furniture and would only add chance matches.
+    # Walls are outside the cameras; planes between them are furniture and would only add chance matches.
     offsets = offsets[(offsets > along.max()) | (offsets < along.min())]
     best = [np.full(p.known.shape, -1, np.float32) for p in pictures]
     for offset in offsets:

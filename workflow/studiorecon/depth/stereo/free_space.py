@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Surfaces that another camera looks through and no other camera confirms, and those that nobody's match speaks for,
-are taken back: they would float in mid-air."""
+"""Removes floating surfaces: those that another camera sees through and none confirms, and those without a match."""
 
 from __future__ import annotations
 
@@ -17,10 +16,10 @@ from studiorecon.scene.room import RoomBox
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# Another camera looks through a point when its own surface there is further by this share; it confirms it within that
-# share.
+# Another camera sees through a point when its own surface there is further by this share; it confirms it within the
+# second share.
 _THROUGH_SHARE, _CONFIRM_SHARE = 0.07, 0.05
-# A plane inside the room stays where another camera judges it and half of the colours' agreement is there.
+# A plane inside the room stays where another camera judges it with at least half of the possible agreement of colours.
 _MAX_COST = 0.5
 
 
@@ -30,7 +29,7 @@ def is_looked_through(
     """(H, W) bool: a surface of ``depth_m`` (H, W) that at least one other camera (with its depth) sees past and none
     confirms.
 
-    Cameras that cannot tell (outside their picture, hidden behind something, unknown depth) have no vote.
+    Cameras without evidence (outside their picture, hidden, unknown depth) have no vote.
     """
     points_m = camera.unproject(camera.pixel_centres(), depth_m)
     past, confirmed = np.zeros(depth_m.shape, bool), np.zeros(depth_m.shape, bool)
@@ -51,9 +50,9 @@ def snap_to_room_box(
 ) -> tuple[Labelled, float]:
     """The labelling with floating surfaces put on the room box, unjudged, and the share of pixels concerned.
 
-    Floating is what others look through and nobody confirms; and what no other camera judges, or matches badly there:
-    where floor and walls match nothing, a plane that hides from all other cameras costs less than they do. Only planes
-    inside the room (label ≥ 6) are questioned; the room box is where everything else already stands.
+    A surface floats if other cameras see through it and none confirms it, or if no other camera judges it, or matches
+    it badly: where floor and walls match nothing, a plane that is hidden from all other cameras has a lower cost. Only
+    planes inside the room (label ≥ 6) are tested; all others are on the room box already.
     """
     unproven = ~labelled.judged | (labelled.cost > _MAX_COST)
     floating = (is_looked_through(camera, labelled.depth_m, others) | unproven) & (labelled.plane >= 6)

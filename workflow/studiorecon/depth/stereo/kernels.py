@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled loops of ``photo_cost``: colours of one camera's surfaces in the others, windowed correlation over a
-surface, where a primitive is seen (``trial_kernels``: what one more would change).
+"""Compiled loops of ``photo_cost``: colours of a camera's surfaces in the others, windowed correlation, visible
+primitives.
 
-Arrays are (V, H, W) for V views; a primitive is eight numbers (``primitives.Primitive.numbers``).
+``trial_kernels`` computes the change by one more primitive. Arrays are (V, H, W) for V views; a primitive is eight
+numbers (``primitives.Primitive.numbers``).
 """
 
 from __future__ import annotations
@@ -14,15 +15,14 @@ from studiorecon.depth.layout.primitives import enter
 
 # Cost of a pixel whose surface no other camera sees: between a match (about 0.1) and chance (about 0.9).
 UNSEEN = np.float32(0.5)
-# What stands before a surface hides it when nearer by this share and this many metres (as in passes.py, a little
-# sharper).
+# A surface hides another when it is nearer by this share and this many metres (as in passes.py, a little stricter).
 HIDING_SHARE, HIDING_M = 0.03, 0.03
-# As in matching.py: flat windows correlate, so they are told from each other by their means and cost at least this.
+# As in matching.py: flat windows always correlate, so they are compared by their means and cost at least this.
 _FLAT_VARIANCE, _FLAT_COST, _MIN_VARIANCE = 4e-4, 0.3, 1e-3
 _MAX_DIFFERENCE, _MAX_COST = 0.6, 1.2
 _MIN_PIXELS = 8
 NEAR_M = 0.1
-# Depth is stored in single precision: what is nearer by less than this share is the same surface.
+# Depth is stored in single precision: nearer by less than this share is the same surface.
 BEFORE = 1 - 1e-5
 # Surfaces are numbered: the room box's faces 0-5, then ten for every primitive.
 FIRST = 10
@@ -70,8 +70,10 @@ def warp(lens, pose, rgb, known, depth, v, o, y, x, sample):
 
 @njit(cache=True, fastmath=True)
 def window_cost(rgb, v, y, x, samples, seen, surface, top, left, half, mean_weight):
-    """Cost of a pixel in one other camera over its surface's pixels in the window; -1 with too few. ``samples`` starts
-    at (top, left)."""
+    """Cost of a pixel in one other camera over its surface's pixels in the window; -1 with too few.
+
+    ``samples`` starts at (top, left).
+    """
     rows, columns = seen.shape
     mine = surface[y - top, x - left]
     n, aa, bb, ab = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
@@ -143,8 +145,10 @@ def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cos
 
 @njit(cache=True, parallel=True)
 def invert_visibility(known, depth, pair, at, z):
-    """Which pixels each pixel judges: (V, H W + 1) where every pixel's begin, and (V, V H W) flat places in (V, H, W)
-    of those that it sees (the inverse of ``at``, of what is compared and not hidden)."""
+    """The pixels that each pixel judges: (V, H W + 1) start indices, and (V, V H W) flat indices in (V, H, W).
+
+    The inverse of ``at``, for pixels that are compared and not hidden.
+    """
     views, height, width = known.shape
     size = height * width
     begin, judged = np.zeros((views, size + 1), np.int64), np.empty((views, views * size), np.int32)
@@ -164,7 +168,7 @@ def invert_visibility(known, depth, pair, at, z):
                         else:
                             begin[o, flat + 1] += 1
             if fill:
-                # Every pixel's begin has become the next one's.
+                # Every pixel's start has become the next one's.
                 for flat in range(size, 0, -1):
                     begin[o, flat] = begin[o, flat - 1]
                 begin[o, 0] = 0
@@ -176,7 +180,8 @@ def invert_visibility(known, depth, pair, at, z):
 
 @njit(cache=True)
 def bounds(lens, pose, primitive, v, height, width):
-    """Rows and columns (top, bottom, left, right) that what of a primitive is before the camera can cover in a view."""
+    """Rows and columns (top, bottom, left, right) that the part of a primitive in front of the camera can cover in a
+    view."""
     c, s = np.cos(primitive[3]), np.sin(primitive[3])
     top, bottom, left, right = float(height), 0.0, float(width), 0.0
     local = np.empty((8, 3))
@@ -190,7 +195,7 @@ def bounds(lens, pose, primitive, v, height, width):
         )
         for i in range(3):
             local[corner, i] = pose[v, i, 0] * px + pose[v, i, 1] * py + pose[v, i, 2] * pz + pose[v, i, 3]
-    # Corners before the camera, and where edges pass the plane nearer than which nothing is drawn.
+    # Corners in front of the camera, and intersections of edges with the near plane.
     for first in range(8):
         for other in range(first, 8):
             apart = first ^ other
@@ -208,7 +213,7 @@ def bounds(lens, pose, primitive, v, height, width):
                 x, y, z = x + share * (local[other, 0] - x), y + share * (local[other, 1] - y), NEAR_M
             u, w = lens[v, 0] * x / z + lens[v, 2], lens[v, 1] * y / z + lens[v, 3]
             top, bottom, left, right = min(top, w), max(bottom, w), min(left, u), max(right, u)
-    # A pixel more than the corners say: what is cut off is not rounded as what is drawn.
+    # A pixel more than the corners' bounds: clipping rounds differently from drawing.
     return (
         int(max(top - 1, 0.0)),
         int(min(bottom + 2, float(height))),
@@ -238,7 +243,7 @@ def trace(lens, pose, centre, v, y, x, primitive, c, s, ray, normal):
 
 @njit(cache=True)
 def draw(lens, pose, centre, known, depth, surface, primitive, first):
-    """Put a primitive into depth and surface."""
+    """Draw a primitive into depth and surface."""
     views, height, width = known.shape
     ray, normal = np.zeros(3), np.zeros(3)
     c, s = np.cos(primitive[3]), np.sin(primitive[3])

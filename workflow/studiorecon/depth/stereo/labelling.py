@@ -13,7 +13,7 @@ from numba import njit
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
-# Colour difference (mean over channels) over which the penalty falls to 1/e, and the floor it never goes below.
+# Colour difference (mean over channels) over which the penalty falls to 1/e, and its lower limit.
 _EDGE_CONTRAST = 0.05
 _MIN_PENALTY = 0.1
 
@@ -23,8 +23,8 @@ def label(
 ) -> Integer[np.ndarray, "H W"]:
     """(H, W) int index of the best plane, from costs (H, W, L) float32 and the photo (H, W, 3).
 
-    Four paths (left, right, up, down), every change of plane costs ``change_penalty`` alike: the label is a plane, so
-    slanted surfaces need no small-change discount.
+    Four paths (left, right, up, down); every change of plane costs the same ``change_penalty``: the label is a plane,
+    so slanted surfaces need no discount for small changes.
     """
     smooth = cv2.GaussianBlur(rgb, (3, 3), 0.7)
     weights = []

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well two photos agree if a surface lay in a given plane: windowed correlation through the plane's own warp.
+"""Agreement of two photos for a surface in a given plane: windowed correlation through the plane's own warp.
 
-The window is warped with the plane, so it slants as the surface does; this is what lets cameras 90° apart be compared
-at all.
+The window is warped with the plane, so it slants as the surface does; only this makes cameras 90° apart comparable.
 """
 
 from __future__ import annotations
@@ -17,10 +16,10 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# Variance (summed over channels) below which a window counts as flat: flat against flat correlates, and then the means
+# Variance (summed over channels) below which a window counts as flat: flat windows always correlate, so the means
 # decide.
 _FLAT_VARIANCE = 4e-4
-# Least share of the window that must be seen by both cameras.
+# Least share of the window that both cameras must see.
 _MIN_SHARE = 0.35
 # Limit of the mean difference's part in the score: beyond it the windows differ anyway.
 _MAX_DIFFERENCE = 0.6
@@ -28,7 +27,7 @@ UNKNOWN = np.float32(-9)
 
 
 def plane_inverse_depth(camera: Camera, plane: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " 3"] | None:
-    """(3,) w with 1/z = w·(column, row, 1) for points of a world plane (4,) n·p = o; None when the camera lies in the
+    """(3,) w with 1/z = w·(column, row, 1) for points of a world plane (4,) n·p = o; None when the camera is in the
     plane."""
     normal = camera.rotation_camera_from_world @ plane[:3]
     offset = plane[3] - plane[:3] @ camera.centre_m

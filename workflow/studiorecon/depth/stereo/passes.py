@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Second look: few planes, judged only by the cameras that can see past the others' surfaces; the room box where
-none can."""
+"""The second pass: few planes, judged only by cameras that see past the others' surfaces; the room box where none
+can."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 # Another surface hides a point when it is nearer by this share of the depth plus this many metres.
 _HIDING_SHARE, _HIDING_M = 0.04, 0.05
 _AGREEING_M = 0.03
-# A camera whose own depth disagrees (but does not hide the point) counts half.
+# Weight of a camera whose own depth disagrees but does not hide the point.
 _DISAGREEING_WEIGHT = 0.5
-# A second, larger window steadies weak texture; it loses by this much when both fit.
+# A second, larger window stabilises weak texture; it loses by this much when both fit.
 _LARGER_WINDOW, _LARGER_LOSS = 6, 0.05
 _OUTSIDE = 2.5
 _OUTSIDE_MARGIN_M = 0.05
@@ -34,8 +34,11 @@ _OUTSIDE_MARGIN_M = 0.05
 
 @dataclass(frozen=True)
 class PassSettings(Matching):
-    """Costs of the second look: its window, the price of a change, of room box and other planes where no other camera
-    can judge, and what furniture pays over walls. The gap between the two defaults puts one-view pixels on walls."""
+    """Costs of the second pass: its window, a change of plane, planes without a judging camera, and furniture over
+    walls.
+
+    The gap between the two defaults puts pixels seen by one view on walls.
+    """
 
     refine_window: int = 5
     refine_penalty: float = 0.8
@@ -46,7 +49,7 @@ class PassSettings(Matching):
 
 @dataclass(frozen=True)
 class Labelled:
-    """One picture explained: plane index (H, W), its depth (H, W), its cost (H, W), and (H, W) bool: another camera
+    """The labelling of one picture: plane index (H, W), depth (H, W), cost (H, W), and (H, W) bool: another camera
     judged it."""
 
     plane: Integer[np.ndarray, "H W"]
@@ -63,7 +66,7 @@ def plane_depths(
     pixels = picture.camera.pixel_centres()
     for k, plane in enumerate(planes):
         depth_m = picture.depth(plane, settings.near_m, settings.far_m)
-        # The room box may lie beyond far_m: a default wall of an open place is still the end of the world.
+        # The room box may be beyond far_m: a default wall of an open place still bounds the world.
         if k < 6:
             depth_m = picture.depth(plane, settings.near_m, np.inf)
         inside = room_box.contains(picture.camera.unproject(pixels, depth_m), _OUTSIDE_MARGIN_M)
@@ -100,11 +103,11 @@ def explain(
     others: Sequence[tuple[Camera, Float[np.ndarray, "h w"]]],
     settings: PassSettings,
 ) -> Labelled:
-    """Label one picture from its scores against every other camera, given those cameras and their latest depth (H',
-    W').
+    """The labelling of one picture from its scores against every other camera, given those cameras and their latest
+    depth (H', W').
 
     The first six planes are the room box: where no camera can judge, they cost ``room_box_default`` and all others
-    ``other_default``; this is what puts pixels that one camera sees on the walls rather than anywhere.
+    ``other_default``, which puts pixels seen by one camera on the walls.
     """
     cost = np.empty((*picture.camera.hw, len(planes)), np.float32)
     judged = np.zeros(cost.shape, bool)
@@ -120,7 +123,7 @@ def explain(
         of_room_box = k < 6
         default = settings.room_box_default if of_room_box else settings.other_default
         value = np.where(weight > 0, total / np.maximum(weight, 1e-6), default)
-        # A flat window matches flat windows everywhere: that is worth no more than not being judged.
+        # A flat window matches flat windows everywhere: that is worth no more than no judgement.
         value = np.where(flat, np.maximum(value, settings.room_box_default), value) + (
             0.0 if of_room_box else settings.other_extra
         )
@@ -139,7 +142,7 @@ def explain(
 
 @njit(cache=True)
 def _judge(score, h, depth, other_depth, total, weight):
-    """Add one camera's cost of a plane where nothing it sees stands before the plane."""
+    """Add one camera's cost of a plane where the plane is not hidden from it."""
     height, width = score.shape
     other_height, other_width = other_depth.shape
     for y in range(height):

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well a room with primitives in it explains all photos at once: the cost of every pixel of every view, and what
-one primitive more changes.
+"""Cost of all photos' pixels for a room with primitives in it, and its change by one more primitive.
 
 A pixel's surface is seen by other cameras or hidden from them; those that see it must show the same colours (windowed
-correlation over the pixels of one surface). So a primitive is paid for by its faces that match and by wrong
-matches behind it that it hides, and it pays for everything true that it would hide. What no other camera sees of it
-wins nothing by matching; what looks unlike the wall behind may extend what is matched elsewhere, or make up a thing
-that stands on the floor before everybody's eyes (``self_dissimilarity``).
+correlation over the pixels of one surface). So a primitive gains by its faces that match and by wrong matches behind it
+that it hides, and loses by every right match that it hides. Parts that no other camera sees gain nothing by matching.
+Regions that differ from the wall behind may extend matched ones, or form an object on the floor that is seen without
+occlusion (``self_dissimilarity``).
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ from studiorecon.scene.room import RoomBox
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# Pixels that show a thing that is there cost less than before by a tenth at least in rooms whose tables match worst; by
-# nothing, on ten thousand pixels, in a real room whose floor lies lower than it was taken to.
+# Pixels that show a real object cost less than before by a tenth at least in rooms whose tables match worst; by
+# nothing, on ten thousand pixels, in a real room whose floor is lower than assumed.
 _MIN_BETTER = 0.05
 
 
 @dataclass
 class PhotoCostVolume:
-    """All views as the present primitives explain them; arrays are (V, H, W), padded to the largest picture.
+    """All views as explained by the current primitives; arrays are (V, H, W), padded to the largest picture.
 
     Attributes:
         lens: (V, 4) focal lengths and principal point, pixels. pose: (V, 3, 4) camera_from_world. centre: (V, 3)
@@ -41,10 +40,10 @@ class PhotoCostVolume:
         rgb, known: the photos. depth: z-depth of the explaining surface, metres. surface: its number.
         pair: (V, V, H, W) cost of the surface in another camera, -1 where they cannot be compared.
         at, z: (V, V, H, W) flat pixel in the other camera, and depth there.
-        begin, judged: (V, H W + 1) and (V, V H W): which pixels each pixel judges (``kernels.invert_visibility``).
+        begin, judged: (V, H W + 1) and (V, V H W): the pixels that each pixel judges (``kernels.invert_visibility``).
         cost: (V, H, W) cost of every pixel; 0 where the photo is not known.
-        judges: how many other cameras see its surface.
-        half, mean_weight: half a window in pixels, price of a difference of means.
+        judges: number of other cameras that see its surface.
+        half, mean_weight: half a window in pixels, weight of a difference of means.
         floor_m: height of the floor.
         bare: depth and surface of the room box alone.
         odds: ``self_dissimilarity.foreground_log_odds`` of the room box alone.
@@ -74,7 +73,7 @@ class PhotoCostVolume:
 
     @staticmethod
     def by_room_box(pictures: Sequence[Picture], room_box: RoomBox, window: int, mean_weight: float) -> PhotoCostVolume:
-        """The empty room: every pixel on the shell."""
+        """The empty room: every pixel on the room box."""
         count = len(pictures)
         height, width = np.max([p.camera.hw for p in pictures], axis=0)
         shape = (count, height, width)
@@ -121,27 +120,29 @@ class PhotoCostVolume:
         return room
 
     def gains(self, primitives: Float[np.ndarray, "N 8"], looks: bool = True) -> Float[np.ndarray, " N"]:
-        """(N,) by how much the cost of all pixels would fall with each of N primitives (N, 8) added alone; without
-        ``looks`` only what cameras agree on counts."""
+        """(N,) decrease of the cost of all pixels with each of N primitives (N, 8) added alone.
+
+        Without ``looks`` only the agreement of cameras counts.
+        """
         return self._gains_and_costs(primitives, looks)[:, 0]
 
     def contradicted(self, primitive: Float[np.ndarray, " 8"]) -> bool:
-        """Whether the pixels that show a primitive (8,) match no better than what stood there, and all that it gains
-        are wrong matches that it hides.
+        """Whether the pixels that show a primitive (8,) match no better than before, so that it gains only by hiding
+        wrong matches.
 
-        A wall or floor in the wrong place matches nothing, and whatever hides it explains the photos better.
+        A wall or floor in the wrong place matches nothing, and everything that hides it explains the photos better.
         """
         _, better, was = self._gains_and_costs(np.asarray(primitive)[None], looks=False)[0]
         return bool(better < _MIN_BETTER * was)
 
     def shown(self, primitive: Float[np.ndarray, " 8"]) -> Integer[np.ndarray, " V"]:
-        """(V,) pixels of every view that a primitive (8,) would be seen at."""
+        """(V,) number of pixels of every view that would show a primitive (8,)."""
         depth_m, surface, own = self.depth.copy(), self.surface.copy(), FIRST + 10 * len(self.primitives)
         draw(self.lens, self.pose, self.centre, self.known, depth_m, surface, np.asarray(primitive, np.float64), own)
         return ((surface >= own) & self.known).sum(axis=(1, 2))
 
     def _gains_and_costs(self, primitives: Float[np.ndarray, "N 8"], looks: bool) -> Float[np.ndarray, "N 3"]:
-        """(N, 3) gains, what of them is on pixels that show the primitives, and what those cost before."""
+        """(N, 3) gains, their part on pixels that show the primitives, and those pixels' cost before."""
         odds = self.odds if looks else np.zeros_like(self.odds)
         explained = (
             self.depth,
@@ -162,7 +163,7 @@ class PhotoCostVolume:
         return self.lens, self.pose, self.centre, self.rgb, self.known
 
     def replace_all(self, primitives: Float[np.ndarray, "K 8"]) -> None:
-        """Explain the room anew with these primitives (K, 8) and no other."""
+        """Explain the room with these primitives (K, 8) and no other."""
         self.primitives = np.ascontiguousarray(primitives, np.float64).reshape(-1, 8)
         self.depth[:], self.surface[:] = self.bare
         for k, primitive in enumerate(self.primitives):

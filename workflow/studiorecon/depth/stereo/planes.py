@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planes a room is tried with: floors, table tops and upright walls in the two directions its lines run."""
+"""The candidate planes of a room: floors, table tops and upright walls in the two directions of its lines."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ _BIN_RAD = np.radians(0.5)
 
 
 def rig_centre(cameras: Sequence[Camera]) -> Float[np.ndarray, " 3"]:
-    """(3,) mean of the camera centres: offsets of wall hypotheses are laid out around it."""
+    """(3,) mean of the camera centres, around which the offsets of wall hypotheses are spaced."""
     return np.mean([camera.centre_m for camera in cameras], axis=0)
 
 
 def wall_yaw(
     cameras: Sequence[Camera], pictures: Sequence[Num[np.ndarray, "H W 3"]], known: Sequence[Bool[np.ndarray, "H W"]]
 ) -> tuple[float, float]:
-    """Yaw in [0, pi/2) of the horizontal direction most straight lines run along, and the share of line length that
-    supports it.
+    """Yaw in [0, pi/2) of the horizontal direction of most straight lines, and the share of line length that supports
+    it.
 
-    A line segment and its camera centre span a plane; a horizontal line in the world has the direction that lies in
-    both this plane and the horizontal. Every segment thus votes for one yaw (modulo 90°: walls come in two directions)
-    with its length; segments that are plausibly vertical, or whose plane is nearly horizontal, abstain. The share is 0
-    without lines.
+    A line segment and its camera centre span a plane; a horizontal line in the world has the direction in both this
+    plane and the horizontal. Every segment thus votes for one yaw (modulo 90°: walls come in two directions) with its
+    length; segments that are plausibly vertical, or whose plane is nearly horizontal, abstain. The share is 0 without
+    lines.
     """
     detector = cv2.createLineSegmentDetector()
     yaws, weights = [], []
     for camera, rgb, mask in zip(cameras, pictures, known):
-        # The detector wants structure: local contrast is evened out so that a pale wall's lines count too.
+        # Local contrast is equalised, so that the detector also finds a pale wall's lines.
         grey = cv2.createCLAHE(2.0, (4, 4)).apply(
             cv2.cvtColor(np.clip(rgb * 255, 0, 255).astype(np.uint8), cv2.COLOR_RGB2GRAY)
         )
@@ -71,7 +71,7 @@ def wall_yaw(
     for reach in (np.radians(3.0), np.radians(1.5), np.radians(1.5)):
         away = (yaw - peak + np.pi / 4) % (np.pi / 2) - np.pi / 4
         near = np.abs(away) < reach
-        # A weighted median: half of the lines in the window may belong to furniture.
+        # A weighted median, because half of the lines in the window may belong to furniture.
         order = np.argsort(away[near])
         cumulated = np.cumsum(weight[near][order])
         if len(order):
@@ -93,8 +93,8 @@ def hypotheses(
     """(L, 4) planes n·p = o: horizontals from the floor to ``furniture_m`` and through the ceiling's range, then the
     walls.
 
-    Walls stand across yaw and yaw + 90°, up to ``reach_m`` from the rig's centre; their step grows with the square of
-    the distance beyond 4.5 m.
+    Walls are across yaw and yaw + 90°, up to ``reach_m`` from the rig's centre; their step grows with the square of the
+    distance beyond 4.5 m.
     """
     up = np.array([0.0, 0.0, 1.0])
     heights = np.concatenate(

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plates as stereo wants them: at its working size, with equal exposure, and with the floor and the walls' yaw
-known."""
+"""The plates prepared for stereo: at its working size, with equal exposure, and with known floor and yaw of the
+walls."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from studiorecon.scene.files import one_each
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-# Correlation above which a floor pixel is believed to show the floor in both views, as measured on synthetic rooms.
+# Correlation above which a floor pixel counts as floor in both views, as measured on synthetic rooms.
 _SAME_SURFACE = 0.6
 _FLOOR_SEARCH_M = 0.12
 _FLOOR_STEP_M = 0.03
 _MIN_PIXELS = 60
 _SAME_DEPTH = 0.02
-# Variance (summed over channels) of a window that is more than sensor noise: 8 grey levels of 255 in one channel.
+# Variance (summed over channels) of a window above sensor noise: 8 grey levels of 255 in one channel.
 _MIN_VARIANCE = 1e-3
 
 
@@ -54,7 +54,7 @@ class Picture:
         return np.maximum(depth_m, 0.0)
 
     def textured(self, window: int) -> Bool[np.ndarray, "H W"]:
-        """(H, W) bool: the window around a pixel is not flat. A flat one matches every plane, so it speaks for none."""
+        """(H, W) bool: the window around a pixel is not flat. A flat one matches every plane, so it votes for none."""
         mean, square = (cv2.blur(image, (window, window)) for image in (self.rgb, self.rgb * self.rgb))
         return channel_sum(square - mean * mean) > _MIN_VARIANCE
 
@@ -67,7 +67,7 @@ class Picture:
         near_m: float,
         far_m: float,
     ) -> Float[np.ndarray, "H W"]:
-        """(H, W) agreement with another picture through a plane; ``UNKNOWN`` where they cannot be compared."""
+        """(H, W) agreement with another picture through a plane; ``UNKNOWN`` where they are not comparable."""
         return correlation(
             self.rgb,
             self.known,
@@ -100,8 +100,8 @@ def floor_and_gains(
 ) -> tuple[float, Float[np.ndarray, "V 3"], int]:
     """Height of the floor near z = 0, exposure gains (V, 3), and the number of camera pairs that shared floor.
 
-    The floor is the one surface whose place is known beforehand, so colours seen through z = floor compare like with
-    like. Gains are found before any depth, because unequal exposure ruins the matching costs (44 % instead of 86 % of
+    The floor is the one surface whose position is known beforehand, so colours through z = floor show the same points.
+    Gains are estimated before any depth, because unequal exposure ruins the matching costs (44 % instead of 86 % of
     pixels within 5 % at ±12 %).
     """
     candidates = np.arange(-_FLOOR_SEARCH_M, _FLOOR_SEARCH_M + 1e-9, _FLOOR_STEP_M)
@@ -132,7 +132,7 @@ def floor_and_gains(
 def surface_gains(
     pictures: Sequence[Picture], depths_m: Sequence[Float[np.ndarray, "H W"]], window: int
 ) -> tuple[Float[np.ndarray, "V 3"], int]:
-    """Gains (V, 3) that the pictures still differ by on every surface two of them see, and how many pairs saw one.
+    """Remaining gains (V, 3) between the pictures on every surface that two of them see, and how many pairs saw one.
 
     The floor may be hidden or featureless; once depth is agreed, walls and furniture compare as well. A pixel counts
     when both depth maps put it at the same place within 2 %.

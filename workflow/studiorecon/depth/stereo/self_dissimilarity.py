@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What in a photo looks unlike the wall or floor that it would lie on, if nothing stood in the room.
+"""Regions of a photo that differ from the wall or floor behind them, as if nothing were in the room.
 
-Walls and floors repeat themselves: a piece of wallpaper has others like it further along. A pillar that is laid on the
-wall behind it has not. So every piece of a face is compared with pieces elsewhere on the same face, as all cameras show
-them; a poster is unlike its wall too, but it does not reach the floor.
+Walls and floors repeat themselves: a patch of wallpaper has similar ones further along. A pillar projected on the wall
+behind it has not. So every patch of a face is compared with distant patches on the same face, from all cameras; a
+poster differs from its wall too, but it does not reach the floor.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from studiorecon.scene.room import Face, RoomBox
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Cells that a face is laid out in, and half the side of a piece of it.
+# Size of the cells of a face, and half the side of a patch in cells.
 _CELL_M, _HALF = 0.06, 2
-# Nearer pieces of a floor, or of a wall in either direction along it, may show the same thing.
+# Nearer patches of a floor, or of a wall in either direction along it, may show the same object.
 _ELSEWHERE_M = 0.6
-# Pieces are described by so many principal components, and compared with so many others; the fifth nearest counts.
+# Number of principal components that describe a patch, and of patches to compare with; the fifth nearest counts.
 _COMPONENTS, _OTHERS, _NEAREST = 12, 1500, 4
 _AT_ONCE = 4096
-# Fewer pieces do not say how a face looks.
+# With fewer patches the appearance of a face is unknown.
 _MIN_PIECES = 200
-# Unlike is what is this much further from others than half of all pieces are; so much is camera noise.
+# A patch is different if it is this much further from others than half of all patches are; camera noise.
 _USUAL, _NOISE = 1.5, 0.01
 
 
 def foreground_log_odds(pictures: Sequence[Picture], room_box: RoomBox) -> list[Float[np.ndarray, "H W"]]:
-    """(H, W) float32 in [-1, 1] of every picture: 1 where it looks nothing like the rest of the face of the room box
-    behind it, -1 where just like it, 0 where that cannot be told.
+    """(H, W) float32 in [-1, 1] of every picture: 1 where it differs from the rest of the face behind it, -1 where it
+    does not.
 
-    2 s for four pictures 160 pixels wide.
+    0 where that is undecided; faces are those of the room box. 2 s for four pictures 160 pixels wide.
     """
     where = [room_box.intersect(*p.camera.rays()) for p in pictures]
     odds = [np.zeros(p.camera.hw, np.float32) for p in pictures]
@@ -57,7 +57,7 @@ def foreground_log_odds(pictures: Sequence[Picture], room_box: RoomBox) -> list[
             laid, unknown = np.zeros(nodes.shape[:2], np.float32), np.ones(nodes.shape[:2], bool)
             laid[tuple(at.T)], unknown[tuple(at.T)] = np.clip(values / usual - 1, -1, 1), False
             if face.name == "floor":
-                # A piece is unlike from where its rim touches something on: things would seem to stand nearer.
+                # A patch differs as soon as its rim touches an object, which would make objects seem nearer.
                 laid[unknown] = 1
                 laid = np.asarray(cv2.erode(laid, np.ones((3, 3))), np.float32)
             laid[unknown] = 0
@@ -66,7 +66,7 @@ def foreground_log_odds(pictures: Sequence[Picture], room_box: RoomBox) -> list[
 
 
 def _pieces(picture: Picture, on_face: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 2) cells of a face that a picture shows whole, and (N, P) the colours of the pieces around them."""
+    """(N, 2) cells of a face that a picture shows completely, and (N, P) the colours of the patches around them."""
     pixels, z = picture.camera.project(nodes)
     # cv2 counts centres as integers
     columns, rows = (np.where(z > 0, pixels[..., k] - 0.5, -2).astype(np.float32) for k in (0, 1))
@@ -76,7 +76,7 @@ def _pieces(picture: Picture, on_face: np.ndarray, nodes: np.ndarray) -> tuple[n
     if not len(at):
         return at, np.zeros((0, 3 * (2 * _HALF + 1) ** 2), np.float32)
     rgb = cv2.remap(picture.rgb.astype(np.float32), columns, rows, cv2.INTER_LINEAR)
-    # Beside a rim a piece goes on with what is nearest.
+    # Near a rim a patch is continued with its nearest pixels.
     nearest = distance_transform_edt(~seen, return_distances=False, return_indices=True)
     wide = np.pad(rgb[tuple(nearest)], ((_HALF, _HALF), (_HALF, _HALF), (0, 0)), mode="edge")
     side = range(2 * _HALF + 1)
@@ -84,16 +84,16 @@ def _pieces(picture: Picture, on_face: np.ndarray, nodes: np.ndarray) -> tuple[n
 
 
 def _patch_dissimilarity(pieces: np.ndarray, at: np.ndarray, upright: bool) -> np.ndarray:
-    """(N,) root mean square per cell by which every piece (N, P) differs from the nearest elsewhere on its face."""
+    """(N,) root mean square per cell by which every patch (N, P) differs from the nearest distant one on its face."""
     rng = np.random.default_rng(0)
     pieces = pieces - pieces.mean(axis=0)
     _, directions = np.linalg.eigh(pieces.T @ pieces)
     described = np.ascontiguousarray(pieces @ directions[:, -_COMPONENTS:])
     chosen = rng.permutation(len(pieces))[:_OTHERS]
-    # Cells in the smallest type that holds them: what takes time here is reading them.
+    # Cells in the smallest type that holds them, because reading them takes most of the time.
     at = at.astype(np.int16 if at.max() < 2**15 else np.int64)
     others, places = described[chosen], at[chosen]
-    # Fewer cells apart than this are beside each other.
+    # Cells nearer than this are neighbours.
     reach = at.dtype.type(np.ceil(_ELSEWHERE_M / _CELL_M))
     squared, theirs = np.empty(len(pieces), np.float32), (others**2).sum(axis=1)
     for first in range(0, len(pieces), _AT_ONCE):
@@ -108,13 +108,13 @@ def _patch_dissimilarity(pieces: np.ndarray, at: np.ndarray, upright: bool) -> n
         distance.partition(rank, axis=1)
         squared[some] = distance[:, rank]
     finite = squared[np.isfinite(squared)]
-    # A face so narrow that nothing is elsewhere says nothing.
+    # A face too narrow for distant patches gives no evidence.
     squared = np.where(np.isfinite(squared), squared, np.median(finite) if len(finite) else 0.0)
     return np.sqrt(np.maximum(squared, 0) / (2 * _HALF + 1) ** 2)
 
 
 def _project_face(laid: np.ndarray, face: Face, picture: Picture, depth_m: np.ndarray) -> np.ndarray:
-    """(H, W) what is ``laid`` out on a face, as a camera sees it."""
+    """(H, W) the values ``laid`` on a face's cells, as seen by a camera."""
     points_m = picture.camera.unproject(picture.camera.pixel_centres(), depth_m)
     rows, columns = np.moveaxis(face.cells(points_m, laid.shape), -1, 0).astype(np.float32)
     return cv2.remap(laid, columns, rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled loop of ``photo_cost`` that puts primitives on trial: what one more would change in the cost of all
-pixels.
+"""The compiled trial of primitives for ``photo_cost``: the change of all pixels' cost by one more primitive.
 
 Arrays are (V, H, W) for V views; a primitive is eight numbers (``primitives.Primitive.numbers``). After a change in
-``kernels`` touch this file: numba's cache does not notice changes in what it imports.
+``kernels`` touch this file: numba's cache does not notice changes in imported files.
 """
 
 from __future__ import annotations
@@ -24,20 +23,20 @@ from studiorecon.depth.stereo.kernels import (
     window_cost,
 )
 
-# Worth of a pixel that one camera alone sees and that looks not at all like the wall; of one of a thing that stands
-# before everybody's eyes, which is explained as well then as what two cameras agree on.
+# Gain of a pixel that one camera alone sees and that differs fully from the wall; and of one of an unoccluded object on
+# the floor, which then counts as explained like pixels on which two cameras agree.
 _ODDS_WEIGHT, _STANDING_WEIGHT = 0.3, 0.4
-# A thing stands before everybody's eyes when so much of its foot has floor before it, seen this many pixels below, and
-# what is this many pixels beside it is wall again; its foot is on the floor within so many metres.
+# An object is unoccluded when so much of its foot has floor in front of it, this many pixels below, and wall on its
+# sides, this many pixels away; its foot is on the floor within so many metres.
 _CLEAR_FOOT, _BELOW, _BESIDE, STANDING_M = 0.5, 2, 2, 0.03
 
 
 @njit(cache=True, parallel=True)
 def gains(photos, explained, half, mean_weight, floor_m, primitives):
-    """(N, 3) by how much the cost of all pixels falls with each of N primitives (N, 8) added alone; then of the pixels
-    that show it and that another camera judges, by how much theirs falls and what it was.
+    """(N, 3) decrease of the cost of all pixels with each of N primitives (N, 8) added alone, and two parts of it.
 
-    ``photos``: lens, pose, centre, rgb, known; ``explained``: depth, surface, pair, at, z, begin, judged, cost, odds
+    These are, for pixels that show it and that another camera judges, the decrease and the cost before. ``photos``:
+    lens, pose, centre, rgb, known; ``explained``: depth, surface, pair, at, z, begin, judged, cost, odds
     (``photo_cost.PhotoCostVolume``); ``floor_m``: height of the floor.
     """
     found = np.zeros((len(primitives), 3))
@@ -48,8 +47,10 @@ def gains(photos, explained, half, mean_weight, floor_m, primitives):
 
 @njit(cache=True)
 def _is_unoccluded(number, known, surface, odds, top, bottom, left, right):
-    """Whether a thing on trial, where ``number`` (H, W) is not 0, shows its whole outline to one camera: floor before
-    its foot, and on either side what looks like the wall behind."""
+    """Whether a trial object, where ``number`` (H, W) is not 0, shows its whole outline to one camera.
+
+    Then there is floor in front of its foot, and on either side the wall behind.
+    """
     height, width = number.shape
     foot, clear, beside, total = 0, 0, 0, 0.0
     for x in range(left, right):
@@ -183,7 +184,7 @@ def _gain(photos, explained, half, mean_weight, floor_m, primitive):
                         n += 1
                 if lost:
                     gain += cost[v, y, x] - (sum_ / n if n else UNSEEN)
-    # Looks extend what cameras agree on, and are never worth more than that: one photo does not tell where a thing
-    # floats. It does tell where a thing stands whose foot it sees.
+    # Dissimilarity extends regions on which cameras agree, and never counts more than them: one photo does not
+    # determine the position of a floating object. It does determine that of an object whose foot it sees.
     gain += shown
     return gain + max(min(unlike, max(gain, 0.0)), clear), shown, before_cost
