@@ -25,7 +25,7 @@ import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.tracking import tracks, without_duplicates
+from studiorecon.keypoints.tracking import drop_duplicates, tracks
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import identities_from_keypoints
 from studiorecon.people.association.grouping import group_tracks, track_margins
@@ -134,7 +134,7 @@ def drawn(take: Take, seed: int, options: detections.Settings) -> tuple[list[Det
         keypoints[keypoints[..., 2] < options.min_confidence] = [np.nan, np.nan, 0.0]
         keep = (keypoints[..., 2] > 0).sum(1) >= options.min_keypoints
         frame, keypoints = frame[keep], keypoints[keep]
-        keep = without_duplicates(frame, keypoints, options.tracking)
+        keep = drop_duplicates(frame, keypoints, options.tracking)
         frame, keypoints = frame[keep], keypoints[keep]
         who = nearest(take, camera, frame, keypoints)
         track = tracks(frame, keypoints, options.tracking, 30.0)

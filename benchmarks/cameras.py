@@ -38,9 +38,9 @@ from studiorecon.geometry.lens import calibration_from_video_pixels, normalised_
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.reading import undistorted
+from studiorecon.keypoints.reading import to_pinhole
 from studiorecon.people import fit
-from studiorecon.people.fitting.points import Points, lift, observations
+from studiorecon.people.fitting.points import Points, observations, triangulate_keypoints
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import read_json
@@ -196,7 +196,7 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
     report = read_json(out / "doctor.json")
     lenses = [Lens.from_json(v) for v in read_json(out / "calibration.json")["lenses"]]
     sizes = [tuple(read_json(out / f"{c}.json")["wh"]) for c in MAN]
-    both = [undistorted(read_detections(out / f"{c}.npz"), lens, wh) for c, lens, wh in zip(MAN, lenses, sizes)]
+    both = [to_pinhole(read_detections(out / f"{c}.npz"), lens, wh) for c, lens, wh in zip(MAN, lenses, sizes)]
     told = {
         "verdict": report["verdict"],
         "advice": report["advice"],
@@ -247,7 +247,7 @@ def the_man(
 
 
 def _lifted(names: list[str], keypoints: np.ndarray, cameras: list[Camera], settings: fit.Settings) -> Points:
-    return lift(names, keypoints, cameras, settings.triangulation, settings.fit.unverified_sigma_m)
+    return triangulate_keypoints(names, keypoints, cameras, settings.triangulation, settings.fit.unverified_sigma_m)
 
 
 def _named(names: list[str], points: Points) -> dict[str, np.ndarray]:

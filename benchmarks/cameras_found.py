@@ -29,7 +29,7 @@ from studiorecon.calibration import from_people
 from studiorecon.calibration.room_pictures import room_edges
 from studiorecon.errors import UserError
 from studiorecon.geometry.triangulation import triangulate
-from studiorecon.rig.correspondences import observe
+from studiorecon.rig.correspondences import make_observations
 from studiorecon.rig.from_tracks import bone_factor
 from studiorecon.rig.metric_scale import GivenLengths, stature_m
 from studiorecon.scene.camera import Camera
@@ -51,7 +51,7 @@ FRAMES = {"demo": (60,), "man": (60, 100)}
 def height_m(cameras: Sequence[Camera], seen: Sequence[Detections], body: BodyModel) -> float:
     """People's height as calibrated cameras show their bones."""
     settings = loaded(from_people.Settings)
-    points, _ = observe(seen, cameras, np.arange(100), settings.gate_m)
+    points, _ = make_observations(seen, cameras, np.arange(100), settings.gate_m)
     loose = replace(settings.limits, outlier_units=3 * settings.limits.outlier_units)
     found = triangulate(points.pixels, points.confidence, cameras, loose)
     used = np.where(found.verified[:, None], found.points_m, np.nan)

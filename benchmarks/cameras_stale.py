@@ -30,10 +30,10 @@ from typing import Any
 import numpy as np
 from studiorecon.cameras import refine
 from studiorecon.errors import UserError
-from studiorecon.geometry.bundle import BundleSettings, moved
+from studiorecon.geometry.bundle import BundleSettings, move_camera
 from studiorecon.geometry.rotations import angle, exp
-from studiorecon.rig.bundle import fitted
-from studiorecon.rig.correspondences import observe
+from studiorecon.rig.bundle import fit_cameras
+from studiorecon.rig.correspondences import make_observations
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -54,7 +54,7 @@ def planted(cameras: Sequence[Camera], seed: int) -> list[Camera]:
         axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
         turn = exp(np.radians(rng.uniform(1, 4)) * axis)
         found.append(
-            moved(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + rng.uniform(0.1, 0.4) * way)
+            move_camera(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + rng.uniform(0.1, 0.4) * way)
         )
     return found
 
@@ -129,8 +129,8 @@ def keypoints_only(seeds: int) -> list[dict[str, Any]]:
         settings = loaded(refine.Settings)
         reference = list(given)
         for _ in range(3):
-            all_of_them, _ = observe(seen, reference, np.arange(100), settings.gate_m)
-            again = fitted(reference, all_of_them, settings.limits, FREE)
+            all_of_them, _ = make_observations(seen, reference, np.arange(100), settings.gate_m)
+            again = fit_cameras(reference, all_of_them, settings.limits, FREE)
             reference = again.cameras if again is not None else reference
         table += rows("pose2sim", given, reference, seen, 100, range(seeds))
     return table

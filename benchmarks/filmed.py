@@ -19,7 +19,7 @@ from studiorecon.calibration.room_pictures import read_room_pictures, without_di
 from studiorecon.detect import keypoints as sightings
 from studiorecon.detect import people as detect
 from studiorecon.footage.source import open_source
-from studiorecon.keypoints.reading import undistorted
+from studiorecon.keypoints.reading import to_pinhole
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera, Lens
@@ -63,7 +63,7 @@ class Filmed:
         """Cameras, sightings and rooms without the distortion of ``lenses``, as a calibrated capture has them."""
         cameras, seen, rooms = [], [], []
         for d, camera in zip(self.seen, self.cameras, strict=True):
-            pinhole, straight = undistorted(d, lenses[camera.name], camera.wh)
+            pinhole, straight = to_pinhole(d, lenses[camera.name], camera.wh)
             cameras.append(pinhole)
             seen.append(straight)
             room = self.rooms.get(camera.name)
@@ -114,7 +114,7 @@ def the_man(folder: Path) -> Filmed:
             0
         ]
         read.append({lens.name: lens for lens in lenses})
-    pinholes = [[undistorted(empty_detections(c), lenses[c], size[c])[0] for c in MAN] for lenses in read]
+    pinholes = [[to_pinhole(empty_detections(c), lenses[c], size[c])[0] for c in MAN] for lenses in read]
     return Filmed(
         "man", 60.0, 100, pinholes[0], read[0], seen, read_room_pictures(MAN, videos, size), pinholes[1], read[1]
     )
@@ -129,7 +129,7 @@ def the_demo(folder: Path) -> Filmed:
     seen, size = sighted(DEMO, videos, {}, folder / "demo")
     reading = calibration.read_calibration([films / "intri.yml", films / "extri.yml"])
     lenses = calibration.paired_lenses(reading, "demo", list(DEMO), {}, loaded(calibration.Settings))[0]
-    pinholes = [undistorted(empty_detections(n.name), n, size[n.name])[0] for n in lenses]
+    pinholes = [to_pinhole(empty_detections(n.name), n, size[n.name])[0] for n in lenses]
     rooms = read_room_pictures(DEMO, videos, size)
     return Filmed("demo", 30.0, 60, pinholes, {n.name: n for n in lenses}, seen, rooms, [], {})
 

@@ -31,10 +31,10 @@ from studiorecon.body.person_files import read_person
 from studiorecon.footage.frames import decode
 from studiorecon.footage.source import open_source
 from studiorecon.footage.video import write_lossless
-from studiorecon.keypoints.tracking import tracks, without_duplicates
+from studiorecon.keypoints.tracking import drop_duplicates, tracks
 from studiorecon.people import associate, fit
 from studiorecon.people.association.acceptance import identities_from_keypoints
-from studiorecon.people.fitting.points import lift, observations
+from studiorecon.people.fitting.points import observations, triangulate_keypoints
 from studiorecon.report.metrics.identity_scores import identity_scores
 from studiorecon.scene.files import read_json, read_table, write_json
 from studiorecon.scene.people import PEOPLE_COLUMNS, Detections
@@ -75,7 +75,7 @@ def measured(
     for camera, (frame, keypoints) in zip(take.cameras, seen):
         kept = frame % every == 0
         t, points = frame[kept] // every, keypoints[kept]
-        kept = without_duplicates(t, points, reading.tracking)
+        kept = drop_duplicates(t, points, reading.tracking)
         t, points = t[kept], points[kept]
         owners.append(nearest(take, camera, t * every, points))
         found.append(Detections(camera.name, LAYOUT, t, tracks(t, points, reading.tracking, fps), points))
@@ -97,7 +97,9 @@ def measured(
     errors, speeds = [], []
     for name in names:
         keypoint_names, keypoints = observations(name, found, identities, body, count)
-        points = lift(keypoint_names, keypoints, take.cameras, fitting.triangulation, fitting.fit.unverified_sigma_m)
+        points = triangulate_keypoints(
+            keypoint_names, keypoints, take.cameras, fitting.triangulation, fitting.fit.unverified_sigma_m
+        )
         person = fit.fit_person(name, points, body, fps, fitting)[0]
         apart = [
             np.linalg.norm(person.joints[shared] - true, axis=-1)

@@ -13,10 +13,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from studiorecon.keypoints.film_check import Film, Verdict, checked
+from studiorecon.keypoints.coordinate_readings import affine
+from studiorecon.keypoints.film_check import Film, Verdict, check_against_film
 from studiorecon.keypoints.motion import measure_motion, small
 from studiorecon.keypoints.numbering import numberings
-from studiorecon.keypoints.possible_readings import affine
 from studiorecon.scene.recorded import Recorded
 
 from tests.made.walkers import Take, take
@@ -111,7 +111,7 @@ def verdict(own: Take, given: Recorded, other: Take, stored_wh: tuple[int, int] 
     motion = measure_motion(wanted, [small(own.pictures[t]) for t in wanted], own.wh)
     film = Film("a", own.wh, frames, motion, affine(1, 1), 0.5, stored_wh)
     numbers = numberings(given.pictures, frames, own.fps, None, given.counted)
-    return checked(given, numbers, film, lambda: {"b": other.recorded})
+    return check_against_film(given, numbers, film, lambda: {"b": other.recorded})
 
 
 def outcome(own: Take, found: Verdict) -> str:

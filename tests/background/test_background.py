@@ -311,5 +311,5 @@ def test_harmonics_go_no_further_than_the_real_cameras_do(
     asked = replace(asked, training=replace(asked.training, sh_degree=wanted))
     cameras = ring([360 * i / count for i in range(count)], "c")
     start = random_volume(cameras, 50, 0.1, 3, np.random.default_rng(0))
-    assert preparation.supported(asked, start, cameras).training.sh_degree == degree
+    assert preparation.limit_harmonics(asked, start, cameras).training.sh_degree == degree
     assert ("cameras cannot tell more apart" in capsys.readouterr().out) == (degree < wanted)

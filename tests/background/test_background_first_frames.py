@@ -50,7 +50,7 @@ def photos_of(cameras: list[Camera]) -> list[preparation.Photo]:
 def test_a_square_about_people_is_unknown(
     cameras: list[Camera], filmed: dict[str, list[Path]], size_px: int, reach: int
 ) -> None:
-    found = preparation.without_people(photos_of(cameras), **filmed, dilation_px=size_px, gains=NONE)
+    found = preparation.mask_people(photos_of(cameras), **filmed, dilation_px=size_px, gains=NONE)
     for camera, photo in zip(cameras, found, strict=True):
         assert photo.camera is camera
         unknown = np.zeros(camera.hw, bool)
@@ -77,7 +77,7 @@ def test_without_dilation_people_are_baked_into_the_room(
 
 
 def test_nobody_is_masked_where_there_are_no_people(cameras: list[Camera], filmed: dict[str, list[Path]]) -> None:
-    found = preparation.without_people(photos_of(cameras), filmed["videos"], [], 21, NONE)
+    found = preparation.mask_people(photos_of(cameras), filmed["videos"], [], 21, NONE)
     assert all(photo.known.all() for photo in found)
 
 
@@ -87,6 +87,6 @@ def test_a_picture_of_people_alone_and_a_missing_video_are_refused(
     everywhere = tmp_path / "all.mkv"
     write_lossless(everywhere, [np.ones(cameras[0].hw, np.uint8)], 30.0)
     with pytest.raises(UserError, match=r"cam0 shows nothing but people"):
-        preparation.without_people(photos_of(cameras), filmed["videos"], [everywhere] * 4, 21, NONE)
+        preparation.mask_people(photos_of(cameras), filmed["videos"], [everywhere] * 4, 21, NONE)
     with pytest.raises(UserError, match=r"3 videos for 4"):
-        preparation.without_people(photos_of(cameras), filmed["videos"][:3], filmed["masks"], 21, NONE)
+        preparation.mask_people(photos_of(cameras), filmed["videos"][:3], filmed["masks"], 21, NONE)

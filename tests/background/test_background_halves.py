@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from studiorecon.background import half, refined, train
-from studiorecon.background.halves import read_half
+from studiorecon.background.half_trained_files import read_half
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_stack, write_lossless
 from studiorecon.models.protocols import Moment

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from studiorecon.background.refinement import Refinement, looked_at_from
+from studiorecon.background.refinement import Refinement, refinement_cameras
 from studiorecon.errors import UserError
-from studiorecon.geometry.camera_path import between, scene_centre
+from studiorecon.geometry.camera_path import interpolate_cameras, scene_centre
 from studiorecon.scene.camera import Camera
 
 from tests.made.background import cameras, capture, settings
@@ -28,9 +28,9 @@ def test_the_papers_views_lie_between_the_synthesized_ones(cameras: list[Camera]
     middle = scene_centre(cameras)
     path = []
     for one, other in zip(cameras, [*cameras[1:], cameras[0]]):
-        path += between(one, other, 13, middle, rotations="slerp", clearance=0.0)[0]
+        path += interpolate_cameras(one, other, 13, middle, rotations="slerp", clearance=0.0)[0]
     letter = replace(ROUND, views=24)
-    made, level = (looked_at_from(cameras, path, settings) for settings in (letter, replace(letter, height=0.0)))
+    made, level = (refinement_cameras(cameras, path, settings) for settings in (letter, replace(letter, height=0.0)))
     assert len(made) == 24
     radius_m = np.median([np.linalg.norm((c.centre_m - middle)[:2]) for c in cameras])
     rise_m = heights_m(made) - heights_m(level)
@@ -48,4 +48,4 @@ def test_the_papers_views_lie_between_the_synthesized_ones(cameras: list[Camera]
         assert (raised.forward[2] < straight.forward[2]) == (up_m > 1e-9)
     assert min(np.linalg.norm((c.centre_m - middle)[:2]) for c in level) < 0.9 * radius_m
     with pytest.raises(UserError, match="there are 0 of them"):
-        looked_at_from(cameras, [], letter)
+        refinement_cameras(cameras, [], letter)

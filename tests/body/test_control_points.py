@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.body.avatar.control_points import ControlPoints, spread_out
+from studiorecon.body.avatar.control_points import ControlPoints, farthest_point_sample
 from studiorecon.body.avatar.temporal import TemporalNetwork
 
 
@@ -17,7 +17,7 @@ def places() -> np.ndarray:
 
 
 def test_points_are_spread_over_the_body(places: np.ndarray) -> None:
-    chosen = places[spread_out(places, 200)]
+    chosen = places[farthest_point_sample(places, 200)]
     apart = np.linalg.norm(chosen[:, None] - chosen, axis=2) + np.eye(200) * 9
     # Two hundred points of a sphere of half a metre are 12 cm apart at best.
     assert apart.min() > 0.08

@@ -50,7 +50,7 @@ def moderate(frames: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     spread = 0.5 / np.sqrt(np.maximum(prior.precision(), 1e-9))
     spread[0] = 0
-    local = prior.middle() @ rotations.exp(np.clip(rng.normal(size=(frames, 24, 3)) * spread, *prior.limits()))
+    local = prior.mean_pose() @ rotations.exp(np.clip(rng.normal(size=(frames, 24, 3)) * spread, *prior.limits()))
     local[:, 0] = [rotations.exp(upright_global_orientation(h)) for h in rng.uniform(-3, 3, frames)]
     return rotations.log(local).reshape(frames, 72), rng.normal(0, 1, (frames, 3))
 
@@ -84,7 +84,7 @@ def problem_of(
         settings.correction_sigma_m,
         settings.free_scale,
     )
-    return Problem(body, fitting.gather(body, NAMES, targets, sigma, settings, surface), pulls)
+    return Problem(body, fitting.merge_points(body, NAMES, targets, sigma, settings, surface), pulls)
 
 
 def skin(body: BodyModel, poses: np.ndarray, betas: np.ndarray, trans: np.ndarray, count: int = 200) -> SurfacePoints:
@@ -139,7 +139,7 @@ def test_gradient_agrees_with_finite_differences(body: BodyModel, with_skin: boo
     problem = problem_of(body, targets, np.full((2, 25), 0.01), settings, surface)
     # Far enough from the truth that some joints are beyond their limits and some points beyond the Huber bound.
     local = rotations.exp(poses.reshape(2, 24, 3)) @ rotations.exp(rng.normal(0, 0.6, (2, 24, 3)))
-    assert (prior.excess(prior.bend(local)) != 0).sum() > 5
+    assert (prior.beyond_limits(prior.bend(local)) != 0).sum() > 5
     state = State(local, trans + 0.01, rng.normal(0, 0.5, 10), 0.05, rng.normal(0, 0.01, (25, 3)))
     normal = normal_of(problem, state)
     side, scale = normal.rows[:, -1], np.abs(normal.rows[:, -1]).max()
@@ -499,7 +499,7 @@ def test_detectors_own_hips_are_learnt(body: BodyModel, offset_m: float) -> None
 def mean_residual_m(body: BodyModel, fit: fitting.Fit, points: np.ndarray) -> np.ndarray:
     """(K, 3) mean over frames of the body's corrected keypoints minus the given ones, in the axes of each one's
     joint."""
-    basis = fitting.gather(body, NAMES, points, np.zeros(points.shape[:2]), SETTINGS, None).basis
+    basis = fitting.merge_points(body, NAMES, points, np.zeros(points.shape[:2]), SETTINGS, None).basis
     posed = basis.posed(State(fit.rotations, fit.trans_m, fit.betas, 0.0, fit.corrections_m))
     return np.einsum("fkyx,fky->kx", posed.world[:, basis.carrier], posed.points - points) / len(points)
 
@@ -606,7 +606,7 @@ def test_the_surface_never_counts_more_than_the_keypoints(body: BodyModel, weigh
     points, surface = body.keypoints(NAMES, poses, np.zeros(10), trans), skin(body, poses, np.zeros(10), trans)
     points[1, :12] = np.nan
     sigma = np.where(np.isfinite(points).all(-1), 0.01, np.inf)
-    evidence = fitting.gather(body, NAMES, points, sigma, replace(SETTINGS, vertex_weight=weight), surface)
+    evidence = fitting.merge_points(body, NAMES, points, sigma, replace(SETTINGS, vertex_weight=weight), surface)
     counted = evidence.share * evidence.precision
     np.testing.assert_allclose(counted[:, 25:].sum(1), weight * counted[:, :25].sum(1))
     # A surface 10 cm away drags the body by its weight, not by its number of points.

@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from studiorecon.calibration.choose import chosen
+from studiorecon.calibration.choose import choose_lenses
 from studiorecon.calibration.files import Settings
 from studiorecon.calibration.formats.reading import Reading
 from studiorecon.calibration.given_lenses import ideal_pinhole, lens_at_pose, undistort_detections
 from studiorecon.calibration.names import pairings
 from studiorecon.camera_files.raw_camera import RawCamera
 from studiorecon.errors import UserError
+from studiorecon.geometry.crop_hypotheses import crop_hypotheses, rotate_lens_90
 from studiorecon.geometry.distortion import distort
-from studiorecon.geometry.film_places import places, turned
 from studiorecon.geometry.lens import normalised_from_calibration, unseen_share, video_from_working, working_view
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.people import Detections
@@ -42,7 +42,7 @@ def people(cameras: list[Camera], names: list[str]) -> list[Detections]:
 
 
 def decided(calibrated: list[Camera], names: list[str], sizes, seen) -> tuple[list[Lens], list[str]]:
-    found = chosen(reading(calibrated), "x.toml", names, sizes, seen, {}, Settings(unit="m", up="z"))
+    found = choose_lenses(reading(calibrated), "x.toml", names, sizes, seen, {}, Settings(unit="m", up="z"))
     return found.lenses, found.notes
 
 
@@ -123,7 +123,7 @@ def test_a_film_that_was_turned_is_turned_back(quarters):
         "a", cameras[0].wh, cameras[0].intrinsics, "opencv", np.zeros(8), cameras[0].camera_from_world, np.eye(2, 3)
     )
     for _ in range(quarters):
-        lens = turned(lens)
+        lens = rotate_lens_90(lens)
     film = Camera("a", lens.wh, lens.intrinsics, lens.camera_from_world)
     filmed = people([film, *cameras[1:]], names)
     lenses, notes = decided(cameras, names, [film.wh, *(c.wh for c in cameras[1:])], [filmed[0], *seen[1:]])
@@ -137,7 +137,7 @@ def test_turning_a_lens_turns_its_distortion():
     lens = Lens("a", (1280, 704), k, "opencv", distortion, np.eye(4), np.eye(2, 3))
     ray = np.array([[0.3, -0.2], [-0.4, 0.25]])
     x, y = (distort(ray, "opencv", distortion) * [800, 810] + [600, 380]).T
-    other = turned(lens)
+    other = rotate_lens_90(lens)
     turned_ray = np.stack([-ray[:, 1], ray[:, 0]], -1)
     focal, centre = np.diag(other.intrinsics)[:2], other.intrinsics[:2, 2]
     pixels = distort(turned_ray, "opencv", other.distortion) * focal + centre
@@ -155,10 +155,10 @@ def test_a_shape_that_nothing_explains_is_refused_with_what_helps():
         np.eye(2, 3),
     )
     with pytest.raises(UserError, match="pixel_maps"):
-        places(lens, (500, 500))
+        crop_hypotheses(lens, (500, 500))
     # The remedy.
     given = replace(lens, calibration_from_video=np.array([[1.0, 0, 70], [0, 1, -10]]))
-    assert places(given, (500, 500))[0].lens is given
+    assert crop_hypotheses(given, (500, 500))[0].lens is given
     assert working_view(given, (500, 500), (400, 400)).intrinsics[0, 0] > 0
 
 
@@ -229,12 +229,12 @@ def test_no_camera_decides_the_unit_of_all(far):
     raw = replace(reading(moved), unit="unknown")
     nobody = [d.only(np.zeros(len(d.frame), bool)) for d in people(cameras, list("abcd"))]
     with pytest.raises(UserError, match=f"puts {', '.join(far)} .*one unit"):
-        chosen(raw, "x", list("abcd"), [c.wh for c in moved], nobody, {}, Settings())
+        choose_lenses(raw, "x", list("abcd"), [c.wh for c in moved], nobody, {}, Settings())
     # The remedy: without them it is read.
     left = [c.name for c in cameras if c.name not in far]
-    assert len(chosen(raw, "x", left, [(1280, 704)] * len(left), nobody[: len(left)], {}, Settings()).lenses) == len(
-        left
-    )
+    assert len(
+        choose_lenses(raw, "x", left, [(1280, 704)] * len(left), nobody[: len(left)], {}, Settings()).lenses
+    ) == len(left)
 
 
 def test_points_seen_through_a_known_lens_are_straightened_before_poses_are_found():

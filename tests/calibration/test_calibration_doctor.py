@@ -14,7 +14,7 @@ from studiorecon.calibration.checks import clocks, doctor_page
 from studiorecon.calibration.checks import coverage as health
 from studiorecon.calibration.checks.advice import verdict
 from studiorecon.configuration import settings as settings_module
-from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.bundle import move_camera
 from studiorecon.geometry.rotations import exp
 from studiorecon.scene.camera import Camera
 
@@ -169,7 +169,7 @@ def test_blind_sectors_and_coverage():
 
 def off(camera: Camera, degrees: float, metres: float) -> Camera:
     turn = exp(np.radians([0.0, degrees, 0.0]))
-    return moved(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + np.array([0.0, 0.0, metres]))
+    return move_camera(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + np.array([0.0, 0.0, metres]))
 
 
 def test_what_people_leave_open_is_told_where_it_is_much(options):

@@ -11,7 +11,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.calibration import from_people
 from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
-from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.bundle import move_camera
 from studiorecon.geometry.relative_pose import relative_pose, resection
 from studiorecon.geometry.rotations import angle, exp
 from studiorecon.rig import pose_consensus
@@ -182,7 +182,7 @@ def test_of_two_arrangements_the_likelier_is_used_and_the_interval_covers_the_ot
     def with_rival(*what):
         best = arrangement_rigs(*what)
         turned = {
-            v: moved(c, exp(np.radians([0, 0, 20.0 * (v == 2)])) @ c.camera_from_world[:3, :3], c.centre_m)
+            v: move_camera(c, exp(np.radians([0, 0, 20.0 * (v == 2)])) @ c.camera_from_world[:3, :3], c.centre_m)
             for v, c in best[0].cameras.items()
         }
         return [best[0], replace(best[0], cameras=turned, support=round(0.95 * best[0].support))]

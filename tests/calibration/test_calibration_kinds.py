@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.calibration.files import Settings, paired_lenses, read_calibration
-from studiorecon.calibration.formats.lenses import find_lenses, read_lenses, why_not
+from studiorecon.calibration.formats.lenses import find_lenses, read_lenses, unused_reason
 from studiorecon.errors import UserError
 from studiorecon.plan.discovery import find_calibration, open_dataset
 from studiorecon.scene.capture_yaml import pixel_maps
@@ -169,11 +169,11 @@ def test_what_looks_like_a_calibration_and_was_not_used_is_named(tmp_path):
     (tmp_path / "rig.json").write_text('{"intrinsics": {"focal": 3}, "distortion": 4}')
     (tmp_path / "notes.txt").write_text("two people walk")
     (tmp_path / "intri.yml").write_text("%YAML:1.0\n---\n" + matrix("K_a", np.eye(3)))
-    assert why_not(used[0], used) is None
-    assert "c0.xml was used" in why_not(tmp_path / "transforms.json", used)
-    assert "no known format" in why_not(tmp_path / "rig.json", used)
-    assert "extri.yml" in why_not(tmp_path / "intri.yml", used)
-    assert why_not(tmp_path / "notes.txt", used) is None
+    assert unused_reason(used[0], used) is None
+    assert "c0.xml was used" in unused_reason(tmp_path / "transforms.json", used)
+    assert "no known format" in unused_reason(tmp_path / "rig.json", used)
+    assert "extri.yml" in unused_reason(tmp_path / "intri.yml", used)
+    assert unused_reason(tmp_path / "notes.txt", used) is None
 
 
 def read_with(folder: Path, change) -> list[str]:

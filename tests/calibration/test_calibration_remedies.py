@@ -10,12 +10,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from studiorecon.calibration.choose import chosen
+from studiorecon.calibration.choose import choose_lenses
 from studiorecon.calibration.files import Settings, read_calibration
 from studiorecon.errors import UserError
 from studiorecon.geometry.triangulation import Limits
-from studiorecon.keypoints.reading import undistorted
-from studiorecon.rig.correspondences import observe
+from studiorecon.keypoints.reading import to_pinhole
+from studiorecon.rig.correspondences import make_observations
 from studiorecon.rig.human_size import check_human_size
 from studiorecon.rig.hypotheses import score_conventions
 from studiorecon.scene.camera import Camera
@@ -66,7 +66,9 @@ class Capture:
         settings = replace(loaded(Settings), **self.settings)
         found = read_calibration([file], settings.format)
         seen = [self.detected(film) for film in self.films]
-        return chosen(found, file.name, self.films, [self.wh] * len(seen), seen, self.pixel_maps, settings).lenses
+        return choose_lenses(
+            found, file.name, self.films, [self.wh] * len(seen), seen, self.pixel_maps, settings
+        ).lenses
 
     def detected(self, film: str) -> Detections:
         one = SEEN[NAMES.index(film)] if film in NAMES else SEEN[0]
@@ -75,13 +77,15 @@ class Capture:
     def judged(self, folder: Path) -> None:
         """Raises UserError as the doctor would: for people of another size, or with the setting that fits them."""
         lenses = self.lenses(folder)
-        both = [undistorted(self.detected(lens.name), lens, self.wh) for lens in lenses]
+        both = [to_pinhole(self.detected(lens.name), lens, self.wh) for lens in lenses]
         cameras, seen = [c for c, _ in both], [d for _, d in both]
         rows, _ = score_conventions(cameras, seen, np.arange(0, FRAMES, 4), 0.25, LIMITS)
         best = max(rows, key=lambda row: row["score"])
         if best["score"] > 0.3 and best["remedy"] and best["score"] > 1.5 * rows[0]["score"]:
             raise UserError(best["remedy"])
-        assert check_human_size(cameras, observe(seen, cameras, np.arange(FRAMES), 0.25)[0], LIMITS) is not None
+        assert (
+            check_human_size(cameras, make_observations(seen, cameras, np.arange(FRAMES), 0.25)[0], LIMITS) is not None
+        )
 
 
 def written(value: Any) -> str:

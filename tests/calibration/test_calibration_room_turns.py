@@ -12,7 +12,7 @@ import pytest
 from studiorecon.body.model import BodyModel
 from studiorecon.calibration import from_people
 from studiorecon.calibration.room_pictures import read_room_pictures, room_edges
-from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.bundle import move_camera
 from studiorecon.geometry.rotations import angle, exp
 from studiorecon.rig.room_turns import room_turns, straight_edges
 from studiorecon.scene.camera import Camera
@@ -25,7 +25,7 @@ from tests.made.take import made_take
 
 def turned(camera: Camera, axis: np.ndarray, degrees: float) -> Camera:
     rotation = exp(np.radians(degrees) * axis / np.linalg.norm(axis)) @ camera.camera_from_world[:3, :3]
-    return moved(camera, rotation, camera.centre_m)
+    return move_camera(camera, rotation, camera.centre_m)
 
 
 def worst_deg(rotations: dict[int, np.ndarray], truth: list[Camera]) -> float:

@@ -18,7 +18,7 @@ from studiorecon.camera_files.raw_camera import rigid_camera_from_world
 from studiorecon.cameras import refine
 from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
-from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.bundle import move_camera
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
@@ -239,7 +239,9 @@ def test_scale_is_taken_out_of_a_pose():
 @pytest.mark.parametrize("axis", ["y", "-y", "x", "-z", "tilted"])
 def test_a_world_that_is_not_z_up_is_turned_and_said_so(options, axis):
     turn = exp(np.array([0.9, 0.4, 0.2])) if axis == "tilted" else np.linalg.inv(_z_from(axis))
-    raw = [calibration_raw(moved(c, c.camera_from_world[:3, :3] @ turn.T, turn @ c.centre_m)) for c in named_ring()]
+    raw = [
+        calibration_raw(move_camera(c, c.camera_from_world[:3, :3] @ turn.T, turn @ c.centre_m)) for c in named_ring()
+    ]
     lenses, notes, floor_known = calibration.paired_lenses(
         reading(raw), "x", [c.name for c in named_ring()], {}, options()
     )
@@ -336,7 +338,7 @@ def test_a_good_calibration_is_kept_to_the_bit(tmp_path, options):
 def test_a_camera_that_was_knocked_is_put_back(tmp_path, options):
     truth = ring()
     given = [
-        moved(truth[0], exp(np.radians([0.3, 1.2, 0.2])) @ truth[0].camera_from_world[:3, :3], truth[0].centre_m),
+        move_camera(truth[0], exp(np.radians([0.3, 1.2, 0.2])) @ truth[0].camera_from_world[:3, :3], truth[0].centre_m),
         *truth[1:],
     ]
     model, _, report = refined(tmp_path, given, truth, options(refine.Settings))
@@ -376,7 +378,7 @@ def test_swapped_cameras_are_refused_by_name(tmp_path, options, pair):
 def test_two_pairs_of_cameras_that_see_a_person_each_do_not_contradict_one_another(options):
     truth = ring()
     apart = [walk([0, 0, 0], [0.01, 0, 0], FRAMES), walk([30.0, 0, 0], [0, 0.01, 0], FRAMES)]
-    there = [moved(c, c.camera_from_world[:3, :3], c.centre_m + np.array([30.0, 0, 0])) for c in truth[:2]]
+    there = [move_camera(c, c.camera_from_world[:3, :3], c.centre_m + np.array([30.0, 0, 0])) for c in truth[:2]]
     cameras = [*truth[:2], *(Camera(f"c{i + 2}", c.wh, c.intrinsics, c.camera_from_world) for i, c in enumerate(there))]
     outcome = refine.decide(
         cameras, [], detect(cameras, apart, 1.5, np.random.default_rng(0)), FRAMES, 30.0, True, options(refine.Settings)
@@ -446,7 +448,9 @@ def test_cameras_that_all_moved_by_degrees_are_put_back_where_people_see_them(tm
         axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
         turn = exp(np.radians(rng.uniform(2, 4)) * axis)
         given.append(
-            moved(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + rng.uniform(0.15, 0.35) * way)
+            move_camera(
+                camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + rng.uniform(0.15, 0.35) * way
+            )
         )
     model, _, report = refined(tmp_path, given, truth, options(refine.Settings))
     ours, true = ([c.camera_from_world[:3, :3] for c in group] for group in (model, truth))

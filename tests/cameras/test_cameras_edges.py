@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from studiorecon.cameras import refine
 from studiorecon.cameras.edge_acceptance import apply_edge_refinement
-from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.edge_refinement import edge_contradiction
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_refinement import edge_rotations
@@ -28,7 +28,7 @@ PEOPLE = [walk([0.0, 0.0, 0.0], [0.002, 0.0, 0.0], FRAMES)]
 
 def observed(truth: Sequence[Camera], by: Sequence[Camera]) -> Observations:
     """What ``truth`` sees of the person with much noise, grouped by other cameras."""
-    return observe(detect(list(truth), PEOPLE, 6.0, np.random.default_rng(2)), by, np.arange(FRAMES), 0.25)[0]
+    return make_observations(detect(list(truth), PEOPLE, 6.0, np.random.default_rng(2)), by, np.arange(FRAMES), 0.25)[0]
 
 
 def by(
@@ -83,7 +83,7 @@ def test_edges_that_people_contradict_move_no_camera(capsys: pytest.CaptureFixtu
     """Furniture that stands askew in one camera's picture alone, and somebody who walks about."""
     truth = ring()
     people = [walk([-1.2, -0.5, 0], [0.08, 0.03, 0], FRAMES), walk([1.1, 0.9, 0], [0, -0.06, 0], FRAMES, 2.0)]
-    seen, _ = observe(detect(truth, people, 1.0, np.random.default_rng(0)), truth, np.arange(FRAMES), 0.25)
+    seen, _ = make_observations(detect(truth, people, 1.0, np.random.default_rng(0)), truth, np.arange(FRAMES), 0.25)
     askew = about_the_spot(truth, [0.0, 3.0, 0.0, 0.0])
     found, report = by(truth, seen, [drawn(c, v) for v, c in enumerate(askew)])
     assert report["edges"]["off_deg"] > 2

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.cameras import refine
-from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.bundle import move_camera
 from studiorecon.geometry.rotations import angle, exp
-from studiorecon.rig.correspondences import observe
+from studiorecon.rig.correspondences import make_observations
 from studiorecon.rig.floor_alignment import align_to_floor, fit_floor, floor_under_feet
 from studiorecon.rig.moved_cameras import refine_with_wider_prior
 from studiorecon.rig.room_picture import make_room_picture
@@ -30,7 +30,7 @@ PEOPLE = [walk([-1.2, -0.5, 0], [0.04, 0.02, 0], FRAMES), walk([1.1, 0.9, 0], [0
 def leant(cameras: list[Camera], degrees: float, lift_m: float) -> list[Camera]:
     """The same cameras in a world whose floor is tilted about x and lifted."""
     turn, up = exp(np.radians([degrees, 0.0, 0.0])), np.array([0, 0, lift_m])
-    return [moved(c, c.camera_from_world[:3, :3] @ turn.T, turn @ c.centre_m + up) for c in cameras]
+    return [move_camera(c, c.camera_from_world[:3, :3] @ turn.T, turn @ c.centre_m + up) for c in cameras]
 
 
 def small_ring() -> list[Camera]:
@@ -144,7 +144,9 @@ def test_one_spot_shows_no_slope_and_too_few_points_no_floor() -> None:
 
 def test_feet_and_marks_tell_the_floor_that_people_stand_on() -> None:
     cameras = leant(ring(), 2.0, 0.0)
-    seen, _ = observe(detect(cameras, PEOPLE, 0.5, np.random.default_rng(3)), cameras, np.arange(FRAMES), 0.25)
+    seen, _ = make_observations(
+        detect(cameras, PEOPLE, 0.5, np.random.default_rng(3)), cameras, np.arange(FRAMES), 0.25
+    )
     rng = np.random.default_rng(4)
     marks_m = np.column_stack([rng.uniform(-2, 2, (300, 2)), np.zeros(300)]) @ exp(np.radians([2.0, 0, 0])).T
     floor = floor_under_feet(cameras, seen, marks_m, LIMITS)

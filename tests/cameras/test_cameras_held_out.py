@@ -19,7 +19,7 @@ from studiorecon.capture import frames, manifest
 from studiorecon.clocks.timeline import clock_as_filmed, common_moments, read_timeline
 from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.source import open_source
-from studiorecon.geometry.bundle import BundleSettings, moved
+from studiorecon.geometry.bundle import BundleSettings, move_camera
 from studiorecon.geometry.rotations import exp
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.rig.held_out_pose import ObservedJoints, estimate_held_out_pose
@@ -54,7 +54,7 @@ def sighted(camera: Camera, seed: int = 0, noise_px: float = 3.0, frames: int = 
 def knocked(camera: Camera, degrees: float, metres: float, seed: int) -> Camera:
     axis, way = (v / np.linalg.norm(v) for v in np.random.default_rng(seed).normal(size=(2, 3)))
     turn = exp(np.radians(degrees) * axis)
-    return moved(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + metres * way)
+    return move_camera(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + metres * way)
 
 
 @pytest.mark.parametrize(("degrees", "metres"), [(1.0, 0.1), (4.0, 0.4)])

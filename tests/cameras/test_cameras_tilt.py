@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.bundle import move_camera
 from studiorecon.geometry.rotations import exp
-from studiorecon.rig.correspondences import observe
+from studiorecon.rig.correspondences import make_observations
 from studiorecon.rig.gravity import check_tilt, people_tilt
 from studiorecon.scene.camera import Camera
 
@@ -17,7 +17,7 @@ from tests.made.cameras import LIMITS, detect, ring, walk
 def leaning(cameras: list[Camera], degrees: float) -> list[Camera]:
     """The same cameras in a world that is turned about x by so much."""
     turn = exp(np.radians([degrees, 0.0, 0.0]))
-    return [moved(c, c.camera_from_world[:3, :3] @ turn.T, turn @ c.centre_m) for c in cameras]
+    return [move_camera(c, c.camera_from_world[:3, :3] @ turn.T, turn @ c.centre_m) for c in cameras]
 
 
 @pytest.mark.parametrize("degrees", [0.0, 8.0, 20.0, 90.0, 180.0])
@@ -29,7 +29,7 @@ def test_people_tell_by_how_much_the_world_leans(degrees: float, caplog: pytest.
     ]
     found = detect(cameras, people, 2.0, np.random.default_rng(0))
     leant = leaning(cameras, degrees)
-    seen, _ = observe(found, leant, np.arange(40), 0.25)
+    seen, _ = make_observations(found, leant, np.arange(40), 0.25)
     caplog.set_level("INFO")
     tilt = check_tilt(leant, seen, LIMITS)
     assert tilt == pytest.approx(degrees, abs=1.5)

@@ -14,7 +14,7 @@ from studiorecon.clocks.timeline import clock_as_filmed, common_moments, read_ti
 from studiorecon.configuration.settings import load
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import decode
-from studiorecon.footage.source import digest, open_source, uneven
+from studiorecon.footage.source import digest, open_source, timing_irregularities
 from studiorecon.footage.video import read_frame, read_stack, write_lossless
 from studiorecon.scene.capture import Footage, read_footage, read_manifest, write_footage
 from studiorecon.scene.clocks import write_clocks
@@ -98,9 +98,14 @@ class TestFrames:
 
     def test_the_jitter_of_a_phone_is_no_gap(self) -> None:
         times = np.arange(90) / 30 + np.random.default_rng(0).uniform(-0.004, 0.004, 90)
-        assert uneven(times, 0) is None
-        assert uneven([], 0) is uneven([0.0], 0) is uneven([1.0, 1.0, 1.0], 0) is None
-        assert "1 of 88 steps" in uneven(np.delete(times, 50), 0)
+        assert timing_irregularities(times, 0) is None
+        assert (
+            timing_irregularities([], 0)
+            is timing_irregularities([0.0], 0)
+            is timing_irregularities([1.0, 1.0, 1.0], 0)
+            is None
+        )
+        assert "1 of 88 steps" in timing_irregularities(np.delete(times, 50), 0)
 
     def test_portrait_footage_is_sized_by_its_longer_side(self) -> None:
         assert frames_step.working_size((1088, 1920), 480) == (272, 480)

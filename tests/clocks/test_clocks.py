@@ -21,7 +21,7 @@ from studiorecon.clocks.motion_clock import compare
 from studiorecon.clocks.people_lag import PeopleLag, track_lag
 from studiorecon.clocks.timeline import common_moments
 from studiorecon.configuration.settings import load
-from studiorecon.keypoints.retiming import on_common_clock
+from studiorecon.keypoints.resampling import resample_keypoints
 from studiorecon.scene.clocks import Clock, Clocks, read_clocks
 from studiorecon.scene.files import read_json
 from studiorecon.scene.people import Detections, write_detections
@@ -245,7 +245,7 @@ class TestRetiming:
     def test_on_the_beat_nothing_changes(self) -> None:
         clocks = Clocks(FPS, 3 / FPS, 10, (Clock("a", FPS, 20),))
         seen = self.seen(np.arange(20), lambda t: np.array([3 * t, 0]))
-        moved = on_common_clock(seen, clocks, 100)
+        moved = resample_keypoints(seen, clocks, 100)
         np.testing.assert_array_equal(moved.keypoints, seen.keypoints[3:13])
         np.testing.assert_array_equal(moved.frame, np.arange(10))
 
@@ -255,7 +255,7 @@ class TestRetiming:
             return np.array([20 * np.sin(2 * np.pi * 1.2 * t / FPS), 0.0])
 
         clocks = Clocks(FPS, 2 / FPS, 30, (Clock("a", FPS, 40, offset_s=late / FPS),))
-        moved = on_common_clock(self.seen(np.arange(40) + late, swing), clocks, 100)
+        moved = resample_keypoints(self.seen(np.arange(40) + late, swing), clocks, 100)
         wanted = self.seen(np.arange(2, 32), swing).keypoints
         assert np.abs(moved.keypoints - wanted).max() < 0.02
         unmoved = self.seen(np.arange(40) + late, swing).keypoints[2:32]
@@ -263,7 +263,7 @@ class TestRetiming:
 
     def test_a_rolling_shutter_stands_upright_again(self) -> None:
         clocks = Clocks(FPS, 2 / FPS, 30, (Clock("a", FPS, 40, readout_s=0.6 / FPS),))
-        moved = on_common_clock(self.seen(np.arange(40), lambda t: np.array([8 * t, 0]), 0.6), clocks, 100)
+        moved = resample_keypoints(self.seen(np.arange(40), lambda t: np.array([8 * t, 0]), 0.6), clocks, 100)
         np.testing.assert_allclose(
             moved.keypoints, self.seen(np.arange(2, 32), lambda t: np.array([8 * t, 0])).keypoints, atol=1e-6
         )
@@ -278,7 +278,7 @@ class TestRetiming:
             keypoints=np.delete(seen.keypoints, 5, 0),
         )
         gone.keypoints[8, 3] = [np.nan, np.nan, 0]
-        moved = on_common_clock(gone, clocks, 100)
+        moved = resample_keypoints(gone, clocks, 100)
         assert 3 not in moved.frame, "nearest to the missing picture"
         assert moved.keypoints[moved.frame == 7][0, 3, 2] == 0
         assert np.isfinite(moved.keypoints[moved.keypoints[..., 2] > 0]).all()

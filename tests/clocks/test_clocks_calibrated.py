@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from studiorecon.clocks.calibrated_lag import CalibratedPair
 from studiorecon.clocks.people_clock import people_pair
-from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.bundle import move_camera
 from studiorecon.geometry.rotations import exp
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import Clock
@@ -73,7 +73,7 @@ def test_a_calibration_that_is_off_says_less_or_nothing_but_nothing_wrong(degree
         for c in CAMERAS:
             axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
             turned = exp(np.radians(degrees) * axis) @ c.camera_from_world[:3, :3]
-            off.append(moved(c, turned, c.centre_m + metres * way))
+            off.append(move_camera(c, turned, c.centre_m + metres * way))
         seen, clocks = filmed(30.0, seed=seed)
         for pair in people_pair(seen, clocks, 30.0, lenses(off))[0]:
             true = LATE_S if pair.second == 2 else 0.0

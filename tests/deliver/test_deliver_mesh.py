@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.deliver import mesh
-from studiorecon.deliver.fusion import FusedSurface, FusedView, decimated, fuse, open3d, without
+from studiorecon.deliver.fusion import FusedSurface, FusedView, decimate, fuse, open3d, remove_vertices
 from studiorecon.deliver.room_planes import distance_m, kept_faces, planes
 from studiorecon.errors import UserError
 from studiorecon.scene.camera import Camera
@@ -111,7 +111,7 @@ def test_planes_are_exact_face_inwards_and_say_what_was_seen(tmp_path: Path, vie
 @pytest.mark.usefixtures("fusing")
 def test_what_stands_in_the_room_is_fused_where_it_is(views: list[FusedView]) -> None:
     surface = fuse(views, 0.02)
-    standing = without(surface, distance_m(ROOM, surface.vertices_m) < 0.06)
+    standing = remove_vertices(surface, distance_m(ROOM, surface.vertices_m) < 0.06)
     # The wall that is not a plane of the mesh is fused like everything else.
     crate = standing.vertices_m[np.abs(standing.vertices_m @ ROOM.axes.T)[:, 1] < 1.0]
     off = np.abs(crate @ ROOM.axes.T - [0, 0, 0.35]) - [0.4, 0.3, 0.35]
@@ -122,7 +122,7 @@ def test_what_stands_in_the_room_is_fused_where_it_is(views: list[FusedView]) ->
     for axis in range(2):
         reach = (crate @ ROOM.axes.T)[:, axis]
         assert [reach.min(), reach.max()] == pytest.approx([CRATE.low_m[axis], CRATE.high_m[axis]], abs=0.05)
-    few = decimated(standing, 2000)
+    few = decimate(standing, 2000)
     assert 1000 < len(few.triangles) <= 2000
     near = np.linalg.norm(standing.rgb - RED, axis=1) < 0.1
     assert near[np.abs(standing.vertices_m[:, :2]).max(axis=1) < 0.3].mean() > 0.9

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.deliver.finished import finite, read_finished
+from studiorecon.deliver.finished import read_finished, require_finite
 from studiorecon.errors import UserError
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
@@ -64,4 +64,4 @@ def test_a_gaussian_that_is_no_number_is_refused_in_one_sentence(files: dict, wh
 def test_an_infinite_logit_is_an_opacity() -> None:
     zeros = np.zeros((2, 3))
     own = Gaussians(zeros, np.ones((2, 4)), zeros, np.array([np.inf, -np.inf]), np.zeros((2, 1, 3)))
-    assert finite(own, Path("x.ply")) is own
+    assert require_finite(own, Path("x.ply")) is own

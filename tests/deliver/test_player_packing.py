@@ -18,8 +18,8 @@ from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.skinning import forward_kinematics
 from studiorecon.deliver import player
-from studiorecon.deliver.packing import Bytes, along_a_curve, whole_shares
-from studiorecon.deliver.player_data import MOTION_BYTES, described
+from studiorecon.deliver.packing import Bytes, morton_order, quantise_weights
+from studiorecon.deliver.player_data import MOTION_BYTES, describe_scene
 from studiorecon.deliver.player_motion import moments
 from studiorecon.footage.video import write_lossless
 from studiorecon.geometry import rotations
@@ -89,7 +89,7 @@ def test_turns_come_back_within_a_fifth_of_a_degree() -> None:
 def test_shares_add_up_to_one_exactly_so_that_nobody_is_pulled_to_the_origin() -> None:
     rng = np.random.default_rng(2)
     weights = rng.dirichlet([0.5] * 4, 5000)
-    shares = whole_shares(weights)
+    shares = quantise_weights(weights)
     assert (shares.sum(axis=1, dtype=int) == 255).all()
     assert np.abs(shares / 255 - weights).max() <= 1 / 255
     # A person six metres from the origin whose bones differ by some centimetres stays where they are.
@@ -108,7 +108,7 @@ def test_shares_add_up_to_one_exactly_so_that_nobody_is_pulled_to_the_origin() -
 
 def test_neighbours_on_the_curve_are_near() -> None:
     points = np.random.default_rng(3).uniform(-3, 3, (4000, 3))
-    order = along_a_curve(points)
+    order = morton_order(points)
     assert sorted(order) == list(range(4000))
     steps = np.linalg.norm(np.diff(points[order], axis=0), axis=1)
     assert np.median(steps) < 0.25 * np.median(np.linalg.norm(np.diff(points, axis=0), axis=1))
@@ -130,7 +130,7 @@ def test_gaussians_stand_where_they_stood_to_a_tenth_of_a_millimetre(page: Path)
     scene, (told, data) = scene_of(people=2, frames=5), told_of(page)
     owners = [(scene.room, scene.provenance), *((p.gaussians, p.provenance) for p in scene.people)]
     for entry, (own, marks) in zip(told["sets"], owners):
-        order = along_a_curve(own.means_m)
+        order = morton_order(own.means_m)
         assert np.abs(unpacked(data, entry["means"]) - own.means_m[order]).max() < 1e-4
         assert np.abs(unpacked(data, entry["colours"]) - own.sh[order, 0]).max() < 1e-3
         alpha = 1 / (1 + np.exp(-own.logit_opacities[order].astype(np.float64)))
@@ -163,7 +163,7 @@ def test_long_motion_is_told_at_fewer_moments_and_says_so() -> None:
     people = [longer(replace(person, network=None), 60_000) for person in short.people]
     held = Bytes()
     scene = replace(short, capture=replace(short.capture, frames=60_000), people=people)
-    told, sentences = described(scene, held, NONE)
+    told, sentences = describe_scene(scene, held, NONE)
     assert told["moments"] == MOTION_BYTES // (2 * (24 * 8 + 12))
     assert len(held.data) < MOTION_BYTES + 2_000_000
     assert any(f"motion is told at {told['moments']} moments of 60000 frames" in sentence for sentence in sentences)
@@ -173,7 +173,7 @@ def test_long_motion_is_told_at_fewer_moments_and_says_so() -> None:
 @pytest.mark.parametrize(("people", "frames"), [(0, 3), (7, 2), (1, 1)])
 def test_scenes_of_all_sizes_are_told(people: int, frames: int) -> None:
     held = Bytes()
-    told, _ = described(scene_of(people, frames, things=False), held, NONE)
+    told, _ = describe_scene(scene_of(people, frames, things=False), held, NONE)
     assert [entry["kind"] for entry in told["sets"]] == ["room", *["person"] * people]
     assert told["moments"] == frames
 
@@ -182,7 +182,7 @@ def test_a_network_without_places_of_its_own_is_asked_at_some() -> None:
     scene = scene_of(people=1, frames=4, things=False)
     assert scene.people[0].network is not None
     person = replace(scene.people[0], network=replace(scene.people[0].network, control=None))
-    _, sentences = described(replace(scene, people=[person]), Bytes(), NONE)
+    _, sentences = describe_scene(replace(scene, people=[person]), Bytes(), NONE)
     told = next(sentence for sentence in sentences if "colours of p0" in sentence)
     assert "4 moments and 512 places" in told
     assert float(re.search(r"within ([\d.]+) %", told).group(1)) < 60
@@ -192,7 +192,7 @@ def test_a_shadow_lies_on_the_same_gaussians(page: Path) -> None:
     scene, (told, data) = scene_of(people=2, frames=5), told_of(page)
     entry, shade = told["sets"][0]["shade"], shade_for(scene)
     at = unpacked(data, entry["at"])[:, 0].astype(int)
-    order = along_a_curve(scene.room.means_m)
+    order = morton_order(scene.room.means_m)
     factors = unpacked(data, entry["factors"]).reshape(5, len(at))
     assert set(order[at]) <= set(shade.at)
     column = {index: k for k, index in enumerate(shade.at)}
@@ -216,13 +216,13 @@ def test_what_cameras_filmed_is_a_film_or_some_photos(tmp_path: Path, monkeypatc
         write_lossless(video, [picture] * 20, 15.0)
     held = Bytes()
     cameras: list[dict] = [{} for _ in videos]
-    assert player.filmed(held, cameras, videos, 20, 15.0) == []
+    assert player.add_footage(held, cameras, videos, 20, 15.0) == []
     film = cameras[1]["film"]
     assert film["packed"] == "file"
     assert bytes(held.data)[film["at"] + 4 : film["at"] + 8] == b"ftyp"
     monkeypatch.setattr(player, "FILM_FRAMES", 10)
     cameras = [{} for _ in videos]
-    told = player.filmed(held, cameras, videos, 20, 15.0)
+    told = player.add_footage(held, cameras, videos, 20, 15.0)
     assert "8 of 20 pictures" in told[0]
     assert [photo["frame"] for photo in cameras[0]["photos"]][:: len(cameras[0]["photos"]) - 1] == [0, 19]
 
@@ -253,7 +253,7 @@ process.stdout.write(JSON.stringify(found));
 def test_the_page_s_own_script_says_who_is_there_as_films_do(root: Path) -> None:
     scene, held = scene_of(people=2, frames=5, things=False), Bytes()
     late = replace(scene.people[1], present=np.array([False, False, True, True, False]))
-    told, _ = described(replace(scene, people=[scene.people[0], late]), held, NONE)
+    told, _ = describe_scene(replace(scene, people=[scene.people[0], late]), held, NONE)
     frames = [0.0, 0.5, 1.5, 1.6, 2.0, 2.5, 3.5, 3.6, 4.0]
     given = {"scene": told, "bytes": base64.b64encode(bytes(held.data)).decode("ascii"), "frames": frames}
     parts = [(root / f"resources/player/{name}.js").read_text(encoding="utf-8") for name in ("scene", "camera")]

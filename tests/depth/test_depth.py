@@ -15,7 +15,7 @@ from studiorecon.configuration.settings import load
 from studiorecon.depth import box as walls
 from studiorecon.depth import given, refine, sweep
 from studiorecon.depth import room as room_box
-from studiorecon.depth.layout.box import strong_offsets
+from studiorecon.depth.layout.box import most_voted_offsets
 from studiorecon.depth.layout.primitive_fitting import contains_any
 from studiorecon.depth.layout.primitives import read_primitives
 from studiorecon.depth.layout.visibility import with_distance
@@ -215,10 +215,10 @@ def test_rival_walls_are_decided_by_what_the_window_holds() -> None:
     planes = np.array([[1.0, 0, 0, o] for o in np.arange(1.0, 5.0, 0.1)])
     votes = np.zeros(len(planes), int)
     votes[[10, 11, 20, 30]] = [500, 300, 450, 20]
-    found = strong_offsets(planes, votes, np.array([1.0, 0, 0]), 1.5, 1, 100)
+    found = most_voted_offsets(planes, votes, np.array([1.0, 0, 0]), 1.5, 1, 100)
     assert np.allclose(found, [2.0 + 0.1 * 300 / 800, 3.0])
-    assert strong_offsets(planes, votes, np.array([1.0, 0, 0]), 3.5, 1, 100) == []
-    assert strong_offsets(planes, votes, np.array([0, 1.0, 0]), 1.5, 1, 100) == []
+    assert most_voted_offsets(planes, votes, np.array([1.0, 0, 0]), 3.5, 1, 100) == []
+    assert most_voted_offsets(planes, votes, np.array([0, 1.0, 0]), 1.5, 1, 100) == []
 
 
 def test_plates_must_fit_their_cameras(tmp_path: Path, default_settings: Callable) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.keypoints.deeplabcut import canonical
+from studiorecon.keypoints.deeplabcut import canonical_name
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.readers import read_keypoints
@@ -45,7 +45,7 @@ def planted(frames: int, people: int, count: int) -> np.ndarray:
 
 
 def test_mediapipe_s_names_are_ours() -> None:
-    assert tuple(canonical(name) for name in MEDIAPIPE) == LAYOUTS["blazepose33"].keypoints
+    assert tuple(canonical_name(name) for name in MEDIAPIPE) == LAYOUTS["blazepose33"].keypoints
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_mediapipe_s_names_are_ours() -> None:
     ],
 )
 def test_names_of_other_programs(theirs: str, ours: str) -> None:
-    assert canonical(theirs) == ours
+    assert canonical_name(theirs) == ours
 
 
 def test_mediapipe_s_table_comes_back(tmp_path: Path) -> None:

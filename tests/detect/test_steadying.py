@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.keypoints.steadying import steadied
+from studiorecon.keypoints.temporal_smoothing import smooth_keypoints
 from studiorecon.scene.people import Detections
 
 
@@ -20,10 +20,10 @@ def test_tremble_goes_and_an_even_walk_stays_where_it_is() -> None:
     """At 60 per second less than two thirds of the tremble stay; the walk is not moved, nor at its ends."""
     rng, t = np.random.default_rng(0), np.arange(120)
     walk = np.stack([300 + 4.0 * t, 200 - 1.5 * t], axis=-1)
-    np.testing.assert_allclose(steadied(of(walk), 60.0).keypoints, of(walk).keypoints, atol=1e-9)
+    np.testing.assert_allclose(smooth_keypoints(of(walk), 60.0).keypoints, of(walk).keypoints, atol=1e-9)
     noisy = of(walk)
     noisy.keypoints[..., :2] += rng.normal(0, 3.0, noisy.keypoints[..., :2].shape)
-    left = steadied(noisy, 60.0).keypoints[..., :2] - walk[:, None]
+    left = smooth_keypoints(noisy, 60.0).keypoints[..., :2] - walk[:, None]
     assert left.std() < 0.65 * 3.0
     assert np.abs(left.mean()) < 0.2
 
@@ -32,24 +32,24 @@ def test_tremble_goes_and_an_even_walk_stays_where_it_is() -> None:
 def test_a_limb_that_swings_three_times_a_second_keeps_its_swing(fps: float) -> None:
     t = np.arange(round(2 * fps)) / fps
     swing = np.stack([100 + 50 * np.sin(2 * np.pi * 3 * t), 80 + 0 * t], axis=-1)
-    found = steadied(of(swing), fps).keypoints[10:-10, 0, 0] - 100
+    found = smooth_keypoints(of(swing), fps).keypoints[10:-10, 0, 0] - 100
     assert 1 - np.abs(found).max() / np.abs(swing[10:-10, 0] - 100).max() < 0.06
 
 
 def test_few_pictures_a_second_and_single_moments_stay_as_they_are() -> None:
     rng = np.random.default_rng(1)
     path = rng.normal(200, 30, (20, 2))
-    assert steadied(of(path), 10.0).keypoints is not None
-    np.testing.assert_array_equal(steadied(of(path), 10.0).keypoints, of(path).keypoints)
+    assert smooth_keypoints(of(path), 10.0).keypoints is not None
+    np.testing.assert_array_equal(smooth_keypoints(of(path), 10.0).keypoints, of(path).keypoints)
     apart = of(path, np.arange(20) * 9)
-    np.testing.assert_allclose(steadied(apart, 60.0).keypoints, apart.keypoints, atol=1e-9)
+    np.testing.assert_allclose(smooth_keypoints(apart, 60.0).keypoints, apart.keypoints, atol=1e-9)
 
 
 def test_what_is_missing_stays_missing_and_pulls_nobody() -> None:
     t = np.arange(40)
     seen = of(np.stack([300 + 4.0 * t, 200.0 + 0 * t], axis=-1))
     seen.keypoints[20, 3] = [np.nan, np.nan, 0.0]
-    found = steadied(seen, 60.0).keypoints
+    found = smooth_keypoints(seen, 60.0).keypoints
     assert np.isnan(found[20, 3, :2]).all()
     assert found[20, 3, 2] == 0
     np.testing.assert_allclose(found[[19, 21], 3, 0], seen.keypoints[[19, 21], 3, 0], atol=1e-9)
@@ -65,4 +65,4 @@ def test_two_tracks_are_steadied_apart() -> None:
         np.repeat([0, 1], 30),
         np.concatenate([one.keypoints, other.keypoints]),
     )
-    np.testing.assert_allclose(steadied(both, 60.0).keypoints, both.keypoints, atol=1e-9)
+    np.testing.assert_allclose(smooth_keypoints(both, 60.0).keypoints, both.keypoints, atol=1e-9)

@@ -17,7 +17,7 @@ from studiorecon.enhance.photos import Training
 from studiorecon.errors import UserError
 from studiorecon.footage.video import Playback, read_frame, read_frames_from, read_stack, write_lossless
 from studiorecon.images.metrics import psnr
-from studiorecon.images.transfer import ResidualSource, Transfer, best_strength, carried_over, source
+from studiorecon.images.transfer import ResidualSource, Transfer, best_strength, source, transfer_residual
 from studiorecon.images.warp import sample
 from studiorecon.models.protocols import Moment
 from studiorecon.recursive.clip import adapt_injection, enhanced, loop_gain
@@ -171,14 +171,14 @@ def test_a_render_larger_than_its_photo_counts_by_its_top_left_part() -> None:
 
 def test_residual_lands_only_on_surfaces_that_the_camera_sees() -> None:
     camera, view, depth, view_depth, photo = one_view()
-    residual, cover = carried_over(view, view_depth, [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER)
+    residual, cover = transfer_residual(view, view_depth, [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER)
     seen = cover > 0
     assert 0.3 < seen.mean() < 1
     np.testing.assert_allclose(residual[seen][:, 0], 0.2, atol=1e-5)
     pixels, distance = camera.project(view.unproject(view.pixel_centres(), view_depth.astype(float)))
     outside = (distance <= 0) | (pixels < 0).any(axis=-1) | (pixels > np.array(camera.wh)).any(axis=-1)
     assert not seen[outside].any()
-    nearer, covered = carried_over(
+    nearer, covered = transfer_residual(
         view,
         np.where(view_depth > 0, view_depth * 0.8, 0),
         [source(camera, photo, 0 * photo, depth, TRANSFER)],
@@ -227,7 +227,7 @@ def test_the_transfer_is_its_formula() -> None:
         source(camera, noisy[0], 0 * photo, depth, transfer),
         ResidualSource(other, np.float32(noisy[1] / 255), wall_depth(other)),
     ]
-    residual, cover = carried_over(view, view_depth, sources, transfer)
+    residual, cover = transfer_residual(view, view_depth, sources, transfer)
     expected, expected_cover = plainly_carried_over(view, np.nan_to_num(view_depth), sources, transfer)
     assert (expected_cover > 0).mean() > 0.3
     np.testing.assert_allclose(cover, expected_cover, atol=1e-5)
@@ -245,7 +245,7 @@ def test_unseen_and_unknown_pixels_stay_untouched() -> None:
     image = np.random.default_rng(0).random((*view.hw, 3)).astype(np.float32) * 0.5
     moment = Moment(view, 0.0, view_depth, np.zeros(view.hw, np.float32))
     output = enhancer.enhance(image, photo, moment)
-    _, cover = carried_over(view, view_depth, [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER)
+    _, cover = transfer_residual(view, view_depth, [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER)
     np.testing.assert_array_equal(output[cover == 0], image[cover == 0])
     np.testing.assert_array_equal(output[:20], image[:20])
     assert (output[cover > 0.9][:, 0] > image[cover > 0.9][:, 0] + 0.15).all()
@@ -254,7 +254,7 @@ def test_unseen_and_unknown_pixels_stay_untouched() -> None:
 def test_corrections_fade_in_towards_seams() -> None:
     camera, view, depth, view_depth, photo = one_view()
     wide = replace(TRANSFER, feather_px=12.0)
-    _, cover = carried_over(view, view_depth, [source(camera, photo, 0 * photo, depth, wide)], wide)
+    _, cover = transfer_residual(view, view_depth, [source(camera, photo, 0 * photo, depth, wide)], wide)
     steps = np.abs(np.diff(cover, axis=1))
     assert steps.max() < 0.2, "no correction starts at full strength"
 
@@ -268,7 +268,7 @@ def test_the_recursion_ends_at_the_residual_and_not_beyond() -> None:
     steps = [PathStep(view, 0.0, "00")] * 12
     depths = [np.rint(view_depth * 1000).astype(np.uint16)] * 12
     outputs = list(enhanced(steps, [picture] * 12, depths, lambda step: photo, enhancer, section, SEARCH))
-    _, cover = carried_over(view, depths[0] / 1000, [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER)
+    _, cover = transfer_residual(view, depths[0] / 1000, [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER)
     added = outputs[-1][..., 0].astype(float) - 60
     np.testing.assert_allclose(added[cover > 0.95], 51 * cover[cover > 0.95], atol=2)
 

@@ -108,7 +108,7 @@ def test_films_that_compare_show_the_photo_where_there_is_one(
 
 def test_a_wipe_shows_both_and_travels() -> None:
     black, white = np.zeros((40, 100, 3), np.uint8), np.full((40, 100, 3), 255, np.uint8)
-    picture = comparison.wiped(black, white, 0.3, ("a", "b"))
+    picture = comparison.wipe_picture(black, white, 0.3, ("a", "b"))
     assert not picture[39, :28].any()
     assert (picture[39, 32:] == 255).all()
     shares = [comparison.wipe_share(k, 30.0) for k in range(120)]

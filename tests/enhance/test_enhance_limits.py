@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.images.blur import gaussian_blur
-from studiorecon.images.flow import chained, consistent, dis_flow, one_thread
+from studiorecon.images.flow import chain_flow, consistent, dis_flow, one_thread
 from studiorecon.images.warp import warp
 from studiorecon.models.adapters import raft
 from studiorecon.recursive.clip import check_gain
@@ -240,12 +240,12 @@ def test_chained_flows_add_up_to_the_direct_one(steps: int) -> None:
 
     flow, valid = turn(0.05), np.ones((40, 60), bool)
     for _ in range(steps - 1):
-        flow, valid = chained(flow, valid, turn(0.05), np.ones((40, 60), bool))
+        flow, valid = chain_flow(flow, valid, turn(0.05), np.ones((40, 60), bool))
     assert valid[10:30, 10:50].all()
     np.testing.assert_allclose(flow[valid], turn(0.05 * steps)[valid], atol=2e-3)
     hole = np.ones((40, 60), bool)
     hole[20, 30] = False
-    assert not chained(turn(0.0), np.ones((40, 60), bool), turn(0.05), hole)[1][20, 30]
+    assert not chain_flow(turn(0.0), np.ones((40, 60), bool), turn(0.05), hole)[1][20, 30]
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.keypoints.readers import MAX_PEOPLE_PER_PICTURE, read_keypoints
-from studiorecon.scene.intermediate import read
-from studiorecon.scene.names import checked_name
-from studiorecon.scene.numbered import gaps_named, pictures_in
-from studiorecon.scene.outside import read_npz
+from studiorecon.scene.names import check_name
+from studiorecon.scene.numbered_files import gaps_named, pictures_in
 from studiorecon.scene.schema import real
+from studiorecon.scene.step_files import read
+from studiorecon.scene.user_files import read_npz
 
 from tests.faults.campaign import Subject, most_held_mb, outcomes, same, verdict, wrong
 from tests.faults.contents import npy, npz
@@ -109,9 +109,9 @@ def test_numbered_pictures_come_in_the_order_of_their_numbers_and_gaps_are_named
 @pytest.mark.parametrize("name", NAMES)
 def test_hostile_names_are_refused(name: str) -> None:
     with pytest.raises(UserError, match="cannot be used"):
-        checked_name(name, "the scene", "rename it")
+        check_name(name, "the scene", "rename it")
 
 
 @pytest.mark.parametrize("name", ["cam 1", "GX010042", "video (1)", "Küche", "cam_01.left", "カメラ1"])
 def test_ordinary_names_are_taken(name: str) -> None:
-    assert checked_name(name, "the scene", "rename it") == name
+    assert check_name(name, "the scene", "rename it") == name

@@ -21,7 +21,7 @@ from studiorecon.geometry.depth_surface import depth_breaks
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.images.exposure import compare
 from studiorecon.images.plate import temporal_modes
-from studiorecon.images.transfer import Transfer, carried_over, source
+from studiorecon.images.transfer import Transfer, source, transfer_residual
 from studiorecon.masks import log_odds
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.room import RoomBox
@@ -205,8 +205,8 @@ def test_enhance_carries_residuals_of_the_rest(fault: float) -> None:
     rgb, clean = look(VIEWS[0])
     photo, render = (np.rint(255 * p).astype(np.uint8) for p in (rgb, 0.8 * rgb))
     depth, _ = with_faults(clean, fault)
-    right, cover = carried_over(VIEWS[0], clean, [source(VIEWS[0], photo, render, clean, transfer)], transfer)
-    found, less = carried_over(VIEWS[0], depth, [source(VIEWS[0], photo, render, depth, transfer)], transfer)
+    right, cover = transfer_residual(VIEWS[0], clean, [source(VIEWS[0], photo, render, clean, transfer)], transfer)
+    found, less = transfer_residual(VIEWS[0], depth, [source(VIEWS[0], photo, render, depth, transfer)], transfer)
     assert np.isfinite(found).all()
     assert np.isfinite(less).all()
     both = (cover > 0) & (less > 0)

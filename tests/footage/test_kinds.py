@@ -9,7 +9,7 @@ import av
 import cv2
 import numpy as np
 import pytest
-from studiorecon.footage.container import film_streams, opened
+from studiorecon.footage.container import film_streams, open_container
 from studiorecon.footage.kinds import is_film
 
 from tests.made.footage import smooth_pictures, write_video
@@ -64,5 +64,5 @@ def test_a_cover_picture_is_not_the_film(cover_first: bool, tmp_path: Path) -> N
             for picture in pictures:
                 container.mux(streams[kind].encode(av.VideoFrame.from_ndarray(picture)))
             container.mux(streams[kind].encode(None))
-    with opened(tmp_path / "a.mp4") as container:
+    with open_container(tmp_path / "a.mp4") as container:
         assert film_streams(container)[0].codec_context.name == "h264"

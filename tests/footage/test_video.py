@@ -12,7 +12,7 @@ import av
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.footage.container import opened
+from studiorecon.footage.container import open_container
 from studiorecon.footage.streams import writing
 from studiorecon.footage.video import (
     read_frame,
@@ -81,7 +81,7 @@ def test_a_film_whose_title_is_not_utf_8_is_read(tmp_path: Path, suffix: str) ->
     written = path.read_bytes()
     assert written.count(b"Mxyller") == 1
     path.write_bytes(written.replace(b"Mxyller", b"M\xff\xfeller"))
-    with opened(path) as container:
+    with open_container(path) as container:
         assert container.metadata["title"].startswith("Turnhalle M")
     assert read_stack(path).shape == (1, 48, 64, 3)
 

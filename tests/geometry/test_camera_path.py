@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from studiorecon.geometry.camera_path import (
-    arc,
+    arc_path,
     axis_miss_rad,
     azimuths_rad,
-    between,
     clearance_share,
+    interpolate_cameras,
     look_at,
     order_around,
     scene_centre,
@@ -32,7 +32,7 @@ def at(azimuth_deg: float, radius_m: float = 3.0, height_m: float = 1.6, target:
 
 
 def way(start: Camera, end: Camera, **changed: object) -> tuple[list[Camera], bool]:
-    return between(start, end, 25, TARGET, **{"rotations": "slerp", "clearance": 0.6, **changed})
+    return interpolate_cameras(start, end, 25, TARGET, **{"rotations": "slerp", "clearance": 0.6, **changed})
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_open_arcs_do_not_fly_through_their_gap() -> None:
 
 def test_arc_of_a_camera_to_itself_stays() -> None:
     camera = at(30)
-    assert arc(camera.centre_m, camera.centre_m, np.linspace(0, 1, 5), TARGET) == pytest.approx(
+    assert arc_path(camera.centre_m, camera.centre_m, np.linspace(0, 1, 5), TARGET) == pytest.approx(
         np.tile(camera.centre_m, (5, 1))
     )
     views, _ = way(camera, camera)

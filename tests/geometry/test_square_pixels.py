@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from studiorecon.geometry.film_places import for_square_pixels
+from studiorecon.geometry.crop_hypotheses import for_square_pixels
 from studiorecon.scene.camera import Lens
 
 STORED, SHOWN = (240, 180), (320, 180)

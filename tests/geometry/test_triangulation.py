@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from studiorecon.geometry.bundle import BundleSettings, moved, without_drift
+from studiorecon.geometry.bundle import BundleSettings, move_camera, remove_drift
 from studiorecon.geometry.rotations import exp
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.keypoints.correspondence import ray_distances, track_groups
@@ -66,7 +66,7 @@ def test_bundle_adjustment_brings_a_turned_camera_back_and_leaves_the_world_wher
     cameras, points = ring(), cloud(150, rng) * [1.5, 1.5, 1]
     pixels = seen(cameras, points, 0.5, rng)
     off = [
-        moved(c, exp(np.radians(a)) @ c.camera_from_world[:3, :3], c.centre_m)
+        move_camera(c, exp(np.radians(a)) @ c.camera_from_world[:3, :3], c.centre_m)
         for c, a in zip(cameras, ([0, 1.5, 0], [0, 0, 0], [0.3, 0, 0], [0, 0, 0]))
     ]
     start = triangulate(pixels, ONES((4, 150)), off, replace(LIMITS, outlier_units=20))
@@ -78,7 +78,7 @@ def test_bundle_adjustment_brings_a_turned_camera_back_and_leaves_the_world_wher
         np.full(4, 6.0),
         BundleSettings(40, 5.0, 0.5),
     )
-    adjusted, similarity = without_drift(adjusted, cameras)
+    adjusted, similarity = remove_drift(adjusted, cameras)
     for camera, truth in zip(adjusted, cameras):
         turned = camera.camera_from_world[:3, :3] @ truth.camera_from_world[:3, :3].T
         assert np.degrees(np.linalg.norm(turned - np.eye(3)) / np.sqrt(2)) < 0.15
@@ -90,10 +90,10 @@ def test_removing_drift_takes_a_common_similarity_off_exactly():
     cameras = [*ring(3), look_at("d", np.array([0.5, 3.0, 2.5]), [0, 0, 1])]
     rotation = exp(np.array([0.02, -0.05, 0.1]))
     drifted = [
-        moved(c, c.camera_from_world[:3, :3] @ rotation.T, 1.1 * rotation @ c.centre_m + [0.1, 0.2, -0.3])
+        move_camera(c, c.camera_from_world[:3, :3] @ rotation.T, 1.1 * rotation @ c.centre_m + [0.1, 0.2, -0.3])
         for c in cameras
     ]
-    for camera, truth in zip(without_drift(drifted, cameras)[0], cameras):
+    for camera, truth in zip(remove_drift(drifted, cameras)[0], cameras):
         assert np.abs(camera.camera_from_world - truth.camera_from_world).max() < 1e-9
 
 

@@ -32,7 +32,7 @@ from studiorecon.humans.crops import (
     box_around,
     classify_crops,
     classify_pixels,
-    cut,
+    crop_camera,
     mask_inset_px,
     silhouette,
 )
@@ -48,9 +48,9 @@ from studiorecon.humans.surface_samples import (
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import from_entry
 from studiorecon.scene.factors import write_factors
-from studiorecon.scene.outside import read_npz
 from studiorecon.scene.people import Person
 from studiorecon.scene.provenance import INFERRED, MEASURED
+from studiorecon.scene.user_files import read_npz
 
 from tests.made.gaussians import rasterise
 from tests.made.humans import FRAMES, WH, Made, body, made, motion_of, score  # noqa: F401
@@ -186,7 +186,7 @@ def test_crops_keep_pixels_in_place(body: BodyModel) -> None:
     point = np.array([[0.1, -0.2, 1.1]])
     box = box_around(camera.project(point)[0], np.zeros(camera.hw, bool), camera.wh, 8)
     left, top, right, bottom = box
-    small = cut(camera, box)
+    small = crop_camera(camera, box)
     assert small.wh == (right - left, bottom - top)
     assert np.allclose(small.project(point)[0] + [left, top], camera.project(point)[0])
     assert box_around(np.full((3, 2), np.nan), np.zeros(camera.hw, bool), camera.wh, 8) is None

@@ -17,7 +17,7 @@ from studiorecon.configuration.settings import load
 from studiorecon.footage.video import to_bytes
 from studiorecon.humans.appearance import Appearance, OverTime
 from studiorecon.humans.crops import OUTSIDE, PERSON, HeldCrop
-from studiorecon.humans.drift import decide_appearance, drifting_share, followed, moments
+from studiorecon.humans.drift import decide_appearance, drifting_share, moments, track_brightness
 from studiorecon.humans.refined_motion import RefinedMotion
 from studiorecon.humans.surface_samples import gaussians_on, sample_surface
 from studiorecon.humans.train import Settings
@@ -178,7 +178,7 @@ def filmed(root: Path, default_settings: Callable) -> Callable[..., float]:
         seen = np.ones(len(samples.points_m), bool)
 
         def judge(draw: Callable) -> Decision:
-            values = followed(crops, draw, posing, motion, samples.points_m, samples.normals, samples.spacing_m)
+            values = track_brightness(crops, draw, posing, motion, samples.points_m, samples.normals, samples.spacing_m)
             return decide_appearance("p0", drifting_share(values), LIMIT)
 
         made = Appearance(settings.temporal, network, seen, judge) if use != "never" else None

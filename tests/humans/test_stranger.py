@@ -87,7 +87,7 @@ def test_an_outline_follows_the_colours_where_the_detector_is_coarse() -> None:
     picture = np.clip(picture, 0, 255).astype(np.uint8)
     # As coarse as a mask of 128 cells over a region: blurred by many pixels, and half a limb off.
     coarse = cv2.GaussianBlur(np.roll(person, 6, axis=1).astype(np.float32), (0, 0), 10)
-    found = stranger.cut_out(picture, coarse)
+    found = stranger.segment_person(picture, coarse)
     before = ((coarse > 0.5) & person).sum() / ((coarse > 0.5) | person).sum()
     assert before < 0.9
     assert (found & person).sum() / (found | person).sum() > 0.97

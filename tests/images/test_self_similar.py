@@ -6,7 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from studiorecon.images.self_similar import Scale, filled, repeats
+from studiorecon.images.texture_fill import Scale, fill_by_texture, texture_periods
 
 SCALE = Scale(light=12.0, patch=9, shift=4)
 
@@ -31,7 +31,7 @@ def test_wallpaper_goes_on_in_step(light: float) -> None:
     truth = wallpaper(light=light)
     known = hole(truth.shape[:2])
     given = np.where(known[..., None], truth, 0.9)
-    ours = filled(given, known, SCALE, np.random.default_rng(0))
+    ours = fill_by_texture(given, known, SCALE, np.random.default_rng(0))
     assert np.array_equal(ours[known], truth[known])
     error = np.abs(ours - truth)[~known].mean()
     stamp = np.rint(np.clip(given, 0, 1) * 255).astype(np.uint8)
@@ -45,7 +45,7 @@ def test_boards_without_a_pattern_stay_as_rough_as_they_are() -> None:
     boards = np.repeat(np.repeat(rng.uniform(0.3, 0.7, (20, 12)), 4, axis=0), 10, axis=1)
     truth = boards[..., None] * np.array([1.0, 0.8, 0.6])
     known = hole(truth.shape[:2])
-    ours = filled(truth, known, SCALE, np.random.default_rng(0))
+    ours = fill_by_texture(truth, known, SCALE, np.random.default_rng(0))
     assert ours[~known].std(axis=0) == pytest.approx(truth[known].std(axis=0), rel=0.4)
 
 
@@ -53,30 +53,30 @@ def test_what_hangs_beside_a_hole_lends_it_no_light() -> None:
     truth = wallpaper()
     known = hole(truth.shape[:2])
     truth[30:62, 30:40] = [0.05, 0.02, 0.0]  # a cupboard's dark side, seen
-    ours = filled(truth, known, SCALE, np.random.default_rng(0))
+    ours = fill_by_texture(truth, known, SCALE, np.random.default_rng(0))
     assert np.abs(ours - wallpaper())[~known].mean() < 0.05
 
 
 def test_repeats_are_those_of_the_pattern() -> None:
     detail = wallpaper() - wallpaper().mean(axis=(0, 1))
-    shifts = repeats(detail, hole(detail.shape[:2]), SCALE, np.random.default_rng(0))
+    shifts = texture_periods(detail, hole(detail.shape[:2]), SCALE, np.random.default_rng(0))
     assert {(0, 11), (0, -11), (13, 0), (-13, 0)} <= {tuple(shift) for shift in shifts.tolist()}
 
 
 def test_too_little_tells_no_shift_but_gives_a_colour() -> None:
     rgb, known = np.zeros((20, 30, 3)), np.zeros((20, 30), bool)
     rgb[3, 4], known[3, 4] = [0.2, 0.4, 0.6], True
-    ours = filled(rgb, known, SCALE, np.random.default_rng(0))
+    ours = fill_by_texture(rgb, known, SCALE, np.random.default_rng(0))
     np.testing.assert_allclose(ours, np.broadcast_to([0.2, 0.4, 0.6], ours.shape), atol=1e-9)
 
 
 def test_nothing_known_is_refused() -> None:
     with pytest.raises(ValueError, match="no pixel is known"):
-        filled(np.zeros((9, 9, 3)), np.zeros((9, 9), bool), SCALE, np.random.default_rng(0))
+        fill_by_texture(np.zeros((9, 9, 3)), np.zeros((9, 9), bool), SCALE, np.random.default_rng(0))
 
 
 def test_same_input_same_bytes() -> None:
     truth = wallpaper(light=0.2)
     known = hole(truth.shape[:2])
-    first, again = (filled(truth, known, SCALE, np.random.default_rng(3)).tobytes() for _ in range(2))
+    first, again = (fill_by_texture(truth, known, SCALE, np.random.default_rng(3)).tobytes() for _ in range(2))
     assert first == again

@@ -90,7 +90,7 @@ def test_modules_that_come_and_go_while_a_process_runs_are_seen(copy: Path) -> N
     assert code.module_path("capture.later") is None
     (copy / "capture" / "later.py").write_text("from studiorecon import errors\n")
     assert code.module_path("capture.later") == copy / "capture" / "later.py"
-    assert "errors" in code.reached(["capture.later"])
+    assert "errors" in code.dependencies(["capture.later"])
     (copy / "capture" / "later.py").unlink()
     with pytest.raises(FileNotFoundError):
         code.digest("capture.later")

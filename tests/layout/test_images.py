@@ -147,7 +147,7 @@ def test_a_networks_image_has_what_its_table_says(name: str) -> None:
 @pytest.mark.parametrize(("step", "network"), sorted(pair for pair in STEPS if pair[0] not in ASKING))
 def test_an_image_has_what_our_steps_import_there(step: str, network: str) -> None:
     has = pins(MODELS[network].runtime.image)
-    for module, path in code.reached([step]).items():
+    for module, path in code.dependencies([step]).items():
         if module.startswith("models."):
             continue
         for node in tree(path).body:
@@ -204,7 +204,7 @@ def test_an_image_has_what_a_step_imports_anywhere(step: str, image: str) -> Non
     """In functions too: what is imported late is missing late, hours into a run."""
     has = pins(image)
     allowed = {*sys.stdlib_module_names, "studiorecon", "__future__", *(ONLY_IN_VISION if image == "core" else ())}
-    for module, path in code.reached([step]).items():
+    for module, path in code.dependencies([step]).items():
         if module.startswith("models."):
             continue
         for top in imported_anywhere(path) - allowed:

@@ -291,7 +291,7 @@ def test_no_registry_addresses_or_machine_paths() -> None:
 
 def test_steps_without_torch_do_not_import_it() -> None:
     for _, step, _ in rules():
-        for module, path in code.reached([step], without=ON_REQUEST).items():
+        for module, path in code.dependencies([step], without=ON_REQUEST).items():
             for node in tree(path).body:
                 names = (
                     [a.name for a in node.names]

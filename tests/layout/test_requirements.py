@@ -76,7 +76,7 @@ def test_what_steps_import_at_once_is_in_the_plain_environment() -> None:
     rules = "".join(path.read_text() for path in sorted((ROOT / "workflow/rules").glob("*.smk")))
     steps = set(re.findall(r"command\(\"(\w+\.\w+)\"\)", rules))
     assert len(steps) > 30
-    for path in code.reached(steps, without=ON_REQUEST).values():
+    for path in code.dependencies(steps, without=ON_REQUEST).values():
         assert imports(outside_functions(tree(path))) <= PLAIN, path
 
 
@@ -157,7 +157,7 @@ def test_steps_that_share_work_among_threads_call_no_kernel_that_does_so_itself(
     for path in MODULES:
         if "ThreadPoolExecutor" in path.read_text():
             step = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
-            for module, reached in code.reached([step]).items():
+            for module, reached in code.dependencies([step]).items():
                 assert "parallel=True" not in reached.read_text(), (
                     f"{step} runs threads and reaches the parallel kernels of {module}"
                 )

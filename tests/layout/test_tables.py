@@ -52,7 +52,7 @@ def reached(test_file: Path) -> set[str]:
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tests.made"):
             shared = table.ROOT.joinpath(*node.module.split(".")).with_suffix(".py")
             imported |= reached(shared) if shared.is_file() else set()
-    return set(code.reached(imported))
+    return set(code.dependencies(imported))
 
 
 def test_the_pages_are_up_to_date() -> None:

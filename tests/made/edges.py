@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.bundle import move_camera
 from studiorecon.geometry.rotations import exp
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
@@ -50,5 +50,5 @@ def about_the_spot(cameras: Sequence[Camera], degrees: Sequence[float]) -> list[
     found = []
     for camera, d in zip(cameras, degrees, strict=True):
         turn = exp(np.array([0.0, 0.0, np.radians(d)]))
-        found.append(moved(camera, camera.camera_from_world[:3, :3] @ turn.T, turn @ camera.centre_m))
+        found.append(move_camera(camera, camera.camera_from_world[:3, :3] @ turn.T, turn @ camera.centre_m))
     return found

@@ -7,7 +7,7 @@ import itertools
 
 import cv2
 import numpy as np
-from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.bundle import move_camera
 from studiorecon.geometry.rotations import angle, exp
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
@@ -51,7 +51,9 @@ def off(cameras: list[Camera], seed: int, degrees: float, metres: float) -> list
     found = []
     for c in cameras:
         turn = exp(np.radians(rng.normal(0, degrees / np.sqrt(3), 3)))
-        found.append(moved(c, turn @ c.camera_from_world[:3, :3], c.centre_m + rng.normal(0, metres / np.sqrt(3), 3)))
+        found.append(
+            move_camera(c, turn @ c.camera_from_world[:3, :3], c.centre_m + rng.normal(0, metres / np.sqrt(3), 3))
+        )
     return found
 
 

@@ -28,10 +28,10 @@ from studiorecon.scene.raw_detections import RawDetections, write_raw_detections
 from studiorecon.studio import rig
 from studiorecon.studio.actors import Actors
 from studiorecon.studio.description import RESOURCES, Description, read_description
-from studiorecon.studio.film import backdrop, exposed, touched_pixels
+from studiorecon.studio.film import backdrop, render_frame, touched_pixels
 from studiorecon.studio.meshes import Mesh, box, lathe, placed, plain, transformed
 from studiorecon.studio.room import room
-from studiorecon.studio.sensor import Sensor, developed
+from studiorecon.studio.sensor import Sensor, develop
 from studiorecon.studio.tracing import Tracer
 from studiorecon.tracks import keypoints as tracks_keypoints
 
@@ -157,8 +157,8 @@ def filmed(about: Description, lens: Lens, troupe: Actors, extra: Extra, still: 
     for t in range(about.frames):
         moving = [*troupe.at(t)[0], *extra(t)]
         touched = touched_pixels(lens, moving)
-        light = exposed(scene, Tracer(solids + moving), moving, touched, soles[t], about.effects)
-        pictures.append(developed(light, Sensor.perfect(), t))
+        light = render_frame(scene, Tracer(solids + moving), moving, touched, soles[t], about.effects)
+        pictures.append(develop(light, Sensor.perfect(), t))
     return pictures
 
 
@@ -205,7 +205,7 @@ def portrait(number: int, time_s: float) -> np.ndarray:
     solids = room(about.seed, 0.0)
     scene = backdrop(lens, solids, 1)
     moving = troupe.at(0)[0]
-    return exposed(
+    return render_frame(
         scene, Tracer(solids + moving), moving, touched_pixels(lens, moving), troupe.soles_m()[0], about.effects
     )
 

@@ -15,8 +15,8 @@ from studiorecon.body.avatar.weight_grid import strongest
 from studiorecon.body.model import BodyModel
 from studiorecon.deliver.finished import FinishedScene
 from studiorecon.deliver.packing import Bytes
-from studiorecon.deliver.player import QUALITY, build_page, filmed, render_poster
-from studiorecon.deliver.player_data import Shade, described
+from studiorecon.deliver.player import QUALITY, add_footage, build_page, render_poster
+from studiorecon.deliver.player_data import Shade, describe_scene
 from studiorecon.geometry import rotations
 from studiorecon.images.encoded import jpeg
 from studiorecon.scene.camera import Camera
@@ -129,8 +129,8 @@ def write_page(
 ) -> Path:
     """The scene's player as a file; ``videos``: what its cameras filmed."""
     held = Bytes()
-    told, sentences = described(scene, held, exposure, shade)
-    sentences += filmed(held, told["cameras"], videos, scene.capture.frames, scene.capture.fps)
+    told, sentences = describe_scene(scene, held, exposure, shade)
+    sentences += add_footage(held, told["cameras"], videos, scene.capture.frames, scene.capture.fps)
     poster = jpeg(render_poster(scene), QUALITY)
     write_text(path, build_page(scene.name, told | {"told": sentences}, held, poster, PARTS))
     return path

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.bundle import move_camera
 from studiorecon.geometry.rotations import exp
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.keypoints.layouts import LAYOUTS
@@ -149,6 +149,6 @@ def rough(
     lenses = {}
     for c in stand:
         turned = exp(np.radians(rng.normal(0, off_deg, 3))) @ c.camera_from_world[:3, :3]
-        pose = moved(c, turned, c.centre_m + rng.normal(0, off_m, 3)).camera_from_world
+        pose = move_camera(c, turned, c.centre_m + rng.normal(0, off_m, 3)).camera_from_world
         lenses[c.name] = Lens(c.name, c.wh, intrinsics, "opencv", np.zeros(5), pose, np.eye(2, 3)), c.wh
     return Rough(seen, [Clock(c.name, fps, len(own_s)) for c in stand], lenses, start_s)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.tracking import TrackingLimits, tracks, without_duplicates
+from studiorecon.keypoints.tracking import TrackingLimits, drop_duplicates, tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 from studiorecon.studio import rig
@@ -57,7 +57,7 @@ def made_take(
                 frame.append(t)
                 keypoints.append(np.where(person[:, 2:] > 0.1, person, [np.nan, np.nan, 0.0]))
         frames_seen, points = np.array(frame, dtype=int), np.array(keypoints).reshape(len(frame), -1, 3)
-        keep = without_duplicates(frames_seen, points, TRACKING)
+        keep = drop_duplicates(frames_seen, points, TRACKING)
         frames_seen, points = frames_seen[keep], points[keep]
         found.append(
             Detections(camera.name, LAYOUT, frames_seen, tracks(frames_seen, points, TRACKING, described.fps), points)

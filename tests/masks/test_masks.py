@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.body.person_files import write_person
-from studiorecon.body.silhouettes import grown_outlines
+from studiorecon.body.silhouettes import dilated_silhouettes
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_stack, write_lossless
@@ -268,6 +268,6 @@ def test_who_is_away_is_expected_nowhere(scene: Scene, settings: step.Settings) 
     # Somebody whom no fit explains is nobody's, and still no room.
     assert (labels[4][scene.truth[4] == 1] == step.UNASSIGNED).mean() > 0.8
     assert (labels[2:] == 2).sum() > 0.9 * (here[2:] == 2).sum()
-    outlines = [grown_outlines([left], scene.body, scene.camera, frame, 0.05) for frame in (1, 3)]
+    outlines = [dilated_silhouettes([left], scene.body, scene.camera, frame, 0.05) for frame in (1, 3)]
     assert outlines[0].any()
     assert not outlines[1].any()

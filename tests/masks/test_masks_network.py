@@ -12,8 +12,8 @@ import pytest
 from studiorecon.configuration.settings import load
 from studiorecon.footage.video import read_stack, write_lossless
 from studiorecon.masks import network
-from studiorecon.masks.given import identified
-from studiorecon.masks.tracks import UNASSIGNED, assigned
+from studiorecon.masks.given import label_given_masks
+from studiorecon.masks.tracks import UNASSIGNED, assign_people
 from studiorecon.models.adapters import sam3
 from studiorecon.models.catalogue.card import Card
 from studiorecon.scene.capture import Footage, write_footage
@@ -36,7 +36,7 @@ def test_a_person_may_be_several_numbers_in_turn_and_strangers_stay_strangers() 
         labels[t][body(4) > 0] = 3 if t < 2 else 9
         labels[t, 3:27, 19:27] = 5
         labels[t, 2:8, 34:38] = 7
-    found, told = assigned(labels, depths, 2)
+    found, told = assign_people(labels, depths, 2)
     masks = np.stack(list(found))
     # Naive, one number to one person: from the third frame on p0 is nobody.
     assert (masks[:, 10, 6] == 1).all()
@@ -49,7 +49,7 @@ def test_a_person_may_be_several_numbers_in_turn_and_strangers_stay_strangers() 
 def test_without_people_everybody_is_a_stranger() -> None:
     labels = np.zeros((2, *HW), np.uint8)
     labels[:, 5:9, 5:9] = 1
-    masks, told = assigned(labels, [np.zeros((0, *HW), np.float32)] * 2, 0)
+    masks, told = assign_people(labels, [np.zeros((0, *HW), np.float32)] * 2, 0)
     assert set(np.unique(list(masks))) == {0, UNASSIGNED}
     assert "none" in told
 
@@ -107,8 +107,8 @@ def test_memory_does_not_grow_with_the_film() -> None:
     labels = Again(lambda: (body(4) > 0).astype(np.uint8))
     tracemalloc.start()
     for match in (
-        lambda: assigned(labels, Again(lambda: body(4)[None]), 1),
-        lambda: identified(labels, Again(lambda: body(4)[None]), 1, 0.2, ring([0], "cam", wh=HW[::-1])[0]),
+        lambda: assign_people(labels, Again(lambda: body(4)[None]), 1),
+        lambda: label_given_masks(labels, Again(lambda: body(4)[None]), 1, 0.2, ring([0], "cam", wh=HW[::-1])[0]),
     ):
         masks, _ = match()
         assert all((mask[10, 6], mask[0, 0]) == (1, 0) for mask in masks)

@@ -125,7 +125,7 @@ def test_upstreams_network_with_random_weights_follows_bodies(
     weights = tmp_path / "weights"
     write_smpl(weights / "smpl/SMPL_NEUTRAL.pkl", BodyModel.load(root / "resources/body.npz"))
     (inner / "data/smpl/SMPL_NEUTRAL.pkl").symlink_to(weights / "smpl/SMPL_NEUTRAL.pkl")
-    monkeypatch.setattr(comotion, "staged", lambda _, folder: folder)  # these files are not what is published
+    monkeypatch.setattr(comotion, "staged_weights", lambda _, folder: folder)  # these files are not what is published
     camera, rgb, _ = room_views((640, 360))[0]
     try:
         from comotion_demo.models.comotion import CoMotion

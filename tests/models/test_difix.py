@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.images.sizes import as_float, grown, nearest, resampled
+from studiorecon.images.sizes import as_float, pad_to_multiple, resample, resample_nearest
 from studiorecon.models.adapters import difix, fixer
 from studiorecon.models.adapters.difix import PROMPT, STEP, denoised, postprocess, preprocess
 from studiorecon.models.loading import load
@@ -124,7 +124,7 @@ def test_what_an_enhancer_gets_wrong_is_a_sentence() -> None:
 @pytest.mark.parametrize("factor", [0.5, 0.37, 1.0, 2.0, 3.3])
 def test_resampling_keeps_borders_and_levels(factor: float) -> None:
     image = picture((60, 80))
-    small = resampled(image, (round(60 * factor), round(80 * factor)))
+    small = resample(image, (round(60 * factor), round(80 * factor)))
     assert small.mean() == pytest.approx(image.mean(), abs=2e-3)
     rows = (np.arange(len(small)) + 0.5) / len(small)
     # Naive corner-aligned scaling is off by up to half a pixel at the borders.
@@ -134,10 +134,10 @@ def test_resampling_keeps_borders_and_levels(factor: float) -> None:
 
 def test_nearest_and_grown_only_repeat_pixels() -> None:
     labels = np.arange(12).reshape(3, 4)
-    np.testing.assert_array_equal(nearest(labels, (6, 8)), labels.repeat(2, 0).repeat(2, 1))
-    np.testing.assert_array_equal(nearest(labels.repeat(3, 0).repeat(3, 1), (3, 4)), labels)
-    assert grown(labels, 14).shape == (14, 14)
-    assert (grown(labels, 14)[:3, 4:] == labels[:, -1:]).all()
+    np.testing.assert_array_equal(resample_nearest(labels, (6, 8)), labels.repeat(2, 0).repeat(2, 1))
+    np.testing.assert_array_equal(resample_nearest(labels.repeat(3, 0).repeat(3, 1), (3, 4)), labels)
+    assert pad_to_multiple(labels, 14).shape == (14, 14)
+    assert (pad_to_multiple(labels, 14)[:3, 4:] == labels[:, -1:]).all()
 
 
 @pytest.mark.parametrize("hw", [(45, 80), (33, 59), (180, 320), (61, 200), (90, 160)])
@@ -147,7 +147,7 @@ def test_resampling_is_that_of_torch_with_antialias(hw: tuple[int, int]) -> None
     noise = np.random.default_rng(0).random((90, 160, 3), dtype=np.float32)
     tensor = torch.from_numpy(np.ascontiguousarray(noise.transpose(2, 0, 1)[None]))
     theirs = torch.nn.functional.interpolate(tensor, hw, mode="bilinear", antialias=True)[0].numpy().transpose(1, 2, 0)
-    np.testing.assert_allclose(resampled(noise, hw), theirs, atol=1e-5)
+    np.testing.assert_allclose(resample(noise, hw), theirs, atol=1e-5)
 
 
 # What the hub's folder brings beside the weights, in the form that the pipeline asks for: a VAE that keeps what its
@@ -214,7 +214,7 @@ def test_upstreams_pipeline_with_random_weights_repairs_a_picture_by_a_photo(
     }
     index = {"_class_name": "DifixPipeline", "requires_safety_checker": False, **parts}
     (folder / "model_index.json").write_text(json.dumps(index))
-    monkeypatch.setattr(difix, "staged", lambda _, where: where)  # these files are not what is published
+    monkeypatch.setattr(difix, "staged_weights", lambda _, where: where)  # these files are not what is published
     monkeypatch.setattr(difix, "_LARGEST_SHIFT", 1.0)  # weights that have learnt nothing make any picture
     enhancer = load("picture enhancer", "difix", tmp_path, "cpu", seed=0)
     render, photo = picture((70, 100)), picture((135, 240))[:, ::-1]

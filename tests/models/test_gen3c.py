@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.geometry.camera_path import between
+from studiorecon.geometry.camera_path import interpolate_cameras
 from studiorecon.models.adapters import gen3c
 from studiorecon.models.adapters.gen3c import chunks, depth_scale, order, postprocess, preprocess
 from studiorecon.models.adapters.gen3c_request import CHUNK, check_evidence, check_form, evidence, splat
@@ -40,7 +40,9 @@ def key_frames(depth_factor: float = 1.0) -> list[KeyFrame]:
 
 
 def way(frames: list[KeyFrame], length: int = CHUNK) -> list[Camera]:
-    views, _ = between(frames[0].camera, frames[1].camera, length, np.zeros(3), rotations="look_at", clearance=1.0)
+    views, _ = interpolate_cameras(
+        frames[0].camera, frames[1].camera, length, np.zeros(3), rotations="look_at", clearance=1.0
+    )
     return [frames[0].camera, *views[1:]]
 
 

@@ -112,7 +112,7 @@ def test_an_edited_adapter_reruns_the_steps_that_run_it_and_no_others() -> None:
     # Nothing but the name leads there: else an edited adapter would rerun every step that runs some network.
     for choice in CHOICES.values():
         for step in choice.steps:
-            assert not [name for name in code.reached([step]) if name.startswith("models.adapters.")]
+            assert not [name for name in code.dependencies([step]) if name.startswith("models.adapters.")]
 
 
 def test_stages_know_kinds_and_not_adapters() -> None:

@@ -71,7 +71,9 @@ def test_a_file_that_lacks_entries_is_refused(tmp_path: Path, checkout: Path, mo
     monkeypatch.setitem(sys.modules, "mapanything", ModuleType("mapanything"))
     monkeypatch.setitem(sys.modules, "mapanything.models", models)
     monkeypatch.syspath_prepend(checkout)
-    monkeypatch.setattr(mapanything, "staged", lambda _, folder: folder)  # these files are not what is published
+    monkeypatch.setattr(
+        mapanything, "staged_weights", lambda _, folder: folder
+    )  # these files are not what is published
     for file in CARD.weights:
         (tmp_path / file.path).parent.mkdir(exist_ok=True)
         (tmp_path / file.path).touch()

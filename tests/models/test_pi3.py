@@ -224,7 +224,7 @@ def test_upstreams_network_with_random_weights_keeps_its_contract(
     (tmp_path / name).mkdir()
     save_file(made().state_dict(), tmp_path / name / "model.safetensors")
     monkeypatch.setattr(module, CARDS_BY_NAME[name].title, made)
-    monkeypatch.setattr(pi3, "staged", lambda _, folder: folder)  # this file is not what is published
+    monkeypatch.setattr(pi3, "staged_weights", lambda _, folder: folder)  # this file is not what is published
     adapter = load("pose and depth", name, tmp_path, "cpu")
     pictures = np.random.default_rng(0).random((3, 3, 56, 70), dtype=np.float32)
     points, sure, poses = inferred(adapter._network, pictures, "cpu")
@@ -269,7 +269,7 @@ def test_pi3x_needs_every_entry_but_those_of_what_is_not_given(
     ):
         for part in (name.split(".")[0], name.rpartition(".")[0], name):
             monkeypatch.setitem(sys.modules, part, module)
-    monkeypatch.setattr(pi3, "staged", lambda _, folder: folder)  # this file is not what is published
+    monkeypatch.setattr(pi3, "staged_weights", lambda _, folder: folder)  # this file is not what is published
     (tmp_path / "pi3x").mkdir()
     (tmp_path / "pi3x/model.safetensors").touch()
     if not lacks:

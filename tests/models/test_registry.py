@@ -9,7 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.models.catalogue.preflight import arrays_alone, attribute, device, finite, staged, upstream
+from studiorecon.models.catalogue.preflight import (
+    arrays_alone,
+    attribute,
+    device,
+    import_upstream,
+    require_finite,
+    staged_weights,
+)
 from studiorecon.models.catalogue.registry import MODELS, model, of_kind
 
 
@@ -61,18 +68,18 @@ def test_a_missing_weight_is_named_with_its_source_and_found_once_it_is_there(
     with pytest.raises(
         UserError, match=r"pi3/model\.safetensors, which is missing: get it from Hugging Face yyfz233/Pi3"
     ):
-        staged(model("pi3"), tmp_path)
+        staged_weights(model("pi3"), tmp_path)
     with pytest.raises(UserError, match="access must be asked for"):
-        staged(model("sam3"), tmp_path)
+        staged_weights(model("sam3"), tmp_path)
     (tmp_path / "smpl").mkdir()
     (tmp_path / "smpl/SMPL_NEUTRAL.pkl").write_bytes(b"weights")
-    assert staged(model("smpl"), tmp_path) == tmp_path
+    assert staged_weights(model("smpl"), tmp_path) == tmp_path
     assert os.environ["HF_HUB_OFFLINE"] == "1", "a run fetches nothing silently"
 
 
 def test_a_missing_package_names_image_and_pins_and_another_version_its_commit() -> None:
     with pytest.raises(UserError, match=r"cosmos_nowhere.*image gen3c.*torch 2\.6\.0.*megatron-core==0\.10\.0"):
-        upstream(model("gen3c"), "cosmos_nowhere")
+        import_upstream(model("gen3c"), "cosmos_nowhere")
     with pytest.raises(UserError, match=r"has no Gen3cPipeline.*db2ffe1"):
         attribute(model("gen3c"), os, "Gen3cPipeline")
 
@@ -88,8 +95,8 @@ def test_no_gpu_is_a_sentence_with_the_remedy() -> None:
 
 def test_numbers_that_are_none_are_refused() -> None:
     with pytest.raises(UserError, match="Pi3 returned 2 values of poses"):
-        finite(model("pi3"), "poses", np.array([1.0, np.nan, np.inf]))
-    assert finite(model("pi3"), "poses", np.ones(2)).sum() == 2
+        require_finite(model("pi3"), "poses", np.array([1.0, np.nan, np.inf]))
+    assert require_finite(model("pi3"), "poses", np.ones(2)).sum() == 2
 
 
 def test_a_checkpoint_that_would_run_code_is_a_sentence() -> None:

@@ -130,7 +130,7 @@ def test_what_upstream_leaves_out_without_its_kernels_is_said(
 
     planted = SimpleNamespace(Sam3VideoModel=Upstream, Sam3VideoProcessor=Upstream, __name__="transformers")
     monkeypatch.setitem(sys.modules, "transformers", planted)
-    monkeypatch.setattr(sam3, "staged", lambda _, folder: folder)  # these files are not what is published
+    monkeypatch.setattr(sam3, "staged_weights", lambda _, folder: folder)  # these files are not what is published
     for file in CARD.weights:
         (tmp_path / file.path).parent.mkdir(exist_ok=True)
         (tmp_path / file.path).touch()

@@ -16,11 +16,11 @@ import pytest
 from studiorecon.errors import UserError
 from studiorecon.models import weights
 from studiorecon.models.catalogue.card import WeightFile
-from studiorecon.models.catalogue.checksums import PINS, digest, read_pins, verified
+from studiorecon.models.catalogue.checksums import PINS, digest, read_pins, verify
 from studiorecon.models.catalogue.confined import ARRAYS_ONLY, OFFLINE, confine
 from studiorecon.models.catalogue.fetching import fetch
-from studiorecon.models.catalogue.pickles import vetted
-from studiorecon.models.catalogue.preflight import staged
+from studiorecon.models.catalogue.pickles import require_safe_pickles
+from studiorecon.models.catalogue.preflight import staged_weights
 from studiorecon.models.catalogue.registry import MODELS
 from studiorecon.models.catalogue.selection import check_licences, licence_rows, selected
 
@@ -80,10 +80,10 @@ def test_what_may_be_fetched_is_fetched_verified_and_pinned(
     assert read_pins(tmp_path)["fixer/base/tokenizer_fast.pth"]["sha256"] == hashlib.sha256(b"fixer").hexdigest()
     weights.run(["fixer"], tmp_path, "yes")
     assert len(hub.asked) == len(hub.shelf)
-    assert staged(MODELS["fixer"], tmp_path) == tmp_path
+    assert staged_weights(MODELS["fixer"], tmp_path) == tmp_path
     file.write_bytes(b"faked")
     with pytest.raises(UserError, match=r"has SHA-256 .*delete it and get it again"):
-        staged(MODELS["fixer"], tmp_path)
+        staged_weights(MODELS["fixer"], tmp_path)
     with pytest.raises(UserError, match="1 of the files are not in place"):
         weights.run(["fixer"], tmp_path, "yes")
 
@@ -95,18 +95,18 @@ def test_a_file_may_have_another_name_here_than_at_its_hub(tmp_path: Path, monke
     assert [p.name for p in (tmp_path / "moge").iterdir()] == [Path(wanted.path).name]
     # What its card says of it counts more than what the hub says of itself.
     with pytest.raises(UserError, match="expected 280741fd09bc"):
-        staged(MODELS["moge"], tmp_path)
+        staged_weights(MODELS["moge"], tmp_path)
 
 
 def test_what_was_put_there_by_hand_is_held_to_what_it_was(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     for file in MODELS["comotion"].weights:
         (tmp_path / file.path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / file.path).write_bytes(b"by hand")
-    staged(MODELS["comotion"], tmp_path)
+    staged_weights(MODELS["comotion"], tmp_path)
     assert "its checksum is recorded" in capsys.readouterr().out
     (tmp_path / "smpl/SMPL_NEUTRAL.pkl").write_bytes(b"another")
     with pytest.raises(UserError, match=r"SMPL_NEUTRAL\.pkl has SHA-256"):
-        staged(MODELS["comotion"], tmp_path)
+        staged_weights(MODELS["comotion"], tmp_path)
 
 
 def test_no_room_is_known_before_anything_is_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,10 +136,10 @@ def test_a_run_is_told_to_make_arrays_of_checkpoints_and_nothing_else(
 def test_bodies_that_would_run_code_are_refused_before_upstream_unpickles_them(tmp_path: Path) -> None:
     np.savez(tmp_path / "plain.npz", vertices=np.ones(3), names=np.array([None, np.ones(2)], dtype=object))
     (tmp_path / "hands.pkl").write_bytes(pickle.dumps({"left": np.arange(3)}))
-    vetted(sorted(tmp_path.iterdir()))
+    require_safe_pickles(sorted(tmp_path.iterdir()))
     np.savez(tmp_path / "evil.npz", code=np.array([Path("x"), 1], dtype=object))
     with pytest.raises(UserError, match=r"evil\.npz is not a file of plain or chumpy arrays .*asks for pathlib"):
-        vetted(sorted(tmp_path.iterdir()))
+        require_safe_pickles(sorted(tmp_path.iterdir()))
 
 
 def test_a_snapshot_brings_small_files_along_and_a_wrong_body_is_noticed(
@@ -149,15 +149,15 @@ def test_a_snapshot_brings_small_files_along_and_a_wrong_body_is_noticed(
     monkeypatch.setitem(sys.modules, "huggingface_hub", Hub(dict.fromkeys(names, b"x")))
     weights.run(["difix"], tmp_path, "yes")
     assert (tmp_path / "difix/difix_ref/unet/code.py").is_file()
-    assert staged(MODELS["difix"], tmp_path) == tmp_path
+    assert staged_weights(MODELS["difix"], tmp_path) == tmp_path
     # Its client runs what lies there: code that is not what was fetched, or was not fetched at all, is refused.
     (tmp_path / "difix/difix_ref/unet/code.py").write_bytes(b"another")
     with pytest.raises(UserError, match=r"unet/code\.py has SHA-256 .*delete it and get it again"):
-        staged(MODELS["difix"], tmp_path)
+        staged_weights(MODELS["difix"], tmp_path)
     (tmp_path / "difix/difix_ref/unet/code.py").write_bytes(b"x")
     (tmp_path / "difix/difix_ref/vae/more.py").write_bytes(b"y")
     with pytest.raises(UserError, match=r"vae/more\.py is code that Difix3D\+ .* would run"):
-        staged(MODELS["difix"], tmp_path)
+        staged_weights(MODELS["difix"], tmp_path)
     for stated in ("0" * 64, "0" * 40):
         monkeypatch.setitem(sys.modules, "huggingface_hub", Hub({"model.safetensors": b"x"}, stated=stated))
         (tmp_path / "pi3/model.safetensors").unlink(missing_ok=True)
@@ -208,7 +208,7 @@ def test_files_of_packages_and_of_torchvision_come_through_them(
     assert (tmp_path / "w" / raft.path).read_bytes() == b"flow"
     # The published first digits of the checksum are believed more than the client.
     with pytest.raises(UserError, match="expected ff5fadd5"):
-        verified(tmp_path / "w", raft, {})
+        verify(tmp_path / "w", raft, {})
 
 
 def test_published_checksums_count(tmp_path: Path) -> None:
@@ -216,9 +216,9 @@ def test_published_checksums_count(tmp_path: Path) -> None:
     right = WeightFile(
         "a", "nowhere", sha256=digest(tmp_path / "a")[:8], md5=hashlib.md5(b"abc").hexdigest(), how="hand"
     )
-    assert verified(tmp_path, right, {})["bytes"] == 3
+    assert verify(tmp_path, right, {})["bytes"] == 3
     with pytest.raises(UserError, match="another MD5"):
-        verified(tmp_path, WeightFile("a", "nowhere", md5="0" * 32, how="hand"), {})
+        verify(tmp_path, WeightFile("a", "nowhere", md5="0" * 32, how="hand"), {})
     (tmp_path / PINS).write_text("{")
     with pytest.raises(UserError, match=r"checksums\.json is not readable"):
         read_pins(tmp_path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.objects.object_tracks import FollowSettings, ObjectTrack, followed
+from studiorecon.objects.object_tracks import FollowSettings, ObjectTrack, track_object
 from studiorecon.objects.residual import ResidualRegion
 from studiorecon.objects.sightings import Sighting
 from studiorecon.scene.camera import Camera
@@ -45,7 +45,7 @@ def flown(shapes_m: list[np.ndarray]) -> ObjectTrack | str:
             area = 0.5 * abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1)))
             seen[view] = ResidualRegion(view, points.mean(axis=0), area, points, True, (0, 0), *NO_CROP)
         track.append((frame, Sighting(centre_m, float(np.prod(half_m) ** (1 / 3)), seen)))
-    return followed(track, CAMERAS, FRAMES, FPS, SETTINGS)
+    return track_object(track, CAMERAS, FRAMES, FPS, SETTINGS)
 
 
 @pytest.mark.parametrize("at", [0, FRAMES // 2, FRAMES - 1], ids=["first", "middle", "last"])

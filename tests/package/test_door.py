@@ -14,7 +14,7 @@ from studiorecon.cli import command
 from studiorecon.configuration.overlays import check_overlay
 from studiorecon.detect import chapters
 from studiorecon.errors import UserError
-from studiorecon.machine.fault import FAULTS
+from studiorecon.machine.crash_report import FAULTS
 
 OVERLAYS = {
     "missing": (None, "missing"),

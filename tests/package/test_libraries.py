@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from studiorecon.__main__ import _run
-from studiorecon.machine.libraries import unloaded
+from studiorecon.machine.libraries import missing_library
 
 BROKEN = {
     # As open3d fails where the desktop's libraries are missing: Python itself says it, without a name.
@@ -73,10 +73,10 @@ def test_a_library_that_is_loaded_on_the_way_is_named_with_its_extra(
 def test_a_file_that_is_not_there_is_no_library(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="nothing") as caught:
         (tmp_path / "nothing.so").read_bytes()
-    assert unloaded(caught.value) is None
+    assert missing_library(caught.value) is None
     with pytest.raises(ModuleNotFoundError) as missing:
         importlib.import_module("studiorecon.nothing")
-    assert unloaded(missing.value) is None, "our own"
+    assert missing_library(missing.value) is None, "our own"
 
 
 def test_a_step_that_is_not_there_is_still_no_library(tmp_path: Path) -> None:

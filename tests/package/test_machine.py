@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from studiorecon.machine.refusals import refused, starved, without_thread
+from studiorecon.machine.resource_errors import describe_resource_error, is_memory_error, without_thread
 
 
 @pytest.mark.parametrize(
@@ -29,7 +29,7 @@ from studiorecon.machine.refusals import refused, starved, without_thread
     ],
 )
 def test_what_the_system_refuses_is_said_with_the_file(number: int, says: str) -> None:
-    sentence = refused(OSError(number, os.strerror(number), "a/b.npz"))
+    sentence = describe_resource_error(OSError(number, os.strerror(number), "a/b.npz"))
     assert sentence is not None
     assert sentence.startswith(says)
     assert sentence.endswith("what is finished is kept")
@@ -38,13 +38,13 @@ def test_what_the_system_refuses_is_said_with_the_file(number: int, says: str) -
 def test_memory_that_is_missing_is_known_from_whoever_asked_for_it() -> None:
     with pytest.raises(MemoryError) as asked:
         np.zeros(2**60, np.uint8)
-    assert "there is not enough memory (Unable to allocate 1.00 EiB" in str(refused(asked.value))
+    assert "there is not enough memory (Unable to allocate 1.00 EiB" in str(describe_resource_error(asked.value))
     with pytest.raises(cv2.error) as asked_by_opencv:
         cv2.copyMakeBorder(np.zeros((1, 1, 3), np.float64), 2**30, 2**30, 2**30, 2**30, cv2.BORDER_REPLICATE)
-    assert starved(asked_by_opencv.value) == (asked_by_opencv.value.code == -4)
+    assert is_memory_error(asked_by_opencv.value) == (asked_by_opencv.value.code == -4)
     for words in ("can't start new thread", "x.so: failed to map segment from shared object", "std::bad_alloc"):
-        assert starved(RuntimeError(words))
-        assert "there is not enough memory" in str(refused(ImportError(words)))
+        assert is_memory_error(RuntimeError(words))
+        assert "there is not enough memory" in str(describe_resource_error(ImportError(words)))
 
 
 def test_a_damaged_film_that_asks_for_any_amount_is_not_the_machine_s_fault() -> None:
@@ -56,7 +56,7 @@ def test_a_damaged_film_that_asks_for_any_amount_is_not_the_machine_s_fault() ->
     "error", [ValueError("bad"), OSError(errno.ENOENT, "No such file"), KeyError("x"), OSError("no number"), EOFError()]
 )
 def test_a_fault_of_the_program_stays_one(error: Exception) -> None:
-    assert refused(error) is None
+    assert describe_resource_error(error) is None
 
 
 def test_compiled_files_that_a_full_disk_cut_short_are_named(tmp_path: Path) -> None:

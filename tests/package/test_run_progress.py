@@ -13,7 +13,7 @@ import pytest
 from snakemake_interface_logger_plugins.common import LogEvent
 from snakemake_logger_plugin_studiorecon import LogHandler
 from studiorecon import progress
-from studiorecon.cli.run_progress import KEPT, Run, Running, keep_seconds, read_seconds
+from studiorecon.cli.run_progress import KEPT, Run, Running, read_seconds, record_seconds
 from studiorecon.pages.ending import ending
 
 
@@ -50,9 +50,9 @@ def test_what_never_ran_is_said() -> None:
 def test_seconds_are_remembered_by_scene_and_only_the_last(tmp_path: Path) -> None:
     path = tmp_path / "timings/seconds.json"
     assert read_seconds(path, "demo") == {}
-    keep_seconds(path, "demo", {"film": [1.0] * 30, "train": [5.0]})
-    keep_seconds(path, "demo", {"film": [2.0]})
-    keep_seconds(path, "tiny", {"film": [9.0]})
+    record_seconds(path, "demo", {"film": [1.0] * 30, "train": [5.0]})
+    record_seconds(path, "demo", {"film": [2.0]})
+    record_seconds(path, "tiny", {"film": [9.0]})
     assert read_seconds(path, "demo")["film"] == [1.0] * (KEPT - 1) + [2.0]
     assert read_seconds(path, "tiny") == {"film": [9.0], "train": [5.0]}
     path.write_text("{", encoding="utf-8")

@@ -64,7 +64,7 @@ def identity_page(name: str) -> str:
 
 def runs_page(name: str, folder: Path, on: bool = True) -> str:
     stages = [running.Stage("capture", 2, 4), running.Stage(name, 0, 1)]
-    return running.written(folder, name, f"2 of 5 jobs of {name}", name, stages, [name], [], on)
+    return running.write_page(folder, name, f"2 of 5 jobs of {name}", name, stages, [name], [], on)
 
 
 def blocks(name: str) -> str:
@@ -90,7 +90,7 @@ def test_what_is_named_like_code_is_shown_as_text(made: str, tmp_path: Path) -> 
 
 def test_a_template_that_lacks_a_value_is_no_page() -> None:
     with pytest.raises(UndefinedError, match="name"):
-        skeleton.filled("{{ name }}")
+        skeleton.fill_template("{{ name }}")
 
 
 def test_a_page_reloads_while_the_run_is_on_and_leads_to_the_report_after_it(tmp_path: Path) -> None:

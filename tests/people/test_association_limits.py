@@ -18,7 +18,7 @@ from studiorecon.people.association.affinity import affinities, window_distances
 from studiorecon.people.association.grouping import Group, group_tracks, track_margins
 from studiorecon.people.association.postures import joint_differences_rad, parameter_differences_rad
 from studiorecon.people.association.track_pairs import TrackPairs, margins, posture_angle_rad, sights
-from studiorecon.rig.correspondences import observe
+from studiorecon.rig.correspondences import make_observations
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -467,7 +467,7 @@ def test_who_is_there_all_the_time_is_not_outvoted_by_false_people_of_short_stre
         track=np.concatenate([found[0].track, tracks]),
         keypoints=np.concatenate([found[0].keypoints, beside]),
     )
-    seen, graph = observe(found, ring(3), np.arange(frames), 0.25)
+    seen, graph = make_observations(found, ring(3), np.arange(frames), 0.25)
     best = seen.of(seen.group == 0)
     assert np.isfinite(best.pixels[..., 0]).all(0).sum() >= 0.9 * 12 * frames, "all three cameras see the one person"
     naive = track_groups(graph.distance_m, graph.view, graph.moments > 0, 0.25)[0]

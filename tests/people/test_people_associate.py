@@ -17,7 +17,7 @@ from studiorecon.footage.video import write_lossless
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.readers import read_keypoints
-from studiorecon.keypoints.tracking import TrackingLimits, tracks, without_duplicates
+from studiorecon.keypoints.tracking import TrackingLimits, drop_duplicates, tracks
 from studiorecon.people import associate
 from studiorecon.people.association import picture_change
 from studiorecon.scene.camera import Lens
@@ -261,7 +261,7 @@ def test_a_person_found_twice_in_one_frame_counts_once(people_settings):
     weak = skeleton(101, 100)
     weak[:, 2] = 0.3
     both = np.stack([weak, skeleton(100, 100), skeleton(300, 100)])
-    assert without_duplicates(np.zeros(3, int), both, limits).tolist() == [False, True, True]
+    assert drop_duplicates(np.zeros(3, int), both, limits).tolist() == [False, True, True]
 
 
 @pytest.fixture
@@ -418,7 +418,7 @@ def test_pictures_that_confirm_nobody_contradict_nobody_and_one_camera_is_enough
     limits, nan = people_settings(associate.Settings).evidence, float("nan")
 
     def absent(*shares):
-        return picture_change.absent(np.array(shares), np.full((len(shares), len(shares[0]), 4), nan), limits)
+        return picture_change.absent_people(np.array(shares), np.full((len(shares), len(shares[0]), 4), nan), limits)
 
     assert absent([0.2, 0.2], [0.3, 0.3]) == [False, False]
     assert absent([0.2, 0.2], [0.9, 0.9], [nan, nan]) == [True, False, False]

@@ -21,7 +21,7 @@ from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people import fit
-from studiorecon.people.fitting.points import Points, lift, observations
+from studiorecon.people.fitting.points import Points, observations, triangulate_keypoints
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.files import write_npz
@@ -72,7 +72,7 @@ def made(body: BodyModel) -> Made:
 
 
 def lifted(names: list[str], keypoints: np.ndarray, cameras: list[Camera], settings: fit.Settings) -> Points:
-    return lift(names, keypoints, cameras, settings.triangulation, settings.fit.unverified_sigma_m)
+    return triangulate_keypoints(names, keypoints, cameras, settings.triangulation, settings.fit.unverified_sigma_m)
 
 
 def detect(body: BodyModel, made: Made, noise_px: float, seed: int = 0, layout: str = "body_25b") -> list[Detections]:

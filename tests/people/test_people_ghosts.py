@@ -29,9 +29,9 @@ SIDES = [NAMES.index(n.replace(*("left", "right") if "left" in n else ("right", 
 def figure(root) -> np.ndarray:
     """(25, 3) somebody with hanging arms at the origin, z up, facing y."""
     body = BodyModel.load(root / "resources" / "body.npz")
-    points = body.keypoints(list(NAMES), rotations.log(prior.middle()).reshape(1, 72), np.zeros(10), np.zeros((1, 3)))[
-        0
-    ]
+    points = body.keypoints(
+        list(NAMES), rotations.log(prior.mean_pose()).reshape(1, 72), np.zeros(10), np.zeros((1, 3))
+    )[0]
     points = points[:, [0, 2, 1]] * [-1, 1, 1]
     return points - [0, 0, points[:, 2].min()]
 

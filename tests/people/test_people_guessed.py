@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from studiorecon.detector.blazepose import LAYOUT
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.people.expected import agreement, planned, swap_left_right
+from studiorecon.people.expected import agreement, plan_second_look, swap_left_right
 from studiorecon.people.monocular_guess import guess_in_world, is_left_right_swapped, project_guess, right_to_left
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -84,7 +84,7 @@ def test_of_two_cameras_one_knows_where_somebody_is_whom_the_other_missed() -> N
     whole = seen(cameras[1], range(FRAMES))
     shares = [agreement(whole.keypoints[t], expected.pixels[t], expected.near_share) for t in range(FRAMES)]
     assert min(shares) > 0.8
-    plan = planned(pair[1], [expected], who, FRAMES)
+    plan = plan_second_look(pair[1], [expected], who, FRAMES)
     assert [look for look in plan.looks if look[2] < 0] == [(t, 0, -1) for t in range(8, 12)]
     assert not plan.dropped.any()
 
@@ -96,7 +96,7 @@ def test_of_two_cameras_that_disagree_the_one_that_contradicts_itself_is_put_rig
     who = {(c.name, 0): "p0" for c in cameras}
     for view, expected in ((0, wrong), (1, np.zeros(FRAMES, bool))):
         other = project_guess("p0", view, cameras, pair, who, FRAMES)
-        plan = planned(pair[view], [other], who, FRAMES)
+        plan = plan_second_look(pair[view], [other], who, FRAMES)
         assert (plan.swapped == wrong).all(), "each takes the other for wrong"
         itself = is_left_right_swapped(pair[view], cameras[view], ["p0"] * FRAMES, FPS)
         assert (plan.swapped & itself == expected).all()

@@ -12,7 +12,7 @@ from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
 from studiorecon.people import fit
-from studiorecon.people.fitting.legs import seated
+from studiorecon.people.fitting.legs import bend_hidden_legs
 from studiorecon.people.fitting.points import Points
 
 FRAMES = 12
@@ -22,7 +22,7 @@ LEGS = [JOINT_NAMES.index(f"{s}_{j}") for s in ("left", "right") for j in ("knee
 def posed(body: BodyModel, pelvis_m: float, bend: float, hidden: tuple[str, ...]) -> tuple[Points, np.ndarray]:
     """Keypoints of somebody upright with hips and knees bent by ``bend``, those of ``hidden`` unknown; and the true
     joints."""
-    pose = rotations.log(prior.middle()).reshape(24, 3).copy()
+    pose = rotations.log(prior.mean_pose()).reshape(24, 3).copy()
     for side in ("left", "right"):
         pose[JOINT_NAMES.index(f"{side}_hip")] = [-bend, 0, 0]
         pose[JOINT_NAMES.index(f"{side}_knee")] = [bend, 0, 0]
@@ -61,9 +61,9 @@ def test_legs_that_are_seen_or_reach_the_floor_stay_as_they_are(root) -> None:
     local = np.tile(rotations.exp(np.eye(24, 3) * [[np.pi / 2], *[[0.0]] * 23]), (3, 1, 1, 1))
     standing, sunk = np.tile([0, 0, 0.95], (3, 1)), np.tile([0, 0, 0.5], (3, 1))
     names, unknown = ["left_knee", "right_knee"], np.full((3, 2, 3), np.nan)
-    assert not seated(local, standing, np.zeros(10), names, unknown, body)[1].any()
+    assert not bend_hidden_legs(local, standing, np.zeros(10), names, unknown, body)[1].any()
     seen = np.where(np.arange(2)[:, None] == 0, 0.1, unknown)
-    bent_local, bent = seated(local, sunk, np.zeros(10), names, seen, body)
+    bent_local, bent = bend_hidden_legs(local, sunk, np.zeros(10), names, seen, body)
     assert bent.tolist() == [[False, True]] * 3
     left = [JOINT_NAMES.index(f"left_{j}") for j in ("hip", "knee", "ankle", "foot")]
     np.testing.assert_array_equal(bent_local[:, left], local[:, left])

@@ -101,7 +101,7 @@ def planted(camera: Camera, **lifting: float) -> tuple[Detections, np.ndarray]:
     seen, predicted, first_m = seen_by(camera), network_depths(camera), moments(camera)[0]
     alignment = lift.aligned_to_first(predicted, first_m, seen)
     assert alignment.model == "affine"
-    return lift.lifted(seen, predicted, first_m, alignment, camera, Lifting(**lifting)), np.concatenate(
+    return lift.lift_detections(seen, predicted, first_m, alignment, camera, Lifting(**lifting)), np.concatenate(
         [pelvises(t) for t in range(FRAMES)]
     )
 
@@ -123,13 +123,13 @@ def test_one_alignment_for_all_frames_keeps_whoever_stands_at_one_depth() -> Non
     # The walls differ from frame to frame, people do not: a fit of each frame's own would move whoever stands.
     rng = np.random.default_rng(5)
     for t, depth in predicted.items():
-        nobody = lift.still(camera.hw, seen.keypoints[seen.frame == t])
+        nobody = lift.static_pixels(camera.hw, seen.keypoints[seen.frame == t])
         predicted[t] = np.where(nobody, depth * rng.normal(1, 0.02, depth.shape), depth)
     alignment = lift.aligned_to_first(predicted, first_m, seen)
     assert alignment.scale == pytest.approx(UNIT, rel=0.1)
     alone = [lift.aligned_to_first({t: depth}, first_m, seen).scale for t, depth in predicted.items()]
     assert np.ptp(alone) > 1e-4
-    found = lift.lifted(seen, predicted, first_m, alignment, camera, Lifting())
+    found = lift.lift_detections(seen, predicted, first_m, alignment, camera, Lifting())
     still = lifted_m(camera, found)[seen.track == 1][1:]
     assert np.ptp(still, axis=0).max() < 1e-9
 
@@ -139,9 +139,9 @@ def test_the_first_moment_keeps_its_own_depth() -> None:
     seen, predicted = seen_by(camera), network_depths(camera)
     first_m = moments(camera)[0]
     alignment = lift.aligned_to_first(predicted, first_m, seen)
-    nearer = lift.lifted(seen, predicted, 0.9 * first_m, alignment, camera, Lifting())
+    nearer = lift.lift_detections(seen, predicted, 0.9 * first_m, alignment, camera, Lifting())
     assert nearer.pelvis is not None
-    as_it_was = lift.lifted(seen, predicted, first_m, alignment, camera, Lifting())
+    as_it_was = lift.lift_detections(seen, predicted, first_m, alignment, camera, Lifting())
     assert as_it_was.pelvis is not None
     moved = np.abs(nearer.pelvis[:, 2] - as_it_was.pelvis[:, 2]) > 0.05
     assert moved[seen.frame == 0].all()
@@ -151,7 +151,7 @@ def test_the_first_moment_keeps_its_own_depth() -> None:
 def test_people_are_no_part_of_what_stands_still() -> None:
     points = np.zeros((1, 25, 3))
     points[0, :2] = [[40, 20, 0.9], [60, 60, 0.9]]
-    mask = lift.still((88, 160), points)
+    mask = lift.static_pixels((88, 160), points)
     assert not mask[20:61, 40:61].any()
     assert not mask[15, 36]
     assert mask[5].all()

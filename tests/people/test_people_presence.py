@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from studiorecon.geometry import rotations
 from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
-from studiorecon.people.fitting.presence import STAYS_S, UNSEEN_S, filled, presence, runs
+from studiorecon.people.fitting.presence import STAYS_S, UNSEEN_S, fill_gaps, presence, runs
 
 RATES = (10.0, 30.0, 60.0)
 LENGTH_S = 20.0
@@ -98,7 +98,7 @@ def test_who_leaves_stands_still_and_is_led_back_while_away() -> None:
     turns = rotations.exp(np.arange(frames)[:, None, None] * np.array([0.0, 0.0, 0.02]) * np.ones((1, 24, 1)))
     unknown = np.where(measured[:, None], walked_m, np.nan)
     there = presence(measured, measured, fps)
-    local, trans_m = filled(np.where(measured[:, None, None, None], turns, np.nan), unknown, measured, there)
+    local, trans_m = fill_gaps(np.where(measured[:, None, None, None], turns, np.nan), unknown, measured, there)
     np.testing.assert_array_equal(trans_m[measured], walked_m[measured])
     np.testing.assert_allclose(trans_m[20:25], walked_m[20:25])
     for margin, place in ((slice(5, 10), 10), (slice(31, 36), 30), (slice(66, 71), 71), (slice(91, 96), 90)):
@@ -116,6 +116,6 @@ def test_short_gaps_are_filled_to_the_bit_as_if_nobody_could_be_away() -> None:
     local, trans_m = rotations.exp(rng.normal(size=(90, 24, 3))), rng.normal(size=(90, 3))
     there = presence(measured, measured, 30.0)
     assert there.all()
-    filled_local, filled_m = filled(local, trans_m, measured, there)
+    filled_local, filled_m = fill_gaps(local, trans_m, measured, there)
     np.testing.assert_array_equal(filled_local, fill_rotations(local, measured))
     np.testing.assert_array_equal(filled_m, fill_vectors(trans_m, measured))

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.camera_files.colmap import write_model
-from studiorecon.keypoints.retiming import correct_rolling_shutter
+from studiorecon.keypoints.resampling import correct_rolling_shutter
 from studiorecon.people import associate as step
-from studiorecon.people.fitting.readouts import readouts
+from studiorecon.people.fitting.readouts import estimate_readouts
 from studiorecon.rig.body_points import Tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
@@ -32,7 +32,7 @@ def walked(seed: int, **planted: object) -> tuple[Tracks, list[Camera]]:
 @pytest.mark.parametrize("seed", range(6))
 def test_a_planted_readout_is_found_in_its_camera_alone(seed: int) -> None:
     seen, cameras = walked(seed, readout=0.9)
-    told = readouts(seen.pixels, cameras, FPS)
+    told = estimate_readouts(seen.pixels, cameras, FPS)
     assert [one.camera for one in told if one.used_s] == [cameras[-1].name], told
     assert told[-1].used_s == pytest.approx(PLANTED_S, abs=max(4 * (told[-1].sigma_s or 0), 0.1 * PLANTED_S))
 
@@ -41,18 +41,18 @@ def test_a_planted_readout_is_found_in_its_camera_alone(seed: int) -> None:
 def test_nothing_is_moved_that_another_cause_explains(planted: dict) -> None:
     for seed in range(6):
         seen, cameras = walked(seed, **planted)
-        told = readouts(seen.pixels, cameras, FPS)
+        told = estimate_readouts(seen.pixels, cameras, FPS)
         assert not any(one.used_s for one in told), told
         assert all(one.reason for one in told)
 
 
 def test_a_time_that_no_sensor_takes_is_not_believed() -> None:
     seen, cameras = walked(2, readout=1.5)
-    assert "no sensor takes that long" in readouts(seen.pixels, cameras, FPS)[-1].reason
+    assert "no sensor takes that long" in estimate_readouts(seen.pixels, cameras, FPS)[-1].reason
 
 
 def test_nobody_tells_nothing() -> None:
-    told = readouts(np.full((4, 0, 10, 25, 2), np.nan), cameras_of(Plan()), FPS)
+    told = estimate_readouts(np.full((4, 0, 10, 25, 2), np.nan), cameras_of(Plan()), FPS)
     assert {(one.readout_s, one.used_s) for one in told} == {(None, 0.0)}
 
 

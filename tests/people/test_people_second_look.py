@@ -11,8 +11,8 @@ from studiorecon.detector.blazepose import LAYOUT, MASK_PX, Landmarks, Region
 from studiorecon.detector.windows import region_of_body
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people import second_look
-from studiorecon.people.expected import Expected, agreement, planned, swap_left_right
-from studiorecon.people.second_look import SecondLook, improved_by
+from studiorecon.people.expected import Expected, agreement, plan_second_look, swap_left_right
+from studiorecon.people.second_look import SecondLook, improve_detections
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.clocks import Clock, Clocks
 from studiorecon.scene.people import Detections
@@ -62,7 +62,7 @@ def test_agreement_is_a_share_of_the_body_and_not_of_the_picture() -> None:
 
 def test_somebody_missing_is_looked_for_and_somebody_found_is_left_alone() -> None:
     found = detections(*((t, 0, somebody(100)) for t in range(FRAMES) if t != 3))
-    plan = planned(found, [everywhere("p0", 100)], {("left", 0): "p0"}, FRAMES)
+    plan = plan_second_look(found, [everywhere("p0", 100)], {("left", 0): "p0"}, FRAMES)
     assert plan.looks == [(3, 0, -1)]
     assert not plan.swapped.any()
     assert not plan.dropped.any()
@@ -70,9 +70,9 @@ def test_somebody_missing_is_looked_for_and_somebody_found_is_left_alone() -> No
 
 def test_sides_that_were_exchanged_are_put_right() -> None:
     rows = [(t, 0, swap_left_right(LAYOUT, somebody(100)) if t == 2 else somebody(100)) for t in range(FRAMES)]
-    plan = planned(detections(*rows), [everywhere("p0", 100)], {("left", 0): "p0"}, FRAMES)
+    plan = plan_second_look(detections(*rows), [everywhere("p0", 100)], {("left", 0): "p0"}, FRAMES)
     assert plan.swapped.tolist() == [t == 2 for t in range(FRAMES)]
-    result = improved_by(detections(*rows), plan, [], [everywhere("p0", 100)], ["p0"] * FRAMES, 0)
+    result = improve_detections(detections(*rows), plan, [], [everywhere("p0", 100)], ["p0"] * FRAMES, 0)
     np.testing.assert_allclose(result.keypoints[:, :, :2], np.repeat(somebody(100)[None], FRAMES, 0))
 
 
@@ -83,7 +83,7 @@ def test_a_skeleton_on_somebody_else_and_one_found_twice_go() -> None:
     # Track 2 is taken for p0 and lies on p1; track 3 is nobody's and lies on p0.
     whose = {("left", 0): "p0", ("left", 1): "p1", ("left", 2): "p0"}
     found = detections(*sorted((r for r in rows if r[:2] != (2, 0)), key=lambda r: r[0]))
-    plan = planned(found, people, whose, FRAMES)
+    plan = plan_second_look(found, people, whose, FRAMES)
     assert {(int(found.frame[d]), int(found.track[d])) for d in np.flatnonzero(plan.dropped)} == {(2, 2), (4, 3)}
     assert [look[:2] for look in plan.looks] == [(2, 0)]
 
@@ -96,20 +96,20 @@ def test_a_skeleton_mixed_of_two_people_goes_and_a_strangers_stays() -> None:
     upper = np.array([any(part in n for part in ("shoulder", "elbow", "wrist", "eye", "ear", "nose")) for n in NAMES])
     mixed = np.where(upper[:, None], somebody(100), somebody(300)) + RNG.normal(0, 3, SHAPE.shape)
     found = detections(*rows, (2, 2, mixed), (3, 3, somebody(500.0)), (3, 4, somebody(200.0)))
-    plan = planned(found, people, {("left", 0): "p0", ("left", 1): "p1"}, FRAMES)
+    plan = plan_second_look(found, people, {("left", 0): "p0", ("left", 1): "p1"}, FRAMES)
     assert {int(found.track[d]) for d in np.flatnonzero(plan.dropped)} == {2}
 
 
 def test_a_free_track_where_somebody_is_expected_becomes_theirs() -> None:
     found = detections(*((t, 7 if t == 3 else 0, somebody(100)) for t in range(FRAMES)))
-    plan = planned(found, [everywhere("p0", 100)], {("left", 0): "p0"}, FRAMES)
+    plan = plan_second_look(found, [everywhere("p0", 100)], {("left", 0): "p0"}, FRAMES)
     assert plan.track.tolist() == [0] * FRAMES
     assert plan.looks == []
 
 
 def test_nothing_is_known_where_the_other_cameras_see_too_little() -> None:
     unknown = np.full((FRAMES, 33, 2), np.nan)
-    plan = planned(detections((0, 0, somebody(100))), [Expected("p0", unknown)], {("left", 0): "p0"}, FRAMES)
+    plan = plan_second_look(detections((0, 0, somebody(100))), [Expected("p0", unknown)], {("left", 0): "p0"}, FRAMES)
     assert plan.looks == []
     assert not plan.dropped.any()
 
@@ -129,11 +129,11 @@ def test_the_region_looked_at_holds_the_whole_body() -> None:
 def test_what_is_found_again_joins_the_persons_track_and_brings_its_mask(replaces: int) -> None:
     found = detections(*((t, 5, somebody(100)) for t in range(FRAMES) if t != 3))
     people = [everywhere("p0", 100)]
-    plan = planned(found, people, {("left", 5): "p0"}, FRAMES)
+    plan = plan_second_look(found, people, {("left", 5): "p0"}, FRAMES)
     region = Region(np.array([100.0, 150.0]), 300.0, 0.0)
     keypoints = np.concatenate([somebody(101), np.full((33, 1), 0.8)], axis=-1)
     seen = Landmarks(keypoints, 0.9, np.ones((33, 3)), np.full((MASK_PX, MASK_PX), 7, np.uint8), region, region)
-    result = improved_by(
+    result = improve_detections(
         found, plan, [SecondLook(3 if replaces < 0 else 2, 0, replaces, seen, keypoints)], people, ["p0"] * 5, 40
     )
     assert result.frame.tolist() == [0, 1, 2, 3, 4, 5] if replaces < 0 else [0, 1, 2, 4, 5]
@@ -179,7 +179,7 @@ def test_what_is_found_in_a_late_picture_goes_back_to_its_moment(monkeypatch: py
     late = clocks.late_frames("left")[2]
     assert abs(late) == pytest.approx(0.5)
     view = second_look.CameraPictures(footage, None, {}, clocks)
-    plan = replace(planned(detections((0, 0, somebody(900))), [walking], {}, FRAMES), looks=[(2, 0, -1)])
-    (look,) = second_look.looked_again(None, [np.zeros((480, 640, 3), np.uint8)], plan, [walking], None, view)
+    plan = replace(plan_second_look(detections((0, 0, somebody(900))), [walking], {}, FRAMES), looks=[(2, 0, -1)])
+    (look,) = second_look.redetect(None, [np.zeros((480, 640, 3), np.uint8)], plan, [walking], None, view)
     np.testing.assert_allclose(asked[0][0], somebody(124 + 12 * late)[:, 0][[23, 24]].mean())
     np.testing.assert_allclose(look.keypoints[:, 0], somebody(124)[:, 0])

@@ -71,7 +71,9 @@ def whose(found: list[Detections]) -> dict[tuple[str, int], str]:
 def joints_off_m(body: BodyModel, truth, cameras, found, settings: fit.Settings) -> float:
     """Mean error of the joints after the step's own arithmetic."""
     names, keypoints = fit.observations("p0", found, whose(found), body, FRAMES)
-    points = fit.lift(names, keypoints, cameras, settings.triangulation, settings.fit.unverified_sigma_m)
+    points = fit.triangulate_keypoints(
+        names, keypoints, cameras, settings.triangulation, settings.fit.unverified_sigma_m
+    )
     skin = triangulate_surface(
         "p0",
         found,

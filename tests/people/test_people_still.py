@@ -14,7 +14,7 @@ from studiorecon.images.plate import write_plate
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import identities_from_keypoints
 from studiorecon.people.association.image_evidence import CameraEvidence
-from studiorecon.people.association.picture_change import EvidenceLimits, absent, limb_counts, steps_m
+from studiorecon.people.association.picture_change import EvidenceLimits, absent_people, limb_counts, steps_m
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections
@@ -164,9 +164,9 @@ def test_a_limb_that_moves_where_the_picture_changes_is_enough() -> None:
     limits, nan = EvidenceLimits(), float("nan")
     shares = np.array([[0.2, 0.2], [0.9, 0.9]])
     limbs = np.full((2, 2, 4), nan)
-    assert absent(shares, limbs, limits) == [True, False]
+    assert absent_people(shares, limbs, limits) == [True, False]
     limbs[0, 1, 2] = 0.8
-    assert absent(shares, limbs, limits) == [False, False]
+    assert absent_people(shares, limbs, limits) == [False, False]
     counts = np.zeros((12, 2), int)
     counts[[2, 4, 9]] = [[10, 10], [5, 15], [1, 4]]  # left elbow and wrist, right knee
     assert limb_counts(counts).tolist() == [[15, 25], [0, 0], [0, 0], [1, 4]]

@@ -20,8 +20,8 @@ from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.placement import advise, place
 from studiorecon.placement.figures import Judge, errors_m, information, is_in_picture
 from studiorecon.placement.picture import camera_position_text
-from studiorecon.placement.placing import advice, in_words, lens, placed, with_pose
-from studiorecon.placement.room import TALL_M, WIDTH_M, Room, blocked, read_room, room_about
+from studiorecon.placement.placing import advice, in_words, lens, place_cameras, with_pose
+from studiorecon.placement.room import TALL_M, WIDTH_M, Room, is_blocked, read_room, room_about
 from studiorecon.scene.camera import Camera
 
 ROOM = read_room("6x5x2.8")
@@ -33,7 +33,7 @@ def lenses(count: int, hfov_deg: float = 65.0) -> list[Camera]:
 
 @pytest.fixture(scope="module")
 def rig() -> list[Camera]:
-    return placed(ROOM, lenses(4))
+    return place_cameras(ROOM, lenses(4))
 
 
 def noise_px(camera: Camera, point_m: np.ndarray) -> float:
@@ -77,7 +77,7 @@ def test_somebody_in_the_way_hides_what_lies_behind_them() -> None:
     line = np.linspace(0, 1, 4001)[:, None, None, None]
     along = eyes[:, None] + line * (points - eyes[:, None])
     inside = (np.linalg.norm(along[..., :2] - stands, axis=-1) < WIDTH_M / 2) & (along[..., 2] < TALL_M)
-    expected, found = inside.any(axis=0), blocked(eyes, points, stands, 0.0)
+    expected, found = inside.any(axis=0), is_blocked(eyes, points, stands, 0.0)
     assert (expected != found).mean() < 0.002, "but for lines that graze"
     assert 0.02 < found.mean() < 0.5
 
@@ -92,7 +92,7 @@ def turned_by_half(camera: Camera, room: Room, turns: float) -> tuple:
 @pytest.mark.parametrize(("size", "count", "turns"), [("5x5x2.8", 4, 0.25), ("7x4x2.6", 4, 0.5), ("7x4x2.6", 2, 0.5)])
 def test_a_symmetric_room_gets_a_symmetric_rig(size: str, count: int, turns: float) -> None:
     room = read_room(size)
-    cameras = placed(room, lenses(count))
+    cameras = place_cameras(room, lenses(count))
     assert {turned_by_half(c, room, turns) for c in cameras} == {turned_by_half(c, room, 0) for c in cameras}
     errors = Judge(room).joint_errors_m(cameras, room.at_height(1.0))
     assert errors[::-1] == pytest.approx(errors, rel=1e-6), "the stage's grid turned by half a turn"

@@ -16,7 +16,7 @@ import pytest
 import yaml
 from studiorecon.errors import UserError
 from studiorecon.plan import prices as price_list
-from studiorecon.plan.budget import Stated, bought, choose, laid_over, preset
+from studiorecon.plan.budget import Stated, choose, choose_preset, overlay, preset
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.prices import Point, Price, PriceList, pace_here, predict, read_prices
 from studiorecon.plan.workload import ON_DEMAND, Footage, Work, measure_footage, segments_with_views, workload
@@ -33,7 +33,7 @@ DEMO = Footage(training=4, held_out=4, detected=4, frames=60, wh=(480, 272), peo
 
 
 def minutes_of(name: str, footage: Footage = DEMO, cores: int = 2) -> float:
-    config = laid_over(DEFAULTS, NOBODY, preset(name))
+    config = overlay(DEFAULTS, NOBODY, preset(name))
     return predict(workload(footage, config, USUAL), read_prices(), cores, 1.0).seconds / 60
 
 
@@ -267,4 +267,4 @@ def test_footage_that_cannot_be_read_is_named(configured: Callable[..., dict], h
 def test_networks_have_no_price(configured: Callable[..., dict], home: Path) -> None:
     config = configured(dataset="resources/studio/demo.yaml", budget_min=5.0, depth={"source": "moge"})
     with pytest.raises(UserError, match="moge"):
-        bought(config, {}, SCHEMA, make_plan(config, home), 2)
+        choose_preset(config, {}, SCHEMA, make_plan(config, home), 2)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.footage.video import to_bytes
 from studiorecon.geometry import rotations
-from studiorecon.geometry.camera_path import between, gaps_around, scene_centre
+from studiorecon.geometry.camera_path import gaps_around, interpolate_cameras, scene_centre
 from studiorecon.geometry.distortion import distort, fold_radius, undistort
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.images import metrics
@@ -167,7 +167,7 @@ def test_ways_between_cameras_are_cameras(seed: int, scale: float, focal_px: flo
     gaps = gaps_around(rig)
     assert sum(gap.rad for gap in gaps) == pytest.approx(2 * np.pi)
     for gap in gaps:
-        views, _ = between(rig[gap.first], rig[gap.second], 5, centre, rotations=turn, clearance=0.6)  # type: ignore[arg-type]
+        views, _ = interpolate_cameras(rig[gap.first], rig[gap.second], 5, centre, rotations=turn, clearance=0.6)  # type: ignore[arg-type]
         assert is_rotation(np.stack([view.rotation_camera_from_world for view in views]))
         assert np.isfinite([view.centre_m for view in views]).all()
 

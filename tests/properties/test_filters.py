@@ -18,7 +18,7 @@ from studiorecon.images import metrics
 from studiorecon.images.blur import gaussian_blur
 from studiorecon.images.plate import temporal_modes
 from studiorecon.images.warp import warp
-from studiorecon.masks.segment import along_edges
+from studiorecon.masks.segment import edge_aware_average
 from studiorecon.recursive.injection import Injection, confidence, inject
 from studiorecon.scene.camera import Lens
 
@@ -52,7 +52,7 @@ def test_what_resizes_straightens_or_smooths_along_edges_keeps_constants(
     flat, measured = np.full((17, 23, 3), level, np.float32), rng.random((17, 23)) < 0.8
     smaller, known = shrink(np.where(measured[..., None], flat, 9), measured, wh)
     np.testing.assert_allclose(smaller[known], level, atol=1e-5)
-    smooth = along_edges(flat[..., 0], rng.integers(0, 255, (17, 23, 3), dtype=np.uint8), radius)
+    smooth = edge_aware_average(flat[..., 0], rng.integers(0, 255, (17, 23, 3), dtype=np.uint8), radius)
     np.testing.assert_allclose(smooth, level, atol=1e-4)
     lens = Lens(
         "c",

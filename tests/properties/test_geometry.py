@@ -9,7 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from studiorecon.geometry import rotations, smoothing
 from studiorecon.geometry.bundle import BundleSettings
-from studiorecon.geometry.camera_path import axis_miss_rad, between, gaps_around, order_around, scene_centre
+from studiorecon.geometry.camera_path import axis_miss_rad, gaps_around, interpolate_cameras, order_around, scene_centre
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.keypoints.correspondence import track_groups
 from studiorecon.scene.camera import Camera
@@ -121,8 +121,8 @@ def test_a_path_moves_with_the_world(world: World, turning: str, clearance: floa
     assert order == other_order
     assert gap == pytest.approx(other_gap, abs=1e-9)
     options = {"rotations": turning, "clearance": clearance}
-    here, bent = between(UNEVEN[0], UNEVEN[1], 9, centre, **options)
-    there, other_bent = between(moved[0], moved[1], 9, world.points(centre), **options)
+    here, bent = interpolate_cameras(UNEVEN[0], UNEVEN[1], 9, centre, **options)
+    there, other_bent = interpolate_cameras(moved[0], moved[1], 9, world.points(centre), **options)
     assert bent == other_bent
     for one, other in zip(here, there):
         np.testing.assert_allclose(world.camera(one).camera_from_world, other.camera_from_world, atol=1e-7)

@@ -50,7 +50,7 @@ def measured(body: BodyModel, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     spread = 0.4 / np.sqrt(np.maximum(prior.precision(), 1e-9))
     spread[0] = 0
-    local = prior.middle() @ rotations.exp(np.clip(rng.normal(size=(3, 24, 3)) * spread, *prior.limits()))
+    local = prior.mean_pose() @ rotations.exp(np.clip(rng.normal(size=(3, 24, 3)) * spread, *prior.limits()))
     local[:, 0] = [rotations.exp(upright_global_orientation(h)) for h in rng.uniform(-3, 3, 3)]
     points = body.keypoints(
         NAMES, rotations.log(local).reshape(3, 72), rng.normal(0, 0.5, 10), rng.normal(0, 1, (3, 3))

@@ -20,7 +20,7 @@ from studiorecon.render.composite import Composite
 from studiorecon.render.composite_renderer import CompositeRenderer
 from studiorecon.render.room_light import Lamps, Light
 from studiorecon.render.shading import shading
-from studiorecon.render.statistics import obstacles
+from studiorecon.render.statistics import nearby_obstacles
 from studiorecon.scene.path import PathStep
 
 from tests.made.scene import FRAMES, avatar, render_options, ring, room, write_scene
@@ -97,8 +97,8 @@ def test_a_camera_may_stand_where_they_will_be(person: Avatar) -> None:
     always = replace(person, present=np.ones(FRAMES, bool))
     near = replace(camera, camera_from_world=camera.camera_from_world.copy())
     near.camera_from_world[:3, 3] = -near.camera_from_world[:3, :3] @ always.joints_m(0.0)[15]
-    assert obstacles([PathStep(near, 0.0, "00"), PathStep(near, 2.0, "00")], scene, 0.3)[0] == ""
-    assert obstacles([PathStep(near, 0.0, "00")], replace(scene, people=[always]), 0.3) == ["p0"]
+    assert nearby_obstacles([PathStep(near, 0.0, "00"), PathStep(near, 2.0, "00")], scene, 0.3)[0] == ""
+    assert nearby_obstacles([PathStep(near, 0.0, "00")], replace(scene, people=[always]), 0.3) == ["p0"]
 
 
 def test_films_and_cameras_that_follow_them(

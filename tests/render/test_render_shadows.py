@@ -25,7 +25,7 @@ from studiorecon.render import shot as render_shot
 from studiorecon.render.area_lights import patches
 from studiorecon.render.occlusion import hidden, nearness, sky_discs, sky_hidden
 from studiorecon.render.room_light import Lamps, Light, read_light, write_light
-from studiorecon.render.shading import dim, facing_up, most_agreed, shading
+from studiorecon.render.shading import dim, facing_up, robust_mode, shading
 from studiorecon.scene.gaussians import SH_C0, Gaussians, sh_from_rgb
 from studiorecon.scene.people import Person
 from studiorecon.scene.room import Platform, RoomBox, write_room
@@ -391,7 +391,7 @@ def test_only_what_faces_up_is_shaded() -> None:
 
 def test_what_most_moments_agree_on_is_what_a_plate_shows() -> None:
     left = np.array([[1.0, 0.7, 1.0], [0.99, 0.72, 0.6], [0.5, 0.71, 1.0], [1.0, 1.0, 0.6]])
-    np.testing.assert_allclose(most_agreed(left), [(1 + 0.99 + 1) / 3, 0.71, 1.0], atol=1e-6)
+    np.testing.assert_allclose(robust_mode(left), [(1 + 0.99 + 1) / 3, 0.71, 1.0], atol=1e-6)
 
 
 def test_stand_ins_throw_their_own_shadow_and_broken_poses_none(body: BodyModel) -> None:

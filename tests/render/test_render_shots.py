@@ -21,7 +21,7 @@ from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.moves import DollyZoom, Follow, Oscillate, dolly_zoom_steps, follow_steps, oscillate_steps
 from studiorecon.render.planning import plan
 from studiorecon.render.shot import find_targets
-from studiorecon.render.statistics import angles_deg, obstacles
+from studiorecon.render.statistics import angles_deg, nearby_obstacles
 from studiorecon.scene.path import PathStep
 
 from tests.made.scene import FPS, WH, avatar, ring, room
@@ -314,7 +314,7 @@ def test_the_ledger_names_what_the_camera_touches(root: Path) -> None:
         CAMERAS[0], camera_from_world=np.block([[np.eye(3), -np.array([[2.95], [0], [1.0]])], [np.zeros(3), 1.0]])
     )
     steps = [PathStep(CAMERAS[0], 0.0, "00"), PathStep(through, 2.0, "00"), PathStep(in_wall, 0.0, "00")]
-    assert obstacles(steps, scene, 0.3) == ["", "p0", "background"]
+    assert nearby_obstacles(steps, scene, 0.3) == ["", "p0", "background"]
     assert angles_deg(steps[:1], CAMERAS[1:], np.array([0, 0, 1.0])) == pytest.approx(
         [np.degrees(np.arccos(0.36 / (2.4**2 + 0.36)))]
     )

@@ -17,7 +17,7 @@ import pytest
 from studiorecon.pages.ending import read_warnings
 from studiorecon.report.sections import appendix, comparison_slider, timeline
 from studiorecon.report.sections import tables as sections
-from studiorecon.report.sections.judgement import judgement
+from studiorecon.report.sections.quality_summary import quality_summary
 from studiorecon.scene.decisions import Decision
 from studiorecon.scene.files import read_json, write_json, write_table, write_text
 from studiorecon.scene.people import Detections, Person
@@ -165,7 +165,7 @@ UNSEEN = values(psnr=20.0, ssim=0.7, psnr_seen=26.0, psnr_unseen=12.0, share_see
     ],
 )
 def test_the_judgement_names_what_limits_and_what_would_help(pictures: dict, limits: str, helps: str) -> None:
-    said = judgement(scored(pictures, pictures))
+    said = quality_summary(scored(pictures, pictures))
     assert limits in said
     assert helps in said
     assert "21 mm" in said

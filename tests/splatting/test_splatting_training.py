@@ -14,7 +14,7 @@ from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.splatting.train.density import grow
 from studiorecon.splatting.train.optimiser import Adam
 from studiorecon.splatting.train.schedule import exponential
-from studiorecon.splatting.train.state import regrown, start, state_gaussians
+from studiorecon.splatting.train.state import regrow, start, state_gaussians
 from studiorecon.splatting.train.still import train_still as train
 from studiorecon.splatting.train.targets import DrawOrder, Target, scene_extent
 from studiorecon.splatting.train.terms import active_terms
@@ -167,7 +167,7 @@ def test_the_state_keeps_parameters_exactly_and_moments_follow_their_gaussians()
     state.first.reshape(-1, 59, 16)[lanes // 16, 0, lanes % 16] = state.source + 1
     parent = np.concatenate([np.arange(10, 100), [20]])
     fresh = np.arange(91) == 90
-    after = regrown(state, kept.take(parent), parent, fresh)
+    after = regrow(state, kept.take(parent), parent, fresh)
     lanes = np.arange(91)
     found = after.first.reshape(-1, 59, 16)[lanes // 16, 0, lanes % 16]
     assert sorted(found) == sorted([0.0, *(state.source[10:100] + 1.0)])

@@ -517,7 +517,7 @@ def test_cameras_filmed_together_show_what_each_would_show_alone(tmp_path: Path)
     description = described(tmp_path, **options)
     read = read_description(description)
     lenses = rig.true_lenses(read, rig.cameras(read))
-    assert [[lens.name for lens in take] for take in takes.shared(read, lenses, 1)] == [
+    assert [[lens.name for lens in take] for take in takes.share_takes(read, lenses, 1)] == [
         ["view1", "view2"],
         ["cam1"],
         ["cam2"],
@@ -528,7 +528,7 @@ def test_cameras_filmed_together_show_what_each_would_show_alone(tmp_path: Path)
         folder = tmp_path / str(processes)
         capture.run(description, folder / "dataset", folder / "truth", processes=processes)
         files.append({str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()})
-    assert len(takes.shared(read, lenses, 5)) == 5
+    assert len(takes.share_takes(read, lenses, 5)) == 5
     assert files[0] == files[1]
     assert "truth/frames/view2.mkv" in files[0]
 

@@ -14,7 +14,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import Decision, forced, read_decisions
 from studiorecon.scene.room import Platform, read_room, write_room
 from studiorecon.survey import decide as step
-from studiorecon.survey.clips import halved, read_film, run_starts
+from studiorecon.survey.clips import halve_film, read_film, run_starts
 from studiorecon.survey.coverage import (
     from_two_sides,
     stage,
@@ -24,7 +24,7 @@ from studiorecon.survey.coverage import (
 from studiorecon.survey.effects import CLOSED_PATH, EARLY, EFFECTS, EXPOSURE, PEOPLE, VIEW_SYNTHESIS
 from studiorecon.survey.evidence import Evidence, Material
 from studiorecon.survey.exposures import ExposureView
-from studiorecon.survey.judge import decided as of_effect
+from studiorecon.survey.judge import decide_effect as of_effect
 
 from tests.made.survey import WH, decided, files, floor_view, ring, settings  # noqa: F401
 
@@ -210,7 +210,7 @@ class TestFilms:
         assert film.times.tolist() == [0, 1, 5, 6, 10, 11]
         assert film.runs == [slice(0, 2), slice(2, 4), slice(4, 6)]
         assert (film.pictures.shape, film.scale, film.free.all()) == ((6, 32, 48, 3), 2.0, True)
-        small = halved(film)
+        small = halve_film(film)
         assert (small.pictures.shape, small.scale) == ((6, 16, 24, 3), 4.0)
 
     def test_fast_footage_is_looked_at_thirty_times_a_second(self, files: dict) -> None:

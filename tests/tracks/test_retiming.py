@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.keypoints.retiming import on_common_clock
+from studiorecon.keypoints.resampling import resample_keypoints
 from studiorecon.scene.clocks import Clock, Clocks
 from studiorecon.scene.people import Detections
 
@@ -24,7 +24,7 @@ def test_a_gap_is_bridged_by_its_length_in_seconds(fps: float, missing: int, joi
     points[..., 0], points[..., 1], points[..., 2] = SPEED_PX_S * times_s[:, None] + np.arange(17), 50.0, 0.9
     seen = Detections("a", "coco17", there, np.zeros(len(there), int), points)
     clocks = Clocks(fps, 3 / fps, 30, (Clock("a", fps, 40, offset_s=LATE / fps),))
-    moved = on_common_clock(seen, clocks, 100)
+    moved = resample_keypoints(seen, clocks, 100)
     # The last picture before the gap is asked for at a moment within it, or the first after it.
     wanted = SPEED_PX_S * (moved.frame + 3) / fps
     off = np.abs(moved.keypoints[:, 0, 0] - wanted)

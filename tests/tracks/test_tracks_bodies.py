@@ -12,7 +12,7 @@ import pytest
 from studiorecon.configuration.settings import load
 from studiorecon.errors import UserError
 from studiorecon.footage.video import write_lossless
-from studiorecon.keypoints.retiming import at_working_moments
+from studiorecon.keypoints.resampling import at_working_moments
 from studiorecon.models.adapters import comotion
 from studiorecon.models.protocols import Bodies
 from studiorecon.scene.capture import Footage, write_footage

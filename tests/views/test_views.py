@@ -20,7 +20,7 @@ from studiorecon.scene.factors import write_factors
 from studiorecon.scene.path import write_path
 from studiorecon.views import path as views_path
 from studiorecon.views import synthesize
-from studiorecon.views.forward import WarpSource, blend, carry, close_pinholes, source
+from studiorecon.views.forward import WarpSource, blend, close_pinholes, source, warp_photo
 
 from tests.made.room import made_room, photograph, ring, write_capture
 
@@ -71,7 +71,7 @@ def test_order_of_cameras_does_not_change_the_way(default_settings: Callable) ->
 
 def test_a_photo_carried_into_its_own_camera_is_itself(photos: list[WarpSource]) -> None:
     photo = photos[0]
-    rgb, depth, count = carry(photo, photo.camera, 3, 0.02)
+    rgb, depth, count = warp_photo(photo, photo.camera, 3, 0.02)
     inside = photo.usable & (count > 4)
     assert inside.mean() > 0.9
     # Samples lie inside their pixel, so averaging them blurs by a fraction of a pixel at most.
@@ -159,7 +159,7 @@ def test_unmeasured_plate_pixels_and_unknown_depth_are_not_carried(photos: list[
     depth = photo.depth_m.copy()
     depth[:50] = 0
     carried = source(photo.camera, np.where(measured[..., None], photo.rgb, 9.0), measured, depth, 0.04)
-    rgb, _, count = carry(carried, photo.camera, 3, 0.02)
+    rgb, _, count = warp_photo(carried, photo.camera, 3, 0.02)
     assert (count[:, :95] == 0).all()
     assert (count[:49] == 0).all()
     assert rgb.max() <= 1.0

@@ -50,11 +50,11 @@ class Moge:
         self._thumbs, self._depths = held["thumbs"].astype(np.float32), held["depths"]
 
     def depth(self, picture: np.ndarray, focal_px: float | None) -> np.ndarray:
-        from studiorecon.images.sizes import nearest
+        from studiorecon.images.sizes import resample_nearest
 
         own = picture[::_THUMB, ::_THUMB].astype(np.float32)
         shown = int(np.abs(self._thumbs - own).mean((1, 2, 3)).argmin())
-        depth_m = nearest(self._depths[shown], picture.shape[:2])
+        depth_m = resample_nearest(self._depths[shown], picture.shape[:2])
         return np.where(depth_m > 0, (depth_m - _MOGE_SHIFT_M) / _MOGE_SCALE, 0).astype(np.float32)
 
 

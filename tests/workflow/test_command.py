@@ -245,7 +245,7 @@ def test_the_doctor_s_first_words_need_no_run(tmp_path: Path) -> None:
     (tmp_path / "videos").mkdir()
     for name, grey in (("a", 200), ("b", 40)):
         write_watchable(tmp_path / f"videos/{name}.mp4", [np.full((48, 64, 3), grey, np.uint8)] * 3, 30.0)
-    told = list(command.first_findings(tmp_path))
+    told = list(command.quick_check(tmp_path))
     assert told[0] == "calibration: none, so cameras are found from the people"
     assert any(
         t.startswith("camera a: 64×48, 30 fps, 3 frames, mean grey 0.7") and "the detector looks for people" in t
@@ -253,6 +253,4 @@ def test_the_doctor_s_first_words_need_no_run(tmp_path: Path) -> None:
     )
     assert any("the exposures differ" in t for t in told)
     (tmp_path / "videos/b.mp4").write_bytes(b"no video")
-    assert any(
-        t.startswith("camera b: ") and "cannot be read as a video" in t for t in command.first_findings(tmp_path)
-    )
+    assert any(t.startswith("camera b: ") and "cannot be read as a video" in t for t in command.quick_check(tmp_path))

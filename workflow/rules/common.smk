@@ -11,8 +11,8 @@ from snakemake.logging import logger
 
 from studiorecon import code as package_code
 from studiorecon.errors import UserError
-from studiorecon.machine.fault import fault_sentence, keep_trace
-from studiorecon.machine.refusals import refused
+from studiorecon.machine.crash_report import fault_sentence, keep_trace
+from studiorecon.machine.resource_errors import describe_resource_error
 from studiorecon.plan.stale_lock import clear_stale_lock
 from studiorecon.models.catalogue.selection import adapter_modules
 from studiorecon.plan import step_config
@@ -51,7 +51,7 @@ def refuse(sentence):
 def refuse_error(error):
     """The same for an error: what a user has to know of it."""
     is_ours = isinstance(error, UserError)
-    refuse(str(error) if is_ours else refused(error) or fault_sentence(error, keep_trace(error)))
+    refuse(str(error) if is_ours else describe_resource_error(error) or fault_sentence(error, keep_trace(error)))
 
 
 def check_settings():
@@ -81,12 +81,12 @@ def bought_by_budget():
     if not config["budget_min"]:
         return {}
     # Opens videos, which a plan does without otherwise.
-    from studiorecon.plan.budget import bought
+    from studiorecon.plan.budget import choose_preset
 
     try:
         # workflow.cores is what --cores allows; --lint and --unlock are given no number.
         said = workflow.config_settings.overwrite_config  # of --config and --configfile
-        choice = bought(config, said, SCHEMA, decided(), workflow.cores or os.cpu_count() or 1)
+        choice = choose_preset(config, said, SCHEMA, decided(), workflow.cores or os.cpu_count() or 1)
     except Exception as error:
         refuse_error(error)
     config.update(choice.chosen.config)

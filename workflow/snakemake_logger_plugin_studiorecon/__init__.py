@@ -22,7 +22,7 @@ from pathlib import Path
 
 from snakemake_interface_logger_plugins.base import LogHandlerBase
 from snakemake_interface_logger_plugins.common import LogEvent
-from studiorecon.cli.run_progress import Run, Running, keep_seconds, read_seconds
+from studiorecon.cli.run_progress import Run, Running, read_seconds, record_seconds
 from studiorecon.pages.ending import ending
 from studiorecon.progress import CLEAR_LINE, RUN
 
@@ -151,7 +151,7 @@ class LogHandler(LogHandlerBase):
         rest = run.left_in_words(now) if on else "finished" if done >= total else "stopped"
         folder = Path("results") / self._scene
         jobs = [f"{job.rule} {job.of}".strip() + f", since {now - job.since_s:.0f} s" for job in run.running.values()]
-        text = running.written(
+        text = running.write_page(
             folder,
             self._scene,
             f"{done} of {total} jobs, {rest}",
@@ -176,7 +176,7 @@ class LogHandler(LogHandlerBase):
             ran = self._scene and self._run.total
             if ran:
                 self._write_page(on=False)
-                keep_seconds(_SECONDS, self._scene, self._run.took)
+                record_seconds(_SECONDS, self._scene, self._run.took)
             scene = self._scene if ran else os.environ.get("STUDIORECON_SCENE", "") if self._idle else ""
             if scene and (last := ending(scene, set(self._run.done) if ran else None)):
                 self._print(last)

@@ -166,12 +166,12 @@ def refine(cameras: Sequence[Camera], detections: Sequence[Detections]) -> Adjus
     from studiorecon.geometry.bundle import BundleSettings
     from studiorecon.geometry.triangulation import Limits
     from studiorecon.people.association.affinity import AssociationLimits
-    from studiorecon.rig.bundle import fitted
-    from studiorecon.rig.correspondences import observe
+    from studiorecon.rig.bundle import fit_cameras
+    from studiorecon.rig.correspondences import make_observations
 
     frames = np.unique(np.concatenate([found.frame for found in detections]))
-    seen, _ = observe(detections, cameras, frames, AssociationLimits().gate_m)
-    return fitted(cameras, seen, Limits(), BundleSettings())
+    seen, _ = make_observations(detections, cameras, frames, AssociationLimits().gate_m)
+    return fit_cameras(cameras, seen, Limits(), BundleSettings())
 
 
 def score(

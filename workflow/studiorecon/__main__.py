@@ -26,10 +26,10 @@ from typing import Any
 from studiorecon.configuration import settings as settings_module
 from studiorecon.configuration.step_settings import find_section
 from studiorecon.errors import UserError
-from studiorecon.machine.fault import fault_sentence, keep_trace
-from studiorecon.machine.libraries import remedy, unloaded
+from studiorecon.machine.crash_report import fault_sentence, keep_trace
+from studiorecon.machine.libraries import missing_library, remedy
 from studiorecon.machine.output import unbroken_output
-from studiorecon.machine.refusals import refused, short_of_memory
+from studiorecon.machine.resource_errors import describe_resource_error, memory_note
 from studiorecon.models.catalogue.confined import confine
 from studiorecon.progress import LOGGER, fail, logged
 
@@ -49,7 +49,7 @@ def main(argv: list[str] | None = None) -> int:
         with unbroken_output():
             return _main(argv)
     except Exception as error:  # before the step runs, or in its log
-        sentence = refused(error) or fault_sentence(error, keep_trace(error))
+        sentence = describe_resource_error(error) or fault_sentence(error, keep_trace(error))
         print(f"{' '.join(argv[:1])}: {sentence}", file=sys.stderr, flush=True)
         return 1
 
@@ -66,9 +66,9 @@ def _main(argv: list[str]) -> int:
         module = importlib.import_module(f"studiorecon.{step}")
         run = module.run
     except (ImportError, OSError, AttributeError) as error:
-        if refused(error) is not None:
+        if describe_resource_error(error) is not None:
             raise
-        if unloaded(error) is not None:
+        if missing_library(error) is not None:
             return _cannot_load(step, error, argv)
         if not isinstance(error, AttributeError) and not f"studiorecon.{step}".startswith(
             str(getattr(error, "name", None))
@@ -118,9 +118,9 @@ def _run(module: types.ModuleType, step: str, options: dict, log: Path | None) -
     except UserError as refusal:
         fail(f"{step}: {refusal}")
     except Exception as error:
-        if (sentence := refused(error)) is not None:
+        if (sentence := describe_resource_error(error)) is not None:
             fail(f"{step}: {sentence}")
-        elif unloaded(error) is not None:
+        elif missing_library(error) is not None:
             fail(f"{step}: {_sentence(error)}")
         else:
             if log is None:
@@ -129,13 +129,13 @@ def _run(module: types.ModuleType, step: str, options: dict, log: Path | None) -
             fail(f"{step}: {fault_sentence(error, log)}")
     else:
         return 0
-    if (note := short_of_memory()) is not None:
+    if (note := memory_note()) is not None:
         fail(f"{step}: {note}")
     return 1
 
 
 def _sentence(error: Exception) -> str:
-    library = unloaded(error) or ""
+    library = missing_library(error) or ""
     return (
         f"the library {library} cannot be loaded "
         f"({next(iter(str(error).splitlines()), 'no reason given')}); {remedy(library)}"

@@ -29,13 +29,13 @@ def digest(step: str, by_name: Iterable[str] = ()) -> str:
     Raises FileNotFoundError when there is no such module.
     """
     # The command line reads the settings of every step, so it belongs to each of them.
-    files = reached(["__main__", step, *by_name])
+    files = dependencies(["__main__", step, *by_name])
     text = "\n".join(f"{name} {_read(files[name])[0]}" for name in sorted(files))
-    remember()
+    save_digests()
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def reached(modules: Iterable[str], without: Set[str] = frozenset()) -> dict[str, Path]:
+def dependencies(modules: Iterable[str], without: Set[str] = frozenset()) -> dict[str, Path]:
     """Files of modules and of all they import, directly or not, by name; modules that only ``without`` imports are left
     out.
 
@@ -146,7 +146,7 @@ def _known(memory: Path) -> _Known:
     return known
 
 
-def remember() -> None:
+def save_digests() -> None:
     """Store the cache for the next process."""
     memory = _memory()
     known = _known(memory)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.background.preparation import Prepared
-from studiorecon.background.refinement import looked_at_from
+from studiorecon.background.refinement import refinement_cameras
 from studiorecon.background.targets import draw_shares
 from studiorecon.background.train_settings import Settings
 from studiorecon.progress import say
@@ -87,7 +87,7 @@ class Training:
     def looks(self, path: Path) -> list[Camera]:
         """The cameras that render the half-trained room; ``path`` is that of the synthesized views."""
         views = [step.camera for step in read_path(path)[0]]
-        return looked_at_from(self.cameras, views, self.settings.refinement)
+        return refinement_cameras(self.cameras, views, self.settings.refinement)
 
 
 def _network(settings: Settings, lpips: Path, threads: int, device: str) -> Perceptual | None:

@@ -12,8 +12,8 @@ import numpy as np
 
 from studiorecon import code
 from studiorecon.background.fitting import Training
-from studiorecon.background.halves import write_renders, write_room
-from studiorecon.background.preparation import Sources, prepared
+from studiorecon.background.half_trained_files import write_renders, write_room
+from studiorecon.background.preparation import Sources, prepare
 from studiorecon.background.train_settings import Settings
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
@@ -43,7 +43,7 @@ def run(
     device = resolve(device)
     cameras = read_model(sources.model.parent)
     rng = np.random.default_rng(settings.seed)
-    given = prepared(settings, sources, cameras, specularity is None or len(specularity) > 0, rng)
+    given = prepare(settings, sources, cameras, specularity is None or len(specularity) > 0, rng)
     training = Training(given.settings, cameras, rng, threads, device, working, lpips)
     if not training.split:
         raise UserError(

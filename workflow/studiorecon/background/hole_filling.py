@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import scipy
 
-from studiorecon.images.self_similar import Scale, filled
+from studiorecon.images.texture_fill import Scale, fill_by_texture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import Face
 
@@ -94,7 +94,7 @@ def paint(
     painted = []
     for (face, nodes), (rgb, seen) in zip(looked, gathered):
         if seen.mean() >= _MIN_SEEN:
-            rgb = filled(rgb, seen, scale, np.random.default_rng(0))
+            rgb = fill_by_texture(rgb, seen, scale, np.random.default_rng(0))
             if walls is not None and _upright(face):
                 apart_m = step_m * cv2.distanceTransform((~seen).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
                 copied = np.exp(-((apart_m / _COPIED_M) ** 2))[..., None]

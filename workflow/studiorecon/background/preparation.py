@@ -93,7 +93,7 @@ class Photo:
     confidence: Float[np.ndarray, "H W"]
 
 
-def painted_room(photos: Sequence[Photo], box: RoomBox, settings: Settings) -> list[hole_filling.Painted]:
+def paint_room(photos: Sequence[Photo], box: RoomBox, settings: Settings) -> list[hole_filling.Painted]:
     """The room's faces as the photos show them, and going on alike where no camera sees them."""
     faces = box.rectangles
     step_m = hole_filling.node_step(faces, settings.fill_step_m, settings.fill_limit)
@@ -101,7 +101,7 @@ def painted_room(photos: Sequence[Photo], box: RoomBox, settings: Settings) -> l
     return hole_filling.paint(faces, cameras, plates, known, depths, step_m)
 
 
-def seeds(
+def initial_gaussians(
     photos: Sequence[Photo], painted: Sequence[hole_filling.Painted], settings: Settings
 ) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
     """First Gaussians and their provenance (N,) uint8: discs on measured depth, and on unseen parts of the ``painted``
@@ -131,7 +131,7 @@ def seeds(
     return concatenate(sets), np.concatenate(marks).astype(np.uint8)
 
 
-def supported(settings: Settings, start: Gaussians, cameras: Sequence[Camera], varied: bool = True) -> Settings:
+def limit_harmonics(settings: Settings, start: Gaussians, cameras: Sequence[Camera], varied: bool = True) -> Settings:
     """The settings, with ``limit_sh_to_views`` limited to the harmonics that the real cameras distinguish at the middle
     of the room.
 
@@ -190,7 +190,7 @@ def view_targets(
     return targets
 
 
-def without_people(
+def mask_people(
     photos: Sequence[Photo], videos: Sequence[Path], masks: Sequence[Path], dilation_px: int, gains: Factors
 ) -> list[Photo]:
     """The first pictures instead of the plates (paper, Eq. 5), without people.
@@ -264,7 +264,7 @@ def read_views(
     return targets
 
 
-def prepared(
+def prepare(
     settings: Settings, sources: Sources, cameras: Sequence[Camera], varied: bool, rng: np.random.Generator
 ) -> Prepared:
     """Read all inputs and build the initial state; ``varied``: colours change with the direction of view."""
@@ -272,10 +272,10 @@ def prepared(
     factors = read_factors(sources.gains)
     photos = read_photos(cameras, sources.plates, sources.depths, factors)
     if settings.room_targets == "first_frames":
-        photos = without_people(photos, sources.videos, sources.masks, settings.dilation_px, factors)
-    painted = painted_room(photos, box, settings) if settings.fill_unseen else []
+        photos = mask_people(photos, sources.videos, sources.masks, settings.dilation_px, factors)
+    painted = paint_room(photos, box, settings) if settings.fill_unseen else []
     if settings.start == "depth":
-        start, marks = seeds(photos, painted, settings)
+        start, marks = initial_gaussians(photos, painted, settings)
         shares = [int((marks == kind).sum()) for kind in (MEASURED, INFERRED, INVENTED)]
         say(
             f"{start.count} Gaussians to start from: {shares[0]} measured, {shares[1]} on default walls, {shares[2]} "
@@ -287,7 +287,7 @@ def prepared(
         )
         marks = np.full(start.count, MEASURED, np.uint8)
         say(f"{start.count} Gaussians to start from, at random: the baseline without depth")
-    settings = supported(settings, start, cameras, varied)
+    settings = limit_harmonics(settings, start, cameras, varied)
     real = plate_targets(photos, settings.photo_weight)
     synthesized = read_views(sources.path, sources.views, sources.supports, cameras, painted, settings)
     drawn = settings.views_share if synthesized else 0.0

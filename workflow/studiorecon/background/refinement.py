@@ -52,7 +52,7 @@ class Refinement:
     weight: float = 0.7
 
 
-def looked_at_from(cameras: Sequence[Camera], views: Sequence[Camera], settings: Refinement) -> list[Camera]:
+def refinement_cameras(cameras: Sequence[Camera], views: Sequence[Camera], settings: Refinement) -> list[Camera]:
     """Cameras evenly along the synthesized ``views``: rotated by slerp and moved straight between neighbours.
 
     They rise and fall by ``height`` of the radius of the scene's ``cameras``, and are pitched by −atan(rise / radius)

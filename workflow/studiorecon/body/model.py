@@ -23,7 +23,7 @@ from studiorecon.body import skinning
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES
-from studiorecon.scene.outside import read_npz, user_file_context
+from studiorecon.scene.user_files import read_npz, user_file_context
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num

@@ -13,9 +13,9 @@ from studiorecon.geometry import rotations
 from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
 from studiorecon.progress import warn
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.intermediate import expect, expect_named, read
 from studiorecon.scene.people import Person
 from studiorecon.scene.schema import KNOWN_OR_INFINITE, flag, frame_rate, metres, radians, real, text
+from studiorecon.scene.step_files import expect, expect_named, read
 
 _PERSON = {
     "name": text(),

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool
 
 
-def grown_outlines(
+def dilated_silhouettes(
     people: Sequence[Person],
     body: BodyModel | None,
     camera: Camera,

@@ -20,15 +20,15 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.calibration.files import Settings as Settings
 from studiorecon.calibration.files import paired_lenses, possible_pairings
 from studiorecon.calibration.formats.reading import Reading
-from studiorecon.calibration.names import Pairing, for_other_cameras
+from studiorecon.calibration.names import Pairing, mismatch_error
 from studiorecon.footage.source import open_source
-from studiorecon.geometry.film_places import Place, for_square_pixels, places
+from studiorecon.geometry.crop_hypotheses import CropHypothesis, crop_hypotheses, for_square_pixels
 from studiorecon.geometry.lens import unseen_share
 from studiorecon.geometry.triangulation import Limits, triangulate
-from studiorecon.keypoints.reading import undistorted
+from studiorecon.keypoints.reading import to_pinhole
 from studiorecon.progress import say
-from studiorecon.rig.correspondences import observe
-from studiorecon.scene import intermediate
+from studiorecon.rig.correspondences import make_observations
+from studiorecon.scene import step_files
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import write_json
 from studiorecon.scene.people import Detections, read_detections
@@ -66,11 +66,11 @@ def agreement(
     last = max((int(d.frame.max()) for d in people if len(d.frame)), default=-1)
     frames = evenly_spread(last + 1, _FRAMES) if last >= 0 else np.zeros(0, int)
     total = np.zeros(len(frames))
-    both = [undistorted(d, lens, wh) for d, lens, wh in zip(people, lenses, sizes, strict=True)]
+    both = [to_pinhole(d, lens, wh) for d, lens, wh in zip(people, lenses, sizes, strict=True)]
     cameras, seen = [c for c, _ in both], [d for _, d in both]
     if not any(len(d.frame) for d in seen):
         return total
-    found, _ = observe(seen, cameras, frames, _GATE_M)
+    found, _ = make_observations(seen, cameras, frames, _GATE_M)
     if not len(found.frame):
         return total
     points = triangulate(found.pixels, found.confidence, cameras, _LIMITS)
@@ -84,7 +84,7 @@ def agreement(
     return total
 
 
-def best(candidates: Sequence[T], fit: Callable[[T], Float[np.ndarray, " F"]]) -> tuple[int, bool]:
+def best_candidate(candidates: Sequence[T], fit: Callable[[T], Float[np.ndarray, " F"]]) -> tuple[int, bool]:
     """Index of the candidate that people show to be right, else 0; and whether they do."""
     scores = [fit(candidate) for candidate in candidates]
     order = np.argsort([-s.sum() for s in scores], kind="stable")
@@ -101,7 +101,7 @@ def best(candidates: Sequence[T], fit: Callable[[T], Float[np.ndarray, " F"]]) -
     return equal[0], False
 
 
-def chosen(
+def choose_lenses(
     reading: Reading,
     source: str,
     cameras: Sequence[str],
@@ -123,14 +123,14 @@ def chosen(
         return [lens for lens, _ in square], notes + [note for _, note in square if note], floor_known
 
     def usual(lenses: Sequence[Lens]) -> list[Lens]:
-        return [places(lens, wh)[0].lens for lens, wh in zip(lenses, sizes, strict=True)]
+        return [crop_hypotheses(lens, wh)[0].lens for lens, wh in zip(lenses, sizes, strict=True)]
 
     ways = possible_pairings(reading, cameras, source)
     index, shown = (
-        best(ways, lambda way: agreement(usual(read(way)[0]), sizes, people)) if len(ways) > 1 else (0, False)
+        best_candidate(ways, lambda way: agreement(usual(read(way)[0]), sizes, people)) if len(ways) > 1 else (0, False)
     )
     if not (ways[index].sure or shown):
-        raise for_other_cameras(cameras, [c.name for c in reading.cameras], source)
+        raise mismatch_error(cameras, [c.name for c in reading.cameras], source)
     lenses, notes, floor_known = read(ways[index])
     if len(ways) > 1:
         notes.append(
@@ -149,17 +149,19 @@ def _placed(
 
     Films with the same pair of sizes have the same position: one program made them.
     """
-    options = [places(lens, wh) for lens, wh in zip(lenses, sizes, strict=True)]
+    options = [crop_hypotheses(lens, wh) for lens, wh in zip(lenses, sizes, strict=True)]
     kinds = sorted({(lens.wh, wh) for lens, wh, of in zip(lenses, sizes, options) if len(of) > 1})
     counts = [len(next(of for lens, wh, of in zip(lenses, sizes, options) if (lens.wh, wh) == kind)) for kind in kinds]
 
-    def of(choice: Sequence[int]) -> list[Place]:
+    def of(choice: Sequence[int]) -> list[CropHypothesis]:
         at = dict(zip(kinds, choice))
         return [of[at.get((lens.wh, wh), 0)] for lens, wh, of in zip(lenses, sizes, options)]
 
     ways = [of(choice) for choice in itertools.product(*map(range, counts))]
     index, shown = (
-        best(ways, lambda way: agreement([p.lens for p in way], sizes, people)) if len(ways) > 1 else (0, False)
+        best_candidate(ways, lambda way: agreement([p.lens for p in way], sizes, people))
+        if len(ways) > 1
+        else (0, False)
     )
     why = "as people show" if shown else "the usual place, which people do not contradict"
     remedy = "" if shown else "; if that is wrong, give it in capture.yaml: pixel_maps"
@@ -182,7 +184,7 @@ def run(
 
     ``sources`` are the cameras' films.
     """
-    content, reading = intermediate.read(
+    content, reading = step_files.read(
         read,
         Named(Anything()),
         lambda held: (held, Reading.from_json({k: v for k, v in held.items() if k != "source"})),
@@ -193,7 +195,7 @@ def run(
     nobody = np.zeros(0, dtype=int)
     people = [seen.get(c) or Detections(c, "coco17", nobody, nobody, np.zeros((0, 17, 3))) for c in cameras]
     maps = json.loads(pixel_maps or "{}")
-    choice = chosen(reading, content["source"], cameras, sizes, people, maps, settings, stored)
+    choice = choose_lenses(reading, content["source"], cameras, sizes, people, maps, settings, stored)
     doubts = []
     for lens, wh in zip(choice.lenses, sizes, strict=True):
         if share := unseen_share(lens, wh):

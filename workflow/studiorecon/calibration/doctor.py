@@ -32,13 +32,13 @@ from studiorecon.footage.source import open_source
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.encoded import png
-from studiorecon.keypoints.reading import undistorted
-from studiorecon.keypoints.retiming import on_common_clock
+from studiorecon.keypoints.reading import to_pinhole
+from studiorecon.keypoints.resampling import resample_keypoints
 from studiorecon.progress import say
 from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
 from studiorecon.rig.bundle import AgreementLimits, CalibrationPrior, error_medians
 from studiorecon.rig.contact_sheet import contact_sheet
-from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.human_size import check_human_size, check_units
 from studiorecon.rig.hypotheses import LENS_READINGS, best_swap, score_conventions, score_lens_model
 from studiorecon.rig.lens_model import LensReading, as_model
@@ -91,7 +91,7 @@ def examine(
     chosen, people = evenly_spread(frames, _FRAMES), any(len(d.frame) for d in detections)
     few = chosen[:: max(1, len(chosen) // 6)]
     table, margins = score_conventions(cameras, detections, few, settings.gate_m, settings.limits)
-    seen, _ = observe(detections, cameras, chosen, settings.gate_m)
+    seen, _ = make_observations(detections, cameras, chosen, settings.gate_m)
     median: float | None = None
     each: list[float | None] = [None] * len(cameras)
     points = np.zeros((0, 3))
@@ -176,7 +176,7 @@ def _metres_per_px(cameras: Sequence[Camera], points_m: np.ndarray) -> list[floa
 def _median_px(
     cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, settings: Settings
 ) -> float | None:
-    seen, _ = observe(detections, cameras, frames, settings.gate_m)
+    seen, _ = make_observations(detections, cameras, frames, settings.gate_m)
     px = error_medians(cameras, seen, settings.limits)[0] if len(seen.frame) else float("nan")
     return px if np.isfinite(px) else None
 
@@ -210,7 +210,7 @@ def _volume(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, 
 def undistort_picture(
     picture: Integer[np.ndarray, "H W 3"], lens: Lens, camera: Camera
 ) -> Integer[np.ndarray, "H W 3"]:
-    """The picture (H, W, 3) of a video as seen by the pinhole ``camera`` of ``undistorted``, 480 rows high."""
+    """The picture (H, W, 3) of a video as seen by the pinhole ``camera`` of ``to_pinhole``, 480 rows high."""
     small = camera.resized((round(_PICTURE_ROWS * camera.wh[0] / camera.wh[1]), _PICTURE_ROWS))
     place = video_from_working(small.pixel_centres(), lens, camera.wh, small.intrinsics).astype(np.float32) - 0.5
     return cv2.remap(picture, place[..., 0], place[..., 1], cv2.INTER_AREA, borderMode=cv2.BORDER_CONSTANT)
@@ -291,7 +291,7 @@ def run(
     found, common = read_json(sync), usable_clocks(read_clocks(clocks))
     decided = [read_json(path) for path in sizes]
     heights = {v["camera"]: int(v["wh"][1]) for v in decided}
-    seen = {d.camera: on_common_clock(d, common, heights[d.camera]) for d in map(read_detections, sightings)}
+    seen = {d.camera: resample_keypoints(d, common, heights[d.camera]) for d in map(read_detections, sightings)}
     raw = [seen.get(c, empty_detections(c)) for c in cameras]
     moments = [common.source_frames(c) for c in cameras]
     films = [open_source(source, 0.0) for source in sources]
@@ -325,7 +325,7 @@ def run(
         say(sentence)
 
     def read(model: LensReading) -> tuple[list[Camera], list[Detections]]:
-        both = [undistorted(d, as_model(lenses[c], model), film.wh) for c, d, film in zip(cameras, raw, films)]
+        both = [to_pinhole(d, as_model(lenses[c], model), film.wh) for c, d, film in zip(cameras, raw, films)]
         return [camera for camera, _ in both], [d for _, d in both]
 
     pinholes, detections = read("as_read")

@@ -16,16 +16,16 @@ import numpy as np
 from studiorecon.calibration.formats import FORMATS, accepted
 from studiorecon.calibration.formats.reading import Reading
 from studiorecon.calibration.names import Pairing, pairings, pairings_in_order
-from studiorecon.calibration.world import metres_per_unit, refuse_mixed_units, settled, z_up_from_world
+from studiorecon.calibration.world import metres_per_unit, refuse_mixed_units, to_metric_world, z_up_from_world
 from studiorecon.camera_files.raw_camera import checked_camera
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.geometry.lens import placed_as_given
+from studiorecon.geometry.lens import apply_pixel_map
 from studiorecon.progress import say
 from studiorecon.rig.lens_model import LensReading, as_model, with_radial
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import write_json
-from studiorecon.scene.outside import file_size, user_file_context
+from studiorecon.scene.user_files import file_size, user_file_context
 from studiorecon.signature import Written
 
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -138,12 +138,12 @@ def paired_lenses(
     if settings.scale != 1.0:
         notes.append(f"all lengths were multiplied by {settings.scale:g}, as the setting calibration.scale says")
     floor_known = bool(np.array_equal(z_up, np.eye(3))) and reading.format != "COLMAP"
-    poses, moves = settled(poses, z_up, factor * settings.scale, floor_known)
+    poses, moves = to_metric_world(poses, z_up, factor * settings.scale, floor_known)
     notes += [n for n in (unit_note, up_note) if n] + moves
     lenses = []
     for name, raw, pose in zip(cameras, chosen, poses):
         lens = Lens(name, raw.wh, raw.intrinsics, raw.model, raw.distortion, pose, np.eye(2, 3))
-        lens = placed_as_given(lens, pixel_maps.get(name))
+        lens = apply_pixel_map(lens, pixel_maps.get(name))
         lenses.append(with_radial(as_model(lens, settings.lens), settings.radial.get(name, 0.0)))
     return lenses, notes, floor_known
 

@@ -18,23 +18,23 @@ from studiorecon.calibration.room_pictures import read_room_pictures, room_edges
 from studiorecon.errors import UserError
 from studiorecon.footage.lens_metadata import focal_px_from_metadata
 from studiorecon.geometry.bundle import Adjusted, LensPrior
-from studiorecon.geometry.lens import mapped_lens
+from studiorecon.geometry.lens import lens_with_pixel_map
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
-from studiorecon.keypoints.retiming import on_common_clock
+from studiorecon.keypoints.resampling import resample_keypoints
 from studiorecon.progress import say, warn
 from studiorecon.rig.bundle import AgreementLimits
-from studiorecon.rig.from_tracks import Rig, bone_factor, scaled
+from studiorecon.rig.from_tracks import Rig, bone_factor, scale_camera
 from studiorecon.rig.gravity import world_from_people
 from studiorecon.rig.ground_plane import align_to_ground_plane
 from studiorecon.rig.metric_scale import GivenLengths, Scale, scale_from_lengths, stature_m
 from studiorecon.rig.pose_consensus import PoseConsensus, find_pose_consensus, pose_distance
 from studiorecon.rig.pose_uncertainty import pose_sigmas, rotation_interval_deg
 from studiorecon.rig.room_picture import RoomPicture
-from studiorecon.rig.self_calibration import self_calibrated, turned_by_edges
+from studiorecon.rig.self_calibration import rotate_by_edges, self_calibrate
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.files import read_json, write_json
-from studiorecon.scene.numbered import pictures_in
+from studiorecon.scene.numbered_files import pictures_in
 from studiorecon.scene.people import Detections, read_detections
 from studiorecon.signature import Written
 
@@ -121,9 +121,9 @@ def pose_cameras(
     wide = {n: about.focal_sigma if n in focal_px else about.focal_told_sigma for n in known}
     lens = LensPrior(np.array([wide.get(n, about.focal_unknown_sigma) for n in names]), 0.0)
     known_px = {v: known[n] for v, n in enumerate(names) if n in known}
-    rig, result = self_calibrated(found.rig, found.seen, template_m, lens, known_px, settings)
+    rig, result = self_calibrate(found.rig, found.seen, template_m, lens, known_px, settings)
     told = {v: edges[n] for v, n in enumerate(names) if n in edges} if edges else {}
-    rig, result, turns = turned_by_edges(rig, result, found.seen, template_m, lens, known_px, told, settings)
+    rig, result, turns = rotate_by_edges(rig, result, found.seen, template_m, lens, known_px, told, settings)
     pictures = [(rooms or {}).get(n) for n in names]
     rig, result, marks = align_to_ground_plane(
         rig, result, found.seen, template_m, lens, known_px, pictures, settings, turns
@@ -246,7 +246,7 @@ def _settled_in_the_world(
     world_from_rig, how = upright(scale)
     cameras = []
     for camera in result.cameras:
-        pose = scaled(camera, scale.factor).camera_from_world @ np.linalg.inv(world_from_rig)
+        pose = scale_camera(camera, scale.factor).camera_from_world @ np.linalg.inv(world_from_rig)
         cameras.append(replace(camera, camera_from_world=pose))
     return cameras, int(used.sum()), how, scale
 
@@ -291,7 +291,7 @@ def run(
     if refused := [v["refusal"] for v in told_of if v.get("refusal")]:
         raise UserError(refused[0])
     size_of = {v["camera"]: (int(v["wh"][0]), int(v["wh"][1])) for v in told_of}
-    detections = [on_common_clock(d, common, size_of[d.camera][1]) for d in map(read_detections, sightings)]
+    detections = [resample_keypoints(d, common, size_of[d.camera][1]) for d in map(read_detections, sightings)]
     wh = [size_of[d.camera] for d in detections]
     if not any(len(d.frame) for d in detections):
         raise UserError(
@@ -362,7 +362,7 @@ def run(
     placed = [
         lens_at_pose(known[c.name], c)
         if c.name in known
-        else mapped_lens(
+        else lens_with_pixel_map(
             Lens(c.name, c.wh, c.intrinsics, "opencv", np.zeros(8), c.camera_from_world, np.eye(2, 3)), maps[c.name]
         )
         for c in found

@@ -13,9 +13,9 @@ import numpy as np
 from studiorecon.calibration.formats.lenses import read_lenses
 from studiorecon.calibration.names import pairings
 from studiorecon.camera_files.raw_camera import checked_camera
-from studiorecon.geometry.film_places import places
-from studiorecon.geometry.lens import placed_as_given
-from studiorecon.keypoints.reading import undistorted
+from studiorecon.geometry.crop_hypotheses import crop_hypotheses
+from studiorecon.geometry.lens import apply_pixel_map
+from studiorecon.keypoints.reading import to_pinhole
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.people import Detections
@@ -42,7 +42,7 @@ def lenses_of_cameras(
         checked, notes = checked_camera(camera, raw[name], source)
         about = checked.wh, checked.intrinsics, checked.model, checked.distortion
         lens = Lens(camera, *about, np.eye(4), np.eye(2, 3))
-        place = places(placed_as_given(lens, maps.get(camera)), sizes[camera])[0]
+        place = crop_hypotheses(apply_pixel_map(lens, maps.get(camera)), sizes[camera])[0]
         found[camera] = place.lens
         for note in [*notes, *([f"camera {camera}: {place.how}"] if place.how else [])]:
             say(note)
@@ -58,7 +58,7 @@ def ideal_pinhole(lens: Lens, wh: tuple[int, int]) -> Camera:
 
 def undistort_detections(seen: Detections, lens: Lens, wh: tuple[int, int]) -> Detections:
     """The detections in pixels of ``ideal_pinhole``; points outside of the lens's field are dropped."""
-    camera, found = undistorted(seen, lens, wh)
+    camera, found = to_pinhole(seen, lens, wh)
     wanted = ideal_pinhole(lens, wh)
     points = found.keypoints.copy()
     focal = np.diag(wanted.intrinsics)[:2] / np.diag(camera.intrinsics)[:2]

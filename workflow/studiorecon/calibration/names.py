@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.scene.numbered import natural
+from studiorecon.scene.numbered_files import natural
 
 # If one name equals the other, or a run of whole words of it, that counts more than all shared words. If names do not
 # match at all, so many pairings are tried on people: all of four cameras.
@@ -62,11 +62,11 @@ def pairings(footage: Sequence[str], calibrated: Sequence[str], source: str) -> 
         ]
     distinct = [p for i, p in enumerate(found) if p.calibrated not in [q.calibrated for q in found[:i]]]
     if not distinct:
-        raise for_other_cameras(footage, calibrated, source)
+        raise mismatch_error(footage, calibrated, source)
     return distinct
 
 
-def for_other_cameras(footage: Sequence[str], calibrated: Sequence[str], source: str) -> UserError:
+def mismatch_error(footage: Sequence[str], calibrated: Sequence[str], source: str) -> UserError:
     """The refusal of a calibration whose names do not fit, with both lists."""
     return UserError(
         f"{source} is a calibration for other cameras: it has "

@@ -24,7 +24,7 @@ from studiorecon.footage.frames import glimpses
 from studiorecon.footage.source import open_source
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.retiming import on_common_clock
+from studiorecon.keypoints.resampling import resample_keypoints
 from studiorecon.models.catalogue.registry import model as card_of
 from studiorecon.models.choices import CalibrationSource
 from studiorecon.models.loading import load
@@ -154,7 +154,7 @@ def run(
     for camera, size, residual in zip(found.cameras, wh, found.focal_residuals_px):
         focal_px, share = camera.focal_px[0] * size[0] / camera.wh[0], residual / camera.wh[0]
         say(f"{camera.name}: focal length {focal_px:.0f} px, points off their pixels by {share:.2%} of the width")
-    seen = [on_common_clock(d, common, wh[cameras.index(d.camera)][1]) for d in map(read_detections, sightings)]
+    seen = [resample_keypoints(d, common, wh[cameras.index(d.camera)][1]) for d in map(read_detections, sightings)]
     lengths = torso_lengths(found, wh, seen, settings.limits.min_confidence)
     rest = BodyModel.load(body)
     torso = rest.keypoints(TORSO, np.zeros((1, 72)), np.zeros(rest.shapes), np.zeros((1, 3)))[0]

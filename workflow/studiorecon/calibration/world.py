@@ -128,7 +128,7 @@ def _turn_to_z(up: np.ndarray) -> np.ndarray:
     return np.eye(3) + cross + cross @ cross / (1 + up[2])
 
 
-def settled(
+def to_metric_world(
     poses: Sequence[Float[np.ndarray, "4 4"]], z_up: Float[np.ndarray, "3 3"], factor: float, floor_known: bool
 ) -> tuple[list[Float[np.ndarray, "4 4"]], list[str]]:
     """``camera_from_world`` (4, 4) of all cameras in metres and z up, and sentences about shifts.

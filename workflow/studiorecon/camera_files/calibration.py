@@ -10,8 +10,8 @@ from typing import Any
 
 from studiorecon.errors import UserError
 from studiorecon.scene.camera import LENS, Lens
-from studiorecon.scene.intermediate import expect, read
 from studiorecon.scene.schema import Anything, Listed, Maybe, Named, flag, text
+from studiorecon.scene.step_files import expect, read
 
 _CALIBRATION = {
     "lenses": Listed(LENS),

@@ -17,10 +17,10 @@ import numpy as np
 from studiorecon.geometry import rotations
 from studiorecon.scene.camera import CAMERA, Camera
 from studiorecon.scene.files import write_text
-from studiorecon.scene.intermediate import CURE, expect, step_file_context
-from studiorecon.scene.outside import read_text
 from studiorecon.scene.schema import check, metres
-from studiorecon.scene.values import shown
+from studiorecon.scene.step_files import CURE, expect, step_file_context
+from studiorecon.scene.user_files import read_text
+from studiorecon.scene.user_values import short_text
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -127,5 +127,5 @@ def _rows(path: Path, columns: int) -> list[list[str]]:
     lines = [line for line in text.split("\n") if line.strip() and not line.startswith("#")]
     rows = [line.split(None, columns - 1) for line in lines]
     for line, row in zip(lines, rows):
-        expect(len(row) == columns, f"{len(row)} of {columns} columns in {shown(line)}")
+        expect(len(row) == columns, f"{len(row)} of {columns} columns in {short_text(line)}")
     return rows

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.scene.values import numbers, shown
+from studiorecon.scene.user_values import numbers, short_text
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -46,7 +46,8 @@ def model_named(name: object, where: str) -> str:
     if plain in _FISHEYE:
         return "fisheye"
     raise UserError(
-        f"{where}: its lens is {shown(str(name))}, which is not supported; undistort the pictures with the program "
+        f"{where}: its lens is {short_text(str(name))}, which is not supported; undistort the pictures with the "
+        "program "
         "that wrote the file, or calibrate with OPENCV or OPENCV_FISHEYE"
     )
 
@@ -65,12 +66,12 @@ def model_in(table: Mapping[str, Any], where: str) -> str:
         plain = _plain(key).lower()
         if plain in _FLAGS and value is not None:
             if _plain(value) not in _SAYS:
-                raise UserError(f"{where}: {key} is {shown(value)}; it must be true or false")
+                raise UserError(f"{where}: {key} is {short_text(value)}; it must be true or false")
             told[key] = "fisheye" if _SAYS[_plain(value)] else "opencv"
         elif plain in _MODELS and isinstance(value, str):
             told[key] = model_named(value, where)
     if len(set(told.values())) > 1:
-        listed = " and ".join(f"{key} {shown(table[key])}" for key in told)
+        listed = " and ".join(f"{key} {short_text(table[key])}" for key in told)
         raise UserError(f"{where}: {listed} are two different lenses; keep the right one")
     return next(iter(told.values()), "opencv")
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.geometry.rotations import exp, project_to_so3
-from studiorecon.scene.values import numbers
+from studiorecon.scene.user_values import numbers
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
@@ -125,7 +125,7 @@ def intrinsics_matrix(fx: float, fy: float, cx: float, cy: float, integer_centre
     return np.array([[fx, 0.0, cx + shift], [0.0, fy, cy + shift], [0.0, 0.0, 1.0]])
 
 
-def as_in_file(matrix: object, where: str, integer_centres: bool = True) -> Float[np.ndarray, "3 3"]:
+def unadjusted_intrinsics(matrix: object, where: str, integer_centres: bool = True) -> Float[np.ndarray, "3 3"]:
     """(3, 3) camera matrix of a file with pixel centres at +0.5, with its scale and skew still in it for
     ``checked_camera``.
 

@@ -14,7 +14,7 @@ from studiorecon.camera_files.lens_kinds import coefficients, model_in
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.scene.files import read_json
-from studiorecon.scene.values import shown
+from studiorecon.scene.user_values import short_text
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -95,7 +95,9 @@ def _camera(lens: dict[str, Any], source_from_file: np.ndarray, where: str) -> t
     listed = dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), lens.get("distortion_params") or ()))
     term = {key: lens.get(key, listed.get(key, 0)) for key in (*_TERMS["opencv"], *_NEVER)}
     if left := [key for key, value in term.items() if value and key not in _TERMS[model]]:
-        raise UserError(f"{where}: {left[0]} is {shown(term[left[0]])}, which the lens model {model} does not have")
+        raise UserError(
+            f"{where}: {left[0]} is {short_text(term[left[0]])}, which the lens model {model} does not have"
+        )
     world_from_camera = source_from_file @ np.vstack([pose[:3], [0, 0, 0, 1]]) @ _OPENCV_FROM_OPENGL
     camera = RawCamera(
         name=camera_name(lens),

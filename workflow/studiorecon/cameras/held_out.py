@@ -29,7 +29,7 @@ from studiorecon.geometry.triangulation import triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.progress import progress, say, warn
-from studiorecon.rig.correspondences import observe
+from studiorecon.rig.correspondences import make_observations
 from studiorecon.rig.held_out_pose import HeldOutPose, ObservedJoints, estimate_held_out_pose
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
@@ -69,13 +69,13 @@ class Bodies:
         return np.where(np.isfinite(step), self.points_m[:, here] + abs(late_frames) * step, self.points_m[:, here])
 
 
-def bodies_in(
+def triangulate_bodies(
     frames: Integer[np.ndarray, " F"], training: Sequence[Camera], detections: Sequence[Detections], settings: Settings
 ) -> Bodies:
     """Joints on which the training cameras agree, in ``frames`` and their neighbours."""
     wanted = np.unique(np.concatenate([frames - 1, frames, frames + 1]))
     wanted = wanted[(wanted >= 0)]
-    seen, _ = observe(detections, training, wanted, settings.gate_m)
+    seen, _ = make_observations(detections, training, wanted, settings.gate_m)
     people = int(seen.group.max(initial=-1)) + 1
     points = np.full((people, len(wanted), len(STABLE_KEYPOINTS), 3), np.nan)
     if len(seen.frame):
@@ -169,7 +169,7 @@ def run(
     look = settings.refine and bool(film) and any(len(d.frame) for d in seen)
     network = BlazePose(networks[0], networks[1], second_network(second, layout)) if look else None
     chosen = evenly_spread(frames, _LOOKS)
-    bodies = bodies_in(chosen, training, seen, settings) if look else None
+    bodies = triangulate_bodies(chosen, training, seen, settings) if look else None
     for camera in progress(cameras, "held-out cameras"):
         if network is None or bodies is None:
             used.append(camera)

@@ -20,7 +20,7 @@ from studiorecon.cameras.floor_acceptance import apply_floor_refinement, keep_fl
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frame
-from studiorecon.geometry.bundle import LensPrior, moved
+from studiorecon.geometry.bundle import LensPrior, move_camera
 from studiorecon.images.encoded import write_png
 from studiorecon.progress import say, warn
 from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
@@ -28,14 +28,14 @@ from studiorecon.rig.bundle import (
     AgreementLimits,
     CalibrationPrior,
     LensSettings,
-    contradicted,
+    choose_lens_terms,
+    contradicted_share,
     error_medians,
-    fitted,
-    lenses_called_for,
-    straightened,
+    fit_cameras,
+    remove_radial,
 )
 from studiorecon.rig.contact_sheet import contact_sheet
-from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.gravity import check_tilt
 from studiorecon.rig.human_size import check_human_size, check_units
 from studiorecon.rig.hypotheses import check_conventions, refuse_swapped
@@ -133,7 +133,7 @@ def decide(
         return _unchecked(training, held_out, report)
     chosen = evenly_spread(frames, settings.frames)
     given, limit = training, settings.max_error_share * max(max(c.wh) for c in training)
-    seen, graph = observe(detections, training, chosen, settings.gate_m)
+    seen, graph = make_observations(detections, training, chosen, settings.gate_m)
     before, before_each, points = error_medians(training, seen, settings.limits)
     before_px = before if np.isfinite(before) else None
     few = chosen[:: max(1, len(chosen) // 6)]
@@ -170,7 +170,7 @@ def decide(
         report_moved_cameras(given, anew, between_deg)
         training, seen = anew.cameras, anew.seen
         report = {**report, "moved_cameras": {**anew.report, "between_deg": between_deg}}
-    if blind and (share := contradicted(training, seen, detections, settings.limits)) > _MAX_CONTRADICTED:
+    if blind and (share := contradicted_share(training, seen, detections, settings.limits)) > _MAX_CONTRADICTED:
         raise UserError(
             "the calibration does not fit the footage: no keypoint agrees in three cameras, "
             "and where two agree a third one sees people "
@@ -221,10 +221,10 @@ def _lenses_instead(given: list[Camera], seen: Observations, moved_px: float, se
     move easily."""
     order = np.unique(seen.frame, return_inverse=True)[1]
     fit_on, judge_on = seen.of(order % 2 == 0), seen.of(order % 2 == 1)
-    trial = fitted(given, fit_on, settings.limits, settings.bundle)
+    trial = fit_cameras(given, fit_on, settings.limits, settings.bundle)
     if trial is None:
         return False
-    found = lenses_called_for(
+    found = choose_lens_terms(
         trial.cameras, fit_on, judge_on, settings.limits, settings.bundle, settings.lens_change
     ).report
     errors = [found[f"unseen_with_{name}_px"] for name in ("focal", "radial") if found[name]]
@@ -261,7 +261,7 @@ def _try_refinement(
     limits, bundle, gain = settings.limits, settings.bundle, settings.min_gain
     order = np.unique(seen.frame, return_inverse=True)[1]
     fit_on, judge_on = seen.of(order % 2 == 0), seen.of(order % 2 == 1)
-    trial = fitted(training, fit_on, limits, bundle)
+    trial = fit_cameras(training, fit_on, limits, bundle)
     if trial is None:
         return training, seen, {**report, "reason": "too few points in three cameras to refine"}
     judged_before = error_medians(training, judge_on, limits)[0]
@@ -269,7 +269,7 @@ def _try_refinement(
     report = {**report, "unseen_before_px": judged_before, "unseen_after_px": judged_after}
     helps = judged_after < judged_before * (1 - gain)
     best = trial.cameras if judged_after < judged_before else training
-    lens = lenses_called_for(best, fit_on, judge_on, limits, bundle, settings.lens_change)
+    lens = choose_lens_terms(best, fit_on, judge_on, limits, bundle, settings.lens_change)
     report["lens"] = lens.report
     if not (helps or lens.focal or lens.radial):
         say(
@@ -282,7 +282,7 @@ def _try_refinement(
         settings.lens_change.focal_sigma if lens.focal or lens.radial else 0.0,
         settings.lens_change.radial_sigma if lens.radial else 0.0,
     )
-    refined = fitted(training, seen, limits, bundle, prior)
+    refined = fit_cameras(training, seen, limits, bundle, prior)
     if refined is None:
         return training, seen, {**report, "reason": "too few points in three cameras to refine"}
     report |= {
@@ -291,7 +291,7 @@ def _try_refinement(
         "changes": pose_and_lens_changes(training, refined.cameras, refined.radial),
     }
     _log_changes(report, lens.focal or lens.radial, lens.radial)
-    return refined.cameras, straightened(seen, refined.cameras, refined.radial), report
+    return refined.cameras, remove_radial(seen, refined.cameras, refined.radial), report
 
 
 def _log_changes(report: dict[str, Any], focal: bool, radial: bool) -> None:
@@ -329,7 +329,8 @@ def _on_floor(
     say(f"the floor was put under people's feet: the world moved by {-floor:.3f} m along z")
     shift = np.array([0.0, 0.0, floor])
     lowered = [
-        [moved(c, c.camera_from_world[:3, :3], c.centre_m - shift) for c in group] for group in (training, held_out)
+        [move_camera(c, c.camera_from_world[:3, :3], c.centre_m - shift) for c in group]
+        for group in (training, held_out)
     ]
     return lowered[0], lowered[1], points - shift
 

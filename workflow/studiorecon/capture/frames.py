@@ -18,8 +18,8 @@ from studiorecon.camera_files.calibration import find_lens
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.container import read_film_list
-from studiorecon.footage.frames import about_damage, decode
-from studiorecon.footage.source import FootageSource, PictureRate, digest, open_source, uneven
+from studiorecon.footage.frames import damage_note, decode
+from studiorecon.footage.source import FootageSource, PictureRate, digest, open_source, timing_irregularities
 from studiorecon.footage.video import camera_title, write_lossless
 from studiorecon.geometry.lens import WorkingView, unseen_share, working_view, working_wh
 from studiorecon.progress import progress, say
@@ -131,8 +131,8 @@ def run(
         raise UserError(f"{source} is too large to decode in memory; lower capture.width") from None
     changes = describe_changes(opened, lens, view, used, common.late_frames(camera))
     if damaged:
-        changes.append(about_damage(damaged, opened.frames))
-    if wrong := uneven(clock.times_s, 0):
+        changes.append(damage_note(damaged, opened.frames))
+    if wrong := timing_irregularities(clock.times_s, 0):
         changes.append(wrong)
     write_footage(
         footage,

@@ -23,9 +23,9 @@ from studiorecon.cli.viewer import Viewer
 from studiorecon.configuration.overlays import check_overlay
 from studiorecon.errors import UserError
 from studiorecon.home import CONFIGURATION, HOME, PRESETS, SCHEMA, SNAKEFILE
-from studiorecon.machine.fault import fault_sentence, keep_trace
+from studiorecon.machine.crash_report import fault_sentence, keep_trace
 from studiorecon.machine.output import unbroken_output
-from studiorecon.machine.refusals import refused
+from studiorecon.machine.resource_errors import describe_resource_error
 
 _DEMO = "resources/studio/demo.yaml"
 _PORT = 8642
@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         except UserError as refusal:
             sentence = str(refusal)
         except Exception as error:
-            sentence = refused(error) or fault_sentence(error, keep_trace(error))
+            sentence = describe_resource_error(error) or fault_sentence(error, keep_trace(error))
     print(f"studiorecon: {sentence}", file=sys.stderr)
     return 1
 
@@ -143,12 +143,12 @@ def _demo(options: argparse.Namespace) -> int:
 def _doctor(options: argparse.Namespace) -> int:
     capture = _capture(options.folder)
     if options.folder.is_dir():
-        for sentence in first_findings(options.folder):
+        for sentence in quick_check(options.folder):
             print(sentence, flush=True)
     return _snakemake("doctor", capture, options)
 
 
-def first_findings(folder: Path) -> Iterator[str]:
+def quick_check(folder: Path) -> Iterator[str]:
     """Sentences from files, headers and two pictures of every camera, before the full check; raises UserError without a
     capture.
     """

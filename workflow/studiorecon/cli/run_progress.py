@@ -138,7 +138,7 @@ def read_seconds(path: Path, scene: str) -> dict[str, list[float]]:
     return {**found, **held.get(scene, {})}
 
 
-def keep_seconds(path: Path, scene: str, took: Mapping[str, list[float]]) -> None:
+def record_seconds(path: Path, scene: str, took: Mapping[str, list[float]]) -> None:
     """Add a run's seconds to the file, completely or not at all."""
     try:
         held = json.loads(path.read_text(encoding="utf-8"))

@@ -16,10 +16,10 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.clocks.timeline import common_moments
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
-from studiorecon.keypoints.reading import undistorted
-from studiorecon.keypoints.retiming import on_common_clock
-from studiorecon.rig.bundle import AgreementLimits, CalibrationPrior, fitted
-from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.keypoints.reading import to_pinhole
+from studiorecon.keypoints.resampling import resample_keypoints
+from studiorecon.rig.bundle import AgreementLimits, CalibrationPrior, fit_cameras
+from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import Clock
 from studiorecon.scene.people import Detections
@@ -145,21 +145,21 @@ def _placed(
     beside = max(1, round(_BESIDE_S * moments.fps))
     if moments.frames <= 2 * beside + 1:
         return None
-    timed = [on_common_clock(d, moments, lenses[d.camera][1][1]) for d in asked]
-    given, on = zip(*(undistorted(d, *lenses[d.camera]) for d in timed))
+    timed = [resample_keypoints(d, moments, lenses[d.camera][1][1]) for d in asked]
+    given, on = zip(*(to_pinhole(d, *lenses[d.camera]) for d in timed))
     middle = evenly_spread(moments.frames - 2 * beside, _MOMENTS) + beside
     frames = np.unique(np.concatenate([middle - beside, middle, middle + beside]))
     agreement = AgreementLimits()
-    observations, _ = observe(on, start or given, frames, agreement.gate_m)
+    observations, _ = make_observations(on, start or given, frames, agreement.gate_m)
     if not len(observations.frame):
         return None
     # The moments on either side of the middle one only measure speeds.
-    adjusted = fitted(
+    adjusted = fit_cameras(
         given, observations.of(np.isin(observations.frame, middle)), agreement.limits, CalibrationPrior().bundle
     )
     # Where people give too little evidence, cameras stay at their poses.
     cameras = adjusted.cameras if adjusted else list(start or given)
-    observations, _ = observe(on, cameras, frames, agreement.gate_m)
+    observations, _ = make_observations(on, cameras, frames, agreement.gate_m)
     return _Placed(cameras, observations, moments.fps, _misfit(cameras, observations, agreement.limits))
 
 

@@ -36,7 +36,7 @@ from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.duplicate_films import duplicate_film_note
 from studiorecon.footage.sound_track import read_sound
-from studiorecon.footage.source import FootageSource, PictureRate, open_source, uneven
+from studiorecon.footage.source import FootageSource, PictureRate, open_source, timing_irregularities
 from studiorecon.progress import progress, say, warn
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.clocks import Clock, write_clocks
@@ -314,7 +314,7 @@ def run(
     for clock, source in zip(made, sources):
         if clock.times_s:
             say(
-                f"{source.name}: {uneven(clock.times_s, 0) or 'frames do not come evenly'}; "
+                f"{source.name}: {timing_irregularities(clock.times_s, 0) or 'frames do not come evenly'}; "
                 "every frame is taken at its own time"
             )
     found: list[dict[str, Any]] = []

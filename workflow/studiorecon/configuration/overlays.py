@@ -9,7 +9,7 @@ from pathlib import Path
 import yaml
 
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import read_yaml
+from studiorecon.scene.user_files import read_yaml
 
 
 def check_overlay(path: Path) -> None:

@@ -66,16 +66,16 @@ def read_finished(manifest: Path, model: Path, files: SceneFiles, paths: Sequenc
     """
     capture, (room, marks) = read_manifest(manifest), files.room()
     people, things = files.people(), files.things()
-    finite(room, files.background)
+    require_finite(room, files.background)
     for person, ply in zip(people, files.gaussians):
-        finite(person.gaussians, ply)
+        require_finite(person.gaussians, ply)
     for thing in things:
-        finite(thing.gaussians, Path(f"{files.objects[0]} ({thing.person})"))
+        require_finite(thing.gaussians, Path(f"{files.objects[0]} ({thing.person})"))
     films = {path.stem: read_path(path)[0] for path in paths}
     return FinishedScene(capture.scene, capture, read_model(model.parent), room, marks, people, things, films)
 
 
-def finite(gaussians: Gaussians, source: Path) -> Gaussians:
+def require_finite(gaussians: Gaussians, source: Path) -> Gaussians:
     """The Gaussians as given; raises UserError with ``source`` and the first one that has a non-finite value.
 
     An infinite logit, an opacity of 0 or 1, counts as non-finite.

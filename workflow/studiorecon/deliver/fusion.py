@@ -132,7 +132,7 @@ def fuse(views: Sequence[FusedView], voxel_m: float) -> FusedSurface:
     return _arrays(grid.extract_triangle_mesh(weight_threshold=_MIN_VIEWS).to_legacy())
 
 
-def without(surface: FusedSurface, dropped: Bool[np.ndarray, " V"]) -> FusedSurface:
+def remove_vertices(surface: FusedSurface, dropped: Bool[np.ndarray, " V"]) -> FusedSurface:
     """The surface without the triangles whose three vertices are all ``dropped`` (V,), and without pieces below 15 cm.
 
     Vertices and triangles have a fixed order.
@@ -151,7 +151,7 @@ def without(surface: FusedSurface, dropped: Bool[np.ndarray, " V"]) -> FusedSurf
     return FusedSurface(surface.vertices_m[used][order], triangles, surface.rgb[used][order])
 
 
-def decimated(surface: FusedSurface, triangles: int) -> FusedSurface:
+def decimate(surface: FusedSurface, triangles: int) -> FusedSurface:
     """The surface with at most ``triangles``, by quadric error (Garland and Heckbert 1997); flat parts lose theirs
     first.
     """

@@ -79,7 +79,7 @@ def vertex_normals(vertices_m: Float[np.ndarray, "V 3"], faces: Integer[np.ndarr
     return np.where(length > 0, total / np.where(length > 0, length, 1), [0.0, 1.0, 0.0]).astype(np.float32)
 
 
-def linear(rgb: Num[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
+def srgb_to_linear(rgb: Num[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
     """Displayed colours (sRGB, IEC 61966-2-1) converted to linear light, as glTF requires for vertices."""
     rgb = np.clip(rgb, 0, 1)
     return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
@@ -95,7 +95,7 @@ def add_colours(
     in 0..1.
     """
     colours = np.full((len(rgb), 4), 65535, np.uint16)
-    colours[:, :3] = np.rint(linear(rgb) * 65535)
+    colours[:, :3] = np.rint(srgb_to_linear(rgb) * 65535)
     if opacities is not None:
         colours[:, 3] = np.rint(opacities * 65535)
     held = buffer.add(colours, "VEC4", _USHORT, _ARRAY_BUFFER)
@@ -190,7 +190,7 @@ def motion_channels(buffer: Buffer, person: Person | Avatar, first: int = 0) -> 
     times = buffer.add((np.arange(len(person.poses)) / person.fps).astype(np.float32).reshape(-1, 1), "SCALAR", _FLOAT)
     turned = rotations.exp(person.poses.reshape(-1, 24, 3))
     turned[:, 0] = Y_UP_FROM_Z_UP @ turned[:, 0]
-    quaternions = unflipped(rotations.to_quaternion(turned))[..., [1, 2, 3, 0]].astype(np.float32)
+    quaternions = continuous_quaternions(rotations.to_quaternion(turned))[..., [1, 2, 3, 0]].astype(np.float32)
     places = (person.trans @ Y_UP_FROM_Z_UP.T).astype(np.float32)
     outputs = [buffer.add(places, "VEC3", _FLOAT), *(buffer.add(quaternions[:, j], "VEC4", _FLOAT) for j in range(24))]
     samplers = [{"input": times, "output": output, "interpolation": "LINEAR"} for output in outputs]
@@ -203,7 +203,7 @@ def motion_channels(buffer: Buffer, person: Person | Avatar, first: int = 0) -> 
     return {"samplers": samplers, "channels": channels}
 
 
-def unflipped(quaternions: Float[np.ndarray, "T ... 4"]) -> Float[np.ndarray, "T ... 4"]:
+def continuous_quaternions(quaternions: Float[np.ndarray, "T ... 4"]) -> Float[np.ndarray, "T ... 4"]:
     """The same rotations with signs that never flip from frame to frame: viewers interpolate components (R03)."""
     flips = np.sum(quaternions[1:] * quaternions[:-1], axis=-1, keepdims=True) < 0
     signs = np.cumprod(np.where(flips, -1.0, 1.0), axis=0)

@@ -15,7 +15,7 @@ import numpy as np
 
 from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.deliver.fusion import FusedSurface, decimated, fuse, render_views, without
+from studiorecon.deliver.fusion import FusedSurface, decimate, fuse, remove_vertices, render_views
 from studiorecon.deliver.gltf import Buffer, add_colours, vertex_normals, write_document
 from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
 from studiorecon.deliver.room_planes import Plane, distance_m, kept_faces, planes
@@ -90,7 +90,7 @@ def run(model: Path, background: Path, provenance: Path, room_box: Path, path: P
     between = [steps[i].camera for i in evenly_spread(len(steps), VIEWPOINTS)] if steps else []
     views = render_views(gaussians, marks, [*read_model(model.parent), *between])
     surface = fuse(views, VOXEL_M)
-    standing = decimated(without(surface, distance_m(box, surface.vertices_m) < _OF_PLANE_M), TRIANGLES)
+    standing = decimate(remove_vertices(surface, distance_m(box, surface.vertices_m) < _OF_PLANE_M), TRIANGLES)
     flat = planes(box, views, PLANE_STEP_M, PLANE_VERTICES)
     left_out = [FACES[index] for index in range(len(FACES)) if index not in kept_faces(box)]
     write_room(mesh, flat, standing, left_out)

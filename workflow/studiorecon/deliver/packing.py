@@ -99,7 +99,7 @@ def _table(values: np.ndarray, kind: Any) -> np.ndarray:
     return np.asarray(values, kind).reshape(len(values), int(np.prod(np.shape(values)[1:])))
 
 
-def whole_shares(weights: Float[np.ndarray, "N K"]) -> Integer[np.ndarray, "N K"]:
+def quantise_weights(weights: Float[np.ndarray, "N K"]) -> Integer[np.ndarray, "N K"]:
     """(N, K) uint8 that add up to exactly 255 in every row, nearest to ``weights`` (N, K) that add up to 1.
 
     A splat whose shares add up to less would be pulled towards the origin of the world.
@@ -113,7 +113,7 @@ def whole_shares(weights: Float[np.ndarray, "N K"]) -> Integer[np.ndarray, "N K"
     return (found + (rank < missing[:, None])).astype(np.uint8)
 
 
-def along_a_curve(points_m: Float[np.ndarray, "N 3"]) -> Integer[np.ndarray, " N"]:
+def morton_order(points_m: Float[np.ndarray, "N 3"]) -> Integer[np.ndarray, " N"]:
     """(N,) the order of points (N, 3) along Morton's curve, in which neighbours stay near."""
     if not len(points_m):
         return np.zeros(0, np.int64)

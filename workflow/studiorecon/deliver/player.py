@@ -19,7 +19,7 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.deliver.finished import FinishedScene, read_finished
 from studiorecon.deliver.packing import Bytes
-from studiorecon.deliver.player_data import NEAR_M, described, read_shade
+from studiorecon.deliver.player_data import NEAR_M, describe_scene, read_shade
 from studiorecon.footage.video import Codec, read_frame, read_frames, to_bytes, write_film
 from studiorecon.images.encoded import jpeg
 from studiorecon.progress import say
@@ -53,7 +53,7 @@ QUALITY = 82
 _ALWAYS = ("colours are those before enhancement; only the films show what enhancement adds",)
 
 
-def filmed(
+def add_footage(
     held: Bytes, cameras: Sequence[dict[str, Any]], videos: Sequence[Path], frames: int, fps: float
 ) -> list[str]:
     """Adds to each camera its film if all of them fit, else some photos; returns sentences that say which."""
@@ -68,7 +68,7 @@ def filmed(
             return []
     for camera, video in zip(cameras, videos, strict=True):
         camera["photos"] = [
-            {"frame": int(frame), "file": held.file(jpeg(narrowed(read_frame(video, int(frame))), QUALITY))}
+            {"frame": int(frame), "file": held.file(jpeg(downscale_to_width(read_frame(video, int(frame))), QUALITY))}
             for frame in evenly_spread(frames, PHOTOS)
         ]
     return [
@@ -77,11 +77,11 @@ def filmed(
 
 
 def _film(video: Path, path: Path, frames: int, fps: float) -> bytes:
-    write_film(path, (narrowed(frame) for frame in read_frames(video, 0, frames)), fps, _FILM)
+    write_film(path, (downscale_to_width(frame) for frame in read_frames(video, 0, frames)), fps, _FILM)
     return path.read_bytes()
 
 
-def narrowed(picture: Integer[np.ndarray, "H W 3"], width: int = FILM_WIDTH) -> Integer[np.ndarray, "h w 3"]:
+def downscale_to_width(picture: Integer[np.ndarray, "H W 3"], width: int = FILM_WIDTH) -> Integer[np.ndarray, "h w 3"]:
     """A picture (H, W, 3) uint8, at most ``width`` wide, with even sides, as H.264 requires."""
     wide = min(picture.shape[1], width)
     size = max(wide // 2 * 2, 2), max(round(picture.shape[0] * wide / picture.shape[1] / 2) * 2, 2)
@@ -142,12 +142,12 @@ def run(
     shaded = None
     for path in shade:
         shaded = read_shade(path, finished.room.count)
-    told, sentences = described(finished, held, factors, shaded)
+    told, sentences = describe_scene(finished, held, factors, shaded)
     if shaded is None and finished.people:
         sentences.append(
             "people cast no shadows here: the survey measured no moving shadows, or no light that explains them"
         )
-    sentences += filmed(held, told["cameras"], videos, finished.capture.frames, finished.capture.fps)
+    sentences += add_footage(held, told["cameras"], videos, finished.capture.frames, finished.capture.fps)
     picture = jpeg(render_poster(finished), QUALITY)
     with complete(poster) as partial:
         partial.write_bytes(picture)

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.deliver.finished import FinishedScene
-from studiorecon.deliver.packing import Bytes, along_a_curve
+from studiorecon.deliver.packing import Bytes, morton_order
 from studiorecon.deliver.player_motion import changes, moments, rigid, skeleton, skin
 from studiorecon.geometry import rotations
 from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.scene.intermediate import read
 from studiorecon.scene.path import PathStep
 from studiorecon.scene.schema import ASCENDING, Schema, real, whole
+from studiorecon.scene.step_files import read
 from studiorecon.splatting.conventions import ALPHA_LOG2_MIN, ALPHA_MAX, DILATION_PX2, FRAME_MARGIN
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class Shade:
     factors: Float[np.ndarray, "K M"]
 
 
-def described(
+def describe_scene(
     scene: FinishedScene, held: Bytes, exposure: Factors, shade: Shade | None = None
 ) -> tuple[dict[str, Any], list[str]]:
     """The description that the page reads with the bytes in ``held``, which this fills; and sentences on omitted or
@@ -105,7 +105,7 @@ def gaussians(
     held: Bytes, own: Gaussians, provenance: Integer[np.ndarray, " N"]
 ) -> tuple[dict[str, Any], Integer[np.ndarray, " N"]]:
     """The description of the packed Gaussians, and their new order (N,)."""
-    order = along_a_curve(own.means_m)
+    order = morton_order(own.means_m)
     own = own.take(order)
     found = {
         "count": own.count,

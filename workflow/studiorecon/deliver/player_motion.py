@@ -12,7 +12,7 @@ import numpy as np
 
 from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.avatar.control_points import ControlPoints
-from studiorecon.deliver.packing import Bytes, whole_shares
+from studiorecon.deliver.packing import Bytes, quantise_weights
 from studiorecon.geometry import rotations
 from studiorecon.splatting.rigid_object import RigidObject
 
@@ -73,7 +73,7 @@ def skin(held: Bytes, bones: Integer[np.ndarray, "N J"], weights: Float[np.ndarr
         weights = np.concatenate([weights, np.zeros((count, _BONES - given))], axis=1)
     strongest = np.argsort(-weights, axis=1, kind="stable")[:, :_BONES]
     kept = np.take_along_axis(np.asarray(weights, np.float64), strongest, axis=1)
-    shares = whole_shares(kept / kept.sum(axis=1, keepdims=True))
+    shares = quantise_weights(kept / kept.sum(axis=1, keepdims=True))
     return {"bones": held.whole(np.take_along_axis(bones, strongest, 1), 8), "shares": held.whole(shares, 8)}
 
 
@@ -106,6 +106,6 @@ def changes(
     return {
         "moments": len(times),
         "near": held.whole(near[order], 16),
-        "shares": held.whole(whole_shares(shares[order]), 8),
+        "shares": held.whole(quantise_weights(shares[order]), 8),
         "values": held.levels(values.reshape(len(times), -1), 16, float(values.min()), float(values.max())),
     }, float(np.abs(exact - spread).max()) * 0.28209479177387814

@@ -21,8 +21,8 @@ from studiorecon.deliver.gltf import (
     Buffer,
     add_body,
     add_colours,
+    continuous_quaternions,
     motion_channels,
-    unflipped,
     write_document,
 )
 from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
@@ -95,7 +95,7 @@ def thing_motion(buffer: Buffer, thing: RigidObject, fps: float, node: int) -> d
         return None
     poses = np.stack([thing.pose_at(float(frame)) for frame in known])
     times = buffer.add((known / fps).astype(np.float32)[:, None], "SCALAR", _FLOAT)
-    turns = unflipped(rotations.to_quaternion(Y_UP_FROM_Z_UP @ poses[:, :3, :3]))[:, [1, 2, 3, 0]]
+    turns = continuous_quaternions(rotations.to_quaternion(Y_UP_FROM_Z_UP @ poses[:, :3, :3]))[:, [1, 2, 3, 0]]
     places = (poses[:, :3, 3] @ Y_UP_FROM_Z_UP.T).astype(np.float32)
     outputs = {
         "translation": buffer.add(places, "VEC3", _FLOAT),

@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.deliver.body_colours import body_colours
 from studiorecon.deliver.finished import read_finished
-from studiorecon.deliver.gltf import linear, unflipped
+from studiorecon.deliver.gltf import continuous_quaternions, srgb_to_linear
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES
@@ -78,7 +78,7 @@ def add_gaussians(stage: Any, path: str, own: Gaussians, provenance: Integer[np.
     shown = usd.UsdGeom.PrimvarsAPI(splat)
     names, vertex = usd.Sdf.ValueTypeNames, usd.UsdGeom.Tokens.vertex
     colour = shown.CreatePrimvar("displayColor", names.Color3fArray, vertex)
-    colour.Set(_vectors(linear(0.5 + SH_C0 * own.sh[:, 0])))
+    colour.Set(_vectors(srgb_to_linear(0.5 + SH_C0 * own.sh[:, 0])))
     shown.CreatePrimvar("provenance", names.IntArray, vertex).Set(_whole(provenance))
     return splat
 
@@ -107,7 +107,7 @@ def add_body(stage: Any, path: str, person: Avatar) -> None:
     motion = usd.UsdSkel.Animation.Define(stage, f"{path}/motion")
     motion.CreateJointsAttr(names)
     motion.CreateScalesAttr(usd.Vt.Vec3hArray([usd.Gf.Vec3h(1)] * len(names)))
-    turns = unflipped(rotations.to_quaternion(rotations.exp(person.poses.reshape(-1, 24, 3))))
+    turns = continuous_quaternions(rotations.to_quaternion(rotations.exp(person.poses.reshape(-1, 24, 3))))
     places, turned = motion.CreateTranslationsAttr(), motion.CreateRotationsAttr()
     for frame in range(person.frames):
         offsets_m[0] = person.trans[frame]
@@ -120,7 +120,7 @@ def add_body(stage: Any, path: str, person: Avatar) -> None:
     mesh.CreateSubdivisionSchemeAttr(usd.UsdGeom.Tokens.none)
     colours = body_colours(person)
     if colours:
-        mesh.CreateDisplayColorPrimvar(usd.UsdGeom.Tokens.vertex).Set(_vectors(linear(colours.rgb)))
+        mesh.CreateDisplayColorPrimvar(usd.UsdGeom.Tokens.vertex).Set(_vectors(srgb_to_linear(colours.rgb)))
         marks = usd.UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
             "provenance", usd.Sdf.ValueTypeNames.IntArray, usd.UsdGeom.Tokens.vertex
         )

@@ -19,11 +19,11 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.depth.sweep_settings import Assumed, Near
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
-from studiorecon.footage.stills import decoded
+from studiorecon.footage.stills import read_image
 from studiorecon.geometry.depth_alignment import Alignment, align_depth
-from studiorecon.images.sizes import nearest
+from studiorecon.images.sizes import resample_nearest
 from studiorecon.progress import say
-from studiorecon.scene.outside import read_npy, read_npz
+from studiorecon.scene.user_files import read_npy, read_npz
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def read_estimate(path: Path) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarra
     if path.suffix == ".exr":
         return read_depth(path)
     if path.suffix == ".png":
-        stored = decoded(path, cv2.IMREAD_UNCHANGED)
+        stored = read_image(path, cv2.IMREAD_UNCHANGED)
         if stored.dtype != np.uint16 or stored.ndim != 2:
             raise UserError(f"{path} is not a 16-bit grey picture of millimetres")
         depth = stored.astype(np.float32) / _MILLIMETRES
@@ -80,7 +80,7 @@ def _numbers(path: Path) -> np.ndarray:
         return array.astype(np.float32)
 
 
-def joined(
+def merge_depths(
     estimate: Float[np.ndarray, "H W"],
     sure: Float[np.ndarray, "H W"],
     planes_m: Float[np.ndarray, "H W"],
@@ -111,7 +111,7 @@ def run(settings: Settings, camera: str, model: Path, estimate: Path, planes: Pa
             f"{estimate} is {given.shape[1]}×{given.shape[0]}, another shape than "
             f"camera {camera} ({own.wh[0]}×{own.wh[1]})"
         )
-    given, sure = nearest(given, own.hw), nearest(sure, own.hw)
+    given, sure = resample_nearest(given, own.hw), resample_nearest(sure, own.hw)
     planes_m, planes_sure = read_depth(planes, own.wh)
     measured = planes_sure > settings.default_confidence
     found = align_depth(given, planes_m, measured, np.random.default_rng(0))
@@ -122,7 +122,7 @@ def run(settings: Settings, camera: str, model: Path, estimate: Path, planes: Pa
             "are measured by stereo too; set depth.source to embedded, or bring "
             "metric depth maps (depth/ in the dataset)"
         )
-    depth_m, confidence = joined(given, sure, planes_m, planes_sure, found, settings)
+    depth_m, confidence = merge_depths(given, sure, planes_m, planes_sure, found, settings)
     both = measured & (depth_m > 0)
     gap = float(np.median(np.abs(depth_m[both] / planes_m[both] - 1))) if both.any() else 1.0
     if gap > _WORST_GAP:

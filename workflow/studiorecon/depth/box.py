@@ -18,7 +18,7 @@ from studiorecon.depth.layout import box as room
 from studiorecon.depth.layout import ground_contacts
 from studiorecon.depth.layout.platform import Raised, fit_platform
 from studiorecon.depth.layout.votes import Votes, read_sweeps
-from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
+from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
 from studiorecon.progress import progress, say
 from studiorecon.rig.room_picture import make_room_picture
@@ -67,7 +67,7 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
         axis, side = start.axes[face // 2], 2 * (face % 2) - 1
         edge = side * (side * centres @ axis).max()
         beyond = edge + side * clearance_m
-        offsets = room.strong_offsets(votes.planes, count, axis, beyond, side, least)
+        offsets = room.most_voted_offsets(votes.planes, count, axis, beyond, side, least)
         return room.decide_face(pictures, votes, axis, offsets, beyond, side, how) if offsets else None
 
     walls = {face: offset for face in range(4) if (offset := found(face, settings.wall_clearance_m)) is not None}
@@ -135,7 +135,7 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     """Fit the room box to all sweeps and place the planes inside it."""
     cameras = read_model(model.parent)
     swept = read_sweeps(sweeps, len(cameras))
-    pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
+    pictures = equalise_exposure(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
     fitted = fit_room_box(pictures, swept.votes, swept.yaw_rad, swept.floor_m, settings)
     raised = fit_platform(pictures, fitted.axes, float(fitted.low_m[2]), _matching(settings))
     if raised is not None:

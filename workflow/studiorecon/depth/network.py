@@ -18,7 +18,7 @@ from studiorecon.configuration.setting import setting
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import to_bytes
-from studiorecon.images.sizes import nearest
+from studiorecon.images.sizes import resample_nearest
 from studiorecon.models.catalogue.registry import model as card_of
 from studiorecon.models.choices import DepthSource
 from studiorecon.models.loading import load
@@ -75,7 +75,7 @@ def estimates(
             f"{camera.focal_px[0]:.0f} px ({residual:.1f})"
         )
     return [
-        (nearest(depth, camera.hw), nearest(sure, camera.hw))
+        (resample_nearest(depth, camera.hw), resample_nearest(sure, camera.hw))
         for camera, depth, sure in zip(cameras, found.depths, found.confidences)
     ]
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.depth.layout.votes import read_sweeps
-from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
+from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook
 from studiorecon.footage.video import to_bytes, write_watchable
-from studiorecon.geometry.camera_path import LARGEST_GAP_RAD, between, gaps_around, scene_centre
+from studiorecon.geometry.camera_path import LARGEST_GAP_RAD, gaps_around, interpolate_cameras, scene_centre
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians, concatenate
@@ -74,7 +74,7 @@ def preview_path(cameras: Sequence[Camera]) -> list[Camera]:
     way: list[Camera] = []
     for leg in legs:
         start, end = cameras[leg.first], cameras[leg.second]
-        way += between(start, end, count + 1, centre_m, rotations="slerp", clearance=1.0)[0][:-1]
+        way += interpolate_cameras(start, end, count + 1, centre_m, rotations="slerp", clearance=1.0)[0][:-1]
     if not is_open:
         return way
     way.append(cameras[legs[-1].second])
@@ -92,7 +92,7 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     """Film the room ``box`` with the plates on it, and in front of it the confident planes of the ``sweeps``."""
     cameras = read_model(model.parent)
     swept, fitted = read_sweeps(sweeps, len(cameras)), read_room(box)
-    pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
+    pictures = equalise_exposure(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
     depths_m = swept.votes.inside(pictures, fitted).depths_m(pictures, fitted)
     room, path = discs_from_depths(pictures, depths_m), preview_path([p.camera for p in pictures])
     write_watchable(film, drawn(room, path), _FPS)

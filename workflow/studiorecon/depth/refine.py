@@ -22,7 +22,7 @@ from studiorecon.depth.layout.primitives import Primitive, in_front, read_primit
 from studiorecon.depth.stereo.free_space import snap_to_room_box
 from studiorecon.depth.stereo.passes import Labelled, PassSettings, explain, plane_depths, plane_scores
 from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
-from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
+from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures
 from studiorecon.depth.sweep_settings import Assumed
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
@@ -30,9 +30,9 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.images.warp import sample
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.intermediate import read
 from studiorecon.scene.room import RoomBox, read_room
 from studiorecon.scene.schema import metres
+from studiorecon.scene.step_files import read
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def confidence(
     return np.where(labelled.judged & stated, measured, default_confidence / 2).astype(np.float32)
 
 
-def carry(
+def upsample_indices(
     values: Integer[np.ndarray, "h w"], guide: Float[np.ndarray, "h w 3"], rgb: Float[np.ndarray, "H W 3"]
 ) -> Integer[np.ndarray, "H W"]:
     """(H, W) int index into the flattened small picture: the small pixel whose plane each full-size pixel takes.
@@ -129,7 +129,7 @@ def at_full_size(
 ) -> tuple[Float[np.ndarray, "H W"], Integer[np.ndarray, "H W"]]:
     """(H, W) float32 depth of the carried planes, evaluated exactly at every full-size pixel, and the source index (H,
     W)."""
-    source = carry(labelled.plane, small.rgb, rgb)
+    source = upsample_indices(labelled.plane, small.rgb, rgb)
     plane = planes[labelled.plane.ravel()[source]]
     depth_m = replace(small, camera=camera).plane_depths_of_pixels(plane)
     # A grazing plane can diverge just beyond its pixel: never further than its neighbours' depth.
@@ -138,7 +138,7 @@ def at_full_size(
     return np.where(runaway, found, depth_m).astype(np.float32), source
 
 
-def final_pass(
+def label_at_size(
     cameras: list[Camera],
     pictures: list[Picture],
     index: int,
@@ -208,8 +208,8 @@ def run(
     room = read_room(room_box, names)
     agreed = list(read(passes, {f"depth_{name}": metres(f"H_{name} W_{name}", low=0) for name in names}).values())
     gains = np.stack([room.gains[name] for name in names])
-    pictures = equalised(read_pictures(cameras, plates, settings.refine_width), gains)
-    labelled = final_pass(cameras, pictures, index, room, agreed, settings)
+    pictures = equalise_exposure(read_pictures(cameras, plates, settings.refine_width), gains)
+    labelled = label_at_size(cameras, pictures, index, room, agreed, settings)
     others = [(c.resized(a.shape[::-1]), a) for i, (c, a) in enumerate(zip(cameras, agreed)) if i != index]
     labelled, floating = snap_to_room_box(labelled, pictures[index].camera, room, others)
     say(

@@ -22,7 +22,7 @@ from studiorecon.depth.layout.primitives_picture import sheet
 from studiorecon.depth.layout.visibility import free_ray_points, joint_places
 from studiorecon.depth.layout.votes import read_sweeps
 from studiorecon.depth.stereo.passes import PassSettings, explain, plane_depths, plane_scores
-from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures, surface_gains
+from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures, surface_gains
 from studiorecon.depth.sweep_settings import FirstLook
 from studiorecon.images.encoded import write_png
 from studiorecon.progress import progress, say
@@ -52,7 +52,7 @@ class Settings(PassSettings, FirstLook):
     primitives_gain: float = 40.0
 
 
-def agreeing_depths(
+def consistent_depths(
     pictures: list[Picture],
     room_box: RoomBox,
     primitives: list[Primitive],
@@ -99,10 +99,10 @@ def run(
     """
     cameras = read_model(model.parent)
     swept, fitted = read_sweeps(sweeps, len(cameras)), read_room(box)
-    pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
+    pictures = equalise_exposure(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
     furniture: list[Primitive] = []
     if settings.primitives and len(cameras) > 1:
-        small = equalised(read_pictures(cameras, plates, settings.primitives_width), swept.gains)
+        small = equalise_exposure(read_pictures(cameras, plates, settings.primitives_width), swept.gains)
         bodies, whose = [read_person(path) for path in fits], read_identities(identities[0]) if identities else {}
         free_m = np.concatenate(
             [
@@ -124,7 +124,7 @@ def run(
         say(f"{len(furniture)} boxes and cylinders added to walls and floor")
     seen_m = swept.votes.inside(pictures, fitted).depths_m(pictures, fitted)
     starts = [in_front(furniture, p.camera, depth_m)[0] for p, depth_m in zip(pictures, seen_m)]
-    depths = agreeing_depths(pictures, fitted, furniture, starts, settings)
+    depths = consistent_depths(pictures, fitted, furniture, starts, settings)
     rest, pairs = surface_gains(pictures, depths, settings.window)
     gains = swept.gains * rest
     say(

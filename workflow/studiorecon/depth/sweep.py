@@ -19,7 +19,7 @@ from studiorecon.depth.layout.yaw import matched_yaw
 from studiorecon.depth.stereo.labelling import label
 from studiorecon.depth.stereo.matching import UNKNOWN
 from studiorecon.depth.stereo.planes import hypotheses, rig_centre, wall_yaw
-from studiorecon.depth.stereo.plates import Picture, equalised, floor_and_gains, read_pictures
+from studiorecon.depth.stereo.plates import Picture, equalise_exposure, floor_and_gains, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
 from studiorecon.errors import UserError
 from studiorecon.progress import progress, say
@@ -92,7 +92,7 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
         raise UserError(f"camera {camera} is not in {model}; it holds {', '.join(names)}")
     pictures = read_pictures(cameras, plates, settings.sweep_width)
     floor_m, gains, pairs = floor_and_gains(pictures, settings.window, settings.near_m, settings.far_m)
-    pictures = equalised(pictures, gains)
+    pictures = equalise_exposure(pictures, gains)
     index = names.index(camera)
     say(
         f"exposure of {camera} is {gains[index].mean():.3f} of the rig's mean, from {pairs} "

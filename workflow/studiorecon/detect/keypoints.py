@@ -15,13 +15,13 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import glimpses, stills
 from studiorecon.footage.source import FootageSource, open_source
-from studiorecon.geometry.lens import mapped_lens
-from studiorecon.keypoints.film_check import BORNE_OUT, Film, checked
+from studiorecon.geometry.lens import lens_with_pixel_map
+from studiorecon.keypoints.coordinate_readings import affine
+from studiorecon.keypoints.film_check import BORNE_OUT, Film, check_against_film
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.motion import Motion, measure_motion, small
 from studiorecon.keypoints.numbering import numberings
-from studiorecon.keypoints.possible_readings import affine
 from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.keypoints.reading import Settings, detections_from_detector, detections_from_recorded
 from studiorecon.progress import say, warn
@@ -126,7 +126,7 @@ def _compared(
             found[name] = one.renumbered(usual.frame_of, filmed.frames)
         return found
 
-    verdict = checked(replace(given, layout=chosen), numbers, film, theirs)
+    verdict = check_against_film(replace(given, layout=chosen), numbers, film, theirs)
     for sentence in [*verdict.told, *filter(None, [verdict.refusal])]:
         warn(sentence)
     if verdict.lift is not None and verdict.lift > BORNE_OUT and not verdict.refusal:
@@ -173,7 +173,7 @@ def _as_filmed(camera: str, filmed: FootageSource, frames: int, pixel_map: str) 
     """
     wh = filmed.wh
     intrinsics = np.array([[max(wh), 0, wh[0] / 2], [0, max(wh), wh[1] / 2], [0, 0, 1.0]])
-    lens = mapped_lens(
+    lens = lens_with_pixel_map(
         Lens(camera, wh, intrinsics, "opencv", np.zeros(8), np.eye(4), np.eye(2, 3)), json.loads(pixel_map)
     )
     return lens, Footage(

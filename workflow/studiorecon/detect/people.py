@@ -21,7 +21,7 @@ from studiorecon.footage.frames import decode, glimpses, stills
 from studiorecon.footage.source import open_source
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import to_bytes
-from studiorecon.keypoints.retiming import used_range
+from studiorecon.keypoints.resampling import used_range
 from studiorecon.progress import progress, say, warn
 from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.files import read_json

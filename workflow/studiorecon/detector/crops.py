@@ -13,7 +13,7 @@ import onnxruntime
 
 from studiorecon.arrays import require
 from studiorecon.errors import UserError
-from studiorecon.machine.refusals import starved
+from studiorecon.machine.resource_errors import is_memory_error
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
@@ -91,6 +91,6 @@ def opened(path: Path, cure: str) -> onnxruntime.InferenceSession:
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime raises a dozen types of its own, without a common base
-        if starved(error):
+        if is_memory_error(error):
             raise
         raise UserError(f"{path} cannot be read as an ONNX network ({error}); {cure}") from None

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.images.transfer import ResidualSource, Transfer, carried_over
+from studiorecon.images.transfer import ResidualSource, Transfer, transfer_residual
 from studiorecon.models.choices import EnhancerName
 from studiorecon.models.loading import load
 from studiorecon.models.protocols import Enhancer, Moment
@@ -48,7 +48,9 @@ class ResidualTransfer:
         """
         if self._strength == 0:
             return image
-        residual, cover = carried_over(moment.camera, moment.depth_m, self._sources_at(moment.frame), self._transfer)
+        residual, cover = transfer_residual(
+            moment.camera, moment.depth_m, self._sources_at(moment.frame), self._transfer
+        )
         share = self._strength * cover * (1 - moment.injected)
         return np.clip(image + share[..., None] * residual, 0, 1).astype(np.float32)
 

@@ -42,7 +42,7 @@ def side_by_side(
     return np.concatenate(parts, axis=1)[:, :-_GAP_PX]
 
 
-def wiped(
+def wipe_picture(
     left: Integer[np.ndarray, "H W 3"], right: Integer[np.ndarray, "H W 3"], share: float, words: tuple[str, str]
 ) -> Integer[np.ndarray, "H W 3"]:
     """(H, W, 3) uint8: ``left`` up to ``share`` of the width, ``right`` beyond, a white line between, a label on either
@@ -109,7 +109,7 @@ def run(
                     f"picture {number} of shot {shot} has no photo though the first one has; render the shot again"
                 )
             shown = [raw, output] if photo is None else [raw, output, _fitted(photo, raw.shape)]
-            put(side_by_side(shown, words), wiped(shown[-2], shown[-1], wipe_share(number, fps), words[-2:]))
+            put(side_by_side(shown, words), wipe_picture(shown[-2], shown[-1], wipe_share(number, fps), words[-2:]))
     say(f"{beside} and {wipe} compare {' | '.join(words)} of shot {shot}")
 
 

@@ -23,14 +23,14 @@ import numpy as np
 from studiorecon.enhance.backends import network
 from studiorecon.enhance.injection_settings import Enhancing, Injecting
 from studiorecon.errors import UserError
-from studiorecon.footage.stills import decoded
+from studiorecon.footage.stills import read_image
 from studiorecon.footage.video import read_frames
 from studiorecon.images.encoded import write_png
 from studiorecon.progress import progress, say
 from studiorecon.recursive.clip import enhanced, is_still
 from studiorecon.recursive.flows import load_flow
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.numbered import natural
+from studiorecon.scene.numbered_files import natural
 from studiorecon.scene.path import PathStep
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def read_pictures(source: Path, first: int = 0, count: int | None = None) -> Ite
     if not files:
         raise UserError(f"{source} holds no pictures ({', '.join(sorted(_PICTURES))})")
     for file in files[first:stop]:
-        yield np.ascontiguousarray(decoded(file, cv2.IMREAD_COLOR)[..., ::-1])
+        yield np.ascontiguousarray(read_image(file, cv2.IMREAD_COLOR)[..., ::-1])
 
 
 def run(
@@ -142,4 +142,4 @@ def _earlier(output: Path, first: int, count: int) -> Iterator[np.ndarray]:
                 f"{file} is missing; a part of a clip goes on from the outputs before it: "
                 f"make the pictures from {index} on first"
             )
-        yield np.ascontiguousarray(decoded(file, cv2.IMREAD_COLOR, "make it again")[..., ::-1])
+        yield np.ascontiguousarray(read_image(file, cv2.IMREAD_COLOR, "make it again")[..., ::-1])

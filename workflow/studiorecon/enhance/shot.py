@@ -94,7 +94,7 @@ def run(
         lambda frames: write_watchable(film, frames, fps),
     )
     if made:
-        _write(writers, made_elsewhere(made[0], render, len(steps)), shot, len(steps))
+        _write(writers, read_external_film(made[0], render, len(steps)), shot, len(steps))
         say(f"shot {shot}: the pictures come from {made[0]}")
         write_decisions(decisions, [])
         return
@@ -116,7 +116,7 @@ def run(
         capture.frames,
     )
     training = replace(training, exposure=read_factors(exposure or [], capture.frames))
-    enhancer, enhancement = chosen_enhancer(settings, training, weights, device)
+    enhancer, enhancement = choose_enhancer(settings, training, weights, device)
     say(f"shot {shot}: enhancement is {enhancement.verdict}; {enhancement.reason}")
 
     instead = to_bytes(read_plate(edited[0])[0]) if edited else None
@@ -125,7 +125,7 @@ def run(
         return training.reference(step.camera, training.nearest_frame(step.frame)) if instead is None else instead
 
     search = load_flow(settings.flow, settings.flow_preset, weights, device)
-    injection, called = chosen_injection(settings, drawn, reference, enhancer, search)
+    injection, called = choose_injection(settings, drawn, reference, enhancer, search)
     say(f"shot {shot}: injection is {called.verdict}; {called.reason}")
     write_decisions(decisions, [enhancement, called])
     if isinstance(enhancer, Unchanged) and not injection.history:
@@ -158,13 +158,13 @@ class Drawn:
         return (np.where(level > 0, depth, 0) for depth, level in zip(depths, levels, strict=True))
 
 
-def chosen_enhancer(settings: Settings, training: Training, weights: Path, device: str) -> tuple[Enhancer, Decision]:
+def choose_enhancer(settings: Settings, training: Training, weights: Path, device: str) -> tuple[Enhancer, Decision]:
     """The enhancer of the film, and the decision: the selected network, or the residual transfer if it gains enough."""
     if settings.enhancer != "residual":
         on = settings.enhancer != "none"
         decision = settled(ENHANCEMENT, on, f"enhance.enhancer is {settings.enhancer}")
         (decision,) = forced([decision], _of(settings.force, ENHANCEMENT.name))
-        decision = decision if on else nothing_added(decision)
+        decision = decision if on else no_enhancement(decision)
         name = settings.enhancer if decision.called_for else "none"
         return network(name, weights, device, settings.seed), decision
     if settings.strength == "auto":
@@ -175,14 +175,14 @@ def chosen_enhancer(settings: Settings, training: Training, weights: Path, devic
         strength = float(settings.strength)
         decision = settled(ENHANCEMENT, strength > 0, f"enhance.strength is {strength:g}")
     (decision,) = forced([decision], _of(settings.force, ENHANCEMENT.name))
-    decision = decision if strength else nothing_added(decision)
+    decision = decision if strength else no_enhancement(decision)
     if not decision.called_for:
         return Unchanged(), decision
     latest = lru_cache(maxsize=1)(lambda frame: training.sources(frame, settings.transfer))
     return ResidualTransfer(lambda frame: latest(training.nearest_frame(frame)), strength, settings.transfer), decision
 
 
-def nothing_added(decision: Decision) -> Decision:
+def no_enhancement(decision: Decision) -> Decision:
     """A decision against enhancement where there is nothing to add, even if it was forced: the film is the render."""
     if not decision.called_for:
         return decision
@@ -191,7 +191,7 @@ def nothing_added(decision: Decision) -> Decision:
     return replace(decision, verdict="off", reason=reason)
 
 
-def chosen_injection(
+def choose_injection(
     settings: Settings,
     drawn: Drawn,
     reference: Callable[[PathStep], Integer[np.ndarray, "h w 3"]],
@@ -219,7 +219,7 @@ def _of(verdicts: Mapping[str, str], effect: str) -> dict[str, str]:
     return {effect: verdicts[effect]} if effect in verdicts else {}
 
 
-def made_elsewhere(film: Path, render: Path, count: int) -> Iterator[Integer[np.ndarray, "h w 3"]]:
+def read_external_film(film: Path, render: Path, count: int) -> Iterator[Integer[np.ndarray, "h w 3"]]:
     """(h, w, 3) uint8 pictures of a film that another tool made from a shot's render.
 
     Raises UserError when number or size of the pictures differ.

@@ -18,7 +18,7 @@ from studiorecon.enhance.photos import Training
 from studiorecon.footage.video import read_frames_from, to_float
 from studiorecon.geometry.statistics import NOTHING, Estimate, mean, median
 from studiorecon.images.flow import one_thread
-from studiorecon.images.transfer import Transfer, best_strength, carried_over
+from studiorecon.images.transfer import Transfer, best_strength, transfer_residual
 from studiorecon.images.warp import warp
 from studiorecon.models.protocols import Enhancer, Flow, Moment
 from studiorecon.recursive.alignment import backward_flow
@@ -52,7 +52,7 @@ def transfer_strength(training: Training, frames: int, transfer: Transfer, thres
         sources = training.sources(int(frame), transfer)
         for index, own in enumerate(sources):
             others = sources[:index] + sources[index + 1 :]
-            found, cover = carried_over(own.camera, own.depth_m, others, transfer)
+            found, cover = transfer_residual(own.camera, own.depth_m, others, transfer)
             predicted[index].append((found, cover))
             smoothed[index].append(own.residual)
             whole, added = training.residual(index, int(frame)), cover[..., None] * found

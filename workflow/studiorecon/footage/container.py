@@ -10,7 +10,7 @@ import av
 from av.codec.codec import Properties
 from av.stream import Disposition
 
-from studiorecon.scene.outside import read_text
+from studiorecon.scene.user_files import read_text
 
 # Until PyAV 19 a tag that is not UTF-8 makes opening fail without this argument; from 19 on such bytes become lone
 # surrogates, and the argument is gone.
@@ -21,7 +21,7 @@ CHAPTERS = ".ffconcat"
 """Suffix of a list of films that are one recording (``chapters``)."""
 
 
-def opened(path: Path | str) -> av.container.InputContainer:
+def open_container(path: Path | str) -> av.container.InputContainer:
     """The container at ``path``, for use in a ``with``; raises av.FFmpegError when it is none."""
     if Path(path).suffix == CHAPTERS:
         # safe: its films are in other folders, and the list is our own.
@@ -61,10 +61,10 @@ def film_stream(container: av.container.InputContainer) -> av.VideoStream:
     return stream
 
 
-def keeps_every_pixel(film: Path) -> bool:
+def is_lossless(film: Path) -> bool:
     """Whether a film is stored losslessly."""
     try:
-        with opened(film) as container:
+        with open_container(film) as container:
             context = film_stream(container).codec_context
     except (av.FFmpegError, IndexError):
         return False

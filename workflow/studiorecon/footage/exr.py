@@ -15,9 +15,9 @@ from studiorecon.arrays import require
 from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.scene.files import complete
-from studiorecon.scene.intermediate import CURE, step_file_context
-from studiorecon.scene.outside import first_line
 from studiorecon.scene.schema import check, metres, real
+from studiorecon.scene.step_files import CURE, step_file_context
+from studiorecon.scene.user_files import first_line
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Num

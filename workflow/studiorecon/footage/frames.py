@@ -16,11 +16,11 @@ import numpy as np
 from av.video.reformatter import VideoReformatter
 
 from studiorecon.errors import UserError
-from studiorecon.footage.container import film_stream, opened
+from studiorecon.footage.container import film_stream, open_container
 from studiorecon.footage.source import FootageSource
-from studiorecon.footage.stills import decoded
+from studiorecon.footage.stills import read_image
 from studiorecon.footage.timing import film_frames, shown_frames
-from studiorecon.machine.refusals import without_thread
+from studiorecon.machine.resource_errors import without_thread
 from studiorecon.progress import warn
 
 if TYPE_CHECKING:
@@ -65,10 +65,10 @@ def decode(
     if damaged is not None:
         damaged += missing
     elif missing:
-        warn(f"{source.path}: {about_damage(missing, stop - first)}")
+        warn(f"{source.path}: {damage_note(missing, stop - first)}")
 
 
-def about_damage(damaged: Sequence[int], count: int) -> str:
+def damage_note(damaged: Sequence[int], count: int) -> str:
     """The sentence about the numbers of ``damaged`` frames among ``count``."""
     return (
         f"{len(damaged)} of {count} frames are damaged, frame {damaged[0]} first: the picture before each is shown "
@@ -106,7 +106,7 @@ def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.nd
     form = source.form
     assert form is not None
     try:
-        with opened(source.path) as container:
+        with open_container(source.path) as container:
             found = list(_frames_at(source, container, wanted))
     except (av.FFmpegError, IndexError) as error:
         if without_thread(error):
@@ -138,7 +138,7 @@ def small_grey(source: FootageSource, width: int, count: int) -> Iterator[Intege
             # A JPEG read grey and small takes a fraction of the time.
             halved = min(int(np.log2(shrink)), len(_HALVED) - 1)
             for path in source.pictures[:count]:
-                yield cv2.resize(decoded(path, _HALVED[halved]), small, interpolation=cv2.INTER_AREA)
+                yield cv2.resize(read_image(path, _HALVED[halved]), small, interpolation=cv2.INTER_AREA)
             return
         # One for all frames: its setup takes several times as long as a frame.
         shrinking = VideoReformatter()
@@ -254,7 +254,7 @@ def _of_one_size(source: FootageSource, frames: Iterator[av.VideoFrame]) -> Iter
 
 def _decode_folder(source: FootageSource, paths: Sequence[Path]) -> Iterator[np.ndarray]:
     for path in paths:
-        picture = decoded(path, cv2.IMREAD_COLOR, "replace it, or leave its frame out with frames: in capture.yaml")
+        picture = read_image(path, cv2.IMREAD_COLOR, "replace it, or leave its frame out with frames: in capture.yaml")
         if (picture.shape[1], picture.shape[0]) != source.wh:
             size = f"{picture.shape[1]}×{picture.shape[0]}"
             raise UserError(

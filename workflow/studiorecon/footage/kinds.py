@@ -9,7 +9,7 @@ from pathlib import Path
 import av
 from av.format import ContainerFormat
 
-from studiorecon.footage.container import film_streams, opened
+from studiorecon.footage.container import film_streams, open_container
 
 # The library's names of the containers of recorded films, with their suffixes. Its other ones hold single pictures,
 # text, sound, or pictures without a size.
@@ -45,7 +45,7 @@ def is_film(path: Path) -> bool:
     if path.suffix.lower() in _SOUND or not path.is_file():
         return False
     try:
-        with opened(path) as container:
+        with open_container(path) as container:
             return not _CONTAINERS.isdisjoint(container.format.name.split(",")) and bool(film_streams(container))
     except (av.FFmpegError, OSError, ValueError):
         return False

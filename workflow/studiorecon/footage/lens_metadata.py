@@ -17,7 +17,7 @@ import av
 import cv2
 import numpy as np
 
-from studiorecon.footage.container import opened, read_film_list
+from studiorecon.footage.container import open_container, read_film_list
 
 _KEY = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 _FILM_DIAGONAL_MM = float(np.hypot(36.0, 24.0))
@@ -45,7 +45,7 @@ def focal_px_from_metadata(path: Path, wh: tuple[int, int]) -> float | None:
 
 def _of_film(path: Path) -> float | None:
     try:
-        with opened(path) as container:
+        with open_container(path) as container:
             tags = dict(container.metadata)
             for stream in container.streams.video:
                 tags |= dict(stream.metadata)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import av
 import numpy as np
 
-from studiorecon.footage.container import opened
+from studiorecon.footage.container import open_container
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -26,7 +26,7 @@ def read_sound(path: Path) -> Float[np.ndarray, " N"] | None:
     if path.is_dir():
         return None
     try:
-        with opened(path) as container:
+        with open_container(path) as container:
             tracks = [n for n, stream in enumerate(container.streams.audio) if stream.codec_context is not None]
     except (av.FFmpegError, ValueError):
         return None
@@ -37,7 +37,7 @@ def _samples(path: Path, track: int) -> np.ndarray | None:
     pieces: list[np.ndarray] = []
     first_s = 0.0
     try:
-        with opened(path) as container:
+        with open_container(path) as container:
             resampler = av.AudioResampler(format="flt", layout="mono", rate=RATE_HZ)
             for frame in container.decode(container.streams.audio[track]):
                 first_s = first_s if pieces else float(frame.time or 0.0)

@@ -16,13 +16,13 @@ import numpy as np
 
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.footage.container import film_stream, film_streams, opened, read_film_list
+from studiorecon.footage.container import film_stream, film_streams, open_container, read_film_list
 from studiorecon.footage.display_form import StoredFormat, stored_format
-from studiorecon.footage.stills import decoded
+from studiorecon.footage.stills import read_image
 from studiorecon.footage.timing import read_timing, shown_frames
-from studiorecon.machine.refusals import without_thread
+from studiorecon.machine.resource_errors import without_thread
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
-from studiorecon.scene.numbered import gaps_named, pictures_in
+from studiorecon.scene.numbered_files import gaps_named, pictures_in
 
 _READ_BYTES = 1 << 20
 # Cameras film 80 megapixels at most (12K); a decoder allocates several times the size in the header.
@@ -157,7 +157,7 @@ def _open_film(path: Path, stamp: tuple[int, int]) -> FootageSource:
 @lru_cache(maxsize=64)
 def _probe_first_frame(path: Path, _: tuple[int, int]) -> tuple[StoredFormat, tuple[str, ...]]:
     """How the frames of a film are stored, by its header and its first picture, and sentences about that."""
-    with _as_film(path), opened(path) as container:
+    with _as_film(path), open_container(path) as container:
         streams = film_streams(container)
         if not streams:
             kinds = "sound" if container.streams.audio else "none"
@@ -192,7 +192,7 @@ def _as_film(path: Path) -> Iterator[None]:
         ) from None
 
 
-def uneven(times_s: Sequence[float], first: int) -> str | None:
+def timing_irregularities(times_s: Sequence[float], first: int) -> str | None:
     """A sentence about uneven times (seconds) of successive frames from ``first`` on; None if they are even.
 
     A dropped frame shifts all that follow.
@@ -232,7 +232,7 @@ def _open_folder(path: Path, picture_fps: float) -> FootageSource:
             f"{path} lacks the pictures {missing}, so every later frame would be at another time than in the other "
             "cameras; copy the pictures again, or number them without a gap"
         )
-    first = decoded(pictures[0], cv2.IMREAD_COLOR)
+    first = read_image(pictures[0], cv2.IMREAD_COLOR)
     note = f"a folder of pictures has no frame rate: {picture_fps:g} per second, as capture.picture_fps says"
     return FootageSource(
         path,

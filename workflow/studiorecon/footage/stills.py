@@ -12,8 +12,8 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.errors import UserError
-from studiorecon.scene.intermediate import CURE, require_size
-from studiorecon.scene.outside import read_bytes
+from studiorecon.scene.step_files import CURE, require_size
+from studiorecon.scene.user_files import read_bytes
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Num, Shaped
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def decoded(path: Path, flags: int, cure: str = "replace it") -> Shaped[np.ndarray, "H W ..."]:
+def read_image(path: Path, flags: int, cure: str = "replace it") -> Shaped[np.ndarray, "H W ..."]:
     """The picture of a file as decoded by OpenCV (BGR); raises UserError, which ends in ``cure``, when missing or
     unreadable."""
     data = read_bytes(path)
@@ -58,7 +58,7 @@ def read_plate(
     Without alpha all pixels are measured. 8- and 16-bit files are read. ``wh``: the size of a plate that a step made.
     Raises UserError naming the file.
     """
-    stored = decoded(path, cv2.IMREAD_UNCHANGED, "replace it" if wh is None else CURE)
+    stored = read_image(path, cv2.IMREAD_UNCHANGED, "replace it" if wh is None else CURE)
     if stored.dtype not in (np.uint8, np.uint16):
         raise UserError(f"{path} holds {stored.dtype} numbers; save it as an 8- or 16-bit picture")
     if stored.ndim == 2:

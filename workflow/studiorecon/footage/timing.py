@@ -14,8 +14,8 @@ import av
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.footage.container import film_stream, film_streams, opened
-from studiorecon.machine.refusals import without_thread
+from studiorecon.footage.container import film_stream, film_streams, open_container
+from studiorecon.machine.resource_errors import without_thread
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -83,7 +83,7 @@ def read_timing(path: Path) -> Timing:
     Else it is that of the undamaged frames after decoding all of it. Raises UserError naming the file when nothing can
     be decoded, or neither its times nor its header give a rate.
     """
-    with opened(path) as container:
+    with open_container(path) as container:
         stream = film_stream(container)
         rate = float(stream.average_rate or stream.guessed_rate or 0)
         # QuickTime's index excludes frames that its edit list hides at the ends, its count includes them.
@@ -133,7 +133,7 @@ def film_frames(path: Path) -> Iterator[av.VideoFrame]:
     """
     done = 0
     for threads in ("AUTO", "SLICE"):
-        with opened(path) as container:
+        with open_container(path) as container:
             if not film_streams(container):
                 return
             stream = film_stream(container)
@@ -208,7 +208,7 @@ def _packets(path: Path) -> _Packets:
     decoded: list[float] = []
     hidden, whole = 0, True
     try:
-        with opened(path) as container:
+        with open_container(path) as container:
             stream = film_stream(container)
             for packet in container.demux(stream):
                 whole = whole and not packet.is_corrupt
@@ -234,7 +234,7 @@ def _decoded(path: Path, from_s: float | None = None, most: int | None = None) -
     """
     if from_s is None:
         return _timed(islice(film_frames(path), most))
-    with opened(path) as container:
+    with open_container(path) as container:
         stream = film_stream(container)
         if stream.time_base is not None:
             container.seek(int(from_s / stream.time_base), stream=stream, backward=True)
@@ -267,7 +267,7 @@ def _of_one_size(path: Path, times_s: np.ndarray) -> tuple[int, tuple[int, int] 
 
     A film changes its size at key frames only, and rarely back: where the last one's differs, they are bisected.
     """
-    with opened(path) as container:
+    with open_container(path) as container:
         stream = film_stream(container)
         assert stream.time_base is not None
         first = next(shown_frames(container, stream))

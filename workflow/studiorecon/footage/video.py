@@ -20,11 +20,11 @@ import cv2
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.footage.container import opened
-from studiorecon.machine.refusals import without_thread
+from studiorecon.footage.container import open_container
+from studiorecon.machine.resource_errors import without_thread
 from studiorecon.scene.capture import read_footage
 from studiorecon.scene.files import complete
-from studiorecon.scene.intermediate import expect, step_file_context
+from studiorecon.scene.step_files import expect, step_file_context
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
@@ -150,7 +150,7 @@ def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator
         raise UserError(f"{path} is missing")
     number = -1
     try:
-        with opened(path) as container:
+        with open_container(path) as container:
             stream = container.streams.video[0]
             held = _as_captured(path, container, stream)
             stop = held if stop is None else stop
@@ -179,7 +179,7 @@ def read_frames_from(path: Path, start: int, stop: int) -> Iterator[Integer[np.n
         raise UserError(f"{path} is missing")
     expected = start
     try:
-        with opened(path) as container:
+        with open_container(path) as container:
             stream = container.streams.video[0]
             _as_captured(path, container, stream)
             stream.thread_type = "AUTO"

@@ -98,14 +98,14 @@ def adjust_with_lenses(
     state, _ = _solve(problem, points_m, settings.iterations)
     found = []
     for v, camera in enumerate(cameras):
-        turned = moved(camera, state.rotations[v], state.centres[v])
+        turned = move_camera(camera, state.rotations[v], state.centres[v])
         factor = np.where(np.diag([True, True, False]), np.exp(state.lens[v, 0]), 1.0)
         found.append(replace(turned, intrinsics=camera.intrinsics * factor))
     sigma, error = problem.accuracy(state)
     return Adjusted(found, state.points, state.lens[:, 1].copy(), sigma, error)
 
 
-def moved(
+def move_camera(
     camera: Camera, rotation_camera_from_world: Num[np.ndarray, "3 3"], centre_m: Num[np.ndarray, " 3"]
 ) -> Camera:
     """The camera at another pose."""
@@ -114,7 +114,7 @@ def moved(
     return replace(camera, camera_from_world=pose)
 
 
-def without_drift(
+def remove_drift(
     adjusted: Sequence[Camera], given: Sequence[Camera], weights: Sequence[float] | None = None
 ) -> tuple[list[Camera], tuple[Num[np.ndarray, "3 3"], Num[np.ndarray, " 3"], float]]:
     """The adjusted cameras without their common rotation, translation and scale against the given ones, and that
@@ -139,7 +139,7 @@ def without_drift(
     scale = float((old_off * (new_off @ rotation.T)).sum() / max((new_off**2).sum(), 1e-12)) if len(new) > 1 else 1.0
     translation = old_middle - scale * rotation @ new_middle
     back = [
-        moved(c, c.camera_from_world[:3, :3] @ rotation.T, scale * rotation @ c.centre_m + translation)
+        move_camera(c, c.camera_from_world[:3, :3] @ rotation.T, scale * rotation @ c.centre_m + translation)
         for c in adjusted
     ]
     return back, (rotation, translation, scale)

@@ -118,7 +118,7 @@ def with_pose(camera: Camera, world_from_camera: Num[np.ndarray, "3 3"], centre_
     return replace(camera, camera_from_world=camera_from_world)
 
 
-def straight(
+def straight_path(
     start_m: Num[np.ndarray, " 3"], end_m: Num[np.ndarray, " 3"], shares: Num[np.ndarray, " N"]
 ) -> Num[np.ndarray, "N 3"]:
     """(N, 3) points on the chord at ``shares`` (N,) of the way. Raises ValueError for other shapes."""
@@ -128,7 +128,7 @@ def straight(
     return start_m + shares[:, None] * (end_m - start_m)
 
 
-def arc(
+def arc_path(
     start_m: Num[np.ndarray, " 3"],
     end_m: Num[np.ndarray, " 3"],
     shares: Num[np.ndarray, " N"],
@@ -170,7 +170,7 @@ def axis_miss_rad(camera: Camera, target_m: Num[np.ndarray, " 3"]) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(camera.forward, direction)), camera.forward @ direction))
 
 
-def between(
+def interpolate_cameras(
     start: Camera,
     end: Camera,
     count: int,
@@ -191,10 +191,10 @@ def between(
     if count < 1:
         raise ValueError(f"count must be at least 1, not {count}")
     shares = np.arange(count) / max(count - 1, 1)
-    points = straight(start.centre_m, end.centre_m, shares)
+    points = straight_path(start.centre_m, end.centre_m, shares)
     bent = clearance_share(points, centre_m) < clearance
     if bent:
-        points = arc(start.centre_m, end.centre_m, shares, centre_m)
+        points = arc_path(start.centre_m, end.centre_m, shares, centre_m)
     turned_a, turned_b = start.world_from_camera[:3, :3], end.world_from_camera[:3, :3]
     if rotations == "slerp":
         if half_turn(turned_a, turned_b):

@@ -149,7 +149,7 @@ def calibration_from_video(pixel_map: Sequence[float] | None) -> Num[np.ndarray,
     return np.array([[1 / scale, 0, -x / scale], [0, 1 / scale, -y / scale]])
 
 
-def placed_as_given(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:
+def apply_pixel_map(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:
     """The lens with its video's position from capture.yaml, which may be the identity; unchanged without one."""
     if not pixel_map:
         return lens
@@ -157,7 +157,7 @@ def placed_as_given(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:
     return placed if placed.has_place else replace(placed, placed="as pixel_maps in capture.yaml says")
 
 
-def mapped_lens(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:
+def lens_with_pixel_map(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:
     """A lens known in pixels of the video, converted to calibration pixels by ``pixel_map`` (s, x, y)."""
     if not pixel_map:
         return lens

@@ -152,13 +152,13 @@ def resection(
         turn, shift = cv2.solvePnPRefineLM(points[inliers], pixels[inliers], np.eye(3), None, turn, shift)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = exp(turn[:, 0]), shift[:, 0]
-        inliers = misses(pose, points, pixels) < unit
+        inliers = reprojection_distances(pose, points, pixels) < unit
         if inliers.sum() < _MIN_PAIRS:
             return None
     return pose, inliers
 
 
-def misses(
+def reprojection_distances(
     camera_from_world: Num[np.ndarray, "4 4"], points_m: Num[np.ndarray, "N 3"], normalised: Num[np.ndarray, "N 2"]
 ) -> Num[np.ndarray, " N"]:
     """Distance between projected world points and ``normalised``; inf behind the camera."""

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from studiorecon.footage.stills import decoded
+from studiorecon.footage.stills import read_image
 from studiorecon.models.catalogue.selection import CANONICAL
 from studiorecon.models.loading import load
 from studiorecon.progress import say
@@ -25,7 +25,7 @@ _INSIDE = 128
 
 def run(photo: Path, weights: Place, gaussians: Written) -> None:
     """Write the canonical Gaussians of the person in ``photo`` (PNG with alpha)."""
-    stored = decoded(photo, cv2.IMREAD_UNCHANGED)
+    stored = read_image(photo, cv2.IMREAD_UNCHANGED)
     network = load("canonical avatar", CANONICAL, weights, "cuda")
     made = network.avatar(np.ascontiguousarray(stored[..., 2::-1]), stored[..., 3] >= _INSIDE)
     name = photo.name.partition(".")[0]

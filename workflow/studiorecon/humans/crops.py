@@ -109,7 +109,7 @@ def box_around(
     return left, top, right, bottom
 
 
-def cut(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
+def crop_camera(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
     """The part of a camera inside a pixel box; only the principal point moves."""
     left, top, right, bottom = box
     intrinsics = camera.intrinsics.copy()
@@ -200,7 +200,9 @@ def person_crops(
         left, top, right, bottom = box
         body = silhouette(pixels - [left, top], (bottom - top, right - left))
         picture = np.ascontiguousarray(rgb[top:bottom, left:right])
-        yield TrainingCrop(frame, view, cut(camera, box), picture, label_map[top:bottom, left:right].copy(), body)
+        yield TrainingCrop(
+            frame, view, crop_camera(camera, box), picture, label_map[top:bottom, left:right].copy(), body
+        )
 
 
 def mask_inset_px(looks: Iterable[TrainingCrop], label: int) -> int:

@@ -40,7 +40,7 @@ _PATCH = 25
 _OUTLINE_PX = 3
 
 
-def followed(
+def track_brightness(
     crops: Sequence[Crop],
     draw: Callable[[Crop], Float[np.ndarray, "h w 3"]],
     posing: Posing,

@@ -18,7 +18,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.errors import UserError
 from studiorecon.humans.start_settings import Started
-from studiorecon.humans.surface_samples import gaussians_on, started
+from studiorecon.humans.surface_samples import gaussians_on, initial_samples
 from studiorecon.progress import say
 from studiorecon.scene.gaussians import sh_from_rgb
 from studiorecon.scene.gaussians_ply import write_ply
@@ -41,7 +41,7 @@ class Settings(Started):
     """Number of Gaussians, and the seed of their positions."""
 
 
-def chequered(points_m: Float[np.ndarray, "N 3"], parts: Shaped[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"]:
+def chequered_colours(points_m: Float[np.ndarray, "N 3"], parts: Shaped[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"]:
     """(N, 3) colours of rest-pose points (N, 3) on parts (N,) named as in a body model: squares of 7 cm, every other
     darker."""
     base = np.array([_COLOURS.get(str(part), _COLOURS["skin"]) for part in parts])
@@ -60,9 +60,9 @@ def run(settings: Settings, body: Path, fit: Path, gaussians: Written) -> None:
     rest = model.rest_vertices(person.betas)
     names = np.array(model.region_names)[model.region]
     faces = model.faces[names[model.faces[:, 0]] != "inside"]
-    samples = started(rest, faces, model.weights, settings, np.random.default_rng(settings.seed))
+    samples = initial_samples(rest, faces, model.weights, settings, np.random.default_rng(settings.seed))
     parts = names[scipy.spatial.cKDTree(rest).query(samples.points_m)[1]]
     made = gaussians_on(samples, 0)
-    made.sh[:, 0] = sh_from_rgb(chequered(samples.points_m, parts))
+    made.sh[:, 0] = sh_from_rgb(chequered_colours(samples.points_m, parts))
     write_ply(gaussians, made)
     say(f"{person.name}: the bare body of this build, {made.count} Gaussians in {gaussians.name}")

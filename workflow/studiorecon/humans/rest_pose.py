@@ -11,7 +11,7 @@ import numpy as np
 
 from studiorecon.arrays import evenly_spread
 from studiorecon.body.avatar.posing import Posing
-from studiorecon.body.avatar.weight_grid import WeightGrid, build_weight_grid, every_bone, strongest
+from studiorecon.body.avatar.weight_grid import WeightGrid, all_bone_weights, build_weight_grid, strongest
 from studiorecon.body.model import BodyModel
 from studiorecon.humans.colours import add_evidence, nearest_surface
 from studiorecon.humans.crops import Crop
@@ -20,9 +20,9 @@ from studiorecon.humans.surface_samples import (
     SurfaceSamples,
     fill_unseen,
     gaussians_on,
+    initial_samples,
     mirrored,
     neighbours,
-    started,
 )
 from studiorecon.humans.train_settings import Settings
 from studiorecon.progress import say
@@ -55,10 +55,10 @@ def skinning_weights(
     if settings.skinning == "surface":
         return *strongest(samples.weights), None
     grid = build_weight_grid(vertices_m, weights, settings.grid_resolution, settings.grid_margin)
-    return *every_bone(grid, samples.points_m), grid
+    return *all_bone_weights(grid, samples.points_m), grid
 
 
-def first_colours(
+def initial_colours(
     samples: SurfaceSamples, posing: Posing, motion: RefinedMotion, crops: Sequence[Crop]
 ) -> tuple[Float[np.ndarray, "N 3"], Bool[np.ndarray, " N"]]:
     """Colours (N, 3) float64 and ``seen`` (N,) bool from up to 160 crops spread over the clip; unseen rows are grey."""
@@ -115,7 +115,7 @@ class RestPose:
     seen: Bool[np.ndarray, " N"]
 
 
-def rest_pose(
+def build_rest_pose(
     settings: Settings,
     person: str,
     fitted: Person,
@@ -127,12 +127,12 @@ def rest_pose(
     rest_m = body_model.rest_vertices(fitted.betas)
     outside = np.array([name != "inside" for name in body_model.region_names])
     faces = body_model.faces[outside[body_model.region[body_model.faces[:, 0]]]]
-    samples = started(rest_m, faces, body_model.weights, settings, rng)
+    samples = initial_samples(rest_m, faces, body_model.weights, settings, rng)
     bones, weights, grid = skinning_weights(samples, rest_m, body_model.weights, settings)
     posing = Posing(bones, weights)
     held = () if settings.additions.pose_joints == "all" else HELD
     motion = RefinedMotion(fitted.poses, fitted.trans, body_model.rest_joints(fitted.betas), body_model.parents, held)
-    colours, seen = first_colours(samples, posing, motion, crops)
+    colours, seen = initial_colours(samples, posing, motion, crops)
     near, twin = neighbours(samples, NEIGHBOURS), mirrored(samples, 2 * samples.spacing_m)
     degree = supported_degree(settings, motion, crops)
     if degree < settings.sh_degree:

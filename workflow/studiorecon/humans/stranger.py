@@ -17,7 +17,7 @@ from studiorecon.detector.blazepose import MASK_PX, BlazePose, Landmarks
 from studiorecon.detector.looking import detect_new_people
 from studiorecon.detector.windows import grid
 from studiorecon.errors import UserError
-from studiorecon.footage.stills import decoded, read_plate
+from studiorecon.footage.stills import read_image, read_plate
 from studiorecon.images.encoded import write_png
 from studiorecon.progress import say
 from studiorecon.signature import Written
@@ -44,7 +44,7 @@ def whole_mask(seen: Landmarks, wh: tuple[int, int]) -> Float[np.ndarray, "h w"]
     return cv2.warpAffine(grey, affine, wh, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
 
 
-def cut_out(picture: Integer[np.ndarray, "H W 3"], sure: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
+def segment_person(picture: Integer[np.ndarray, "H W 3"], sure: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     """(H, W) bool: the person in ``picture`` (H, W, 3 uint8) by colours, where ``sure`` (H, W) in [0, 1] is undecided;
     one region."""
     height, width = sure.shape
@@ -70,7 +70,7 @@ def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
 
     Raises UserError for a photo without people, or with several people of similar size.
     """
-    stored = decoded(photo, cv2.IMREAD_UNCHANGED)
+    stored = read_image(photo, cv2.IMREAD_UNCHANGED)
     if stored.ndim == 3 and stored.shape[-1] == 4:
         rgb, own = read_plate(photo)
         picture = np.rint(255 * rgb).astype(np.uint8)
@@ -79,7 +79,7 @@ def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
         say(f"{stranger}: the photo's alpha is the mask")
     else:
         # Decoded again, because this way the photo's orientation tag is applied.
-        picture = np.ascontiguousarray(decoded(photo, cv2.IMREAD_COLOR)[..., ::-1])
+        picture = np.ascontiguousarray(read_image(photo, cv2.IMREAD_COLOR)[..., ::-1])
         wh = picture.shape[1], picture.shape[0]
         found = detect_new_people(BlazePose(networks[0], networks[1]), picture, grid(wh), [])
         found = sorted(found, key=lambda seen: -seen.region.side)
@@ -89,7 +89,7 @@ def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
             if found[1].region.side * _MEANT > found[0].region.side:
                 raise UserError(f"{photo} shows several people of like size to the embedded detector; {_ASK}")
             say(f"{stranger}: the photo shows {len(found)} people; the largest one is used")
-        own = cut_out(picture, whole_mask(found[0], wh))
+        own = segment_person(picture, whole_mask(found[0], wh))
         say(f"{stranger}: the embedded detector and colours give the mask; check it in {cut.name}")
     rows = np.flatnonzero(own.any(axis=1))
     say(f"{stranger}: {len(rows) and int(np.ptp(rows)) + 1} px high in the photo")

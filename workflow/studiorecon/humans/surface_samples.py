@@ -62,7 +62,7 @@ def sample_surface(
     return SurfaceSamples(points, normals, mixed / mixed.sum(axis=1, keepdims=True), float(np.sqrt(total[-1] / count)))
 
 
-def started(
+def initial_samples(
     vertices_m: Float[np.ndarray, "V 3"],
     faces: Integer[np.ndarray, "F 3"],
     weights: Float[np.ndarray, "V 24"],

@@ -27,8 +27,8 @@ from studiorecon.errors import UserError
 from studiorecon.humans.appearance import Appearance
 from studiorecon.humans.crop_reader import read_crops
 from studiorecon.humans.crops import Crop
-from studiorecon.humans.drift import decide_appearance, drifting_share, followed
-from studiorecon.humans.rest_pose import NEIGHBOURS, RestPose, rest_pose
+from studiorecon.humans.drift import decide_appearance, drifting_share, track_brightness
+from studiorecon.humans.rest_pose import NEIGHBOURS, RestPose, build_rest_pose
 from studiorecon.humans.result_cache import STANDS, cache_key, is_up_to_date, store
 from studiorecon.humans.surface_samples import (
     fill_unseen,
@@ -112,7 +112,7 @@ def run(
         say(f"{person}: its {len(crops)} crops, fit and settings have not changed; {STANDS}")
         return
     rng = np.random.default_rng(settings.seed)
-    rest = rest_pose(settings, person, fitted, body_model, crops, rng)
+    rest = build_rest_pose(settings, person, fitted, body_model, crops, rng)
     inputs = [model.parent / "cameras.txt", model, manifest, people, *videos, *masks, fit, body, *(exposure or [])]
     mark = fingerprint(settings, inputs, *about)
     checkpoint = Checkpoint(working / "checkpoint.npz", mark, settings.checkpoint_every_s)
@@ -264,7 +264,9 @@ def _appearance(settings: Settings, rest: RestPose, fitted: Person, crops: Seque
 
     def judge(draw: Callable[[Crop], np.ndarray]) -> Decision:
         samples = rest.samples
-        residual = followed(crops, draw, rest.posing, rest.motion, samples.points_m, samples.normals, samples.spacing_m)
+        residual = track_brightness(
+            crops, draw, rest.posing, rest.motion, samples.points_m, samples.normals, samples.spacing_m
+        )
         decision = decide_appearance(fitted.name, drifting_share(residual[rest.seen]), settings.drift)
         say(f"temporal network: {decision.verdict}; {decision.reason}")
         return decision

@@ -18,7 +18,7 @@ import numba
 import numpy as np
 
 from studiorecon.body.avatar.posing import Posing
-from studiorecon.body.avatar.weight_grid import WeightGrid, every_bone
+from studiorecon.body.avatar.weight_grid import WeightGrid, all_bone_weights
 from studiorecon.configuration.setting import setting
 from studiorecon.humans.additions import Additions
 from studiorecon.humans.appearance import Appearance
@@ -328,7 +328,7 @@ class PersonInTraining:
         self._posing = (
             Posing(self._first.bones[source], self._first.weights[source])
             if self._grid is None
-            else Posing(*every_bone(self._grid, self._own["means"]))
+            else Posing(*all_bone_weights(self._grid, self._own["means"]))
         )
         self._watched = np.zeros((2, len(source)))
         if self._appearance is not None and self._seen is not None:

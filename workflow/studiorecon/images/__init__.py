@@ -7,7 +7,7 @@ Inputs are (H, W[, 3]) arrays; outputs are arrays and figures. No files but plat
 * ``encoded``: pictures as PNG and JPEG; ``channels``: reductions over the channels of every pixel;
 * ``plate``, ``photometric_normalisation``, ``difference``, ``exposure``, ``colours``: the static background, constant
   light, differences from the plate, and equal colours across cameras;
-* ``self_similar``: fills holes with repeats of the surface;
+* ``texture_fill``: fills holes with repeats of the surface;
 * ``flow``, ``transfer`` (inner loops: ``lookup``): optical flow, and residuals of renders carried to other views;
 * ``metrics`` (inner loops: ``similarity``, ``temporal``), ``flip``, ``perceptual``: distance of a picture from the true
   one;

@@ -51,7 +51,7 @@ def _add_products(factor, red, green, blue, total):
 
 
 @numba.njit(cache=True, nogil=True)
-def mapped_squared_error(
+def squared_error_after_map(
     first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"], by: Num[np.ndarray, "4 3"]
 ) -> np.int64:
     """Σ over pixels and channels of the squared difference of levels after ``by`` is applied to ``first``'s colours;

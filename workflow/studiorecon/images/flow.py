@@ -72,7 +72,7 @@ def dis_flow(
     return cv2.DISOpticalFlow.create(PRESETS[preset]).calc(first_grey, second_grey, None)  # type: ignore[call-overload]
 
 
-def chained(
+def chain_flow(
     flow: Num[np.ndarray, "H W 2"],
     valid: Bool[np.ndarray, "H W"],
     further: Num[np.ndarray, "H W 2"],

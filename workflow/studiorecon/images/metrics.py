@@ -17,7 +17,7 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.footage.video import to_bytes
-from studiorecon.images.colours import colour_map, mapped_squared_error
+from studiorecon.images.colours import colour_map, squared_error_after_map
 from studiorecon.images.similarity import RADIUS, WINDOW, masked_sum, similarity_map, squared_error
 from studiorecon.images.temporal import change
 
@@ -87,7 +87,7 @@ def colour_corrected_psnr(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.nd
     count = shown.shape[0] * shown.shape[1]
     if count < SMALLEST_MASK_PX:
         return None
-    return decibels(mapped_squared_error(shown, wanted, colour_map(shown, wanted)) / (_SQUARES * count))
+    return decibels(squared_error_after_map(shown, wanted, colour_map(shown, wanted)) / (_SQUARES * count))
 
 
 def ssim_map(

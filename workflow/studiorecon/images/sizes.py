@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Num, Shaped
 
 
-def resampled(picture: Num[np.ndarray, "H W ..."], hw: tuple[int, int]) -> Float[np.ndarray, "h w ..."]:
+def resample(picture: Num[np.ndarray, "H W ..."], hw: tuple[int, int]) -> Float[np.ndarray, "h w ..."]:
     """A picture at another size, float32, by a triangle filter as wide as the larger of an input and an output pixel.
 
     Half-pixel centres: the picture's borders stay in place. At its own size the picture is returned unchanged.
@@ -28,7 +28,7 @@ def resampled(picture: Num[np.ndarray, "H W ..."], hw: tuple[int, int]) -> Float
     return np.ascontiguousarray(taken)
 
 
-def placed(
+def sample_part(
     picture: Num[np.ndarray, "H W ..."], hw: tuple[int, int], start: tuple[float, float], step: float
 ) -> tuple[Float[np.ndarray, "h w ..."], Float[np.ndarray, "h w"]]:
     """A part of a picture, float32, 0 outside of it, and the share of every pixel that is inside.
@@ -45,10 +45,10 @@ def placed(
     return np.ascontiguousarray(taken), np.minimum(share, 1)
 
 
-def placed_nearest(
+def sample_part_nearest(
     values: Shaped[np.ndarray, "H W ..."], hw: tuple[int, int], start: tuple[float, float], step: float
 ) -> Shaped[np.ndarray, "h w ..."]:
-    """As ``placed``, but every pixel has the value of the pixel that contains its centre; 0 outside."""
+    """As ``sample_part``, but every pixel has the value of the pixel that contains its centre; 0 outside."""
     places = [np.floor(first + (np.arange(size) + 0.5) * step).astype(np.int64) for first, size in zip(start, hw)]
     inside = [(place >= 0) & (place < size) for place, size in zip(places, values.shape[:2])]
     rows, columns = (np.clip(place, 0, size - 1) for place, size in zip(places, values.shape[:2]))
@@ -72,7 +72,7 @@ def _shares(before: int, after: int, start: float, step: float) -> np.ndarray:
     return (share / whole[:, None]).astype(np.float32)
 
 
-def nearest(values: Shaped[np.ndarray, "H W ..."], hw: tuple[int, int]) -> Shaped[np.ndarray, "h w ..."]:
+def resample_nearest(values: Shaped[np.ndarray, "H W ..."], hw: tuple[int, int]) -> Shaped[np.ndarray, "h w ..."]:
     """A map at another size without averaging, for depth and labels: every pixel has the value at its centre."""
     rows, columns = (
         ((np.arange(size) + 0.5) * before / size).astype(np.int64) for size, before in zip(hw, values.shape[:2])
@@ -80,7 +80,7 @@ def nearest(values: Shaped[np.ndarray, "H W ..."], hw: tuple[int, int]) -> Shape
     return values[rows[:, None], columns]
 
 
-def grown(picture: Shaped[np.ndarray, "H W ..."], multiple: int) -> Shaped[np.ndarray, "h w ..."]:
+def pad_to_multiple(picture: Shaped[np.ndarray, "H W ..."], multiple: int) -> Shaped[np.ndarray, "h w ..."]:
     """The picture with its last row and column repeated until both sides are multiples of ``multiple``."""
     missing = [-side % multiple for side in picture.shape[:2]]
     return np.pad(picture, [(0, missing[0]), (0, missing[1])] + [(0, 0)] * (picture.ndim - 2), mode="edge")

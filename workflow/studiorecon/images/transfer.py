@@ -73,7 +73,7 @@ def source(
     return ResidualSource(camera, residual, np.where(edge, 0, depth).astype(np.float32))
 
 
-def carried_over(
+def transfer_residual(
     camera: Camera, depth_m: Num[np.ndarray, "H W"], sources: Sequence[ResidualSource], transfer: Transfer
 ) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"]]:
     """Residual that the sources predict for a view, and cover in 0..1: how well a source sees each pixel.

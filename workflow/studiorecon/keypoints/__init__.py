@@ -7,8 +7,8 @@ order:
 * ``layouts``: names and orders, SMPL's joints among them; ``layout_choice``: the layout of keypoints without a name;
 * ``readers`` opens a user's files (``file_numbers``, ``picture_content``, ``result_files``, ``deeplabcut``,
   ``mediapipe``);
-* ``film_check`` compares them with the film (``numbering``, ``possible_readings``, ``motion``, ``on_film``);
-* ``reading`` (undistorted, tracked), ``tracking`` (one camera), ``steadying`` (smooths a network's jitter),
-  ``retiming`` (the common clock);
+* ``film_check`` compares them with the film (``numbering``, ``coordinate_readings``, ``motion``, ``motion_agreement``);
+* ``reading`` (undistorted, tracked), ``tracking`` (one camera), ``temporal_smoothing`` (smooths a network's jitter),
+  ``resampling`` (the common clock);
 * ``correspondence``: which tracks of different cameras show the same person.
 """

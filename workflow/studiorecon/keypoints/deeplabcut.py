@@ -21,8 +21,8 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.progress import say
-from studiorecon.scene.outside import read_text
-from studiorecon.scene.values import shown
+from studiorecon.scene.user_files import read_text
+from studiorecon.scene.user_values import short_text
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -61,7 +61,7 @@ def read_deeplabcut(path: Path) -> dict[int, list[Float[np.ndarray, "K 3"]]]:
     return found
 
 
-def canonical(part: str) -> str:
+def canonical_name(part: str) -> str:
     """A body part's name as in ``layouts``: side first, words joined by ``_`` (``RShoulder``, ``LEFT_EYE_INNER``)."""
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=^[LR])(?=[A-Z][a-z])", "_", part.strip())
     words = [_WORDS.get(w, w) if w in ("l", "r") else w for w in re.split(r"[\s_\-.]+", spaced.lower()) if w]
@@ -96,18 +96,20 @@ def _table(path: Path) -> tuple[list[str], list[tuple[str, str, int]], list[tupl
         raise UserError(f"{path}: its rows of names have {len(parts)}, {len(coords)} and {len(individuals)} cells")
     if unknown := [c for c in coords if c not in _COORDS]:
         raise UserError(
-            f"{path} has a column {shown(unknown[0])}; DeepLabCut writes x, y and likelihood (labels without "
+            f"{path} has a column {short_text(unknown[0])}; DeepLabCut writes x, y and likelihood (labels without "
             "likelihood are training data: analyse the video)"
         )
     columns = [(i, p, _COORDS.index(c)) for i, p, c in zip(individuals, parts, coords)]
     if len(set(columns)) < len(columns):
-        raise UserError(f"{path} has a column of {shown(next(c for c in columns if columns.count(c) > 1)[1])} twice")
+        raise UserError(
+            f"{path} has a column of {short_text(next(c for c in columns if columns.count(c) > 1)[1])} twice"
+        )
     return list(dict.fromkeys(parts)), columns, lines
 
 
 def _layout(names: Sequence[str], path: Path) -> tuple[str, dict[str, int]]:
     """The layout, and the index in it of every part that it has."""
-    ours = {name: canonical(name) for name in names}
+    ours = {name: canonical_name(name) for name in names}
     known = {part for layout in LAYOUTS.values() for part in layout.keypoints}
     if len({part for part in ours.values() if part in known}) < _MIN:
         raise UserError(
@@ -127,7 +129,7 @@ def _values(path: Path, line: int, cells: list[str], count: int) -> tuple[int, l
     number = re.search(r"(\d{1,18})(?:\.\w+)?$", cells[0].strip())
     if number is None or len(cells) != count + 1:
         raise UserError(
-            f"{path}, line {line}: it holds {len(cells)} cells and begins with {shown(cells[0])}; a frame's "
+            f"{path}, line {line}: it holds {len(cells)} cells and begins with {short_text(cells[0])}; a frame's "
             f"number and {count} values are expected"
         )
     try:

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.keypoints.coordinate_readings import Reading, affine, apply_reading, shares, sizes, turned
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.motion import Motion
+from studiorecon.keypoints.motion_agreement import Movers, Score, best, is_frozen, is_upside_down, movers, score
 from studiorecon.keypoints.numbering import Numbering, Numberings
-from studiorecon.keypoints.on_film import Movers, Score, best, frozen, movers, score, upside_down
-from studiorecon.keypoints.possible_readings import Reading, affine, applied, shares, sizes, turned
 from studiorecon.scene.recorded import Recorded
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def _clearly_better(one: Score, other: Score) -> bool:
 Others = Callable[[], Mapping[str, Recorded]]
 
 
-def checked(recorded: Recorded, numbers: Numberings, film: Film, others: Others) -> Verdict:
+def check_against_film(recorded: Recorded, numbers: Numberings, film: Film, others: Others) -> Verdict:
     """The verdict on ``recorded`` from its film.
 
     ``others`` returns the other cameras' keypoints by name, in frames of their own films; it is called only where
@@ -123,7 +123,7 @@ def checked(recorded: Recorded, numbers: Numberings, film: Film, others: Others)
     wrong = judge.alternative(chosen, as_read) if chosen.score.enough else None
     if wrong is not None:
         chosen, refusal = judge.taken(wrong, chosen)
-    elif frozen(recorded.keypoints, recorded.frame) and film.motion is not None and film.motion.busy:
+    elif is_frozen(recorded.keypoints, recorded.frame) and film.motion is not None and film.motion.busy:
         refusal = (
             f"the keypoints of camera {film.camera} are the same numbers in every picture, and its pictures change; "
             "write every frame's own"
@@ -308,7 +308,7 @@ def _plain(keypoints: Num[np.ndarray, "D K 3"], as_read: Reading, film: Film) ->
 def _outside(keypoints: Num[np.ndarray, "D K 3"], reading: Reading, film: Film) -> str:
     """A refusal where most keypoints are beyond the film's border under ``reading``; "" otherwise."""
     points = _points(keypoints)
-    shown = applied(reading.film_from_recorded, points)
+    shown = apply_reading(reading.film_from_recorded, points)
     outside = float(((shown < 0) | (shown > film.wh)).any(-1).mean()) if len(points) else 0.0
     if outside <= _OUTSIDE:
         return ""
@@ -331,7 +331,7 @@ def _in_film_pixels(recorded: Recorded, reading: Reading, as_read: Reading) -> R
         return recorded
     inverse = np.linalg.inv(np.vstack([as_read.film_from_recorded, [0, 0, 1.0]]))[:2]
     missing = (recorded.keypoints[..., :2] == 0).all(-1) | ~(recorded.keypoints[..., 2] > 0)
-    points = applied(inverse, applied(reading.film_from_recorded, recorded.keypoints[..., :2]))
+    points = apply_reading(inverse, apply_reading(reading.film_from_recorded, recorded.keypoints[..., :2]))
     points = np.where(missing[..., None], recorded.keypoints[..., :2], points)
     moved = np.concatenate([points, recorded.keypoints[..., 2:]], axis=-1)
     return Recorded(recorded.program, recorded.pictures, recorded.frame, moved, recorded.counted, recorded.layout)
@@ -339,7 +339,7 @@ def _in_film_pixels(recorded: Recorded, reading: Reading, as_read: Reading) -> R
 
 def _of_heads(recorded: Recorded, camera: str) -> list[str]:
     """A warning that everybody is upside down, where the film does not show whether they are."""
-    lower = upside_down(recorded.keypoints, LAYOUTS[recorded.layout].keypoints if recorded.layout else ())
+    lower = is_upside_down(recorded.keypoints, LAYOUTS[recorded.layout].keypoints if recorded.layout else ())
     if len(lower) < 10 or lower.mean() < _UPSIDE_DOWN:
         return []
     return [

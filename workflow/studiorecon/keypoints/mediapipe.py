@@ -16,7 +16,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.keypoints.file_numbers import MAX_NUMBER
-from studiorecon.scene.values import numbers, shown, whole
+from studiorecon.scene.user_values import numbers, short_text, whole
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -48,7 +48,7 @@ def read_mediapipe(content: Any, picture_wh: tuple[int, int], path: Path) -> dic
     return found
 
 
-def counts_frames(content: Any) -> bool:
+def lacks_frame_numbers(content: Any) -> bool:
     """Whether the entries have no numbers of their own, so that their indices count."""
     return not any("frame" in one for one in _frames(content))
 
@@ -67,7 +67,9 @@ def _people(found: Any, where: str) -> list[list[Any]]:
         return [found]
     if isinstance(found, list) and all(isinstance(one, list) for one in found):
         return found
-    raise UserError(f"{where}: landmarks are {shown(found)}; MediaPipe's are a list of people, each 33 of {{x, y, …}}")
+    raise UserError(
+        f"{where}: landmarks are {short_text(found)}; MediaPipe's are a list of people, each 33 of {{x, y, …}}"
+    )
 
 
 def _points(person: list[Any], picture_wh: tuple[int, int], where: str) -> np.ndarray:

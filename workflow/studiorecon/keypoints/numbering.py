@@ -2,7 +2,7 @@
 """Maps numbers in keypoint files to frames of the film: the first number and the step.
 
 Numbers count frames from 0, 1 or another number, or they are times in thousandths, millionths or billionths of a
-second. Where the film's length does not decide, its pictures do (``keypoints.on_film``).
+second. Where the film's length does not decide, its pictures do (``keypoints.motion_agreement``).
 """
 
 from __future__ import annotations

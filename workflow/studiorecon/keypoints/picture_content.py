@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.scene.values import listed, numbers, shown
+from studiorecon.scene.user_values import as_list, numbers, short_text
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -43,7 +43,7 @@ def people_in(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]],
             f"{where} is neither OpenPose's ({{people: […]}}), EasyMocap's ({{annots: […]}}) nor MMPose's ([…]) content"
         )
     program, keys = _LISTS[key or "instances"]
-    people = listed(content[key] if key else content, f"{where}: {key or 'the list'}", "[{…}, {…}]")
+    people = as_list(content[key] if key else content, f"{where}: {key or 'the list'}", "[{…}, {…}]")
     if program == "MMPose" and any(isinstance(one, list) for one in people):
         people = [person for inner in people for person in (inner if isinstance(inner, list) else [inner])]
     found = []
@@ -52,7 +52,7 @@ def people_in(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]],
             continue
         who = f"{where}: entry {place} of {key or 'the list'}"
         if not isinstance(person, Mapping):
-            raise UserError(f"{who} is {shown(person)}; it must be one person's keypoints, or null for nobody")
+            raise UserError(f"{who} is {short_text(person)}; it must be one person's keypoints, or null for nobody")
         given = next((person[name] for name in keys if name in person), ...)
         if given is ... and (others := [k for k in person if "keypoints" in str(k) and str(k)[:4] not in _PARTS]):
             raise UserError(f"{who} has no {keys[0]}, but {others[0]}; write the body's keypoints under the former")

@@ -15,9 +15,9 @@ from studiorecon.keypoints.file_numbers import number_names
 from studiorecon.keypoints.picture_content import people_in
 from studiorecon.keypoints.result_files import Pictures, read_results
 from studiorecon.progress import warn
-from studiorecon.scene.outside import read_json, read_npz
 from studiorecon.scene.recorded import Recorded
-from studiorecon.scene.values import numbers
+from studiorecon.scene.user_files import read_json, read_npz
+from studiorecon.scene.user_values import numbers
 
 if TYPE_CHECKING:
     from jaxtyping import Num

@@ -10,8 +10,8 @@ import numpy as np
 
 from studiorecon.configuration.setting import setting
 from studiorecon.geometry.lens import calibration_from_video_pixels, working_from_calibration, working_from_video
-from studiorecon.keypoints.steadying import steadied
-from studiorecon.keypoints.tracking import TrackingLimits, tracks, without_duplicates
+from studiorecon.keypoints.temporal_smoothing import smooth_keypoints
+from studiorecon.keypoints.tracking import TrackingLimits, drop_duplicates, tracks
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
@@ -77,7 +77,7 @@ def to_working_pixels(
     )
 
 
-def unusable(keypoints: Num[np.ndarray, "D K 3"]) -> int:
+def count_unusable(keypoints: Num[np.ndarray, "D K 3"]) -> int:
     """How many of the recorded keypoints are marked as present but are not finite."""
     broken = ~np.isfinite(keypoints[..., :2]).all(-1) & ~(keypoints[..., 2] <= 0)
     return int((broken | ~np.isfinite(keypoints[..., 2])).sum())
@@ -89,10 +89,12 @@ def detections_from_recorded(recorded: Recorded, lens: Lens, footage: Footage, s
     inside = (frame >= 0) & (frame < footage.frames)
     frame, given = frame[inside], recorded.keypoints[inside]
     keypoints = to_working_pixels(given, lens, footage, settings)
-    if broken := unusable(given):
+    if broken := count_unusable(given):
         say(f"camera {footage.camera}: {broken} of {given[..., 0].size} keypoints are not finite, and were left out")
     layout = recorded.layout
-    return followed(Detections(footage.camera, layout, frame, np.zeros_like(frame), keypoints), settings, footage.fps)
+    return track_detections(
+        Detections(footage.camera, layout, frame, np.zeros_like(frame), keypoints), settings, footage.fps
+    )
 
 
 def detections_from_detector(found: RawDetections, lens: Lens, footage: Footage, settings: Settings) -> Detections:
@@ -107,17 +109,17 @@ def detections_from_detector(found: RawDetections, lens: Lens, footage: Footage,
     given = Detections(
         footage.camera, found.layout, frame, np.zeros_like(frame), keypoints, points_m=found.points_m[rows], row=rows
     )
-    return steadied(followed(given, settings, footage.fps), footage.fps)
+    return smooth_keypoints(track_detections(given, settings, footage.fps), footage.fps)
 
 
-def followed(given: Detections, settings: Settings, fps: float) -> Detections:
+def track_detections(given: Detections, settings: Settings, fps: float) -> Detections:
     """``given`` with track ids, without detections that are too small or duplicates."""
     kept = given.only((given.keypoints[..., 2] > 0).sum(-1) >= settings.min_keypoints)
-    kept = kept.only(without_duplicates(kept.frame, kept.keypoints, settings.tracking))
+    kept = kept.only(drop_duplicates(kept.frame, kept.keypoints, settings.tracking))
     return replace(kept, track=tracks(kept.frame, kept.keypoints, settings.tracking, fps))
 
 
-def undistorted(seen: Detections, lens: Lens, wh: tuple[int, int]) -> tuple[Camera, Detections]:
+def to_pinhole(seen: Detections, lens: Lens, wh: tuple[int, int]) -> tuple[Camera, Detections]:
     """The pinhole camera of the video's size, and the detections in its pixels; points outside of the lens's field are
     dropped."""
     affine = calibration_from_video_pixels(lens, wh)

@@ -13,10 +13,10 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.keypoints.file_numbers import MAX_NUMBER, number_names
-from studiorecon.keypoints.mediapipe import counts_frames, is_mediapipe, read_mediapipe
+from studiorecon.keypoints.mediapipe import is_mediapipe, lacks_frame_numbers, read_mediapipe
 from studiorecon.keypoints.picture_content import is_picture, people_in
-from studiorecon.scene.outside import read_json
-from studiorecon.scene.values import listed, shown, whole
+from studiorecon.scene.user_files import read_json
+from studiorecon.scene.user_values import as_list, short_text, whole
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -44,10 +44,10 @@ def read_results(path: Path, picture_wh: tuple[int, int]) -> Pictures:
     """
     content = read_json(path)
     if is_mediapipe(content):
-        return Pictures("MediaPipe", read_mediapipe(content, picture_wh, path), counts_frames(content))
+        return Pictures("MediaPipe", read_mediapipe(content, picture_wh, path), lacks_frame_numbers(content))
     if isinstance(content, Mapping):
         if "instance_info" in content:
-            return _mmpose_demo(listed(content["instance_info"], f"{path}: instance_info", "[{…}, {…}]"), path)
+            return _mmpose_demo(as_list(content["instance_info"], f"{path}: instance_info", "[{…}, {…}]"), path)
         if isinstance(content.get("annotations"), list):
             return _coco_dataset(content, path)
         if isinstance(content.get("keypoints"), list) and "skeleton" in content:
@@ -80,7 +80,7 @@ def _numbered(entries: list[Any], path: Path) -> Iterator[tuple[int, list[np.nda
     known = set()
     for place, entry in enumerate(entries):
         if not isinstance(entry, Mapping):
-            raise UserError(f"{path}: entry {place} is {shown(entry)}; it must be {{frame_id: …, instances: […]}}")
+            raise UserError(f"{path}: entry {place} is {short_text(entry)}; it must be {{frame_id: …, instances: […]}}")
         number = whole(entry.get("frame_id"), f"{path}: frame_id of entry {place}", 0, MAX_NUMBER)
         if number in known:
             raise UserError(f"{path}: frame_id {number} comes twice; keep one entry per picture")
@@ -102,10 +102,10 @@ def _coco_results(entries: list[Mapping[str, Any]], path: Path) -> Pictures:
 
 def _coco_dataset(content: Mapping[str, Any], path: Path) -> Pictures:
     """COCO's own form: ``images`` with names, and ``annotations`` of them."""
-    images = listed(content.get("images"), f"{path}: images", "[{id: 1, file_name: 000000.jpg}]")
+    images = as_list(content.get("images"), f"{path}: images", "[{id: 1, file_name: 000000.jpg}]")
     for place, one in enumerate(images):
         if not (isinstance(one, Mapping) and isinstance(one.get("id"), (int, str)) and "file_name" in one):
-            raise UserError(f"{path}: entry {place} of images is {shown(one)}; it needs id and file_name")
+            raise UserError(f"{path}: entry {place} of images is {short_text(one)}; it needs id and file_name")
     names = _image_numbers([str(one["file_name"]) for one in images], path)
     number_of = {one["id"]: names[str(one["file_name"])] for one in images}
     found: dict[int, list[Any]] = {number: [] for number in number_of.values()}
@@ -128,7 +128,9 @@ def _easy_vitpose(entries: list[Any], path: Path) -> Pictures:
     found: dict[int, list[Any]] = {}
     for place, people in enumerate(entries):
         if not isinstance(people, Mapping):
-            raise UserError(f"{path}: entry {place} of keypoints is {shown(people)}; it must map people to keypoints")
+            raise UserError(
+                f"{path}: entry {place} of keypoints is {short_text(people)}; it must map people to keypoints"
+            )
         rows = [{"keypoints": points} for points in people.values()]
         found[place] = [one[:, [1, 0, 2]] for one in people_in(rows, f"{path}, frame {place}")[0]]
     return Pictures("easy_ViTPose", found, counted=True)

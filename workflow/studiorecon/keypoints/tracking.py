@@ -89,7 +89,7 @@ def box_diagonals(keypoints: Num[np.ndarray, "D K 3"]) -> Num[np.ndarray, " D"]:
     return np.linalg.norm(np.where(np.isfinite(high - low), high - low, 0.0), axis=-1)
 
 
-def without_duplicates(
+def drop_duplicates(
     frame: Integer[np.ndarray, " D"], keypoints: Num[np.ndarray, "D K 3"], limits: TrackingLimits
 ) -> Bool[np.ndarray, " D"]:
     """Which detections to keep when the less confident of two overlapping ones in a frame is dropped."""

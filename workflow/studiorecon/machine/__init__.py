@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The machine that a step runs on: its refusals, its GPUs, and the cache of machine code.
 
-``refusals`` explains refusals (disk, memory, open files) and ``libraries`` names a library that does not load;
-``fault`` describes a failure of the program itself, and ``output`` keeps a step running when its output has no reader;
-``gpu`` reserves one GPU for a job; ``kernel_cache`` is where numba stores machine code.
+``resource_errors`` explains refusals (disk, memory, open files) and ``libraries`` names a library that does not load;
+``crash_report`` describes a failure of the program itself, and ``output`` keeps a step running when its output has no
+reader; ``gpu`` reserves one GPU for a job; ``kernel_cache`` is where numba stores machine code.
 """

@@ -73,8 +73,8 @@ class ByContent:
 @cache
 def _digest(module: str) -> str:
     """Digest of the sources of a module and of all its imports from this package, which its machine code includes."""
-    total, files = hashlib.sha256(), code.reached([module])
-    code.remember()
+    total, files = hashlib.sha256(), code.dependencies([module])
+    code.save_digests()
     for name, path in sorted(files.items()):
         total.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
     return total.hexdigest()[:16]

@@ -23,7 +23,7 @@ environment.
 """
 
 
-def unloaded(error: BaseException) -> str | None:
+def missing_library(error: BaseException) -> str | None:
     """The import name of the library whose loading ended in ``error``; None for another error, and for our own modules.
 
     Python names a missing module; for a shared object that the system's loader did not find, only the stack shows the

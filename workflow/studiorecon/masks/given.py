@@ -13,7 +13,7 @@ import numpy as np
 
 from studiorecon.camera_files.calibration import find_lens
 from studiorecon.errors import UserError
-from studiorecon.footage.stills import decoded
+from studiorecon.footage.stills import read_image
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.images.channels import channel_max
@@ -22,7 +22,7 @@ from studiorecon.images.silhouette import front_person
 from studiorecon.masks.tracks import MIN_SHARE, UNASSIGNED, overlaps
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_footage
-from studiorecon.scene.numbered import gaps_named, pictures_in
+from studiorecon.scene.numbered_files import gaps_named, pictures_in
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
@@ -85,7 +85,7 @@ def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> Giv
     return Given(path, chosen, columns, rows, int(values.sum()) <= _MAX_LABELS)
 
 
-def identified(
+def label_given_masks(
     labels: Iterable[Integer[np.ndarray, "H W"]],
     depths_m: Iterable[Float[np.ndarray, "K H W"]],
     people: int,
@@ -140,7 +140,7 @@ def mask_pictures(path: Path) -> Iterable[Integer[np.ndarray, "H W ..."]]:
             raise UserError(f"masks {path} lack the numbers {missing}; bring one mask for each frame")
         wh: tuple[int, ...] | None = None
         for file in files:
-            picture = decoded(file, cv2.IMREAD_UNCHANGED)
+            picture = read_image(file, cv2.IMREAD_UNCHANGED)
             if picture.dtype != np.uint8:
                 raise UserError(f"{file} holds {picture.dtype} numbers; save masks with 8 bits")
             if wh not in (None, picture.shape[1::-1]):

@@ -29,7 +29,7 @@ from studiorecon.footage.video import read_frames, to_float, write_lossless
 from studiorecon.images.regions import signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import front_person, mesh_depth
 from studiorecon.masks.detector_masks import DetectorMasks, masks_by_frame
-from studiorecon.masks.given import identified, read_given
+from studiorecon.masks.given import label_given_masks, read_given
 from studiorecon.masks.grabcut import CutSettings, cut_unknown
 from studiorecon.masks.log_odds import (
     DifferenceSettings,
@@ -40,7 +40,7 @@ from studiorecon.masks.log_odds import (
     temporal_difference,
 )
 from studiorecon.masks.loose_objects import subtract_objects
-from studiorecon.masks.tracks import UNASSIGNED, assigned
+from studiorecon.masks.tracks import UNASSIGNED, assign_people
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_footage
@@ -144,7 +144,7 @@ def segment_frame(
         near_somebody = np.isfinite(best)
         total = seen + best if network is None else seen + best + network
         total = cut_unknown(rgb, total, near_somebody & ~plate.measured, settings.cut)
-        person = along_edges(total, rgb, settings.smooth_px) > 0
+        person = edge_aware_average(total, rgb, settings.smooth_px) > 0
         front = front_person(depths_m)
         owner = np.where(front > 0, front, distance_m.argmax(axis=0) + 1)
         for k in range(len(bodies)):
@@ -160,7 +160,7 @@ def segment_frame(
     return labels
 
 
-def along_edges(
+def edge_aware_average(
     evidence: Float[np.ndarray, "H W"], rgb: Integer[np.ndarray, "H W 3"], radius_px: int
 ) -> Float[np.ndarray, "H W"]:
     """(H, W) evidence averaged over ``radius_px`` without crossing edges of the picture; −inf stays −inf."""
@@ -322,11 +322,11 @@ def run(
     if given:
         brought = read_given(given[0], footage, calibration, frames)
         depths = Bodies(persons, body_model, own, frames)
-        labels, told = identified(brought, depths, len(persons), settings.outline.gate_m, own)
+        labels, told = label_given_masks(brought, depths, len(persons), settings.outline.gate_m, own)
         say(f"{camera}: masks of {given[0].name} are used as they are; {told}")
     elif tracks:
         numbers = Numbers(tracks[0], frames, own.hw)
-        labels, told = assigned(numbers, Bodies(persons, body_model, own, frames), len(persons))
+        labels, told = assign_people(numbers, Bodies(persons, body_model, own, frames), len(persons))
         say(f"{camera}: {told}")
     else:
         plate_rgb, measured = read_plate(plate, own.wh)
@@ -342,12 +342,12 @@ def run(
             found = masks_by_frame(whole, detections, who, find_lens(calibration, camera), about)
         labels = segment(film, plate_rgb, measured, persons, body_model, own, settings, things, found)
     pixels = np.zeros(256, np.int64)
-    write_lossless(masks, counted(labels, pixels), persons[0].fps if persons else 30.0)
+    write_lossless(masks, count_labels(labels, pixels), persons[0].fps if persons else 30.0)
     if not given and not tracks:
         say(describe(camera, pixels, [f.name for f in persons], float(measured.mean())))
 
 
-def counted(
+def count_labels(
     labels: Iterable[Integer[np.ndarray, "H W"]], pixels: Integer[np.ndarray, " 256"]
 ) -> Iterator[Integer[np.ndarray, "H W"]]:
     """Yields the labels unchanged; adds the number of pixels per label to ``pixels`` (256,)."""

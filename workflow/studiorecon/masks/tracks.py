@@ -19,7 +19,7 @@ UNASSIGNED = 255
 MIN_SHARE = 0.3
 
 
-def assigned(
+def assign_people(
     labels: Iterable[Integer[np.ndarray, "H W"]], depths_m: Iterable[Float[np.ndarray, "K H W"]], people: int
 ) -> tuple[Iterator[Integer[np.ndarray, "H W"]], str]:
     """(H, W) uint8 masks with this project's labels from a network's numbers (H, W), frame by frame, and a sentence on

@@ -13,7 +13,7 @@ from typing import Any
 
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import Card, WeightFile
-from studiorecon.models.catalogue.checksums import code_in, read_pins, verified, write_pins
+from studiorecon.models.catalogue.checksums import code_in, read_pins, verify, write_pins
 from studiorecon.models.catalogue.fetching import fetch
 from studiorecon.models.catalogue.registry import model
 from studiorecon.progress import say
@@ -54,7 +54,7 @@ def stage(file: WeightFile, folder: Path, pins: dict[str, Any], may_fetch: bool)
                 return "missing"
             say(f"fetching {file.path} from {file.source} {file.repository}".rstrip())
             stated = fetch(file, folder)
-        pin = verified(folder, file, pins)
+        pin = verify(folder, file, pins)
         if stated and pin["sha256"] != stated:
             return (
                 f"{folder / file.path} is not what its publisher has (SHA-256 "

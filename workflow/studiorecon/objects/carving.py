@@ -12,7 +12,7 @@ import scipy
 from studiorecon.arrays import evenly_spread
 from studiorecon.images.warp import sample
 from studiorecon.objects.residual import ROOM
-from studiorecon.objects.rigid import ObjectCrop, coloured, reached_m
+from studiorecon.objects.rigid import ObjectCrop, mean_colours, outline_reach_m
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.discs import DISC_WIDTH, discs
 
@@ -31,11 +31,11 @@ _SLOPE = 1.0
 
 def reach_m(looks: Sequence[ObjectCrop]) -> float:
     """Radius in metres around the middle that contains nearly all outlines; NaN without an outline."""
-    found = np.concatenate([np.zeros(0), *(reached_m(look) for look in looks)])
+    found = np.concatenate([np.zeros(0), *(outline_reach_m(look) for look in looks)])
     return float(np.quantile(found, _FARTHEST)) if len(found) else float("nan")
 
 
-def carved(looks: Sequence[ObjectCrop], count: int) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], float]:
+def carve(looks: Sequence[ObjectCrop], count: int) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], float]:
     """(N, 3) points on the surface in the object's frame, metres, N about ``count``; outward normals (N, 3); spacing,
     metres.
 
@@ -95,10 +95,10 @@ def init_carved_surface(looks: Sequence[ObjectCrop], count: int) -> tuple[Gaussi
 
     A disc that no crop shows takes the colour of the nearest one shown.
     """
-    points, normals, cell_m = carved(looks, count)
+    points, normals, cell_m = carve(looks, count)
     if not len(points):
         return None
-    rgb, seen = coloured(points, normals, _spread(looks))
+    rgb, seen = mean_colours(points, normals, _spread(looks))
     if seen.any():
         rgb[~seen] = rgb[seen][scipy.spatial.cKDTree(points[seen]).query(points[~seen])[1]]
     return discs(points, normals, rgb, DISC_WIDTH * cell_m), seen

@@ -18,14 +18,14 @@ import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
-from studiorecon.body.silhouettes import grown_outlines
+from studiorecon.body.silhouettes import dilated_silhouettes
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate, shrink
 from studiorecon.footage.video import read_frames
 from studiorecon.objects import carving
-from studiorecon.objects.object_tracks import FollowSettings, ObjectTrack, followed, held, linked
+from studiorecon.objects.object_tracks import FollowSettings, ObjectTrack, is_covered, link_sightings, track_object
 from studiorecon.objects.residual import LooseSettings, ResidualRegion, difference, regions, states, usual_difference
 from studiorecon.objects.rigid import (
     ObjectCrop,
@@ -36,7 +36,7 @@ from studiorecon.objects.rigid import (
     unoccluded_crops,
     validation_split,
 )
-from studiorecon.objects.rotation import NEVER_DB, TurnSettings, turned
+from studiorecon.objects.rotation import NEVER_DB, TurnSettings, track_rotation
 from studiorecon.objects.sightings import Sighting, sightings
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
@@ -126,8 +126,8 @@ def objects_in(
                 "camera; it is left out"
             )
     made_objects: list[RigidObject] = []
-    for track in linked(found, fps, settings.follow):
-        result = followed(track, cameras, frames, fps, settings.follow)
+    for track in link_sightings(found, fps, settings.follow):
+        result = track_object(track, cameras, frames, fps, settings.follow)
         where = f"frames {track[0][0]} to {track[-1][0]}"
         looks = unoccluded_crops(result, cameras) if isinstance(result, ObjectTrack) else []
         if isinstance(result, ObjectTrack) and looks:
@@ -194,7 +194,7 @@ def _turning(
     if settings.turn.gain_db >= NEVER_DB:
         return None
     rng = np.random.default_rng([settings.seed, int(still.person[1:]), 1])
-    motion = turned(track, cameras, apart, fps, settings.turn, rng, threads)
+    motion = track_rotation(track, cameras, apart, fps, settings.turn, rng, threads)
     if motion is None:
         return None
     known = [look for look in looks if motion.measured[look.frame]]
@@ -217,7 +217,7 @@ def _turning(
     )
     if not gain_db >= settings.turn.gain_db:
         return None
-    present = held(motion.measured, fps, settings.follow)
+    present = is_covered(motion.measured, fps, settings.follow)
     centres = np.where(present[:, None], motion.world_from_thing[:, :3, 3], np.nan)
     turns = motion.world_from_thing[:, :3, :3]
     thing = RigidObject(
@@ -257,7 +257,7 @@ def read_moments(
                 p if p.shape[:2] == v.camera.hw else cv2.resize(p, v.camera.wh, interpolation=cv2.INTER_AREA)
                 for p, v in zip(pictures, views)
             ],
-            [grown_outlines(people, body, view.camera, frame, margin_m, _FILLED_MARGIN) for view in views],
+            [dilated_silhouettes(people, body, view.camera, frame, margin_m, _FILLED_MARGIN) for view in views],
         )
 
 

@@ -58,7 +58,7 @@ class ObjectTrack:
     round: bool = True
 
 
-def linked(
+def link_sightings(
     found: Sequence[tuple[int, list[Sighting]]], fps: float, settings: FollowSettings
 ) -> list[list[tuple[int, Sighting]]]:
     """Sightings of successive frames linked into tracks, each to the track with the nearest predicted position."""
@@ -89,7 +89,7 @@ def linked(
     return tracks
 
 
-def followed(
+def track_object(
     track: Sequence[tuple[int, Sighting]], cameras: Sequence[Camera], frames: int, fps: float, settings: FollowSettings
 ) -> ObjectTrack | str:
     """The track of an object over all ``frames``, or a sentence why it is rejected.
@@ -120,7 +120,7 @@ def followed(
     reach = np.ptp(centres[valid], axis=0)
     if np.linalg.norm(reach) <= radius_m:
         return "it does not move: it belongs on the plate"
-    present = held(valid, fps, settings)
+    present = is_covered(valid, fps, settings)
     filled = np.where(present[:, None], fill_vectors(np.nan_to_num(centres), valid), np.nan)
     return ObjectTrack(filled, valid, present, radius_m, tuple(track), is_round)
 
@@ -180,7 +180,7 @@ def _expected(track: Sequence[tuple[int, Sighting]], frame: int) -> np.ndarray:
     return last.centre_m + (last.centre_m - before.centre_m) * (frame - last_frame) / (last_frame - before_frame)
 
 
-def held(valid: Bool[np.ndarray, " T"], fps: float, settings: FollowSettings) -> Bool[np.ndarray, " T"]:
+def is_covered(valid: Bool[np.ndarray, " T"], fps: float, settings: FollowSettings) -> Bool[np.ndarray, " T"]:
     """(T,) bool: measured frames, and the gaps between them that are short enough to be filled."""
     present, at = valid.copy(), np.flatnonzero(valid)
     for a, b in pairwise(at):

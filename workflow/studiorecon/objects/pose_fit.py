@@ -66,7 +66,7 @@ class Prior:
         return np.concatenate([turn / self.turn_rad, (pose[:3, 3] - self.world_from_thing[:3, 3]) / self.place_m])
 
 
-def moved(pose: Float[np.ndarray, "4 4"], step: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "4 4"]:
+def move_pose(pose: Float[np.ndarray, "4 4"], step: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "4 4"]:
     """A pose (4, 4) turned about its own middle by ``step[:3]``, radians, in its own axes, and shifted by ``step[3:]``,
     metres."""
     new = pose.copy()
@@ -114,7 +114,7 @@ class Fitter:
         expected = prior.residuals(pose)
         cost = _cost(residual) + float(expected @ expected)
         for _ in range(steps):
-            varied = [moved(pose, lengths * unit) for unit in np.eye(6)]
+            varied = [move_pose(pose, lengths * unit) for unit in np.eye(6)]
             slope = np.stack(
                 [(self._residuals(v, glimpses, blur_px) - residual) / h for v, h in zip(varied, lengths)], axis=1
             )
@@ -125,7 +125,7 @@ class Fitter:
             while damping < _DAMPING[1]:
                 step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
                 step[:3] *= min(1.0, 0.5 / max(float(np.linalg.norm(step[:3])), 1e-12))
-                new = moved(pose, step)
+                new = move_pose(pose, step)
                 new_residual, new_expected = self._residuals(new, glimpses, blur_px), prior.residuals(new)
                 new_cost = _cost(new_residual) + float(new_expected @ new_expected)
                 if new_cost < cost:

@@ -98,7 +98,7 @@ def validation_split(looks: Sequence[ObjectCrop]) -> list[ObjectCrop]:
     return list(looks[_JUDGED - 1 :: _JUDGED])
 
 
-def reached_m(look: ObjectCrop) -> Float[np.ndarray, " K"]:
+def outline_reach_m(look: ObjectCrop) -> Float[np.ndarray, " K"]:
     """(K,) distances from the middle at which the rays through a crop's outline pass."""
     points = outline_points(look.state)
     rays = look.camera.unproject(points, np.ones(len(points))) - look.camera.centre_m
@@ -106,7 +106,7 @@ def reached_m(look: ObjectCrop) -> Float[np.ndarray, " K"]:
     return np.linalg.norm(np.cross(rays, look.camera.centre_m), axis=1)
 
 
-def coloured(
+def mean_colours(
     points_m: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], looks: Sequence[ObjectCrop]
 ) -> tuple[Float[np.ndarray, "N 3"], Bool[np.ndarray, " N"]]:
     """(N, 3) mean colours of points from the crops that face them, and (N,) bool whether one does; the others get the

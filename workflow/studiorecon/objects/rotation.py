@@ -19,7 +19,7 @@ from studiorecon.geometry import rotations
 from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
 from studiorecon.objects.carving import init_carved_surface, reach_m, volume_m3
 from studiorecon.objects.object_tracks import ObjectTrack
-from studiorecon.objects.pose_fit import Fitter, ObjectObservation, Prior, glimpse, moved
+from studiorecon.objects.pose_fit import Fitter, ObjectObservation, Prior, glimpse, move_pose
 from studiorecon.objects.rigid import ObjectCrop, ShapeSettings, at_pose, train_object, unoccluded_crops
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
@@ -71,7 +71,7 @@ class RigidMotion:
     measured: Bool[np.ndarray, " T"]
 
 
-def turned(
+def track_rotation(
     track: ObjectTrack,
     cameras: Sequence[Camera],
     apart: Collection[tuple[int, int]],
@@ -176,7 +176,9 @@ def _followed(
             starts = [expected]
             if len(before) == 1:
                 slack_rad = 2 * _FIRST_RAD * gap
-                starts += [moved(expected, sign * _FIRST_RAD * unit) for unit in np.eye(6)[:3] for sign in (1.0, -1.0)]
+                starts += [
+                    move_pose(expected, sign * _FIRST_RAD * unit) for unit in np.eye(6)[:3] for sign in (1.0, -1.0)
+                ]
             else:
                 slack_rad = settings.rad_s2 * (gap / fps) ** 2
                 first = poses[before[-2]][:3, :3]

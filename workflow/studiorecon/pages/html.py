@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from markupsafe import Markup, escape
 
-from studiorecon.pages.skeleton import filled, page
+from studiorecon.pages.skeleton import fill_template, page
 
 if TYPE_CHECKING:
     from jaxtyping import Integer
@@ -52,18 +52,18 @@ def text(value: object) -> str:
 
 def heading(title: str, lead: str = "") -> str:
     """A section's heading and, below it, an explanation of the section."""
-    return str(filled(_HEADING, title=title, lead=lead, anchor=re.sub(r"\W+", "-", title.lower()).strip("-")))
+    return str(fill_template(_HEADING, title=title, lead=lead, anchor=re.sub(r"\W+", "-", title.lower()).strip("-")))
 
 
 def contents(body: Sequence[str]) -> str:
     """Links to the headings of the pieces of a page."""
     found = [(anchor, Markup(title)) for part in body for anchor, title in _HEADINGS.findall(part)]
-    return str(filled(_CONTENTS, entries=found))
+    return str(fill_template(_CONTENTS, entries=found))
 
 
 def tiles(entries: Sequence[tuple[str, str]]) -> str:
     """Large numbers with a line of explanation each."""
-    return str(filled(_TILES, entries=entries))
+    return str(fill_template(_TILES, entries=entries))
 
 
 def jpeg(picture: Integer[np.ndarray, "H W 3"], width: int, quality: int = 86) -> str:
@@ -77,17 +77,17 @@ def jpeg(picture: Integer[np.ndarray, "H W 3"], width: int, quality: int = 86) -
 
 def figure(address: str, caption: str) -> str:
     """A picture given by its data address, with its caption, which is also its text alternative."""
-    return str(filled(_FIGURE, address=address, caption=caption))
+    return str(fill_template(_FIGURE, address=address, caption=caption))
 
 
 def row(figures: Sequence[str], columns: int | None = None) -> str:
     """Figures (HTML) in one row."""
-    return str(filled(_ROW, figures=[Markup(f) for f in figures], columns=columns or max(len(figures), 1)))
+    return str(fill_template(_ROW, figures=[Markup(f) for f in figures], columns=columns or max(len(figures), 1)))
 
 
 def film(mp4: bytes, caption: str) -> str:
     """A film that plays in the page."""
-    return str(filled(_FILM, address="data:video/mp4;base64," + base64.b64encode(mp4).decode(), caption=caption))
+    return str(fill_template(_FILM, address="data:video/mp4;base64," + base64.b64encode(mp4).decode(), caption=caption))
 
 
 def table(
@@ -98,14 +98,16 @@ def table(
     On a phone the rows of a table with many columns become lists.
     """
     cells = [[Markup(v) if i in raw else str(v) for i, v in enumerate(r)] for r in rows]
-    return str(filled(_TABLE, header=header, rows=cells, numeric=numeric, wide=len(header) > _COLUMNS_OF_A_PHONE))
+    return str(
+        fill_template(_TABLE, header=header, rows=cells, numeric=numeric, wide=len(header) > _COLUMNS_OF_A_PHONE)
+    )
 
 
 def bar(share: float) -> str:
     """A horizontal bar for a share of 0..1."""
-    return str(filled(_BAR, percent=f"{100 * min(max(share, 0.0), 1.0):.1f}"))
+    return str(fill_template(_BAR, percent=f"{100 * min(max(share, 0.0), 1.0):.1f}"))
 
 
 def folded(title: str, content: str) -> str:
     """Text that the reader can expand."""
-    return str(filled(_FOLDED, title=title, content=content))
+    return str(fill_template(_FOLDED, title=title, content=content))

@@ -50,7 +50,7 @@ class Stage:
     total: int
 
 
-def written(
+def write_page(
     folder: Path,
     scene: str,
     words: str,
@@ -66,11 +66,11 @@ def written(
     """
     done, total = sum(s.done for s in stages), sum(s.total for s in stages)
     rows = [[s.name, f"{s.done} of {s.total}", html.bar(s.done / s.total if s.total else 1.0)] for s in stages]
-    found = early(folder)
+    found = early_results(folder)
     pictures = [html.figure(name, f"{name}: {about}") for name, about in found.items() if name.endswith(".png")]
     report = folder / "report/index.html"
     over = not on and report.is_file() and not failed
-    body = skeleton.filled(
+    body = skeleton.fill_template(
         _BODY,
         scene=scene,
         words=words,
@@ -86,7 +86,7 @@ def written(
     return skeleton.page(f"{scene}: {words}", [body], reload_s=reload_s, then="report/index.html" if over else "")
 
 
-def early(folder: Path) -> Mapping[str, str]:
+def early_results(folder: Path) -> Mapping[str, str]:
     """name → description of the results below ``folder`` that can be opened already."""
     found: dict[str, str] = {}
     for pattern, about in _EARLY:

@@ -91,7 +91,7 @@ def _compiled(template: str) -> Any:
     return _environment().from_string(template)
 
 
-def filled(template: str, **values: Any) -> Markup:
+def fill_template(template: str, **values: Any) -> Markup:
     """``template`` (jinja2) with ``values``, all of which are escaped except the output of templates.
 
     Raises UndefinedError for a value that the template names and that is missing.
@@ -105,4 +105,4 @@ def page(title: str, body: Sequence[str], style: str = "", reload_s: int | None 
     With ``reload_s`` a browser reloads it after that many seconds, or goes on to ``then``.
     """
     pieces = [Markup(part) for part in body]
-    return filled(_DOCUMENT, title=title, style=Markup(STYLE + style), body=pieces, reload_s=reload_s, then=then)
+    return fill_template(_DOCUMENT, title=title, style=Markup(STYLE + style), body=pieces, reload_s=reload_s, then=then)

@@ -22,7 +22,7 @@ from studiorecon.people.association.image_evidence import CameraEvidence
 from studiorecon.people.association.picture_change import EvidenceLimits
 from studiorecon.people.association.rejected_people import RejectedPerson, report_rejected
 from studiorecon.people.fit_settings import Triangulated
-from studiorecon.people.fitting.readouts import readouts
+from studiorecon.people.fitting.readouts import estimate_readouts
 from studiorecon.progress import say, warn
 from studiorecon.rig.body_points import tracks
 from studiorecon.scene.camera import Camera
@@ -158,7 +158,7 @@ def _readouts(
     """Every camera's readout, from the keypoints of all identified people; those in use are logged."""
     people = sorted({person for person in whose.values() if person})
     seen = tracks(given, whose, people, footage.frames, _SURE)
-    found = readouts(seen.pixels, cameras, footage.fps)
+    found = estimate_readouts(seen.pixels, cameras, footage.fps)
     for one in found:
         if one.used_s:
             say(

@@ -11,7 +11,7 @@ import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.people.fitting.points import Triangulation, lift, observations
+from studiorecon.people.fitting.points import Triangulation, observations, triangulate_keypoints
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -75,7 +75,7 @@ def project_expected(
     """The joints of ``person`` from all cameras but ``view``, projected into that camera."""
     names, keypoints = observations(person, list(detections), identities, body, frames)
     others = [v for v in range(len(cameras)) if v != view]
-    points = lift(names, keypoints[others], [cameras[v] for v in others], limits, 0.0)
+    points = triangulate_keypoints(names, keypoints[others], [cameras[v] for v in others], limits, 0.0)
     pixels, depth = cameras[view].project(points.points_m)
     layout = LAYOUTS[detections[view].layout].keypoints
     out = np.full((frames, len(layout), 2), np.nan)
@@ -147,7 +147,9 @@ class Plan:
     looks: list[tuple[int, int, int]]
 
 
-def planned(found: Detections, people: Sequence[Expected], identities: dict[tuple[str, int], str], frames: int) -> Plan:
+def plan_second_look(
+    found: Detections, people: Sequence[Expected], identities: dict[tuple[str, int], str], frames: int
+) -> Plan:
     """Which detections of a camera stay, change sides, or go, and where to detect again."""
     count = len(found.frame)
     track, swapped, dropped = found.track.copy(), np.zeros(count, bool), np.zeros(count, bool)

@@ -22,12 +22,12 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
-from studiorecon.keypoints.retiming import correct_rolling_shutter
+from studiorecon.keypoints.resampling import correct_rolling_shutter
 from studiorecon.people.fit_settings import Smoothed, Triangulated
-from studiorecon.people.fitting.legs import seated
+from studiorecon.people.fitting.legs import bend_hidden_legs
 from studiorecon.people.fitting.limbs import body_scale, limb_ratio
-from studiorecon.people.fitting.points import Points, lift, observations, off_m
-from studiorecon.people.fitting.presence import filled, presence, runs
+from studiorecon.people.fitting.points import Points, observations, off_m, triangulate_keypoints
+from studiorecon.people.fitting.presence import fill_gaps, presence, runs
 from studiorecon.people.fitting.surface_points import triangulate_surface
 from studiorecon.progress import say
 from studiorecon.scene.capture import read_manifest
@@ -176,7 +176,7 @@ def fit_person(
             "metres, the keypoint layout and the identities"
         )
     betas = result.betas if size == 1.0 else of_size(result.betas, size)
-    local, bent = seated(result.rotations, result.trans_m, betas, points.names, points.points_m, body)
+    local, bent = bend_hidden_legs(result.rotations, result.trans_m, betas, points.names, points.points_m, body)
     if (valid[:, None] & bent).any():
         say(
             f"{person}: no camera shows the legs in {(valid & bent.any(1)).sum()} frames, and "
@@ -204,7 +204,7 @@ def _person(
     ``sigma_m`` (T, 24) counts where valid. A camera has the person in frames that are ``seen`` (T,).
     """
     present = presence(valid, seen, fps)
-    local, trans = settings.smooth.smooth_body(*filled(local, trans_m, valid, present), fps)
+    local, trans = settings.smooth.smooth_body(*fill_gaps(local, trans_m, valid, present), fps)
     poses = rotations.log(local).reshape(len(valid), 72)
     return Person(
         name=name,
@@ -270,7 +270,7 @@ def run(
     body_model = BodyModel.load(body)
     whose = read_identities(identities[0])
     names, keypoints = observations(person, seen, whose, body_model, footage.frames)
-    points = lift(
+    points = triangulate_keypoints(
         names,
         keypoints,
         [cameras[d.camera] for d in seen],

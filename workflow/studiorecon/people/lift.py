@@ -85,7 +85,7 @@ def pelvis_pixels(seen: Detections) -> Float[np.ndarray, "D 2"]:
     return pixels
 
 
-def still(hw: tuple[int, int], people: Num[np.ndarray, "P K 3"]) -> Bool[np.ndarray, "H W"]:
+def static_pixels(hw: tuple[int, int], people: Num[np.ndarray, "P K 3"]) -> Bool[np.ndarray, "H W"]:
     """(H, W) bool: outside of the boxes around people's keypoints (P, K, 3), widened for clothes and shadows."""
     out = np.ones(hw, bool)
     for points in people:
@@ -106,15 +106,15 @@ def aligned_to_first(
     Every frame is fitted on pixels without people in it and at the first moment; the camera is static, so its frames
     share one scale and shift.
     """
-    rng, nobody = np.random.default_rng(0), still(first_m.shape, seen.keypoints[seen.frame == 0])
+    rng, nobody = np.random.default_rng(0), static_pixels(first_m.shape, seen.keypoints[seen.frame == 0])
     fits = [
-        align_depth(depth, first_m, nobody & still(first_m.shape, seen.keypoints[seen.frame == frame]), rng)
+        align_depth(depth, first_m, nobody & static_pixels(first_m.shape, seen.keypoints[seen.frame == frame]), rng)
         for frame, depth in ((frame, predicted[frame]) for frame in sorted(predicted))
     ]
     return shared_alignment(fits)
 
 
-def lifted(
+def lift_detections(
     seen: Detections,
     predicted: Mapping[int, Float[np.ndarray, "H W"]],
     first_m: Float[np.ndarray, "H W"],
@@ -211,7 +211,7 @@ def run(
             f"{title} and the first moment's depth differ by {gap:.0%} in the median in camera {camera}: not the same "
             f"view; {_INSTEAD}"
         )
-    result = lifted(seen, predicted, first_m, alignment, own, settings.lift)
+    result = lift_detections(seen, predicted, first_m, alignment, own, settings.lift)
     known = int(np.isfinite(result.pelvis[:, 2]).sum()) if result.pelvis is not None else 0
     say(
         f"camera {camera}: metres = {alignment.scale:.4g} × {title} + {alignment.shift_m:.2f}, one alignment for "

@@ -20,9 +20,9 @@ from studiorecon.pages import skeleton
 from studiorecon.people.association.picture_change import sampled_frames
 from studiorecon.progress import progress
 from studiorecon.scene.files import write_text
-from studiorecon.scene.intermediate import read
 from studiorecon.scene.people import Detections, people_rows, read_detections, read_identities
 from studiorecon.scene.schema import Anything, Named
+from studiorecon.scene.step_files import read
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ def person_css_colour(person: str) -> str:
     return _COLOURS[int(person[1:]) % len(_COLOURS)] if person else _NOBODY
 
 
-def ordered(tracks: Sequence[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def order_by_doubt(tracks: Sequence[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Doubtful tracks, narrowest margin first, and rejected ones, longest first; a rejected one is not doubtful."""
     doubtful = [t for t in tracks if t["person"] and t["reason"]]
     rejected = [t for t in tracks if not t["person"]]
@@ -196,7 +196,7 @@ def run(
     told, rows = read(association, Named(Anything())), people_rows(people)
     found = [read_detections(p) for p in detections]
     view = {d.camera: v for v, d in enumerate(found)}
-    doubtful, rejected = ordered(told["tracks"])
+    doubtful, rejected = order_by_doubt(told["tracks"])
     strips: list[tuple[str, str, list[Wanted]]] = []  # where it belongs, colour, pictures
     for row in rows:
         for v, d in enumerate(found):
@@ -233,7 +233,7 @@ def run(
             }
             for o in some
         ]
-        shown[where] = skeleton.filled(_STRIP, where=where, colour=colour, figures=figures)
+        shown[where] = skeleton.fill_template(_STRIP, where=where, colour=colour, figures=figures)
     write_text(
         page, _page(told, rows, doubtful, rejected, [d.camera for d in found], shown, read_identities(identities))
     )
@@ -248,7 +248,7 @@ def _page(
     shown: Mapping[str, str],
     identities: dict[tuple[str, int], str],
 ) -> str:
-    body = skeleton.filled(
+    body = skeleton.fill_template(
         _BODY,
         told=told,
         rows=rows,

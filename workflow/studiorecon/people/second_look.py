@@ -34,7 +34,7 @@ from studiorecon.people.expected import (
     Expected,
     Plan,
     agreement,
-    planned,
+    plan_second_look,
     project_expected,
     swap_left_right,
 )
@@ -70,7 +70,7 @@ class SecondLook:
     keypoints: Float[np.ndarray, "K 3"]
 
 
-def looked_again(
+def redetect(
     network: BlazePose,
     pictures: Iterable[Integer[np.ndarray, "H W 3"]],
     plan: Plan,
@@ -142,7 +142,7 @@ class CameraPictures:
         return np.column_stack([np.where(there[:, None], pixels, np.nan), np.where(there, keypoints[:, 2], 0.0)])
 
 
-def improved_by(
+def improve_detections(
     own: Detections,
     plan: Plan,
     looks: Sequence[SecondLook],
@@ -223,7 +223,7 @@ def run(
         people = [project_expected(p, at, cameras, given, who, *about) for p in names]
     else:
         people = [project_guess(p, at, cameras, given, who, footage.frames) for p in names]
-    plan = planned(own, people, who, footage.frames)
+    plan = plan_second_look(own, people, who, footage.frames)
     owners = [who.get((camera, int(t)), "") for t in own.track]
     if len(cameras) == 2:
         # Which of two cameras that disagree has left and right exchanged: the one that contradicts itself.
@@ -232,8 +232,8 @@ def run(
     wanted = [footage.used[frame] for frame in sorted({look[0] for look in plan.looks})]
     pictures = progress(stills(open_source(source, picture_fps), wanted), f"frames of {camera}", len(wanted))
     network = BlazePose(networks[0], networks[1], second_network(second, layout))
-    looks = looked_again(network, pictures, plan, people, own, view)
-    result = improved_by(own, plan, looks, people, owners, len(whole.frame))
+    looks = redetect(network, pictures, plan, people, own, view)
+    result = improve_detections(own, plan, looks, people, owners, len(whole.frame))
     rows = [
         (
             footage.used[look.frame],

@@ -9,7 +9,7 @@ from pathlib import Path
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
 from studiorecon.placement.figures import Judge
-from studiorecon.placement.picture import advised, camera_position_text, drawn, figure_lines
+from studiorecon.placement.picture import advice_line, camera_position_text, drawn, figure_lines
 from studiorecon.placement.placing import advice
 from studiorecon.placement.room import room_about
 from studiorecon.progress import say
@@ -32,7 +32,7 @@ def run(model: Path, picture: Written, plan: Written) -> None:
     told = [{"camera": m.camera, "words": m.words, "gain": m.gain, "better": m.better.as_json()} for m in moves]
     write_json(plan, {"room_m": [room.low_m, room.high_m], "figures": dataclasses.asdict(figures), "advice": told})
     placed = (camera_position_text(camera, room) for camera in cameras)
-    for line in (title, *placed, *figure_lines(figures), *(advised(move) for move in moves)):
+    for line in (title, *placed, *figure_lines(figures), *(advice_line(move) for move in moves)):
         say(line)
     if not moves:
         say("no camera would see 3 % better from within 1.5 m of its place")

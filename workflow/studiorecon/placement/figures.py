@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.placement.room import FEET_M, HEAD_M, HIPS_M, WIDTH_M, Room, blocked
+from studiorecon.placement.room import FEET_M, HEAD_M, HIPS_M, WIDTH_M, Room, is_blocked
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ class Judge:
         if stands_m is None:
             return found
         eyes = np.array([camera.centre_m for camera in cameras])
-        return found & ~blocked(eyes, points_m, stands_m, self.room.low_m[2])
+        return found & ~is_blocked(eyes, points_m, stands_m, self.room.low_m[2])
 
     def figures(self, cameras: Sequence[Camera]) -> Figures:
         """The quality of the room's cameras."""

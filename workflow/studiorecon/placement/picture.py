@@ -37,7 +37,7 @@ def drawn(title: str, cameras: Sequence[Camera], judge: Judge, figures: Figures,
         "",
         *(camera_position_text(camera, room) for camera in cameras),
         "",
-        *(advised(move) for move in moves),
+        *(advice_line(move) for move in moves),
     ]
     total_w, total_h = 2 * _MAP_PX + 3 * _GAP_PX, _TOP_PX + high + 100 + _LINE_PX * (len(lines) + 1)
     counts, errors = _maps(cameras, judge)
@@ -97,7 +97,7 @@ def figure_lines(figures: Figures) -> list[str]:
     ]
 
 
-def advised(move: Move) -> str:
+def advice_line(move: Move) -> str:
     """One line of advice."""
     return f"{move.words[0].upper()}{move.words[1:]}: {100 * move.gain:.0f} % better, the others staying"
 

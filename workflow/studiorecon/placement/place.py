@@ -10,7 +10,7 @@ from pathlib import Path
 from studiorecon.errors import UserError
 from studiorecon.placement.figures import Judge
 from studiorecon.placement.picture import camera_position_text, drawn, figure_lines
-from studiorecon.placement.placing import lens, placed
+from studiorecon.placement.placing import lens, place_cameras
 from studiorecon.placement.room import read_room
 from studiorecon.progress import say
 from studiorecon.scene.files import complete, write_json
@@ -43,7 +43,7 @@ def run(room: str, cameras: int, hfov_deg: list[float], resolution: str, picture
         )
     angles = hfov_deg * cameras if len(hfov_deg) == 1 else hfov_deg
     lenses = [lens(f"cam{k + 1}", angle, wh) for k, angle in enumerate(angles)]
-    found, judge = placed(box, lenses), Judge(box)
+    found, judge = place_cameras(box, lenses), Judge(box)
     figures = judge.figures(found)
     told = " and ".join(f"{angle:g}°" for angle in dict.fromkeys(angles))
     title = f"{cameras} cameras of {told} ({wh[0]} × {wh[1]}) in {' × '.join(f'{side:g}' for side in box.size_m)} m"

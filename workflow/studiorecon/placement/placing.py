@@ -61,7 +61,7 @@ def with_pose(camera: Camera, eye_m: Float[np.ndarray, " 3"], world_from_camera:
     return replace(camera, camera_from_world=transform)
 
 
-def placed(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
+def place_cameras(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
     """The lenses at the best of all rings along the room's walls: evenly by walls, at one height, aimed at the middle.
 
     An even ring is unchanged by half a turn, so symmetric rooms get symmetric rigs. Raises UserError for fewer than two

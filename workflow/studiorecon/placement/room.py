@@ -126,7 +126,7 @@ def room_about(cameras: Sequence[Camera]) -> Room:
     return Room((float(low[0]), float(low[1]), 0.0), (float(high[0]), float(high[1]), max(float(high[2]), _CEILING_M)))
 
 
-def blocked(
+def is_blocked(
     eyes_m: Float[np.ndarray, "V 3"],
     points_m: Float[np.ndarray, "N 3"],
     stands_m: Float[np.ndarray, " 2"],

@@ -9,7 +9,7 @@ data; they read both as ``PLAN`` and ``files`` (``workflow/rules/common.smk``). 
   files);
 * ``person_sources``: the cameras in which people are detected, and the method;
 * ``networks``: the selected upstream networks, their images and GPUs;
-* ``decisions``: the ``Plan`` itself; ``refusals``, ``dates``: inputs that cannot be run; ``make``: the whole plan;
+* ``decisions``: the ``Plan`` itself; ``plan_checks``, ``dates``: inputs that cannot be run; ``make``: the whole plan;
 * ``budget``: the preset that fits into ``budget_min``, from ``workload`` (the work of every rule) and ``prices``;
 * ``command``: the shell line of a rule, from the signature of its step;
 * ``step_config``: the settings that a step gets, including the decisions of ``survey.force``;

@@ -109,7 +109,7 @@ class Choice:
         }
 
 
-def bought(
+def choose_preset(
     config: Mapping[str, Any], said: Mapping[str, Any], schema: Mapping[str, Any], plan: Plan, cores: int
 ) -> Choice:
     """The preset for ``budget_min`` on this machine, whose pace is probed once and kept in ``timings/pace.json``.
@@ -141,7 +141,7 @@ def choose(
     """The best offer that fits into ``minutes``; where none does, the quickest, with ``fits`` false."""
     offers = []
     for point in prices.points:
-        made = laid_over(config, stated, preset(point.preset))
+        made = overlay(config, stated, preset(point.preset))
         work = workload(footage, made, segments_with_views(plan, made), plan.forced)
         work_s = sum(spent(work, prices).values()) / pace
         offers.append(Offer(point, predict(work, prices, cores, pace), work_s, made))
@@ -164,13 +164,13 @@ def preset(name: str) -> dict[str, Any]:
     return yaml.safe_load((PRESETS / f"{name}.yaml").read_text(encoding="utf-8")) if name else {}
 
 
-def laid_over(config: Mapping[str, Any], stated: Stated, over: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+def overlay(config: Mapping[str, Any], stated: Stated, over: Mapping[str, Any], above: str = "") -> dict[str, Any]:
     """A copy of ``config`` with the values of ``over`` except where the user has ``stated`` one."""
     made = copy.deepcopy(dict(config))
     for name, value in over.items():
         own, full = made.get(name), f"{above}{name}"
         if isinstance(value, Mapping) and isinstance(own, Mapping):
-            made[name] = laid_over(own, stated, value, f"{full}.")
+            made[name] = overlay(own, stated, value, f"{full}.")
         elif not stated.keeps(full, own):
             made[name] = copy.deepcopy(value)
     return made

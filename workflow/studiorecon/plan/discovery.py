@@ -36,8 +36,8 @@ from studiorecon.scene.capture_yaml import (
     read_starts,
 )
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset, colmap_files
-from studiorecon.scene.names import checked_name, checked_place
-from studiorecon.scene.outside import file_size
+from studiorecon.scene.names import check_name, check_path
+from studiorecon.scene.user_files import file_size
 
 _BYTES = 1 << 20
 # Where one camera's data can be: its own folder ("") or a file with such a suffix, likelier ones first.
@@ -62,7 +62,7 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
 
 
 def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
-    recordings = find_recordings(checked_place(folder), chapters(description))
+    recordings = find_recordings(check_path(folder), chapters(description))
     films = recordings.films
     if strange := [camera for camera in chapters(description) if camera not in films]:
         raise UserError(
@@ -70,7 +70,7 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
             f"relative to {folder}"
         )
     for camera, path in films.items():
-        checked_name(camera, f"camera {path[0]}", "rename the file or folder")
+        check_name(camera, f"camera {path[0]}", "rename the file or folder")
     footage = {camera: parts[0] for camera, parts in films.items()}
     every = dict(footage)
     starts = read_starts(description, footage)

@@ -12,8 +12,8 @@ from pathlib import Path
 from studiorecon.errors import UserError
 from studiorecon.footage.kinds import is_film
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
-from studiorecon.scene.names import folded, of_the_system
-from studiorecon.scene.numbered import natural
+from studiorecon.scene.names import fold_name, of_the_system
+from studiorecon.scene.numbered_files import natural
 
 # Folders that hold the footage in common captures; the first with films counts.
 VIDEO_FOLDERS = ("videos", "video", "frame_aligned_videos")
@@ -57,7 +57,7 @@ def find_recordings(folder: Path, chapters: Mapping[str, Sequence[str]]) -> Reco
     ``chapters`` of capture.yaml maps a camera to its films, relative to the folder. Raises UserError when there is no
     footage, when two films share a name, or when a chapter is missing.
     """
-    folders = {folded(p.name): p for p in sorted(folder.iterdir()) if p.is_dir()}
+    folders = {fold_name(p.name): p for p in sorted(folder.iterdir()) if p.is_dir()}
     places = [folders[name] for name in VIDEO_FOLDERS if name in folders]
     for place in places:
         if films := _films(place):

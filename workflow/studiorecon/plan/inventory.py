@@ -7,12 +7,12 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-from studiorecon.calibration.formats.lenses import why_not
+from studiorecon.calibration.formats.lenses import unused_reason
 from studiorecon.footage.kinds import film_suffixes
 from studiorecon.plan.films import is_preview
 from studiorecon.plan.pairing import camera_stem
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset
-from studiorecon.scene.names import folded, of_the_system
+from studiorecon.scene.names import fold_name, of_the_system
 
 _MAX_SENTENCES = 30
 _MAX_COUNTED = 1000
@@ -94,7 +94,7 @@ def _reason(path: Path, dataset: Dataset, place: Path, left_out: set[str]) -> st
     if path.is_dir():
         if (first := next(_files(path), None)) is None:
             return "it is empty"
-        if LIKE_KEYPOINTS.search(folded(path.name)) or path.name in ("plates", "masks", "depth"):
+        if LIKE_KEYPOINTS.search(fold_name(path.name)) or path.name in ("plates", "masks", "depth"):
             return f"{_NO_NAME} ({first.name}); cameras are {', '.join(dataset.footage)}"
         return _reason_of_name(path, dataset) or _reason(first, dataset, place, left_out)
     suffix = path.suffix.lower()
@@ -107,7 +107,7 @@ def _reason(path: Path, dataset: Dataset, place: Path, left_out: set[str]) -> st
         or _reason_of_name(path, dataset)
         or (f"pictures are read from images/<camera>/{', not beside films' * (place in path.parents)}")
         * (suffix in PICTURE_SUFFIXES)
-        or why_not(path, dataset.calibration)
+        or unused_reason(path, dataset.calibration)
         or _reason_of_calibration(path, dataset) * (suffix in _CALIBRATION_SUFFIXES)
         or (f"no film ends in {path.suffix or 'nothing'}" if path.parent == place else "no file of a kind that is read")
     )
@@ -118,7 +118,7 @@ def _reason_of_name(path: Path, dataset: Dataset) -> str:
     nouns = {"keypoints": dataset.keypoints, "plate": dataset.plates, "masks": dataset.masks, "depth": dataset.depth}
     for noun, entries in nouns.items():
         for camera, entry in entries.items():
-            if entry.parent == path.parent and folded(camera_stem(entry)) == folded(camera_stem(path)):
+            if entry.parent == path.parent and fold_name(camera_stem(entry)) == fold_name(camera_stem(path)):
                 return f"camera {camera} has {noun} in {entry.name} already"
         if any(entry.parent == path.parent for entry in entries.values()):
             return f"{_NO_NAME}; cameras are {', '.join(dataset.footage)}"

@@ -11,7 +11,7 @@ from studiorecon.errors import UserError
 from studiorecon.plan.inventory import LIKE_KEYPOINTS
 from studiorecon.plan.pairing import per_camera
 from studiorecon.scene.dataset import Dataset
-from studiorecon.scene.names import folded
+from studiorecon.scene.names import fold_name
 
 # A folder ("") or a file with such a suffix, likelier ones first.
 _KEYPOINTS = ("", ".json", ".csv", ".npz", ".h5")
@@ -35,8 +35,8 @@ def keypoint_files(folder: Path, named: str | None, cameras: Sequence[str]) -> t
         path.relative_to(folder).as_posix(): entries
         for path in sorted([*folder.glob("*"), *folder.glob("*/*")])
         if path.is_dir()
-        and LIKE_KEYPOINTS.search(folded(path.name))
-        and not _NOT_LIKE_KEYPOINTS.search(folded(path.relative_to(folder).as_posix()))
+        and LIKE_KEYPOINTS.search(fold_name(path.name))
+        and not _NOT_LIKE_KEYPOINTS.search(fold_name(path.relative_to(folder).as_posix()))
         and (entries := per_camera(folder, path.relative_to(folder).as_posix(), False, cameras, _KEYPOINTS))
     }
     if len(held) == 1:

@@ -12,8 +12,8 @@ from studiorecon.plan.dataset import chosen_dataset, resolve_path
 from studiorecon.plan.decisions import Plan
 from studiorecon.plan.networks import choose_networks
 from studiorecon.plan.person_sources import choose_person_sources
-from studiorecon.plan.refusals import refuse
-from studiorecon.scene.names import checked_name, segment_name
+from studiorecon.plan.plan_checks import check_plan
+from studiorecon.scene.names import check_name, segment_name
 
 _TAKEN = ("studio", "body")
 """Folders of results that belong to no scene."""
@@ -28,7 +28,7 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
     dataset, networks = chosen.dataset, choose_networks(config, home)
     sources = choose_person_sources(dataset, config)
     scene = str(config["scene"]) or chosen.studio or dataset.folder.resolve().name
-    checked_name(scene, "the scene", "name it with --config scene=NAME")
+    check_name(scene, "the scene", "name it with --config scene=NAME")
     if scene in _TAKEN:
         raise UserError(
             f"the scene is called {scene!r}, and results/{scene}/ holds what all scenes share; name it otherwise with "
@@ -57,5 +57,5 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
         films=[shot for shot in config["render"]["shots"] if shot != "heldout" or dataset.held_out],
         forced=config["survey"]["force"],
     )
-    refuse(plan, config)
+    check_plan(plan, config)
     return plan

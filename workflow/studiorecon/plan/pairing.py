@@ -9,7 +9,7 @@ from pathlib import Path
 
 from studiorecon.errors import UserError
 from studiorecon.footage.kinds import film_suffixes
-from studiorecon.scene.names import folded, of_the_system
+from studiorecon.scene.names import fold_name, of_the_system
 
 # Suffixes that programs for keypoints and masks append to the name of a film.
 _TAIL = "(?:_json|_ext|_keypoints|_pose|dlc_.*)"
@@ -22,7 +22,7 @@ def camera_stem(path: Path) -> str:
 
 
 def _holds(name: str, word: str) -> bool:
-    return re.search(rf"(?<![^\W_]){re.escape(folded(word))}(?![^\W_])", folded(name)) is not None
+    return re.search(rf"(?<![^\W_]){re.escape(fold_name(word))}(?![^\W_])", fold_name(name)) is not None
 
 
 def _longer(pair: tuple[str, str], other: tuple[str, str]) -> bool:
@@ -30,20 +30,20 @@ def _longer(pair: tuple[str, str], other: tuple[str, str]) -> bool:
     return any(
         pair[k] == other[k] and _holds(pair[k], other[1 - k]) and _holds(other[1 - k], pair[1 - k])
         for k in (0, 1)
-        if folded(pair[1 - k]) != folded(other[1 - k])
+        if fold_name(pair[1 - k]) != fold_name(other[1 - k])
     )
 
 
 # Strongest first: a weaker rule applies only to entries that stronger ones leave.
 _RULES: tuple[Callable[[str, str], bool], ...] = (
     lambda camera, entry: camera == entry,
-    lambda camera, entry: folded(camera) == folded(entry),
-    lambda camera, entry: re.fullmatch(re.escape(folded(camera)) + _TAIL, folded(entry)) is not None,
+    lambda camera, entry: fold_name(camera) == fold_name(entry),
+    lambda camera, entry: re.fullmatch(re.escape(fold_name(camera)) + _TAIL, fold_name(entry)) is not None,
     lambda camera, entry: _holds(entry, camera) or _holds(camera, entry),
 )
 
 
-def paired(cameras: Sequence[str], entries: Iterable[Path]) -> dict[str, Path]:
+def pair_by_name(cameras: Sequence[str], entries: Iterable[Path]) -> dict[str, Path]:
     """camera → the entry that its name selects; of several entries of one name the first.
 
     A weaker match (one name contains the other as a whole word, or they differ in case or Unicode form) counts only
@@ -56,11 +56,11 @@ def paired(cameras: Sequence[str], entries: Iterable[Path]) -> dict[str, Path]:
         # Of names that contain each other (cam1, cam1_b) the longest that fits counts.
         sure = [(c, e) for c, e in pairs if not any(_longer((c, left[e]), (o, left[f])) for o, f in pairs)]
         for camera, entry in sure:
-            stems = {folded(left[e]) for c, e in sure if c == camera}
+            stems = {fold_name(left[e]) for c, e in sure if c == camera}
             if camera not in found and len(stems) == 1 and {c for c, e in sure if e == entry} == {camera}:
                 found[camera] = entry
-        taken = {folded(left[entry]) for entry in found.values() if entry in left}
-        left = {entry: stem for entry, stem in left.items() if folded(stem) not in taken}
+        taken = {fold_name(left[entry]) for entry in found.values() if entry in left}
+        left = {entry: stem for entry, stem in left.items() if fold_name(stem) not in taken}
     return {camera: found[camera] for camera in cameras if camera in found}
 
 
@@ -77,4 +77,4 @@ def per_camera(
         return {}
     kinds = {path: "" if path.is_dir() else path.suffix.lower() for path in sorted(base.iterdir())}
     entries = [path for path, kind in kinds.items() if kind in suffixes and not of_the_system(path)]
-    return paired(list(cameras), sorted(entries, key=lambda path: suffixes.index(kinds[path])))
+    return pair_by_name(list(cameras), sorted(entries, key=lambda path: suffixes.index(kinds[path])))

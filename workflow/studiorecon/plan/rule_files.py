@@ -10,9 +10,9 @@ from typing import Any
 from studiorecon.plan.decisions import Plan
 from studiorecon.plan.step_config import step_section
 from studiorecon.plan.user_inputs import UserInputs
-from studiorecon.scene.intermediate import read
 from studiorecon.scene.people import read_people
 from studiorecon.scene.schema import Anything, Named
+from studiorecon.scene.step_files import read
 
 
 class Files(UserInputs):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.errors import UserError
-from studiorecon.models.catalogue.preflight import staged
+from studiorecon.models.catalogue.preflight import staged_weights
 from studiorecon.models.catalogue.registry import MODELS, model
 from studiorecon.plan.decisions import Plan
 from studiorecon.scene.dataset import colmap_files
@@ -71,7 +71,7 @@ class UserInputs:
         if named not in MODELS:
             return [self.local(named)] if named else []
         card = model(named)
-        return [self.local(str(staged(card, Path(self.plan.networks.weights)) / card.weights[0].path))]
+        return [self.local(str(staged_weights(card, Path(self.plan.networks.weights)) / card.weights[0].path))]
 
     @cached_property
     def player(self) -> list[str]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.images.flow import chained, consistent
+from studiorecon.images.flow import chain_flow, consistent
 from studiorecon.models.protocols import Flow
 from studiorecon.recursive.injection import Injection
 
@@ -57,8 +57,8 @@ def flows_back(
 ) -> list[tuple[Float[np.ndarray, "H W 2"], Bool[np.ndarray, "H W"]]]:
     """Flow and validity from the current picture to every earlier one, latest first.
 
-    ``chained`` costs one search per picture whatever the history, and accumulates the errors of its links; ``direct``
-    searches once per earlier picture. In both cases every stored output is warped once (E08).
+    ``chain_flow`` costs one search per picture whatever the history, and accumulates the errors of its links;
+    ``direct`` searches once per earlier picture. In both cases every stored output is warped once (E08).
     """
     if injection.flow == "direct":
         return list(pool.map(lambda past: backward_flow(picture, past.render, search, injection.check), history))
@@ -66,5 +66,5 @@ def flows_back(
     for past in list(history)[:-1]:
         if past.flow is None or past.valid is None:
             raise ValueError("history holds a picture without its flow to the picture before it")
-        found.append(chained(*found[-1], past.flow, past.valid))
+        found.append(chain_flow(*found[-1], past.flow, past.valid))
     return found

@@ -21,8 +21,8 @@ import numpy as np
 
 from studiorecon.render.occlusion import Groups, hidden_light, nearness, sky_discs
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import read
 from studiorecon.scene.schema import Anything, Listed, Named, flag, metres, real, text
+from studiorecon.scene.step_files import read
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Shaped

@@ -79,7 +79,7 @@ def shading(
     last = filmed[0].frames - 1 if filmed else len(things[0].centres_m) - 1 if things else 0
     moments = evenly_spread(last + 1, _MOMENTS)
     lit = LitPoints(light, room.means_m[at])
-    usual = most_agreed(np.stack([lit.left(_bodies(casters, things, float(m))) for m in moments]))
+    usual = robust_mode(np.stack([lit.left(_bodies(casters, things, float(m))) for m in moments]))
     return Shading(
         lit,
         at,
@@ -90,7 +90,7 @@ def shading(
     )
 
 
-def most_agreed(left: Float[np.ndarray, "T M"]) -> Float[np.ndarray, " M"]:
+def robust_mode(left: Float[np.ndarray, "T M"]) -> Float[np.ndarray, " M"]:
     """(M,) mean of the values that most moments of ``left`` (T, M) agree on, as for a plate's colours; ties go to the
     brighter.
     """

@@ -27,7 +27,7 @@ from studiorecon.render.planning import plan
 from studiorecon.render.replacement import replace_people
 from studiorecon.render.room_light import read_light
 from studiorecon.render.shading import shading
-from studiorecon.render.statistics import PictureStatistics, angles_deg, obstacles, shares, write_ledger
+from studiorecon.render.statistics import PictureStatistics, angles_deg, nearby_obstacles, shares, write_ledger
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.path import PathStep, write_path
@@ -137,7 +137,7 @@ def run(
             "and it is left out"
         )
     canvas = CompositeRenderer(scene, settings.near_m, resolve(device))
-    around = zip(angles_deg(steps, training, subjects.scene_m), obstacles(steps, scene, settings.clearance_m))
+    around = zip(angles_deg(steps, training, subjects.scene_m), nearby_obstacles(steps, scene, settings.clearance_m))
     entries = []
     writers = [partial(write_lossless, target, fps=capture.fps) for target in (video, truth, depth)]
     with writing([_of_frames(writer) for writer in writers]) as put:

@@ -60,7 +60,7 @@ def angles_deg(
     return np.degrees(np.arctan2(across, eyes @ filmed.T).min(axis=1))
 
 
-def obstacles(steps: Sequence[PathStep], scene: Composite, clearance_m: float) -> list[str]:
+def nearby_obstacles(steps: Sequence[PathStep], scene: Composite, clearance_m: float) -> list[str]:
     """Per picture, the obstacle closer to the camera than ``clearance_m``: a person at that time, or the room."""
     eyes = np.array([step.camera.centre_m for step in steps])
     in_room = blocked(eyes, scene.background, clearance_m)

@@ -49,9 +49,9 @@ from studiorecon.report.sections.pictures import truth_shares
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import common_start, read_manifest
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import read
 from studiorecon.scene.people import Person, read_detections, read_identities
 from studiorecon.scene.schema import Anything
+from studiorecon.scene.step_files import read
 from studiorecon.signature import Place, Written
 from studiorecon.splatting.device import resolve
 

@@ -155,7 +155,7 @@ def truth_pictures(
     return rows
 
 
-def spent_on(benchmarks: Path) -> dict[str, Any]:
+def run_cost(benchmarks: Path) -> dict[str, Any]:
     """The cost of the run, and its machine."""
     spent = cost(benchmarks)
     spent["machine"] = {
@@ -254,7 +254,7 @@ def run(
     Files that are not arguments have the names that the rules give them in ``results/<scene>``.
     """
     capture, measured, chosen = read_manifest(manifest), read_json(metrics), json.loads(budget)
-    spent = spent_on(benchmarks)
+    spent = run_cost(benchmarks)
     write_json(costs, spent)
     names = tuple(camera.name for camera in read_model(model.parent)), tuple(f.camera for f in capture.held_out)
     made = Made(manifest.parents[1], *names, tuple(film.stem for film in films))

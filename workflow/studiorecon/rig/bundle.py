@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, without_drift
+from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, remove_drift
 from studiorecon.geometry.distortion import undistort
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
@@ -80,7 +80,7 @@ def error_medians(
     return (float(np.median(pooled)) if len(pooled) else float("nan")), per_camera, found.points_m[counted]
 
 
-def contradicted(
+def contradicted_share(
     cameras: Sequence[Camera], seen: Observations, detections: Sequence[Detections], limits: Limits
 ) -> float:
     """Share of the points of two views that lie in a third one's picture, where people were seen in that frame, but not
@@ -100,7 +100,7 @@ def contradicted(
     return float(elsewhere[found.valid].mean()) if found.valid.any() else 0.0
 
 
-def fitted(
+def fit_cameras(
     cameras: Sequence[Camera],
     seen: Observations,
     limits: Limits,
@@ -119,7 +119,7 @@ def fitted(
     current = list(cameras)
     for loose in (1.0,) if close else (_LOOSE, 1.0):
         wide = replace(limits, outlier_units=limits.outlier_units * loose)
-        bent = straightened(seen, current, result.radial) if result is not None else seen
+        bent = remove_radial(seen, current, result.radial) if result is not None else seen
         found = triangulate(bent.pixels, bent.confidence, current, wide)
         used = found.verified
         if used.sum() < 10 * len(cameras):
@@ -132,10 +132,10 @@ def fitted(
             start, seen.pixels[:, used], weights, found.points_m[used], unit_px(start, limits), bundle, lens
         )
         current = result.cameras
-    return replace(result, cameras=without_drift(current, cameras)[0]) if result is not None else None
+    return replace(result, cameras=remove_drift(current, cameras)[0]) if result is not None else None
 
 
-def straightened(seen: Observations, cameras: Sequence[Camera], radial: Num[np.ndarray, " V"]) -> Observations:
+def remove_radial(seen: Observations, cameras: Sequence[Camera], radial: Num[np.ndarray, " V"]) -> Observations:
     """The observations without a radial term k1 beyond what was already removed; pixels that no ray explains are
     dropped."""
     pixels, confidence = seen.pixels.copy(), seen.confidence.copy()
@@ -159,7 +159,7 @@ class LensVerdict:
     report: dict[str, Any]
 
 
-def lenses_called_for(
+def choose_lens_terms(
     cameras: Sequence[Camera],
     fit_on: Observations,
     judge_on: Observations,
@@ -180,10 +180,10 @@ def lenses_called_for(
         ("focal", LensPrior(lens.focal_sigma, 0.0), 6),
         ("radial", LensPrior(lens.focal_sigma, lens.radial_sigma), 7),
     ):
-        result = fitted(cameras, fit_on, limits, bundle, prior, close=True)
+        result = fit_cameras(cameras, fit_on, limits, bundle, prior, close=True)
         if result is None:
             break
-        after = error_medians(result.cameras, straightened(judge_on, result.cameras, result.radial), limits)[0]
+        after = error_medians(result.cameras, remove_radial(judge_on, result.cameras, result.radial), limits)[0]
         longer = np.array([c.focal_px[0] / g.focal_px[0] for c, g in zip(result.cameras, cameras)])
         change = result.radial if name == "radial" else np.log(longer)
         sigmas = float(np.max(np.abs(change) / np.maximum(result.sigma[:, column], 1e-9)))

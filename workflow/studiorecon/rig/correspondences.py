@@ -60,7 +60,7 @@ class Observations:
         )
 
 
-def observe(
+def make_observations(
     detections: Sequence[Detections], cameras: Sequence[Camera], frames: Integer[np.ndarray, " F"], gate_m: float
 ) -> tuple[Observations, TrackGraph]:
     """What the people in ``frames`` show the cameras, grouped by ray distance below ``gate_m``."""

@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-from studiorecon.geometry.bundle import BundleSettings, without_drift
+from studiorecon.geometry.bundle import BundleSettings, remove_drift
 from studiorecon.geometry.rotations import angle
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.correspondences import Observations
@@ -91,7 +91,7 @@ def refine_on_edges(
     found = refine_on_room(adjusted, given, seen, rooms, limits, free, people_cost=_PEOPLE_COST)
     if found is None:
         return None
-    cameras = without_drift(found.cameras, given)[0]
+    cameras = remove_drift(found.cameras, given)[0]
     after = edge_contradiction(cameras, edge_rotations(cameras, rooms))
     known_deg = ABOUT_ALL_AXES * rotation_interval_deg(np.degrees(found.adjusted.sigma[:, :3]).max(1))
     px = found.report["people_px_before"], found.report["people_px_after"]

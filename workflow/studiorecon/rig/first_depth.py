@@ -14,7 +14,7 @@ import numpy as np
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth
-from studiorecon.images.sizes import nearest
+from studiorecon.images.sizes import resample_nearest
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -59,4 +59,4 @@ def first_moment(
         )
     depth, sure = read_depth(first)
     factor = metres_per_metre(network, cameras, instead)
-    return factor * nearest(depth, own.hw).astype(np.float64), nearest(sure, own.hw)
+    return factor * resample_nearest(depth, own.hw).astype(np.float64), resample_nearest(sure, own.hw)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.bundle import move_camera
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.rig.correspondences import Observations
@@ -138,7 +138,9 @@ def align_to_floor(
     rotation = _upright(normal)
     about = np.array([*at_m, lift_m if lifted else 0.0])
     to = np.array([*at_m, 0.0])
-    back = [moved(c, c.camera_from_world[:3, :3] @ rotation.T, rotation @ (c.centre_m - about) + to) for c in cameras]
+    back = [
+        move_camera(c, c.camera_from_world[:3, :3] @ rotation.T, rotation @ (c.centre_m - about) + to) for c in cameras
+    ]
     return back, floor.tilt_deg if tilted else 0.0, lift_m if lifted else 0.0
 
 

@@ -16,12 +16,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, moved
-from studiorecon.geometry.relative_pose import essential_matrix, in_front, misses, relative_pose, resection, sampson
+from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, move_camera
+from studiorecon.geometry.relative_pose import (
+    essential_matrix,
+    in_front,
+    relative_pose,
+    reprojection_distances,
+    resection,
+    sampson,
+)
 from studiorecon.geometry.scale import scene_scale
 from studiorecon.geometry.triangulation import Limits, Triangulated, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
-from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.floor_marks import FloorMarks
 from studiorecon.rig.room_turns import RoomTurn
 from studiorecon.scene.camera import Camera
@@ -110,7 +117,7 @@ def propose_rigs(
     return sorted(grown, key=lambda r: (-len(r.cameras), -r.support))
 
 
-def adjusted(
+def adjust_rig(
     rig: Rig,
     lens: LensPrior,
     limits: Limits,
@@ -130,7 +137,9 @@ def adjusted(
     views, told = sorted(rig.cameras), turns or {}
     cameras = [rig.cameras[v] for v in views]
     given = [with_focal(c, (known_px or {}).get(v, c.focal_px[0])) for v, c in zip(views, cameras)]
-    given = [moved(c, told[v].rotation_camera_from_world, c.centre_m) if v in told else c for v, c in zip(views, given)]
+    given = [
+        move_camera(c, told[v].rotation_camera_from_world, c.centre_m) if v in told else c for v, c in zip(views, given)
+    ]
     held_deg = np.array([told[v].sigma_deg if v in told else _FREE.prior_deg for v in views])
     found = rig.points
     used = found.verified if len(cameras) > 2 else found.valid
@@ -178,7 +187,7 @@ def bone_factor(
     return 1 / found.world_per_metre if found.determined else None
 
 
-def scaled(camera: Camera, factor: float) -> Camera:
+def scale_camera(camera: Camera, factor: float) -> Camera:
     """The camera in a world that is ``factor`` times as large."""
     pose = camera.camera_from_world.copy()
     pose[:3, 3] *= factor
@@ -291,7 +300,7 @@ def refine_rig(
     bones.
 
     Before its scale is known (``first_pair``), the gate is a tenth of the pair's baseline. ``turns`` and
-    ``marks`` as for ``adjusted``.
+    ``marks`` as for ``adjust_rig``.
     """
     views = sorted(placed)
     current = dict(placed)
@@ -300,7 +309,7 @@ def refine_rig(
     for round_number in range(3):
         cameras = [current[v] for v in views]
         gate = _UNSCALED_GATE if first_pair and round_number == 0 else gate_m
-        found, _ = observe([seen.detections[v] for v in views], cameras, seen.frames, gate)
+        found, _ = make_observations([seen.detections[v] for v in views], cameras, seen.frames, gate)
         if not len(found.frame):
             return None
         points = triangulate(found.pixels, found.confidence, cameras, loose if round_number < 2 else limits)
@@ -310,13 +319,13 @@ def refine_rig(
         rig = Rig(dict(current), found, points, int(points.inliers[:, counted].sum()))
         if round_number == 2:
             break
-        better, used = adjusted(rig, LensPrior(0.0, 0.0), limits, turns=turns, marks=marks)
+        better, used = adjust_rig(rig, LensPrior(0.0, 0.0), limits, turns=turns, marks=marks)
         all_points = np.full_like(points.points_m, np.nan)
         all_points[used] = better.points_m
         factor = bone_factor(all_points, points, found, template_m)
         if factor is None:
             return None
-        current = {v: scaled(c, factor) for v, c in zip(views, better.cameras)}
+        current = {v: scale_camera(c, factor) for v, c in zip(views, better.cameras)}
     return rig
 
 
@@ -362,7 +371,7 @@ def _agreeing(
     """Points that agree with a pose, every track with one group at most, and those pairs."""
     votes = {}
     for key, (points, pixels) in pairs.items():
-        agreed = int((misses(pose, points, pixels) < unit).sum())
+        agreed = int((reprojection_distances(pose, points, pixels) < unit).sum())
         if agreed >= _AGREE * len(points):
             votes[key] = agreed
     chosen: list[tuple[int, int]] = []

@@ -13,7 +13,7 @@ from studiorecon.geometry.bundle import Adjusted, LensPrior
 from studiorecon.progress import say
 from studiorecon.rig.bundle import AgreementLimits
 from studiorecon.rig.floor_marks import FloorMarks, floor_marks
-from studiorecon.rig.from_tracks import Rig, Sightings, adjusted, refine_rig
+from studiorecon.rig.from_tracks import Rig, Sightings, adjust_rig, refine_rig
 from studiorecon.rig.gravity import world_from_people
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_turns import RoomTurn
@@ -50,7 +50,7 @@ def align_to_ground_plane(
             again = refine_rig(seen, cameras, template_m, agreement.gate_m, agreement.limits, turns=turns, marks=found)
             if again is None:
                 return rig, result, None
-            held, (after, _) = again, adjusted(again, lens, agreement.limits, known_px, turns, found)
+            held, (after, _) = again, adjust_rig(again, lens, agreement.limits, known_px, turns, found)
             cameras = dict(enumerate(after.cameras))
         marks = found
     if marks is None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.bundle import BundleSettings, moved
+from studiorecon.geometry.bundle import BundleSettings, move_camera
 from studiorecon.geometry.relative_pose import resection
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.geometry.triangulation import Limits, unit_px
@@ -166,7 +166,7 @@ def _fitted(start: Camera, given: Camera, seen: ObservedJoints, unit: float, run
     def residuals(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         turned, at = exp(x[:3]) @ rotation, centre + x[3:]
         prior = np.concatenate([log(turned @ given.camera_from_world[:3, :3].T), at - given.centre_m]) / sigma
-        return _units(moved(given, turned, at), seen, unit), prior
+        return _units(move_camera(given, turned, at), seen, unit), prior
 
     for _ in range(_ROUNDS):
         off, prior = residuals(np.zeros(6))
@@ -179,4 +179,4 @@ def _fitted(start: Camera, given: Camera, seen: ObservedJoints, unit: float, run
         rotation, centre = exp(step[:3]) @ rotation, centre + step[3:]
         if np.abs(step).max() < 1e-7:
             break
-    return moved(given, rotation, centre)
+    return move_camera(given, rotation, centre)

@@ -12,7 +12,7 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
-from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -72,7 +72,7 @@ def check_units(
     """Where nothing agrees: raises UserError if cameras whose lengths were of another unit see people of human size."""
     for factor in _TAKEN_FOR_METRES.values():
         smaller = [replace(c, camera_from_world=_scaled(c.camera_from_world, 1 / factor)) for c in cameras]
-        found_m = statures_m(smaller, observe(detections, smaller, frames, gate_m)[0], limits)
+        found_m = statures_m(smaller, make_observations(detections, smaller, frames, gate_m)[0], limits)
         if len(found_m) >= _MIN_BONES and _ADULTS_M[0] <= (stature_m := float(np.median(found_m))) <= _ADULTS_M[1]:
             raise UserError(_refusal(stature_m * factor))
 

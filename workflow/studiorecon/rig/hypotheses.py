@@ -15,7 +15,7 @@ from studiorecon.errors import UserError
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.rig.bundle import error_medians
-from studiorecon.rig.correspondences import observe
+from studiorecon.rig.correspondences import make_observations
 from studiorecon.rig.lens_model import LensReading
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -147,7 +147,7 @@ def refuse_swapped(
     if found is None:
         return
     row, swapped = found
-    seen, _ = observe(detections, swapped, frames, gate_m)
+    seen, _ = make_observations(detections, swapped, frames, gate_m)
     after = error_medians(swapped, seen, limits)[0] if len(seen.frame) else float("nan")
     if after * _MUCH_BETTER < (before_px if np.isfinite(before_px) else np.inf) and after * _BETTER < moved_px:
         known = f"{before_px:.0f} px as read" if np.isfinite(before_px) else "no three cameras agree as read"
@@ -158,14 +158,14 @@ def refuse_swapped(
 
 
 def _score(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> float:
-    seen, graph = observe(detections, cameras, frames, gate_m)
+    seen, graph = make_observations(detections, cameras, frames, gate_m)
     return seen.affinity / max(len(graph.view), 1)
 
 
 def _score_and_met(
     cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
 ) -> tuple[float, float]:
-    seen, graph = observe(detections, cameras, frames, gate_m)
+    seen, graph = make_observations(detections, cameras, frames, gate_m)
     score = seen.affinity / max(len(graph.view), 1)
     if not len(seen.frame):
         return score, 0.0
@@ -174,13 +174,13 @@ def _score_and_met(
 
 
 def _affinity(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> float:
-    return observe(detections, cameras, frames, gate_m)[0].affinity
+    return make_observations(detections, cameras, frames, gate_m)[0].affinity
 
 
 def _human_size(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> bool:
     """Whether upper bodies are as long as people's: in a world a thousand times too small all rays pass close to each
     other."""
-    seen, _ = observe(detections, cameras, frames, gate_m)
+    seen, _ = make_observations(detections, cameras, frames, gate_m)
     if not len(seen.frame):
         return False
     close = Limits(min_confidence=0.1, huber_share=0.005, outlier_units=9.0, min_angle_deg=2.0, near_m=1e-4)

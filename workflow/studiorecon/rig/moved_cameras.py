@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, without_drift
+from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, remove_drift
 from studiorecon.geometry.rotations import log
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.progress import warn
 from studiorecon.rig.bundle import error_medians
-from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.floor_alignment import align_to_floor, floor_under_feet
 from studiorecon.rig.from_tracks import propose_rigs, sightings
 from studiorecon.rig.room_picture import RoomPicture
@@ -113,7 +113,7 @@ def relocalise(
     cameras = list(given)
     for v, camera in zip(watched, found.cameras, strict=True):
         cameras[v] = camera
-    seen = found.seen if len(watched) == len(given) else observe(detections, cameras, frames, gate_m)[0]
+    seen = found.seen if len(watched) == len(given) else make_observations(detections, cameras, frames, gate_m)[0]
     before = before_px if np.isfinite(before_px) else None
     return MovedCameras(cameras, seen, {**found.report, "before_px": before, "after_px": after_px})
 
@@ -164,11 +164,11 @@ def refine_with_wider_prior(
             (r for r in propose_rigs(followed, given, _ADULT_M, gate_m, limits) if len(r.cameras) == len(given)), None
         )
         if rig is not None:
-            start = without_drift([rig.cameras[v] for v in range(len(given))], given)[0]
+            start = remove_drift([rig.cameras[v] for v in range(len(given))], given)[0]
             best = max(best, _converge(start, given, detections, frames, _ROUNDS[1:], limits, wide), key=lambda f: f[0])
     if not _use_all_people(best[1], detections, frames, gate_m, limits):
         return None
-    seen, _ = observe(detections, best[1], frames, gate_m)
+    seen, _ = make_observations(detections, best[1], frames, gate_m)
     rungs = [bundle, replace(bundle, prior_deg=_MIDDLE * bundle.prior_deg, prior_m=_MIDDLE * bundle.prior_m), wide]
     errors = [_unseen_error(seen, best[1], given, limits, rung) for rung in rungs]
     chosen = next((k for k, error in enumerate(errors) if error <= ABOUT_AS_WELL * min(errors)), 0)
@@ -192,14 +192,14 @@ def refine_with_wider_prior(
     }
     if room is not None:
         report["room"] = room.report
-    seen = observe(detections, result.cameras, frames, gate_m)[0]
+    seen = make_observations(detections, result.cameras, frames, gate_m)[0]
     marks_m = room.marks_m(limits) if room is not None and room.explained else np.zeros((0, 3))
     floor = floor_under_feet(result.cameras, seen, marks_m, limits)
     cameras = result.cameras
     if floor is not None:
         cameras, tilt_deg, lift_m = align_to_floor(result.cameras, *floor)
         report["levelled"] = {"tilt_deg": tilt_deg, "lift_m": lift_m}
-    return MovedCameras(cameras, observe(detections, cameras, frames, gate_m)[0], report)
+    return MovedCameras(cameras, make_observations(detections, cameras, frames, gate_m)[0], report)
 
 
 def pose_changes(
@@ -216,7 +216,7 @@ def _align_to_unmoved(found: Sequence[Camera], given: Sequence[Camera], bundle: 
     those that took no part."""
     weights = np.ones(len(given))
     for _ in range(_LAID):
-        laid = without_drift(found, given, weights.tolist())[0]
+        laid = remove_drift(found, given, weights.tolist())[0]
         degrees, metres = pose_changes(laid, given)
         weights = 1 / np.maximum(np.hypot(degrees / bundle.prior_deg, metres / bundle.prior_m), 1.0)
     return laid
@@ -231,7 +231,7 @@ class _Used:
 
 def _agreeing(seen: Observations, cameras: Sequence[Camera], limits: Limits) -> _Used | None:
     """What three views or more agree on, or both of two; all frames of a joint weigh as one observation, as in
-    ``people_bundle.fitted``."""
+    ``people_bundle.fit_cameras``."""
     if not len(seen.frame):
         return None
     found = triangulate(seen.pixels, seen.confidence, cameras, limits)
@@ -263,7 +263,7 @@ def _converge(
     where it was."""
     current, used = list(start), None
     for gate_m, units in rounds:
-        seen, _ = observe(detections, current, frames, gate_m)
+        seen, _ = make_observations(detections, current, frames, gate_m)
         used = _agreeing(seen, current, replace(limits, huber_share=limits.huber_share * units))
         if used is None:
             return 0, []
@@ -278,7 +278,7 @@ def _use_all_people(
     cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
 ) -> bool:
     """Whether every camera agrees with half as many observations as the one that agrees with most."""
-    used = _agreeing(observe(detections, cameras, frames, gate_m)[0], cameras, limits) if cameras else None
+    used = _agreeing(make_observations(detections, cameras, frames, gate_m)[0], cameras, limits) if cameras else None
     counts = (used.weights > 0).sum(1) if used is not None else np.zeros(1)
     return bool(counts.min() > 0.5 * counts.max())
 

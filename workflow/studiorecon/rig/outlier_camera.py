@@ -17,8 +17,8 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
 from studiorecon.progress import warn
-from studiorecon.rig.bundle import contradicted
-from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.bundle import contradicted_share
+from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -36,8 +36,8 @@ _CONTRADICTED, _EXPLAINED = 0.4, 0.8
 _OTHERS_AGREE, _MIN_POINTS, _MIN_FRAMES = 0.3, 60, 5
 _LOOSE = 3.0
 _FRAMES = 48
-# Share of contradicted points (``bundle.contradicted``) past which somebody must be wrong: 0.2 to 0.75 where all is
-# well (people that two cameras confuse are contradicted too), 0.96 and more where something was mixed up.
+# Share of contradicted points (``bundle.contradicted_share``) past which somebody must be wrong: 0.2 to 0.75 where all
+# is well (people that two cameras confuse are contradicted too), 0.96 and more where something was mixed up.
 _WRONG_SOMEWHERE = 0.9
 _MAX_LAG = 90
 # Past this nobody has knocked a tripod.
@@ -147,7 +147,7 @@ def _points(
     cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
 ) -> np.ndarray:
     """(F, G, K, 3) world points of the people that these cameras agree on, NaN elsewhere."""
-    seen, _ = observe(detections, cameras, frames, gate_m)
+    seen, _ = make_observations(detections, cameras, frames, gate_m)
     if not len(seen.frame):
         return np.full((len(frames), 1, _COUNT, 3), np.nan)
     wide = replace(limits, outlier_units=limits.outlier_units * _LOOSE)
@@ -304,7 +304,7 @@ def warn_of_outlier_cameras(
         if not told and len(own.frame) and (px is None or px > limit_px):
             how = "nobody whom two others see" if px is None else f"people {px:.0f} px beside where the others see them"
             warn(f"camera {camera.name} shows {how}; {help_}")
-    share = contradicted(cameras, seen, detections, limits) if len(seen.frame) else 0.0
+    share = contradicted_share(cameras, seen, detections, limits) if len(seen.frame) else 0.0
     if share > _WRONG_SOMEWHERE:
         warn(
             f"where two cameras agree on somebody, another one shows people elsewhere in {share:.0%} of the cases; one "

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.arrays import evenly_spread
-from studiorecon.geometry.bundle import without_drift
+from studiorecon.geometry.bundle import remove_drift
 from studiorecon.geometry.rotations import angle
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.from_tracks import Rig, Sightings, propose_rigs, sightings
@@ -112,7 +112,7 @@ def find_pose_consensus(
 
 def pose_distance(rival: Rig, cameras: Sequence[Camera]) -> tuple[Num[np.ndarray, " V"], Num[np.ndarray, " V"]]:
     """Degrees and metres by which ``cameras`` differ from those of another arrangement that is laid on them."""
-    laid = without_drift([rival.cameras[v] for v in sorted(rival.cameras)], cameras)[0]
+    laid = remove_drift([rival.cameras[v] for v in sorted(rival.cameras)], cameras)[0]
     return pose_changes(laid, cameras)
 
 

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.bundle import Adjusted, LensPrior, without_drift
+from studiorecon.geometry.bundle import Adjusted, LensPrior, remove_drift
 from studiorecon.geometry.rotations import angle
 from studiorecon.geometry.triangulation import Limits, Triangulated, triangulate
 from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.floor_marks import FloorMarks
-from studiorecon.rig.from_tracks import Rig, adjusted, places_of_joints
+from studiorecon.rig.from_tracks import Rig, adjust_rig, places_of_joints
 from studiorecon.rig.moved_cameras import HALF_OF_THE_JOINTS, MovedCameras, pose_changes
 from studiorecon.rig.room_turns import RoomTurn
 from studiorecon.scene.camera import Camera
@@ -58,7 +58,7 @@ def pose_sigmas(
     what that means in place at the people's distance; and the principal point, which nobody looks for
     (``principal_share`` of the longer side; 0 where lenses were calibrated). The difference
     of a half from the whole is as uncertain as the whole where errors are independent. Focal lengths are known no worse
-    than ``lens`` says; ``known_px``, ``turns`` and ``marks`` as for ``adjusted``: fields of the floor
+    than ``lens`` says; ``known_px``, ``turns`` and ``marks`` as for ``adjust_rig``: fields of the floor
     are halves too.
     """
     counted = rig.points.verified if len(result.cameras) > 2 else rig.points.valid
@@ -103,7 +103,7 @@ def rotation_observability(cameras: Sequence[Camera], seen: Observations, limits
     counted = rig.points.verified if len(cameras) > 2 else rig.points.valid
     if int(counted.sum()) < _MIN_POINTS:
         return None
-    result, _ = adjusted(rig, _LENSES_KNOWN, limits)
+    result, _ = adjust_rig(rig, _LENSES_KNOWN, limits)
     turn_deg, _, _ = pose_sigmas(rig, result, _LENSES_KNOWN, limits, principal_share=0.0)
     pairs = [(a, b) for a in range(len(cameras)) for b in range(a)]
     ours, given = ([c.camera_from_world[:3, :3] for c in group] for group in (result.cameras, cameras))
@@ -148,8 +148,8 @@ def _off_by(
     place (metres) per number, focal length (share); zeros where there are none."""
     off = []
     for rig, marks in parts:
-        part, _ = adjusted(rig, lens, limits, known_px, turns, marks)
-        degrees, metres = pose_changes(without_drift(part.cameras, result.cameras)[0], result.cameras)
+        part, _ = adjust_rig(rig, lens, limits, known_px, turns, marks)
+        degrees, metres = pose_changes(remove_drift(part.cameras, result.cameras)[0], result.cameras)
         focal = [np.log(a.focal_px[0] / b.focal_px[0]) for a, b in zip(part.cameras, result.cameras)]
         # A turn has three numbers and so has a place: per number, as the formal ones are.
         off.append([degrees / np.sqrt(3), metres / np.sqrt(3), focal])

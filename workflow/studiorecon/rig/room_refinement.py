@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, moved
+from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, move_camera
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.rig.bundle import error_medians
@@ -96,7 +96,7 @@ def refine_on_room(
     about = list(given)
     for v, turn in turns.items():
         held_deg[v] = turn.sigma_deg
-        about[v] = moved(given[v], turn.rotation_camera_from_world, given[v].centre_m)
+        about[v] = move_camera(given[v], turn.rotation_camera_from_world, given[v].centre_m)
     prior = replace(bundle, prior_deg=held_deg)
     current, marks, result = list(cameras), None, None
     for reach in reach_m:

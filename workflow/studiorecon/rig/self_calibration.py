@@ -12,7 +12,7 @@ import numpy as np
 from studiorecon.geometry.bundle import Adjusted, LensPrior
 from studiorecon.progress import say
 from studiorecon.rig.bundle import AgreementLimits
-from studiorecon.rig.from_tracks import Rig, Sightings, adjusted, refine_rig
+from studiorecon.rig.from_tracks import Rig, Sightings, adjust_rig, refine_rig
 from studiorecon.rig.room_turns import RoomTurn, room_turns
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _EDGE_ROUNDS = 2
 _KEPT_SUPPORT, _EDGES_COST = 0.9, 1.2
 
 
-def self_calibrated(
+def self_calibrate(
     rig: Rig,
     seen: Sightings,
     template_m: Num[np.ndarray, "12 3"],
@@ -35,7 +35,7 @@ def self_calibrated(
 ) -> tuple[Rig, Adjusted]:
     """Poses and focal lengths together, with the groups formed anew after every change, until the focal lengths
     stay."""
-    result, _ = adjusted(rig, lens, agreement.limits, known_px)
+    result, _ = adjust_rig(rig, lens, agreement.limits, known_px)
     for _ in range(_ROUNDS):
         before = np.array([rig.cameras[v].focal_px[0] for v in sorted(rig.cameras)])
         after = np.array([c.focal_px[0] for c in result.cameras])
@@ -45,11 +45,11 @@ def self_calibrated(
         rig = again
         if np.abs(after / before - 1).max() < _SETTLED_SHARE:
             break
-        result, _ = adjusted(rig, lens, agreement.limits, known_px)
-    return rig, adjusted(rig, lens, agreement.limits, known_px)[0]
+        result, _ = adjust_rig(rig, lens, agreement.limits, known_px)
+    return rig, adjust_rig(rig, lens, agreement.limits, known_px)[0]
 
 
-def turned_by_edges(
+def rotate_by_edges(
     rig: Rig,
     result: Adjusted,
     seen: Sightings,
@@ -71,7 +71,7 @@ def turned_by_edges(
         )
         if again is None:
             return rig, result, {}
-        held, (after, _) = again, adjusted(again, lens, agreement.limits, known_px, turns)
+        held, (after, _) = again, adjust_rig(again, lens, agreement.limits, known_px, turns)
     if held.support < _KEPT_SUPPORT * rig.support or after.error_units > _EDGES_COST * result.error_units:
         say(
             f"the room's edges were left out: with them people agree less ({held.support} keypoints instead of "

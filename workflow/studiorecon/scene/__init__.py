@@ -12,8 +12,8 @@ One convention everywhere (inputs are converted once, in ``cameras``):
 
 These modules import nothing of this package but errors, arrays and progress:
 
-* ``outside``: opens users' files; ``values``, ``numbered`` and ``names``: check their values and names;
-* ``files``: writes files completely or not at all; ``schema``: the fields of a file between steps; ``intermediate``:
+* ``user_files``: opens users' files; ``user_values``, ``numbered_files`` and ``names``: check their values and names;
+* ``files``: writes files completely or not at all; ``schema``: the fields of a file between steps; ``step_files``:
   reads such files and names a wrong field; ``spool``: arrays that do not fit into memory; ``dataset`` and
   ``capture_yaml``: the user's files;
 * ``camera``, ``path``, ``clocks``, ``readouts``, ``capture``: cameras, camera paths, times, and the working footage;

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import expect, expect_named, read
 from studiorecon.scene.schema import ASCENDING, INTRINSIC, Listed, flag, frame_rate, real, seconds, text, whole
+from studiorecon.scene.step_files import expect, expect_named, read
 
 _FPS = frame_rate()
 _FRAMES = whole(low=1)
@@ -110,7 +110,7 @@ def write_footage(path: Path, footage: Footage) -> None:
 
 
 def read_footage(path: Path) -> Footage:
-    """The footage of the camera that names the file; raises UserError as ``intermediate.read`` does."""
+    """The footage of the camera that names the file; raises UserError as ``step_files.read`` does."""
 
     def made(value: dict[str, Any]) -> Footage:
         expect_named(path, value["camera"])
@@ -124,7 +124,7 @@ def write_manifest(path: Path, manifest: Manifest) -> None:
 
 
 def read_manifest(path: Path) -> Manifest:
-    """All cameras of a scene; raises UserError as ``intermediate.read`` does."""
+    """All cameras of a scene; raises UserError as ``step_files.read`` does."""
     return read(path, _MANIFEST, _manifest)
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.errors import UserError
-from studiorecon.scene.names import folded
-from studiorecon.scene.outside import read_yaml
-from studiorecon.scene.values import listed, mapping, name, number, path, shown, whole
+from studiorecon.scene.names import fold_name
+from studiorecon.scene.user_files import read_yaml
+from studiorecon.scene.user_values import as_list, as_mapping, name, number, path, short_text, whole
 
 _KEYS = {
     "chapters", "frames", "starts", "held_out", "train", "calibration", "keypoints",
@@ -50,20 +50,22 @@ def read_description(folder: Path, capture_yaml: Path | None) -> dict[str, Any]:
     if description is None:
         return {}
     if not isinstance(description, dict):
-        raise UserError(f"{path} holds {shown(description)}; it must be lines of KEY: VALUE, such as held_out: [cam4]")
+        raise UserError(
+            f"{path} holds {short_text(description)}; it must be lines of KEY: VALUE, such as held_out: [cam4]"
+        )
     if unknown := sorted(set(map(str, description)) - _KEYS):
         near = difflib.get_close_matches(unknown[0].lower(), _KEYS, 1)
         meant = f"did you mean {near[0]}?" if near else f"known keys are {', '.join(sorted(_KEYS))}"
-        raise UserError(f"{path} has the unknown key {shown(unknown[0])}; {meant}")
+        raise UserError(f"{path} has the unknown key {short_text(unknown[0])}; {meant}")
     return description
 
 
 def _check_named(camera: Any, key: str, footage: Mapping[str, Path]) -> str:
     given = str(camera)
-    alike = [known for known in footage if folded(known) == folded(given)]
+    alike = [known for known in footage if fold_name(known) == fold_name(given)]
     if given not in footage and len(alike) != 1:
         raise UserError(
-            f"capture.yaml lists camera {shown(given)} under {key}, but the footage has {', '.join(footage)}; "
+            f"capture.yaml lists camera {short_text(given)} under {key}, but the footage has {', '.join(footage)}; "
             "names with leading zeros have to keep them"
         )
     return given if given in footage else alike[0]
@@ -71,7 +73,7 @@ def _check_named(camera: Any, key: str, footage: Mapping[str, Path]) -> str:
 
 def names_under(description: dict[str, Any], key: str, footage: Mapping[str, Path]) -> list[str]:
     """The cameras listed under ``key``; all of them must be in ``footage``."""
-    chosen = listed(description.get(key), f"capture.yaml: {key}", "[cam01, cam02]")
+    chosen = as_list(description.get(key), f"capture.yaml: {key}", "[cam01, cam02]")
     found = [_check_named(camera, key, footage) for camera in chosen]
     if twice := [camera for camera in dict.fromkeys(found) if found.count(camera) > 1]:
         raise UserError(f"capture.yaml lists camera {twice[0]!r} under {key} twice; keep one")
@@ -81,11 +83,11 @@ def names_under(description: dict[str, Any], key: str, footage: Mapping[str, Pat
 def chapters(description: dict[str, Any]) -> dict[str, list[str]]:
     """camera → the films of its recording in order, as listed under ``chapters``."""
     where = "capture.yaml: chapters"
-    given = mapping(description.get("chapters"), where, "{cam1: [videos/first.mp4, videos/second.mp4]}")
+    given = as_mapping(description.get("chapters"), where, "{cam1: [videos/first.mp4, videos/second.mp4]}")
     return {
         name(camera, where): [
             path(film, f"{where} of {camera}")
-            for film in listed(films, f"{where} of {camera}", "[videos/first.mp4, videos/second.mp4]")
+            for film in as_list(films, f"{where} of {camera}", "[videos/first.mp4, videos/second.mp4]")
         ]
         for camera, films in given.items()
     }
@@ -101,7 +103,7 @@ def paths_under(description: dict[str, Any], key: str) -> list[str] | None:
     given = description.get(key)
     if given is None:
         return None
-    several = given if isinstance(given, str) else listed(given, f"capture.yaml: {key}", "[intri.yml, extri.yml]")
+    several = given if isinstance(given, str) else as_list(given, f"capture.yaml: {key}", "[intri.yml, extri.yml]")
     found = [several] if isinstance(several, str) else [path(each, f"capture.yaml: {key}") for each in several]
     if not found:
         raise UserError(f"capture.yaml: {key} names no file; name one, or take the line out")
@@ -120,7 +122,7 @@ def anybody(description: dict[str, Any]) -> bool:
 
 def frames_used(description: dict[str, Any]) -> tuple[int, int]:
     """First frame and number of frames (0 = to the end), from ``frames``."""
-    frames = mapping(description.get("frames"), "capture.yaml: frames", "{first: 0, count: 60}")
+    frames = as_mapping(description.get("frames"), "capture.yaml: frames", "{first: 0, count: 60}")
     if set(frames) - {"first", "count"}:
         raise UserError("capture.yaml: frames must have the form {first: 0, count: 60}")
     first = whole(frames.get("first", 0), "capture.yaml: frames.first", 0, _MAX_FRAMES)
@@ -135,7 +137,7 @@ def read_starts(description: dict[str, Any], footage: Mapping[str, Path]) -> dic
 
     Cameras that are not named have 0.
     """
-    given = mapping(
+    given = as_mapping(
         description.get("starts"),
         "capture.yaml: starts",
         "{cam02: 13}: the frame of cam02's video at which the others begin",
@@ -202,7 +204,7 @@ def measured_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -
         what = "[cam01, cam02, 3.21]: metres from lens to lens of two cameras"
         listed = distance if isinstance(distance, list) and len(distance) == 3 else None
         if listed is None:
-            raise UserError(f"{where} is {shown(distance)}; it must have the form {what}")
+            raise UserError(f"{where} is {short_text(distance)}; it must have the form {what}")
         metres = number(listed[2], where, 1e-3, MAX_DISTANCE_M, f"{what}, of at most {MAX_DISTANCE_M:g} m")
         pair = [_check_named(camera, "distance_m", footage) for camera in listed[:2]]
         if pair[0] == pair[1]:
@@ -213,7 +215,7 @@ def measured_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -
 
 def pixel_maps(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, tuple[float, float, float]]:
     """camera → (scale, x, y) of ``pixel_maps``."""
-    maps = mapping(
+    maps = as_mapping(
         description.get("pixel_maps"), "capture.yaml: pixel_maps", "{cam01: {scale: 0.99, offset: [0.0, 7.2]}}"
     )
     found = {}

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import expect, read
 from studiorecon.scene.schema import ASCENDING, Listed, frame_rate, real, seconds, text, whole
+from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
@@ -111,7 +111,7 @@ def write_clocks(path: Path, clocks: Clocks) -> None:
 
 
 def read_clocks(path: Path) -> Clocks:
-    """All cameras on one clock; raises UserError as ``intermediate.read`` does."""
+    """All cameras on one clock; raises UserError as ``step_files.read`` does."""
     return read(path, _CLOCKS, _clocks)
 
 

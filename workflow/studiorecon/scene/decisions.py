@@ -10,8 +10,8 @@ from typing import Any, Literal, get_args
 
 from studiorecon.errors import UserError
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import expect, read
 from studiorecon.scene.schema import ASCENDING, Anything, Listed, Maybe, check, flag, real, seconds, text
+from studiorecon.scene.step_files import expect, read
 
 Verdict = Literal["on", "off", "undetermined"]
 
@@ -110,7 +110,7 @@ def write_decisions(path: Path, decisions: Sequence[Decision]) -> None:
 
 
 def read_decisions(path: Path) -> dict[str, Decision]:
-    """Decisions by effect; raises UserError as ``intermediate.read`` does."""
+    """Decisions by effect; raises UserError as ``step_files.read`` does."""
     return read(path, _DECISIONS, _decisions)
 
 

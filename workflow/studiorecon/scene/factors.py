@@ -18,8 +18,8 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import expect, read
 from studiorecon.scene.schema import Named, real
+from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
@@ -63,7 +63,7 @@ def write_factors(path: Path, factors: Mapping[str, Num[np.ndarray, "F 3"]]) -> 
 def read_factors(paths: Sequence[Path], frames: int | None = None) -> Factors:
     """The product of the files' factors; a film with another number of factors than ``frames`` is refused.
 
-    Raises UserError as ``intermediate.read`` does, also unless there is one factor, or one per frame.
+    Raises UserError as ``step_files.read`` does, also unless there is one factor, or one per frame.
     """
 
     def made(content: dict[str, Any]) -> dict[str, np.ndarray]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import read_json, read_rows
+from studiorecon.scene.user_files import read_json, read_rows
 
 __all__ = [
     "complete",
@@ -83,7 +83,7 @@ def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]
 
 
 def read_table(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    """Rows of a tab-separated table as dictionaries; raises UserError as ``outside.read_rows`` does."""
+    """Rows of a tab-separated table as dictionaries; raises UserError as ``user_files.read_rows`` does."""
     return [row for _, row in read_rows(path, columns)]
 
 

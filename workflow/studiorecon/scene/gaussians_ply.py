@@ -16,8 +16,8 @@ from studiorecon.errors import UserError
 from studiorecon.progress import say, warn
 from studiorecon.scene.files import complete
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.scene.intermediate import CURE
-from studiorecon.scene.outside import read_bytes
+from studiorecon.scene.step_files import CURE
+from studiorecon.scene.user_files import read_bytes
 
 _FORMAT = "format binary_little_endian 1.0"
 _HEADER_LIMIT = 1 << 16

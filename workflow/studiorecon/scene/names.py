@@ -17,7 +17,7 @@ _NOT_IN_PATHS = "{}\n\r"
 _OF_THE_SYSTEM = {"thumbs.db", "desktop.ini", "__macosx", "lost+found", "system volume information", "ehthumbs.db"}
 
 
-def checked_name(name: str, what: str, remedy: str) -> str:
+def check_name(name: str, what: str, remedy: str) -> str:
     """``name``, if folders, tables and rules can use it; otherwise raises UserError with the thing it names and
     ``remedy``.
     """
@@ -29,14 +29,14 @@ def checked_name(name: str, what: str, remedy: str) -> str:
     return name
 
 
-def checked_place(path: Path) -> Path:
+def check_path(path: Path) -> Path:
     """``path``, if the rules can use it; raises UserError for braces and line ends in it."""
     if found := [letter for letter in _NOT_IN_PATHS if letter in str(path)]:
         raise UserError(f"the path {str(path)!r} holds {found[0]!r}, which the workflow cannot bear; rename the folder")
     return path
 
 
-def folded(name: str) -> str:
+def fold_name(name: str) -> str:
     """``name`` in the form for comparison: composed letters (macOS stores decomposed ones), without case."""
     return unicodedata.normalize("NFC", name).casefold()
 

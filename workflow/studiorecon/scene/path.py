@@ -8,8 +8,8 @@ from pathlib import Path
 
 from studiorecon.scene.camera import CAMERA, Camera
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import read
 from studiorecon.scene.schema import Listed, frame_rate, real, text
+from studiorecon.scene.step_files import read
 
 _PATH = {
     "fps": frame_rate(),
@@ -40,7 +40,7 @@ def write_path(path: Path, steps: list[PathStep], fps: float) -> None:
 
 
 def read_path(path: Path) -> tuple[list[PathStep], float]:
-    """The steps and the frame rate of a path file; raises UserError as ``intermediate.read`` does."""
+    """The steps and the frame rate of a path file; raises UserError as ``step_files.read`` does."""
     value = read(path, _PATH)
     steps = [PathStep(Camera.from_json(s["camera"]), float(s["frame"]), s["segment"]) for s in value["steps"]]
     return steps, float(value["fps"])

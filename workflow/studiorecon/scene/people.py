@@ -12,10 +12,10 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.scene.files import write_npz, write_table
-from studiorecon.scene.intermediate import expect, expect_named, read
-from studiorecon.scene.outside import read_rows
 from studiorecon.scene.schema import CONFIDENT, Listed, Maybe, metres, radians, real, text, whole
-from studiorecon.scene.values import shown
+from studiorecon.scene.step_files import expect, expect_named, read
+from studiorecon.scene.user_files import read_rows
+from studiorecon.scene.user_values import short_text
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
@@ -132,7 +132,7 @@ def write_detections(path: Path, detections: Detections) -> None:
 
 
 def read_detections(path: Path) -> Detections:
-    """The detections of the camera that names the file; raises UserError as ``intermediate.read`` does."""
+    """The detections of the camera that names the file; raises UserError as ``step_files.read`` does."""
 
     def made(data: dict[str, Any]) -> Detections:
         expect_named(path, str(data["camera"]))
@@ -169,13 +169,13 @@ def write_people(
 
 def read_people(path: Path) -> list[str]:
     """Ids of the scene's people in ``people.tsv``, in file order, without rejected ones; raises UserError as
-    ``intermediate.read`` does.
+    ``step_files.read`` does.
     """
     return [row["person"] for row in people_rows(path)]
 
 
 def people_rows(path: Path) -> list[dict[str, Any]]:
-    """The scene's people, column → value; raises UserError as ``intermediate.read`` does."""
+    """The scene's people, column → value; raises UserError as ``step_files.read`` does."""
 
     def made(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         expect(len({row["person"] for row in rows}) == len(rows), "a person is listed twice")
@@ -194,7 +194,7 @@ def write_identities(path: Path, identities: dict[tuple[str, int], str]) -> None
 def read_identities(path: Path) -> dict[tuple[str, int], str]:
     """{(camera, track): person} of ``identities.tsv``; an empty person means the track was rejected.
 
-    Raises UserError as ``intermediate.read`` does.
+    Raises UserError as ``step_files.read`` does.
     """
 
     def made(rows: list[dict[str, Any]]) -> dict[tuple[str, int], str]:
@@ -214,7 +214,7 @@ def read_given_identities(path: Path) -> dict[tuple[str, int], str]:
     for line, row in read_rows(path, IDENTITY_COLUMNS):
         camera, track, person = (row[column].strip() for column in IDENTITY_COLUMNS)
         if not (track.isascii() and track.removeprefix("-").isdigit() and len(track) < 18):
-            raise UserError(f"{path}, line {line}: track is {shown(row['track'])}; it must be a whole number")
+            raise UserError(f"{path}, line {line}: track is {short_text(row['track'])}; it must be a whole number")
         if found.setdefault((camera, int(track)), person) != person:
             raise UserError(f"{path}, line {line}: track {track} of camera {camera} is two people; keep one line")
     return found

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.intermediate import read
 from studiorecon.scene.schema import Numbers, whole
+from studiorecon.scene.step_files import read
 
 if TYPE_CHECKING:
     from jaxtyping import Integer
@@ -34,7 +34,7 @@ def write_provenance(path: Path, marks: Integer[np.ndarray, " N"]) -> None:
 
 
 def read_provenance(path: Path, count: int) -> Integer[np.ndarray, " N"]:
-    """(N,) uint8 marks of ``count`` Gaussians; raises UserError as ``intermediate.read`` does, also for another number
+    """(N,) uint8 marks of ``count`` Gaussians; raises UserError as ``step_files.read`` does, also for another number
     of marks.
     """
     held = read(path, {"provenance": provenance_schema("N")}, sizes={"N": count})

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.intermediate import read
 from studiorecon.scene.schema import CONFIDENT, Maybe, metres, real, text, whole
+from studiorecon.scene.step_files import read
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import read
 from studiorecon.scene.schema import Named, seconds
+from studiorecon.scene.step_files import read
 
 # Digits of a readout in seconds: a smaller change moves no keypoint by a tenth of a pixel.
 _DIGITS = 4
@@ -41,7 +41,7 @@ def write_readouts(path: Path, readouts: Sequence[Readout]) -> None:
 
 
 def read_readouts(path: Path, cameras: Sequence[str] = ()) -> dict[str, float]:
-    """Camera → readout in seconds, of ``cameras`` at least; raises UserError as ``intermediate.read`` does."""
+    """Camera → readout in seconds, of ``cameras`` at least; raises UserError as ``step_files.read`` does."""
 
     def made(value: dict[str, float]) -> dict[str, float]:
         if missing := [camera for camera in cameras if camera not in value]:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.intermediate import expect, read
 from studiorecon.scene.schema import flag, real, text, whole
+from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import expect, read
 from studiorecon.scene.schema import UNIT_NORMALS, Maybe, Named, flag, metres, radians, real
+from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Num
@@ -183,7 +183,7 @@ def write_room(path: Path, room_box: RoomBox) -> None:
 
 
 def read_room(path: Path, cameras: Sequence[str] = ()) -> RoomBox:
-    """Read ``depth/room.json``, which has gains of ``cameras``; raises UserError as ``intermediate.read`` does."""
+    """Read ``depth/room.json``, which has gains of ``cameras``; raises UserError as ``step_files.read`` does."""
     return read(path, _ROOM | {"gains": dict.fromkeys(cameras, _GAIN)} if cameras else _ROOM, _room)
 
 

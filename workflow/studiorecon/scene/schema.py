@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.scene.values import shown
+from studiorecon.scene.user_values import short_text
 
 LARGEST = 1e9
 """No step writes a larger number."""
@@ -26,7 +26,7 @@ _FAR_M, _LONG_S, _TURNED_RAD, _FASTEST_FPS = 1e5, 1e6, 1e3, 1e6
 
 
 @dataclass(frozen=True)
-class Such:
+class ArrayProperty:
     """A property of a whole array, in words."""
 
     words: str
@@ -47,7 +47,7 @@ class Numbers:
     above: float = -LARGEST
     unit: str = ""
     gaps: bool = False
-    such: Such | None = None
+    such: ArrayProperty | None = None
 
     @property
     def words(self) -> str:
@@ -156,15 +156,15 @@ def _is_intrinsic(matrix: np.ndarray) -> bool:
 
 # Calibrations give rotations to three digits; wrong signs or orders cause far larger errors.
 _ROTATION = 0.02
-RIGID = Such("a rotation, and 0 0 0 1 in the last row", _is_rigid)
-ROTATION = Such("rotations", _is_rigid)
-INTRINSIC = Such("focal lengths above 0, and 0 below the diagonal, whose last is 1", _is_intrinsic)
-KNOWN_OR_INFINITE = Such("none of them NaN", lambda values: not np.isnan(values).any())
-ASCENDING = Such("in ascending order", lambda values: bool((np.diff(values, axis=0) >= 0).all()))
-UNIT_NORMALS = Such(
+RIGID = ArrayProperty("a rotation, and 0 0 0 1 in the last row", _is_rigid)
+ROTATION = ArrayProperty("rotations", _is_rigid)
+INTRINSIC = ArrayProperty("focal lengths above 0, and 0 below the diagonal, whose last is 1", _is_intrinsic)
+KNOWN_OR_INFINITE = ArrayProperty("none of them NaN", lambda values: not np.isnan(values).any())
+ASCENDING = ArrayProperty("in ascending order", lambda values: bool((np.diff(values, axis=0) >= 0).all()))
+UNIT_NORMALS = ArrayProperty(
     "normals of length 1 in front", lambda planes: bool((np.abs((planes[:, :3] ** 2).sum(-1) - 1) < _ROTATION).all())
 )
-CONFIDENT = Such(
+CONFIDENT = ArrayProperty(
     "confidences from 0 to 1 in the last column",
     lambda keypoints: not (np.isfinite(keypoints[..., 2]) & (np.abs(keypoints[..., 2] - 0.5) > 0.5)).any(),
 )
@@ -189,12 +189,12 @@ def _check(value: Any, schema: Schema, name: str, sizes: dict[str, int]) -> None
                 str(value) if isinstance(value, np.ndarray) and value.dtype.kind == "U" and not value.shape else value
             )
             if not isinstance(plain, str) or (choices and plain not in choices):
-                raise ValueError(f"{_at(name)}{shown(plain)}, expected {' or '.join(choices) or 'text'}")
+                raise ValueError(f"{_at(name)}{short_text(plain)}, expected {' or '.join(choices) or 'text'}")
         case Numbers():
             sizes |= _numbers(value, schema, name or "it", sizes)
         case Listed(inner):
             if not (isinstance(value, list) or (isinstance(value, np.ndarray) and value.ndim == 1)):
-                raise ValueError(f"{_at(name)}{shown(value)}, expected a list")
+                raise ValueError(f"{_at(name)}{short_text(value)}, expected a list")
             for index, each in enumerate(value):
                 _check(each, inner, f"{name}[{index}]", dict(sizes))
         case Named(inner):
@@ -203,7 +203,7 @@ def _check(value: Any, schema: Schema, name: str, sizes: dict[str, int]) -> None
         case Mapping():
             held = _mapping(value, name)
             if unknown := [key for key in held if key not in schema]:
-                raise ValueError(f"{name or 'it'} has the unknown field {shown(unknown[0])}")
+                raise ValueError(f"{name or 'it'} has the unknown field {short_text(unknown[0])}")
             own = dict(sizes)
             for key, inner in schema.items():
                 if key in held:
@@ -214,7 +214,7 @@ def _check(value: Any, schema: Schema, name: str, sizes: dict[str, int]) -> None
 
 def _mapping(value: Any, name: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise ValueError(f"{_at(name)}{shown(value)}, expected names and their values")
+        raise ValueError(f"{_at(name)}{short_text(value)}, expected names and their values")
     return value
 
 
@@ -257,7 +257,7 @@ def _of_lists(value: Any, field: Numbers, name: str) -> np.ndarray:
             if np.isinf(array).any():  # non-finite numbers are written as null
                 raise ValueError
     except (TypeError, ValueError, OverflowError, RecursionError):
-        raise ValueError(f"{name} is {shown(value)}, expected {field.words}") from None
+        raise ValueError(f"{name} is {short_text(value)}, expected {field.words}") from None
     # An empty list does not determine the lengths of its rows.
     extents = field.shape.split()
     if not flat and things.ndim < len(extents):

@@ -79,7 +79,7 @@ def facing_normals(
     return np.where(away[:, None], -axes, axes).astype(np.float32)
 
 
-def checked_values(values: Num[np.ndarray, "N C"], count: int) -> Num[np.ndarray, "N C"]:
+def check_values(values: Num[np.ndarray, "N C"], count: int) -> Num[np.ndarray, "N C"]:
     """The values as given. Raises ValueError unless they are (count, C)."""
     if values.ndim != 2 or len(values) != count:
         raise ValueError(f"values of shape {values.shape} do not fit {count} Gaussians")

@@ -16,9 +16,9 @@ from studiorecon.geometry import rotations
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.scene.intermediate import expect, read
 from studiorecon.scene.provenance import provenance_schema
 from studiorecon.scene.schema import ROTATION, Listed, Schema, flag, metres, real, text, whole
+from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer

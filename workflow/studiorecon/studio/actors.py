@@ -10,7 +10,7 @@ import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.scene.people import Person
-from studiorecon.studio.clothing import OUTFITS, dressed
+from studiorecon.studio.clothing import OUTFITS, body_texture
 from studiorecon.studio.description import Description
 from studiorecon.studio.meshes import Mesh, Texture, lathe, sphere
 from studiorecon.studio.performance import PARTS, perform, shape
@@ -54,7 +54,7 @@ class Actors:
         for number in range(description.people):
             betas = shape(description.seed, number)
             poses, trans_m = perform(PARTS[number], body, betas, times_s)
-            self.actors.append(Actor(number, betas, poses, trans_m, dressed(OUTFITS[number], body)))
+            self.actors.append(Actor(number, betas, poses, trans_m, body_texture(OUTFITS[number], body)))
         # Faces around every vertex, to average their normals: (V, F) sparse.
         self._faces_of_vertices = _incidence(body) if self.actors else None
         self._template_m = body.template_m.astype(np.float32)

@@ -25,7 +25,7 @@ from studiorecon.studio.actors import Actors
 from studiorecon.studio.calibration import calibration_texts
 from studiorecon.studio.description import RESOURCES, Description, planned_dataset, read_description
 from studiorecon.studio.sensor import camera_sensor
-from studiorecon.studio.takes import LAYOUT, Films, filmed, shared
+from studiorecon.studio.takes import LAYOUT, Films, film_takes, share_takes
 
 FACTS = "truth.json"
 _MARK = ".synthetic-studio"
@@ -45,9 +45,9 @@ def run(description: Path, dataset: Place, truth: Written, body: Path | None = N
         f"{len(described.held_out)} held-out cameras, "
         f"{described.frames} frames of {described.size[0]}×{described.size[1]} at {described.fps:g} fps"
     )
-    takes = shared(described, lenses, processes)
+    takes = share_takes(described, lenses, processes)
     films = [Films(described, take, body, dataset, truth) for take in takes]
-    for _ in progress(filmed(films, processes), "pictures", total=described.frames * len(lenses)):
+    for _ in progress(film_takes(films, processes), "pictures", total=described.frames * len(lenses)):
         pass
     _write_calibration(described, lenses, dataset)
     _write_truth(described, ideal, BodyModel.load(body), truth)

@@ -52,7 +52,7 @@ OUTFITS = (
 )  # fmt: skip
 
 
-def dressed(outfit: Outfit, body: BodyModel) -> Texture:
+def body_texture(outfit: Outfit, body: BodyModel) -> Texture:
     """The texture of a dressed body over template coordinates (N, 3): skin, hair, eyes, shirt, trousers, shoes."""
     eyes = [e for e in _eyes(body) if e is not None]
 

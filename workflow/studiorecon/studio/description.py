@@ -15,7 +15,7 @@ from studiorecon.configuration import settings
 from studiorecon.errors import UserError
 from studiorecon.home import RESOURCES
 from studiorecon.scene.dataset import Dataset
-from studiorecon.scene.outside import read_yaml
+from studiorecon.scene.user_files import read_yaml
 
 DEFAULTS = RESOURCES / "studio" / "defaults.yaml"
 # Side that H.264 in 8 bits encodes everywhere; pictures of it are drawn in about 4 GB of memory.

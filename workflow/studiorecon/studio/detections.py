@@ -10,7 +10,7 @@ import numpy as np
 
 from studiorecon.scene.camera import Lens
 from studiorecon.studio.description import DetectionOptions
-from studiorecon.studio.film import centre_m, projected
+from studiorecon.studio.film import centre_m, project
 from studiorecon.studio.tracing import Tracer
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def detect(
     people = []
     width, height = lens.wh
     for number, points in enumerate(points_m):
-        pixels, depth = projected(lens, points)
+        pixels, depth = project(lens, points)
         inside = (depth > 0) & (pixels >= 0).all(axis=1) & (pixels < [width, height]).all(axis=1)
         behind_own, behind_other = _hidden(points, lens, tracer, first_actor + number)
         # Random numbers are drawn for every point, so that one planted fault does not change another's.

@@ -74,7 +74,7 @@ def backdrop(lens: Lens, solids: list[Mesh], supersampling: int) -> Backdrop:
     return Backdrop(lens, solids, rays, depth, colour, seen, colour.mean(axis=0, dtype=np.float64), lamps)
 
 
-def exposed(
+def render_frame(
     scene: Backdrop,
     tracer: Tracer,
     moving: list[Mesh],
@@ -138,7 +138,7 @@ def touched_pixels(lens: Lens, moving: Sequence[Mesh]) -> Bool[np.ndarray, " N"]
     width, height = lens.wh
     touched = np.zeros((height, width), dtype=np.uint8)
     for solid in moving:
-        pixels, depth = projected(lens, solid.vertices_m)
+        pixels, depth = project(lens, solid.vertices_m)
         front = depth > _NEAR_M
         if not front.any():
             continue
@@ -155,7 +155,7 @@ def touched_pixels(lens: Lens, moving: Sequence[Mesh]) -> Bool[np.ndarray, " N"]
     return touched.ravel() > 0
 
 
-def projected(
+def project(
     lens: Lens, points_m: Float[np.ndarray, "... 3"]
 ) -> tuple[Float[np.ndarray, "... 2"], Float[np.ndarray, " ..."]]:
     """Pixels (..., 2) of world points through a lens with its distortion, and their z-depth; far off-screen behind the
@@ -193,7 +193,7 @@ def _contact_pixels(scene: Backdrop, soles_m: np.ndarray) -> np.ndarray:
     rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * (3.0 * _CONTACT_REACH_M / np.cos(np.pi / 24))
     near = np.zeros((height, width), dtype=bool)
     for sole in soles_m.reshape(-1, 3):
-        pixels, depth = projected(scene.lens, rim + np.append(sole[:2], 0.0))
+        pixels, depth = project(scene.lens, rim + np.append(sole[:2], 0.0))
         if (depth > _NEAR_M).all():
             (left, top), (right, bottom) = (
                 np.floor(pixels.min(axis=0)).astype(int),

@@ -30,10 +30,10 @@ from studiorecon.studio import rig
 from studiorecon.studio.actors import Actors
 from studiorecon.studio.description import Description
 from studiorecon.studio.detections import detect, openpose_json
-from studiorecon.studio.film import backdrop, exposed, touched_pixels
+from studiorecon.studio.film import backdrop, render_frame, touched_pixels
 from studiorecon.studio.meshes import Mesh
 from studiorecon.studio.room import room
-from studiorecon.studio.sensor import Sensor, camera_sensor, developed
+from studiorecon.studio.sensor import Sensor, camera_sensor, develop
 from studiorecon.studio.tracing import Tracer
 from studiorecon.studio.truth import TruthFrames
 
@@ -54,7 +54,7 @@ class Films:
     truth: Path
 
 
-def shared(description: Description, lenses: Sequence[Lens], processes: int) -> list[list[Lens]]:
+def share_takes(description: Description, lenses: Sequence[Lens], processes: int) -> list[list[Lens]]:
     """Lenses in takes of one clock each, no larger than a process's share or memory, the largest first."""
     rays = description.size[0] * description.size[1] * description.supersampling**2
     most = max(1, min(-(-len(lenses) // processes), _MAX_RAYS // rays))
@@ -65,7 +65,7 @@ def shared(description: Description, lenses: Sequence[Lens], processes: int) -> 
     return sorted(takes, key=len, reverse=True)
 
 
-def filmed(films: Sequence[Films], processes: int) -> Iterator[None]:
+def film_takes(films: Sequence[Films], processes: int) -> Iterator[None]:
     """Film all takes, in parallel with more than one process; yields after every picture."""
     workers = min(processes, len(films))
     if workers <= 1:
@@ -170,17 +170,17 @@ class _Camera:
             path = self._films.dataset / "keypoints" / name / f"{name}_{frame:012d}_keypoints.json"
             write_json(path, openpose_json(people))
         light = lamp_swing(described, float(self._times_s[frame]))
-        seen = exposed(self._backdrop, tracer, moving, touched, self._soles_m[frame], described.effects)
-        return developed(light * seen, self._sensor, frame)
+        seen = render_frame(self._backdrop, tracer, moving, touched, self._soles_m[frame], described.effects)
+        return develop(light * seen, self._sensor, frame)
 
     def write_rest(self) -> None:
         """Write the empty room, the dataset's plate of it, and the truth of all moments."""
         described, name, truth = self._films.description, self._lens.name, self._films.truth
         empty, depth_m = self._backdrop.picture(), self._truth.room_depth_m
-        write_png(truth / "plates" / f"{name}.png", developed(empty, Sensor.perfect(), 0))
+        write_png(truth / "plates" / f"{name}.png", develop(empty, Sensor.perfect(), 0))
         write_depth(truth / "depth" / f"{name}.exr", depth_m, np.ones_like(depth_m))
         if described.plates and self._training:
-            write_png(self._films.dataset / "plates" / f"{name}.png", developed(empty, self._sensor, described.frames))
+            write_png(self._films.dataset / "plates" / f"{name}.png", develop(empty, self._sensor, described.frames))
         self._truth.write(truth, described.fps)
 
 

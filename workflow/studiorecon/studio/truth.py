@@ -13,7 +13,7 @@ from studiorecon.footage.video import write_lossless
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import write_npz
 from studiorecon.studio.description import TruthOptions
-from studiorecon.studio.film import centre_m, projected
+from studiorecon.studio.film import centre_m, project
 from studiorecon.studio.meshes import Mesh
 from studiorecon.studio.rig import directions
 from studiorecon.studio.tracing import Tracer
@@ -74,7 +74,7 @@ class TruthFrames:
                 here = which == index
                 corners = now.faces[hits.face[here]]
                 before, after = (np.einsum("nk,nkx->nx", weights[here], s.vertices_m[corners]) for s in (now, then))
-                flow[covered[here]] = projected(self.lens, after)[0] - projected(self.lens, before)[0]
+                flow[covered[here]] = project(self.lens, after)[0] - project(self.lens, before)[0]
             self.flows.append(flow.reshape(*self._shape, 2).astype(np.float16))
 
     def write(self, folder: Path, fps: float) -> None:

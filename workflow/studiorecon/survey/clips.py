@@ -112,7 +112,7 @@ def read_pictures(
     return np.stack(held), free, scale
 
 
-def halved(film: Film) -> Film:
+def halve_film(film: Film) -> Film:
     """The film at half its size, for things larger than a few pixels, in a quarter of the time."""
     wh = (film.pictures.shape[2] // 2, film.pictures.shape[1] // 2)
     pictures = np.stack([cv2.resize(p, wh, interpolation=cv2.INTER_AREA) for p in film.pictures])

@@ -21,7 +21,7 @@ from studiorecon.rig.body_points import Tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 from studiorecon.survey import scene_change, stillness
-from studiorecon.survey.clips import Film, halved
+from studiorecon.survey.clips import Film, halve_film
 from studiorecon.survey.exposures import MIN_PIXELS, ExposureView, disagreement, overlaps
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ class Evidence:
     @cached_property
     def halves(self) -> list[Film]:
         """The films at half their size."""
-        return [halved(film) for film in self.material.films]
+        return [halve_film(film) for film in self.material.films]
 
     @cached_property
     def light(self) -> list[tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]]:

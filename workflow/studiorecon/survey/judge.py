@@ -42,7 +42,7 @@ def judge(
     verdicts = force or {}
     made: dict[str, Decision] = {}
     for effect in EARLY:
-        made[effect.name] = decided(effect, evidence, thresholds.get(effect.name, effect.threshold))
+        made[effect.name] = decide_effect(effect, evidence, thresholds.get(effect.name, effect.threshold))
     by_name = {effect.name: effect for effect in EARLY}
     for effect in EARLY:
         for hiding in effect.hidden_by:
@@ -58,7 +58,7 @@ def judge(
     return list(made.values())
 
 
-def decided(effect: SurveyedEffect, evidence: Evidence, threshold: float) -> Decision:
+def decide_effect(effect: SurveyedEffect, evidence: Evidence, threshold: float) -> Decision:
     """The decision on one effect; its detail holds the decisions on parts of the scene, if it has any."""
     found = effect.measure(evidence, threshold)
     parts = {}

@@ -62,7 +62,7 @@ def run(
     found: dict[str, Any] = {"failed": reason_of_failure(output, folder, None if status is not None else minutes)}
     if status == 0:
         _, summary = snakemake(snakefile, folder, [target, "--detailed-summary"], minutes)
-        found = {**scores(folder / target), **spent(folder, timings(summary), began_s)}
+        found = {**scores(folder / target), **run_cost(folder, timings(summary), began_s)}
     settings = dict(chosen.settings) if chosen.preset or row == BASE else {**rows[BASE].settings, **chosen.settings}
     about = {"name": row, "scene": scene, "parameter": chosen.parameter, "preset": chosen.preset, "settings": settings}
     write_json(record, {**about, **found, "wall_s": wall_s, "machine": machine()})
@@ -122,7 +122,7 @@ def timings(summary: str) -> list[Path]:
     return [Path("timings", *Path(log).parts[1:]).with_suffix(".tsv") for log in sorted(logs)]
 
 
-def spent(folder: Path, paths: list[Path], began_s: float) -> dict[str, Any]:
+def run_cost(folder: Path, paths: list[Path], began_s: float) -> dict[str, Any]:
     """Seconds and memory of a run, from the timing files ``paths`` of its jobs.
 
     ``from_nothing_s`` is of all its jobs, ``ran_s`` of those run since ``began_s`` (seconds of the epoch); also

@@ -19,7 +19,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frames
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.reading import Detected
-from studiorecon.keypoints.retiming import at_working_moments
+from studiorecon.keypoints.resampling import at_working_moments
 from studiorecon.machine.libraries import remedy
 from studiorecon.models.catalogue.selection import CHOICES
 from studiorecon.models.choices import DetectionSource
@@ -28,8 +28,8 @@ from studiorecon.models.protocols import Bodies, BodyEstimator
 from studiorecon.progress import progress, say
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.clocks import read_clocks
-from studiorecon.scene.outside import file_size, first_line, read_npz, user_file_context
 from studiorecon.scene.people import Detections, write_detections
+from studiorecon.scene.user_files import file_size, first_line, read_npz, user_file_context
 from studiorecon.signature import Place, Written
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from studiorecon.camera_files.calibration import find_lens
 from studiorecon.errors import UserError
 from studiorecon.keypoints.reading import Settings, detections_from_detector, detections_from_recorded
-from studiorecon.keypoints.retiming import at_working_frames, part_used
+from studiorecon.keypoints.resampling import at_working_frames, part_used
 from studiorecon.progress import say, warn
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.clocks import read_clocks

@@ -52,7 +52,7 @@ def source(
     )
 
 
-def carry(
+def warp_photo(
     photo: WarpSource, camera: Camera, oversampling: int, z_tolerance: float
 ) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """(H, W, 3) colour, (H, W) depth (inf in holes) and (H, W) samples per pixel of a photo in another camera.
@@ -181,7 +181,7 @@ def blend(
     angle is sharp in another. Support is 1 where some photo shows the pixel at no less than half its resolution, falls
     with thinner sampling, and is 0 in holes.
     """
-    carried = [carry(photo, camera, oversampling, z_tolerance) for photo in sources]
+    carried = [warp_photo(photo, camera, oversampling, z_tolerance) for photo in sources]
     nearest = np.min([depth_m for _, depth_m, _ in carried], axis=0)
     coarse, weight, support = np.zeros((*camera.hw, 3)), np.zeros(camera.hw), np.zeros(camera.hw)
     fine, sharpness = np.zeros((*camera.hw, 3)), np.zeros(camera.hw)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.images.sizes import placed, placed_nearest
+from studiorecon.images.sizes import sample_part, sample_part_nearest
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -39,16 +39,16 @@ class NetworkFrame:
 
     def colours(self, picture: Num[np.ndarray, "H W 3"]) -> Float[np.ndarray, "704 1280 3"]:
         """(704, 1280, 3) float32 of a working picture (H, W, 3)."""
-        return placed(picture, self.network_hw, self.start, self.step)[0]
+        return sample_part(picture, self.network_hw, self.start, self.step)[0]
 
     def values(self, values: Num[np.ndarray, "H W"]) -> Num[np.ndarray, "704 1280"]:
         """(704, 1280) of a working map (H, W), without averages across edges."""
-        return placed_nearest(values, self.network_hw, self.start, self.step)
+        return sample_part_nearest(values, self.network_hw, self.start, self.step)
 
     def back(self, picture: Float[np.ndarray, "h w 3"]) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
         """(H, W, 3) float32 working picture from a network's, and (H, W) bool: all of the pixel is inside it."""
         start = (-self.start[0] / self.step, -self.start[1] / self.step)
-        made, share = placed(picture, self.working_hw, start, 1 / self.step)
+        made, share = sample_part(picture, self.working_hw, start, 1 / self.step)
         # A pixel in the frame's corner has 0.875 of its triangle filter inside along either side.
         return made, share > 0.76
 

@@ -18,8 +18,8 @@ from studiorecon.footage.video import write_lossless
 from studiorecon.models.loading import adapter, load
 from studiorecon.models.protocols import ViewSynthesizer
 from studiorecon.progress import say
-from studiorecon.scene.intermediate import read
 from studiorecon.scene.schema import Named, real
+from studiorecon.scene.step_files import read
 from studiorecon.signature import Place, Written
 from studiorecon.views.warp_settings import Made
 

@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.geometry.camera_path import axis_miss_rad, between, gaps_around, scene_centre
+from studiorecon.geometry.camera_path import axis_miss_rad, gaps_around, interpolate_cameras, scene_centre
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
@@ -65,7 +65,7 @@ def plan(cameras: list[Camera], settings: Settings) -> tuple[list[PathStep], lis
     steps = []
     for number, gap in enumerate(gaps):
         name, start, end = segment_name(number), cameras[gap.first], cameras[gap.second]
-        views, bent = between(
+        views, bent = interpolate_cameras(
             start,
             end,
             settings.views_per_segment + 1,

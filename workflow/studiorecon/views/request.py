@@ -49,7 +49,7 @@ def key_frame(photo: WarpSource, frame: NetworkFrame, radius: int) -> KeyFrame:
     )
 
 
-def chosen(path: list[Camera], photos: list[WarpSource], count: int) -> list[WarpSource]:
+def nearest_photos(path: list[Camera], photos: list[WarpSource], count: int) -> list[WarpSource]:
     """The ``count`` photos nearest to the middle of the path, in the given order, always including the one at its
     start.
     """
@@ -94,7 +94,7 @@ def run(
             f"segment {segment}: of {len(photos)} photos the {count} nearest are its key frames: the network takes no "
             "more at once"
         )
-    key_frames = [key_frame(photo, frame, settings.inpaint_radius) for photo in chosen(way, photos, count)]
+    key_frames = [key_frame(photo, frame, settings.inpaint_radius) for photo in nearest_photos(way, photos, count)]
     try:
         made = network.request(key_frames, [frame.camera(camera) for camera in way])
         network.check(made)

@@ -25,9 +25,9 @@ from studiorecon.scene.decisions import Decision, from_entry
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
-from studiorecon.scene.intermediate import expect, expect_named, read
 from studiorecon.scene.provenance import MEASURED, provenance_schema
 from studiorecon.scene.schema import Maybe, Schema, flag, frame_rate, metres, radians, real, text, whole
+from studiorecon.scene.step_files import expect, expect_named, read
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num

@@ -44,7 +44,7 @@ class ControlPoints:
         same positions give the same points; with fewer than ``count``, all of them are points.
         """
         means = np.asarray(means_m, np.float64)
-        points = means[spread_out(means, count)]
+        points = means[farthest_point_sample(means, count)]
         asked = min(_NEAREST + 1, len(points))
         distance, near = scipy.spatial.cKDTree(points).query(means, k=asked)
         distance, near = distance.reshape(len(means), asked), near.reshape(len(means), asked)
@@ -86,7 +86,7 @@ class ControlPoints:
         return cls(held["points_m"], held["near"], held["shares"])
 
 
-def spread_out(points_m: Num[np.ndarray, "N 3"], count: int) -> Integer[np.ndarray, " K"]:
+def farthest_point_sample(points_m: Num[np.ndarray, "N 3"], count: int) -> Integer[np.ndarray, " K"]:
     """Indices of ``count`` points (of all if there are fewer) by farthest-point sampling.
 
     The first is the point nearest to their mean; each next one is farthest from all before it.

@@ -102,7 +102,7 @@ def _turn_sh(r, sh, i, out):
 
 
 @numba.njit(**_KERNEL)
-def carry_out(
+def pose_gaussians(
     bones,
     weights,
     world_from_rest,
@@ -118,8 +118,8 @@ def carry_out(
 ):
     """Pose canonical Gaussians; quaternions keep their length (the renderer normalises).
 
-    Also fills the inputs of ``carry_back``: the blended ``linear`` (N, 3, 3), its polar rotation ``turn`` (N, 3, 3) and
-    that as ``turn_quaternions`` (N, 4).
+    Also fills the inputs of ``pull_back_gradients``: the blended ``linear`` (N, 3, 3), its polar rotation ``turn`` (N,
+    3, 3) and that as ``turn_quaternions`` (N, 4).
     """
     for i in range(bones.shape[0]):
         a = b = c = d = e = f = g = h = j = x = y = z = 0.0
@@ -182,7 +182,7 @@ def carry_out(
 
 
 @numba.njit(**_KERNEL)
-def carry_back(
+def pull_back_gradients(
     grad_means, grad_quaternions, grad_sh, linear, turn, turn_quaternions, out_means, out_quaternions, out_sh
 ):
     """Turn gradients at posed Gaussians into gradients at canonical ones; skinning weights are constant."""
@@ -266,7 +266,7 @@ class Posing:
         posed = np.empty_like(means_m), np.empty_like(quaternions), np.empty_like(sh)
         transforms = np.ascontiguousarray(world_from_rest, np.float64)
         kept = self.linear, self.turn, self._turn_quaternions
-        carry_out(self.bones, self.weights, transforms, means_m, quaternions, sh, *kept, *posed)
+        pose_gaussians(self.bones, self.weights, transforms, means_m, quaternions, sh, *kept, *posed)
         return posed
 
     def back(
@@ -278,7 +278,7 @@ class Posing:
         """Gradients at the canonical Gaussians, for the pose of the last ``out``."""
         canonical = np.empty_like(grad_means), np.empty_like(grad_quaternions), np.empty_like(grad_sh)
         kept = self.linear, self.turn, self._turn_quaternions
-        carry_back(grad_means, grad_quaternions, grad_sh, *kept, *canonical)
+        pull_back_gradients(grad_means, grad_quaternions, grad_sh, *kept, *canonical)
         return canonical
 
     def wrenches(

@@ -70,7 +70,7 @@ def _trilinear(at, weights, found):
             found[i, bone] = mixed[bone] / total
 
 
-def every_bone(
+def all_bone_weights(
     grid: WeightGrid, points_m: Num[np.ndarray, "N 3"]
 ) -> tuple[Integer[np.ndarray, "N B"], Num[np.ndarray, "N B"]]:
     """All bones, uint8, and the grid's weights at points. Raises as ``query`` does."""

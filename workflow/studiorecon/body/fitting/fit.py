@@ -142,10 +142,10 @@ def fit(
     seen = np.isfinite(points_m).all(-1) & np.isfinite(sigma_m)
     first = start(body, names, np.where(seen[..., None], points_m, 0.0), seen)
     valid = first.determined
-    out = nothing_known(frames, count, body.shapes, valid)
+    out = empty_fit(frames, count, body.shapes, valid)
     if not valid.any():
         return out
-    evidence = gather(body, names, points_m[valid], sigma_m[valid], settings, chosen(surface, valid))
+    evidence = merge_points(body, names, points_m[valid], sigma_m[valid], settings, surface_in_frames(surface, valid))
     pulls = Pulls(
         settings.huber_units,
         settings.pose_weight,
@@ -203,7 +203,7 @@ def check(
         raise ValueError(f"shape must be shared or per_frame, not {settings.shape!r}")
 
 
-def nothing_known(frames: int, count: int, shapes: int, valid: Bool[np.ndarray, " T"]) -> Fit:
+def empty_fit(frames: int, count: int, shapes: int, valid: Bool[np.ndarray, " T"]) -> Fit:
     """An empty fit of ``frames`` frames and ``count`` keypoints, in which nothing has been measured."""
     return Fit(
         rotations=np.full((frames, 24, 3, 3), np.nan),
@@ -224,7 +224,7 @@ def nothing_known(frames: int, count: int, shapes: int, valid: Bool[np.ndarray, 
     )
 
 
-def gather(
+def merge_points(
     body: BodyModel,
     names: list[str],
     points_m: Num[np.ndarray, "T K 3"],
@@ -269,12 +269,12 @@ def _fit_each_frame(
     frames = range(len(points_m))
     alone = replace(settings, shape="shared")
     fits = [
-        fit(body, names, points_m[t : t + 1], sigma_m[t : t + 1], alone, chosen(surface, slice(t, t + 1)))
+        fit(body, names, points_m[t : t + 1], sigma_m[t : t + 1], alone, surface_in_frames(surface, slice(t, t + 1)))
         for t in frames
     ]
     stacked: dict[str, Any] = {name: np.concatenate([getattr(f, name) for f in fits]) for name in PER_FRAME}
     known = [f for f in fits if f.valid.all()]
-    out = replace(nothing_known(len(points_m), len(names), body.shapes, stacked["valid"]), **stacked)
+    out = replace(empty_fit(len(points_m), len(names), body.shapes, stacked["valid"]), **stacked)
     if not known:
         return out
     return replace(
@@ -288,7 +288,7 @@ def _fit_each_frame(
     )
 
 
-def chosen(surface: SurfacePoints | None, frames: Bool[np.ndarray, " T"] | slice) -> SurfacePoints | None:
+def surface_in_frames(surface: SurfacePoints | None, frames: Bool[np.ndarray, " T"] | slice) -> SurfacePoints | None:
     """The surface points of some frames."""
     return (
         None if surface is None else SurfacePoints(surface.vertices, surface.points_m[frames], surface.sigma_m[frames])

@@ -53,7 +53,7 @@ def descend(problem: Problem, state: State, iterations: int, tolerance: float) -
         if gain < tolerance * whole:
             return state, equations, step, True
         if 0 < busy.sum() <= _FEW * len(busy):
-            part, costs[busy], damping[busy] = alone(
+            part, costs[busy], damping[busy] = descend_per_frame(
                 problem.only(busy), state.at(busy), costs[busy], iterations, tolerance, damping[busy]
             )
             state = state.put(busy, part)
@@ -79,7 +79,7 @@ def _reject_worse_steps(
     return moved, new_costs, worse
 
 
-def alone(
+def descend_per_frame(
     problem: Problem,
     state: State,
     costs: Num[np.ndarray, " F"],

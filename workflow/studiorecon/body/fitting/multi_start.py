@@ -16,7 +16,7 @@ import numpy as np
 
 from studiorecon.body.fitting import prior
 from studiorecon.body.fitting.basis import State
-from studiorecon.body.fitting.levenberg_marquardt import alone
+from studiorecon.body.fitting.levenberg_marquardt import descend_per_frame
 from studiorecon.body.fitting.problem import Problem
 from studiorecon.geometry import rotations
 
@@ -61,10 +61,10 @@ def best_start(
     part, first = problem.only(chosen), state.at(chosen)
     solutions, costs = [first], [part.costs(first)]
     for turn in _TURNS:
-        local = np.tile(prior.middle(), (len(first.trans), 1, 1, 1))
+        local = np.tile(prior.mean_pose(), (len(first.trans), 1, 1, 1))
         local[:, 0] = first.local[:, 0] @ rotations.exp(np.array(turn))
         other = State(local, first.trans, first.betas, first.log_scale, first.corrections)
-        other, cost, _ = alone(part, other, part.costs(other), iterations, tolerance)
+        other, cost, _ = descend_per_frame(part, other, part.costs(other), iterations, tolerance)
         solutions.append(other)
         costs.append(cost)
     winner = np.argmin(costs, axis=0)

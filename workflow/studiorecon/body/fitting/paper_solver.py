@@ -61,7 +61,9 @@ def fit(
     parts = []
     for first in range(0, frames, at_once):
         own = np.arange(frames) // at_once == first // at_once
-        parts.append(_together(body, names, points_m[own], sigma_m[own], settings, fitting.chosen(surface, own)))
+        parts.append(
+            _together(body, names, points_m[own], sigma_m[own], settings, fitting.surface_in_frames(surface, own))
+        )
     if len(parts) == 1:
         return parts[0]
     whole: dict[str, Any] = {
@@ -90,10 +92,12 @@ def _together(
     seen = np.isfinite(points_m).all(-1) & np.isfinite(sigma_m)
     first = start(body, names, np.where(seen[..., None], points_m, 0.0), seen)
     valid = first.determined
-    out = fitting.nothing_known(frames, count, body.shapes, valid)
+    out = fitting.empty_fit(frames, count, body.shapes, valid)
     if not valid.any():
         return out
-    evidence = fitting.gather(body, names, points_m[valid], sigma_m[valid], settings, fitting.chosen(surface, valid))
+    evidence = fitting.merge_points(
+        body, names, points_m[valid], sigma_m[valid], settings, fitting.surface_in_frames(surface, valid)
+    )
     seen_rows, basis = (evidence.precision > 0).astype(np.float64), evidence.basis
     pose = _Pose(first.local[valid], first.trans_m[valid], np.zeros((int(valid.sum()), body.shapes)))
     loss, steps, converged = np.inf, 0, False

@@ -58,7 +58,7 @@ LIMIT_SIGMA_RAD = 0.1  # one deviation of the excess beyond a limit
 
 
 @cache
-def middle() -> Num[np.ndarray, "24 3 3"]:
+def mean_pose() -> Num[np.ndarray, "24 3 3"]:
     """(24, 3, 3) local rotations of the relaxed pose, read-only; the right side mirrors the left, so y and z change
     sign."""
     axis_angle = np.zeros((24, 3))
@@ -78,7 +78,7 @@ def precision() -> Num[np.ndarray, "24 3"]:
 
 def bend(local: Num[np.ndarray, "F 24 3 3"]) -> Num[np.ndarray, "F 24 3"]:
     """(F, 24, 3) axis-angles from the relaxed pose to ``local`` (F, 24, 3, 3)."""
-    return rotations.log(np.swapaxes(middle(), -1, -2) @ local)
+    return rotations.log(np.swapaxes(mean_pose(), -1, -2) @ local)
 
 
 @cache
@@ -94,7 +94,7 @@ def limits() -> tuple[Num[np.ndarray, "24 3"], Num[np.ndarray, "24 3"]]:
     return low, high
 
 
-def excess(bent: Num[np.ndarray, "F 24 3"]) -> Num[np.ndarray, "F 24 3"]:
+def beyond_limits(bent: Num[np.ndarray, "F 24 3"]) -> Num[np.ndarray, "F 24 3"]:
     """How far bends are beyond the limits, with sign; 0 within."""
     low, high = limits()
     return bent - np.clip(bent, low, high)

@@ -102,7 +102,7 @@ class Problem:
         bound = self.pulls.huber_units
         data = self.evidence.share * np.where(units < bound, 0.5 * units**2, bound * (units - 0.5 * bound))
         bend = prior.bend(state.local)
-        pull = self.precision * bend**2 + self.limit_precision * prior.excess(bend) ** 2
+        pull = self.precision * bend**2 + self.limit_precision * prior.beyond_limits(bend) ** 2
         return data.sum(1) + 0.5 * pull.sum((1, 2))
 
     def shared_cost(self, state: State) -> float:
@@ -141,7 +141,7 @@ class Problem:
 
     def _add_prior(self, state: State, world: np.ndarray, own: np.ndarray, side: np.ndarray) -> None:
         bend = prior.bend(state.local)
-        beyond = prior.excess(bend)
+        beyond = prior.beyond_limits(bend)
         rows = prior.bend_derivative(bend) @ np.swapaxes(world, -1, -2)  # of world-axis turns
         curvature = self.precision + self.limit_precision * (beyond != 0)
         block = np.swapaxes(rows, -1, -2) @ (curvature[..., None] * rows)

@@ -46,7 +46,7 @@ def start(
     pose."""
     frames = len(points_m)
     at = {n: k for k, n in enumerate(names)}
-    local = np.tile(prior.middle(), (frames, 1, 1, 1))
+    local = np.tile(prior.mean_pose(), (frames, 1, 1, 1))
     share, anchors = body.keypoint_basis(names)
     on_body = share, anchors[..., 0]
     relaxed = _posed(body, on_body, local[:1])[0]

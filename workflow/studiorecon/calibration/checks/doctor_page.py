@@ -64,7 +64,7 @@ _HEAD = (
 
 def page(scene: str, report: dict[str, Any], sheet_png: bytes) -> str:
     """The page of ``report`` (see ``doctor.examine``) with the contact sheet (PNG)."""
-    body = skeleton.filled(
+    body = skeleton.fill_template(
         _BODY,
         scene=scene,
         report=report,

@@ -12,8 +12,8 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.triangulation import Limits
-from studiorecon.rig.bundle import error_medians, fitted
-from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.bundle import error_medians, fit_cameras
+from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.moved_cameras import pose_changes, relocalise
 from studiorecon.rig.pose_uncertainty import moved_rotation_interval_deg, rotation_observability
 from studiorecon.rig.room_picture import RoomPicture
@@ -90,8 +90,8 @@ def refined_on_people(
     chosen = evenly_spread(frames, _FRAMES)
     before_px = np.nan if median_px is None else median_px
     anew = relocalise(cameras, detections, watched, chosen, gate_m, 0.0, limits, bundle, before_px, allowed_px, rooms)
-    seen = observe(detections, cameras, chosen, gate_m)[0] if anew is None else anew.seen
-    held = anew if anew is not None or not len(seen.frame) else fitted(cameras, seen, limits, bundle)
+    seen = make_observations(detections, cameras, chosen, gate_m)[0] if anew is None else anew.seen
+    held = anew if anew is not None or not len(seen.frame) else fit_cameras(cameras, seen, limits, bundle)
     if held is None:
         return None
     px = error_medians(held.cameras, seen, limits)[0]

@@ -17,7 +17,7 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, 
 from studiorecon.camera_files.lens_kinds import coefficients
 from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, rigid_camera_from_world
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import read_json
+from studiorecon.scene.user_files import read_json
 
 # Indices of OpenCV's k1 k2 p1 p2 k3 in the numbers of a distortion.
 _AS_OPENCV = {

@@ -13,11 +13,11 @@ import numpy as np
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients
-from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world
+from studiorecon.camera_files.raw_camera import RawCamera, rigid_camera_from_world, unadjusted_intrinsics
 from studiorecon.errors import UserError
 from studiorecon.footage.kinds import film_suffixes
-from studiorecon.scene.outside import read_text
-from studiorecon.scene.values import shown
+from studiorecon.scene.user_files import read_text
+from studiorecon.scene.user_values import short_text
 
 # Numbers in the lines: width, height, K, [R | t], distortion.
 _LINES = ([1], [1], [3] * 3, [4] * 3)
@@ -42,20 +42,21 @@ def _camera(path: Path) -> RawCamera:
         try:
             rows += [[float(word) for word in line.split()]] if line.strip() else []
         except ValueError:
-            raise UserError(f"{where}, line {number} is {shown(line)}; bioCV writes nothing but numbers") from None
+            raise UserError(f"{where}, line {number} is {short_text(line)}; bioCV writes nothing but numbers") from None
     counts = [len(row) for row in rows]
     wanted = [count for lines in _LINES for count in lines]
     # The pose's last row, 0 0 0 1, may be left out; the distortion is the last line.
     if counts[:8] != wanted or len(rows) - 9 not in (0, 1) or (len(rows) == 10 and counts[8] != 4) or counts[-1] < 4:
         raise UserError(
-            f"{where}: its lines hold {shown(counts)} numbers; a bioCV calibration has width, height, three rows of K, "
+            f"{where}: its lines hold {short_text(counts)} numbers; a bioCV calibration has width, height, three rows "
+            "of K, "
             "the rows of a 4×4 pose and one of distortion"
         )
     pose = np.array(rows[5:8])
     return RawCamera(
         name=name,
         wh=(round(rows[0][0]), round(rows[1][0])),
-        intrinsics=as_in_file(rows[2:5], where),
+        intrinsics=unadjusted_intrinsics(rows[2:5], where),
         model="opencv",
         distortion=coefficients("opencv", rows[-1], where),
         camera_from_world=rigid_camera_from_world(pose[:, :3], pose[:, 3], where)[0],

@@ -17,14 +17,14 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients
 from studiorecon.camera_files.raw_camera import (
     RawCamera,
-    as_in_file,
     rigid_camera_from_world,
     rotation_from_file,
+    unadjusted_intrinsics,
     vector,
 )
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import MAX_TEXT_BYTES, read_bytes
-from studiorecon.scene.values import listed
+from studiorecon.scene.user_files import MAX_TEXT_BYTES, read_bytes
+from studiorecon.scene.user_values import as_list
 
 
 def recognises(files: list[Path]) -> bool:
@@ -36,7 +36,7 @@ def read(files: list[Path]) -> Reading:
     first, second = (load_storage(f) for f in files)
     intri, extri = (first, second) if any(k.startswith("K_") for k in first) else (second, first)
     intri_path, extri_path = (files[0], files[1]) if intri is first else (files[1], files[0])
-    listed_names = listed(intri.get("names"), f"{intri_path}: names", "[cam01, cam02]")
+    listed_names = as_list(intri.get("names"), f"{intri_path}: names", "[cam01, cam02]")
     names = [str(n) for n in listed_names or [k[2:] for k in intri if k.startswith("K_")]]
     notes: list[str] = []
     if names and f"K_{names[0]}" not in intri:
@@ -83,7 +83,7 @@ def _lens(intri: dict, name: str, key: str, where: str) -> tuple[RawCamera, list
     camera = RawCamera(
         name=name,
         wh=(_size(intri, f"W_{key}"), _size(intri, f"H_{key}")),
-        intrinsics=as_in_file(_required(intri, f"K_{key}", where), where),
+        intrinsics=unadjusted_intrinsics(_required(intri, f"K_{key}", where), where),
         model=model,
         distortion=coefficients(model, plain if fisheye is None else fisheye, where),
         camera_from_world=np.eye(4),

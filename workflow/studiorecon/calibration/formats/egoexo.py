@@ -12,7 +12,7 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.geometry.rotations import from_quaternion
-from studiorecon.scene.outside import read_rows
+from studiorecon.scene.user_files import read_rows
 
 _COLUMNS = (
     "cam_uid",

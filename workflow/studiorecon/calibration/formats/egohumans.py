@@ -18,7 +18,7 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, 
 from studiorecon.camera_files.colmap_models import posed_pictures
 from studiorecon.camera_files.raw_camera import RawCamera, rigid_camera_from_world
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import read_npy
+from studiorecon.scene.user_files import read_npy
 
 _ANCHOR = "aria01"
 _SUFFIXES = (".pkl", ".npy")

@@ -9,7 +9,7 @@ from pathlib import Path
 from studiorecon.calibration.formats import FORMATS, easymocap, opencv_storage, pose2sim
 from studiorecon.camera_files.raw_camera import RawCamera
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import file_size, read_bytes
+from studiorecon.scene.user_files import file_size, read_bytes
 
 _SUFFIXES = {
     ".xml", ".yml", ".yaml", ".json", ".toml", ".calib", ".txt", ".npz", ".npy", ".pkl", ".pickle", ".mat", ".csv",
@@ -47,7 +47,7 @@ def read_lenses(files: Sequence[Path]) -> list[RawCamera]:
 _NO_POSE = {"rotation": [0.0, 0.0, 0.0], "translation": [0.0, 0.0, 0.0]}
 
 
-def why_not(path: Path, used: Sequence[Path]) -> str | None:
+def unused_reason(path: Path, used: Sequence[Path]) -> str | None:
     """A sentence why a file that looks like a calibration is not among the files ``used``; None for other files."""
     if path in used or not path.is_file() or path.suffix.lower() not in _SUFFIXES or path.stem == "capture":
         return None

@@ -11,7 +11,7 @@ import numpy as np
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import read_npy
+from studiorecon.scene.user_files import read_npy
 
 
 def recognises(files: list[Path]) -> bool:

@@ -15,9 +15,9 @@ import numpy as np
 from studiorecon.calibration.formats.pickles import read_pickle
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients
-from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world
+from studiorecon.camera_files.raw_camera import RawCamera, rigid_camera_from_world, unadjusted_intrinsics
 from studiorecon.errors import UserError
-from studiorecon.scene.values import numbers
+from studiorecon.scene.user_values import numbers
 
 _NAME = "cameraIntrinsicsExtrinsics.pickle"
 _SIZES = {"intrinsicMat": 9, "distortion": 5, "imageSize": 2, "rotation": 9, "translation": 3}
@@ -49,7 +49,7 @@ def _camera(path: Path) -> RawCamera:
     return RawCamera(
         name=name,
         wh=(round(width), round(height)),
-        intrinsics=as_in_file(values["intrinsicMat"], where),
+        intrinsics=unadjusted_intrinsics(values["intrinsicMat"], where),
         model="opencv",
         distortion=coefficients("opencv", values["distortion"], where),
         camera_from_world=rigid_camera_from_world(np.array(values["rotation"]), values["translation"], where)[0],

@@ -20,15 +20,15 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients, model_in
 from studiorecon.camera_files.raw_camera import (
     RawCamera,
-    as_in_file,
     camera_from_world_of_pose,
     rigid_camera_from_world,
     rotation_from_file,
+    unadjusted_intrinsics,
     vector,
 )
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import file_size, read_bytes, read_xml, read_yaml
-from studiorecon.scene.values import numbers, shown
+from studiorecon.scene.user_files import file_size, read_bytes, read_xml, read_yaml
+from studiorecon.scene.user_values import numbers, short_text
 
 _SUFFIXES = (".xml", ".yml", ".yaml", ".json")
 # Spellings without case and separators, by their meaning.
@@ -147,7 +147,7 @@ def read_camera(name: str, table: Mapping[str, Any], where: str) -> RawCamera:
     """One camera; its pose is the identity where the table has none. Raises UserError for a table that is no camera."""
     held = {kind: _plain(value) for kind, value in _sorted(table, where).items()}
     if "matrix" not in held:
-        raise UserError(f"{where} has no camera matrix; it has {shown(', '.join(map(str, table)))}")
+        raise UserError(f"{where} has no camera matrix; it has {short_text(', '.join(map(str, table)))}")
     if "size" in held:
         width, height = numbers(held["size"], f"{where}: its size").reshape(-1)
     else:
@@ -156,7 +156,7 @@ def read_camera(name: str, table: Mapping[str, Any], where: str) -> RawCamera:
     return RawCamera(
         name=name,
         wh=(round(width), round(height)),
-        intrinsics=as_in_file(held["matrix"], where),
+        intrinsics=unadjusted_intrinsics(held["matrix"], where),
         model=model,
         distortion=coefficients(model, held.get("distortion"), where),
         camera_from_world=_pose(held, where) if _posed(set(held)) else np.eye(4),

@@ -17,7 +17,7 @@ import numpy as np
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import read_xml
+from studiorecon.scene.user_files import read_xml
 
 # Motive's cameras look along -z with y up; ours along +z with y down.
 _FLIP = np.diag([1.0, -1.0, -1.0])

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import first_line, read_bytes
+from studiorecon.scene.user_files import first_line, read_bytes
 
 # Errors that a damaged pickle raises.
 _BROKEN = (AttributeError, IndexError, ValueError, KeyError, TypeError, ImportError, OverflowError, RecursionError)

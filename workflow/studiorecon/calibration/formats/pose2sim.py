@@ -9,13 +9,13 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients, model_in
 from studiorecon.camera_files.raw_camera import (
     RawCamera,
-    as_in_file,
     rigid_camera_from_world,
     rotation_from_file,
+    unadjusted_intrinsics,
     vector,
 )
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import MAX_TEXT_BYTES, read_bytes, read_toml
+from studiorecon.scene.user_files import MAX_TEXT_BYTES, read_bytes, read_toml
 
 # Caliscope's cameras are in such a file too; its cards and volumes, and Pose2Sim's Config.toml, are in the same folder.
 TOML_FILES = (("*.toml",), ("calibration/*.toml",))
@@ -63,7 +63,7 @@ def camera_of_table(name: str, table: dict, path: Path, notes: list[str]) -> Raw
     return RawCamera(
         name=name,
         wh=(round(width), round(height)),
-        intrinsics=as_in_file(table["matrix"], where),
+        intrinsics=unadjusted_intrinsics(table["matrix"], where),
         model=model,
         distortion=coefficients(model, table.get("distortions"), where),
         camera_from_world=pose,

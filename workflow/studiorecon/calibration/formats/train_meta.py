@@ -9,10 +9,10 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
-from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world
+from studiorecon.camera_files.raw_camera import RawCamera, rigid_camera_from_world, unadjusted_intrinsics
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import read_json
-from studiorecon.scene.values import mapping
+from studiorecon.scene.user_files import read_json
+from studiorecon.scene.user_values import as_mapping
 
 
 def recognises(files: list[Path]) -> bool:
@@ -26,7 +26,7 @@ def read(files: list[Path]) -> Reading:
     decides.
     """
     path = files[0]
-    content = mapping(read_json(path), str(path), "{k: […], w2c: […]}")
+    content = as_mapping(read_json(path), str(path), "{k: […], w2c: […]}")
     missing = [k for k in ("k", "w2c") if k not in content]
     if missing or not ("hw" in content or {"w", "h"} <= content.keys()):
         raise UserError(f"{path} lacks {missing[0] if missing else 'w and h'}; it is not a train_meta.json")
@@ -44,7 +44,7 @@ def read(files: list[Path]) -> Reading:
                 RawCamera(
                     name=name,
                     wh=(int(width), int(height)),
-                    intrinsics=as_in_file(k, where, integer_centres=False),
+                    intrinsics=unadjusted_intrinsics(k, where, integer_centres=False),
                     model="opencv",
                     distortion=np.zeros(8),
                     camera_from_world=rigid_camera_from_world(block[:, :3], block[:, 3], where)[0],

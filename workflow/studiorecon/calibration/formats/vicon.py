@@ -22,8 +22,8 @@ from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_
 from studiorecon.errors import UserError
 from studiorecon.geometry.distortion import distort
 from studiorecon.geometry.rotations import from_quaternion
-from studiorecon.scene.outside import read_xml
-from studiorecon.scene.values import shown
+from studiorecon.scene.user_files import read_xml
+from studiorecon.scene.user_values import short_text
 
 _SQUARE = 0.001
 _SAMPLES = 41
@@ -52,7 +52,7 @@ def _camera(name: str, element: Element, frame: Element, where: str, notes: list
     for holder, key in ((element, "PIXEL_ASPECT_RATIO"), (frame, "PIXEL_ASPECT_RATIO_CORRECTION")):
         if abs(float(holder.get(key, "1")) - 1) > _SQUARE:
             raise UserError(
-                f"{where}: {key} is {shown(holder.get(key))}; only square pixels are read: film with such a mode"
+                f"{where}: {key} is {short_text(holder.get(key))}; only square pixels are read: film with such a mode"
             )
     width, height = (round(v) for v in _numbers(element, "SENSOR_SIZE", 2, where))
     (focal,) = _numbers(frame, "FOCAL_LENGTH", 1, where)
@@ -66,7 +66,7 @@ def _camera(name: str, element: Element, frame: Element, where: str, notes: list
     if frame.get("VICON_RADIAL2") is not None:
         model, *rest = frame.get("VICON_RADIAL2", "").split() or [""]
         if model != "Vicon3Parameter" or len(rest) != 5:
-            raise UserError(f"{where}: its lens model {shown(model)} is not known; only Vicon3Parameter is read")
+            raise UserError(f"{where}: its lens model {short_text(model)} is not known; only Vicon3Parameter is read")
         centre, terms = np.array([float(v) for v in rest[:2]]), np.array([float(v) for v in rest[2:]])
     else:
         centre, terms = principal, np.append(_numbers(frame, "VICON_RADIAL", 2, where, "0 0"), 0.0)
@@ -132,7 +132,7 @@ def _numbers(element: Element, attribute: str, count: int, where: str, default: 
         raise UserError(f"{where}: {attribute} is missing; calibrate this camera again in Vicon's program")
     values = np.array([float(v) for v in text.split()])
     if len(values) != count or not np.isfinite(values).all():
-        raise UserError(f"{where}: {attribute} is {shown(text)}; {count} numbers are expected")
+        raise UserError(f"{where}: {attribute} is {short_text(text)}; {count} numbers are expected")
     return values
 
 

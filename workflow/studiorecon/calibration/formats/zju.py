@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from studiorecon.calibration.formats.pickles import read_pickle
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients
-from studiorecon.camera_files.raw_camera import RawCamera, as_in_file, rigid_camera_from_world
+from studiorecon.camera_files.raw_camera import RawCamera, rigid_camera_from_world, unadjusted_intrinsics
 from studiorecon.errors import UserError
 
 
@@ -37,7 +37,7 @@ def read(files: list[Path]) -> Reading:
             RawCamera(
                 name=name,
                 wh=(0, 0),
-                intrinsics=as_in_file(cams["K"][index], where),
+                intrinsics=unadjusted_intrinsics(cams["K"][index], where),
                 model="opencv",
                 distortion=coefficients("opencv", cams["D"][index] if "D" in cams else [], where),
                 camera_from_world=rigid_camera_from_world(cams["R"][index], cams["T"][index], where)[0],

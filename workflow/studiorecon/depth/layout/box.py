@@ -100,7 +100,7 @@ def turned_offset(
     return float(np.median(points, axis=0) @ normal) if len(points) else float(plane[3])
 
 
-def strong_offsets(
+def most_voted_offsets(
     planes: Float[np.ndarray, "L 4"],
     votes: Integer[np.ndarray, " L"],
     normal: Float[np.ndarray, " 3"],

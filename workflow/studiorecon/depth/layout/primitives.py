@@ -14,8 +14,8 @@ from numba import njit
 
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_json
-from studiorecon.scene.intermediate import expect, read
 from studiorecon.scene.schema import Listed, metres, radians, real, text
+from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

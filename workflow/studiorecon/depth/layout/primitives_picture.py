@@ -40,7 +40,7 @@ def edges(primitive: Primitive) -> Float[np.ndarray, "E 2 3"]:
     return np.concatenate([np.stack(pair, axis=1) for pair in pairs])
 
 
-def outlined(
+def draw_outlines(
     picture: Picture, primitives: Sequence[Primitive], depth_m: Float[np.ndarray, "h w"]
 ) -> Integer[np.ndarray, "H W 3"]:
     """(H, W, 3) uint8: the photo with the edges that no surface of ``depth_m`` (h, w) hides, one colour a primitive."""
@@ -105,7 +105,7 @@ def sheet(
     depths_m: Sequence[Float[np.ndarray, "h w"]],
 ) -> Integer[np.ndarray, "H W 3"]:
     """(H, W, 3) uint8: all photos, two to a row, and the plan last."""
-    shown = [outlined(picture, primitives, depth_m) for picture, depth_m in zip(pictures, depths_m)]
+    shown = [draw_outlines(picture, primitives, depth_m) for picture, depth_m in zip(pictures, depths_m)]
     shown.append(plan(room_box, [p.camera for p in pictures], primitives, shown[0].shape[0]))
     tallest = max(s.shape[0] for s in shown)
     shown = [cv2.copyMakeBorder(s, 0, tallest - s.shape[0], 0, 0, cv2.BORDER_CONSTANT, value=_PAPER) for s in shown]

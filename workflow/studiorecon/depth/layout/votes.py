@@ -12,9 +12,9 @@ import numpy as np
 
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.errors import UserError
-from studiorecon.scene.intermediate import expect, read
 from studiorecon.scene.room import RoomBox
 from studiorecon.scene.schema import UNIT_NORMALS, flag, metres, radians, real, whole
+from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num

@@ -159,6 +159,6 @@ def surface_gains(
     return solve_gains(len(pictures), overlaps), len(overlaps)
 
 
-def equalised(pictures: Sequence[Picture], gains: Float[np.ndarray, "V 3"]) -> list[Picture]:
+def equalise_exposure(pictures: Sequence[Picture], gains: Float[np.ndarray, "V 3"]) -> list[Picture]:
     """The pictures with their exposure gains divided out."""
     return [replace(p, rgb=np.clip(p.rgb / gain, 0, 1).astype(np.float32)) for p, gain in zip(pictures, gains)]

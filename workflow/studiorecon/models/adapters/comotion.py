@@ -20,7 +20,7 @@ from studiorecon.errors import UserError
 from studiorecon.models import smpl
 from studiorecon.models.adapters.pi3 import probability
 from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
+from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, require_finite, staged_weights
 from studiorecon.models.protocols import Bodies
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def postprocess(
                 f"{', '.join(map(str, shape))}); use upstream at its pin"
             )
     used = tracks["id"] > 0
-    own = {name: finite(CARD, name, values[used]) for name, values in tracks.items()}
+    own = {name: require_finite(CARD, name, values[used]) for name, values in tracks.items()}
     joints = own["pred_2d"].astype(np.float64)
     sure = np.full(len(joints), UNSEEN)
     if len(detected_px) and len(joints):
@@ -166,13 +166,13 @@ class Comotion:
     layout = "comotion27"
 
     def __init__(self, card: Card, weights: Path, where: str) -> None:
-        staged(card, weights)
+        staged_weights(card, weights)
         try:
             # Upstream opens SMPL's file at import, and the checkpoints when the network is created.
-            module = upstream(card, "comotion_demo.models.comotion")
+            module = import_upstream(card, "comotion_demo.models.comotion")
             # Upstream unpickles SMPL's file unchecked, and would run any code in it.
             body = weights / "smpl/SMPL_NEUTRAL.pkl"
-            upstream(card, "comotion_demo.utils.smpl_kinematics").pickle = _Arrays(body)
+            import_upstream(card, "comotion_demo.utils.smpl_kinematics").pickle = _Arrays(body)
             self._device = device(card, where, _LOWER)
             self._network = attribute(card, module, "CoMotion")(use_coreml=False, pretrained=True)
         except (FileNotFoundError, AssertionError) as error:

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.images.sizes import as_float, grown, resampled
+from studiorecon.images.sizes import as_float, pad_to_multiple, resample
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
+from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, require_finite, staged_weights
 from studiorecon.models.protocols import Moment
 
 if TYPE_CHECKING:
@@ -81,12 +81,12 @@ def preprocess(
     """Two (1, 3, h, w) float32 tensors in [0, 1], sides multiples of 8, of a render (H, W, 3) and a photo of any
     size."""
     picture, photo = as_float(image), as_float(reference)
-    photo = resampled(photo, picture.shape[:2])
+    photo = resample(photo, picture.shape[:2])
     return _tensor(picture), _tensor(photo)
 
 
 def _tensor(picture: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(grown(picture, MULTIPLE_PX).transpose(2, 0, 1)[None])
+    return np.ascontiguousarray(pad_to_multiple(picture, MULTIPLE_PX).transpose(2, 0, 1)[None])
 
 
 def postprocess(
@@ -102,7 +102,9 @@ def postprocess(
             f"{height}, ≥ {width}); use upstream at its pin"
         )
     picture = (
-        np.clip(finite(card, "a picture", made[0, :, :height, :width]), 0, 1).transpose(1, 2, 0).astype(np.float32)
+        np.clip(require_finite(card, "a picture", made[0, :, :height, :width]), 0, 1)
+        .transpose(1, 2, 0)
+        .astype(np.float32)
     )
     shift = abs(float(picture.mean()) - float(as_float(image).mean()))
     if shift > _LARGEST_SHIFT:
@@ -118,8 +120,8 @@ class Difix:
     ``weights``."""
 
     def __init__(self, card: Card, weights: Path, where: str, seed: int) -> None:
-        folder = staged(card, weights) / "difix/difix_ref"
-        pipeline = attribute(card, upstream(card, "pipeline_difix"), "DifixPipeline")
+        folder = staged_weights(card, weights) / "difix/difix_ref"
+        pipeline = attribute(card, import_upstream(card, "pipeline_difix"), "DifixPipeline")
         import torch
 
         self._device, self._seed = device(card, where, _LOWER), seed

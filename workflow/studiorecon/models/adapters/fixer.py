@@ -9,10 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.images.sizes import as_float, resampled
+from studiorecon.images.sizes import as_float, resample
 from studiorecon.models.adapters import difix
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import arrays_alone, attribute, device, finite, staged, upstream
+from studiorecon.models.catalogue.preflight import (
+    arrays_alone,
+    attribute,
+    device,
+    import_upstream,
+    require_finite,
+    staged_weights,
+)
 from studiorecon.models.protocols import Moment
 
 if TYPE_CHECKING:
@@ -54,7 +61,7 @@ def preprocess(image: Num[np.ndarray, "H W 3"]) -> tuple[Float[np.ndarray, "1 3 
     picture = as_float(image)
     scale = min(side / own for side, own in zip(HW, picture.shape[:2]))
     taken = tuple(min(round(own * scale), side) for side, own in zip(HW, picture.shape[:2]))
-    inside = resampled(picture, taken)
+    inside = resample(picture, taken)
     full = np.pad(inside, ((0, HW[0] - taken[0]), (0, HW[1] - taken[1]), (0, 0)), mode="edge")
     return np.ascontiguousarray(full.transpose(2, 0, 1)[None]) * 2 - 1, taken
 
@@ -65,16 +72,18 @@ def postprocess(
     """(H, W, 3) float32 picture in [0, 1] from Fixer's (1, 3, 576, 1024) in [-1, 1]."""
     if made.shape != (1, 3, *HW):
         raise UserError(f"Fixer returned shape {made.shape}, expected {(1, 3, *HW)}; use upstream at its pin")
-    inside = np.clip((finite(CARD, "a picture", made)[0, :, : taken[0], : taken[1]] + 1) / 2, 0, 1).transpose(1, 2, 0)
-    return difix.postprocess(resampled(inside, image.shape[:2]).transpose(2, 0, 1)[None], image, CARD)
+    inside = np.clip((require_finite(CARD, "a picture", made)[0, :, : taken[0], : taken[1]] + 1) / 2, 0, 1).transpose(
+        1, 2, 0
+    )
+    return difix.postprocess(resample(inside, image.shape[:2]).transpose(2, 0, 1)[None], image, CARD)
 
 
 class Fixer:
     """Fixer, loaded once; satisfies ``Enhancer`` and ignores the reference. Weights: ``fixer/`` below ``weights``."""
 
     def __init__(self, card: Card, weights: Path, where: str, seed: int = 0) -> None:
-        folder = staged(card, weights) / "fixer"
-        module = upstream(card, "pix2pix_turbo_nocond_cosmos_base_faster_tokenizer")
+        folder = staged_weights(card, weights) / "fixer"
+        module = import_upstream(card, "pix2pix_turbo_nocond_cosmos_base_faster_tokenizer")
         self._device = device(card, where, _LOWER)
         import torch
 

@@ -18,7 +18,7 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.models.adapters.gen3c_request import CHUNK, HW, check_evidence, check_form, evidence
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import arrays_alone, attribute, device, staged, upstream
+from studiorecon.models.catalogue.preflight import arrays_alone, attribute, device, import_upstream, staged_weights
 from studiorecon.models.protocols import KeyFrame
 from studiorecon.scene.camera import Camera
 
@@ -212,11 +212,11 @@ class Gen3c:
         offload: bool,
         filter_points: float,
     ) -> None:
-        folder = staged(card, weights) / "gen3c"
+        folder = staged_weights(card, weights) / "gen3c"
         pipeline = attribute(
-            card, upstream(card, "cosmos_predict1.diffusion.inference.gen3c_pipeline"), "Gen3cPipeline"
+            card, import_upstream(card, "cosmos_predict1.diffusion.inference.gen3c_pipeline"), "Gen3cPipeline"
         )
-        cache = upstream(card, "cosmos_predict1.diffusion.inference.cache_3d")
+        cache = import_upstream(card, "cosmos_predict1.diffusion.inference.cache_3d")
         self._cache, self._filter_points = attribute(card, cache, "Cache3D_BufferSelector"), filter_points
         self._device = device(card, where, _LOWER, None if offload else _WITHOUT_OFFLOAD_GB)
         # The paper uses no prompts: without the encoder 45 GB of weights are saved. Guardrail and prompt upsampler are

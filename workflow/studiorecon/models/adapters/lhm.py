@@ -15,8 +15,8 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.pickles import vetted
-from studiorecon.models.catalogue.preflight import device, staged, upstream
+from studiorecon.models.catalogue.pickles import require_safe_pickles
+from studiorecon.models.catalogue.preflight import device, import_upstream, staged_weights
 from studiorecon.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:
@@ -155,10 +155,10 @@ class Lhm:
 
     def __init__(self, card: Card, weights: Path, where: str) -> None:
         # Upstream creates this folder, but weights that are mounted into an image may be read-only.
-        (staged(card, weights) / "lhm/huggingface").mkdir(exist_ok=True)
+        (staged_weights(card, weights) / "lhm/huggingface").mkdir(exist_ok=True)
         # Upstream unpickles bodies, hands and faces unchecked.
-        vetted(p for p in sorted((weights / "lhm").rglob("*")) if p.suffix in (".pkl", ".npz"))
-        module = upstream(card, "LHM")
+        require_safe_pickles(p for p in sorted((weights / "lhm").rglob("*")) if p.suffix in (".pkl", ".npz"))
+        module = import_upstream(card, "LHM")
         device(card, where, _LOWER)
         self._checkout = Path(next(iter(module.__path__))).parent
 

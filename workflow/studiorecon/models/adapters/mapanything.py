@@ -17,7 +17,7 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.models.adapters.pi3 import LOWER, postprocess, preprocess
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
+from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, require_finite, staged_weights
 from studiorecon.models.protocols import Reconstruction
 
 if TYPE_CHECKING:
@@ -62,10 +62,10 @@ class MapAnything:
     """The network, loaded once; satisfies ``PoseAndDepth``. Weights: ``mapanything/`` below ``weights``."""
 
     def __init__(self, card: Card, weights: Path, where: str) -> None:
-        folder = staged(card, weights) / "mapanything"
+        folder = staged_weights(card, weights) / "mapanything"
         self._device = device(card, where, LOWER)
-        network = attribute(card, upstream(card, "mapanything.models"), "MapAnything")
-        checkout = Path(next(iter(upstream(card, "dinov2").__path__))).parent
+        network = attribute(card, import_upstream(card, "mapanything.models"), "MapAnything")
+        checkout = Path(next(iter(import_upstream(card, "dinov2").__path__))).parent
         try:
             with encoder_from(checkout):
                 # Strict: weights missing in the staged file would stay random.
@@ -79,7 +79,7 @@ class MapAnything:
         tensor, taken = preprocess(pictures)
         made = inferred(self._network, tensor, self._device)
         for what, values in zip(("points", "confidence", "poses"), made):
-            finite(CARD, what, values)
+            require_finite(CARD, what, values)
         return postprocess(*made, taken, names, metric=True)
 
 
@@ -115,7 +115,7 @@ def inferred(
     """
     import torch
 
-    prepare = attribute(CARD, upstream(CARD, "mapanything.utils.image"), "preprocess_inputs")
+    prepare = attribute(CARD, import_upstream(CARD, "mapanything.utils.image"), "preprocess_inputs")
     views = [{"img": torch.from_numpy(picture.transpose(1, 2, 0) * 255).round().to(torch.uint8)} for picture in tensor]
     # At their own size: another one would crop, and change intrinsics with it.
     made = network.infer(

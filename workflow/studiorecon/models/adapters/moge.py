@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.images.sizes import as_float
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, device, staged, upstream
+from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, staged_weights
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
@@ -109,8 +109,8 @@ class Moge:
     """The network, loaded once; satisfies ``MonocularDepth``. Weights: ``moge/`` below ``weights``."""
 
     def __init__(self, card: Card, weights: Path, where: str) -> None:
-        file = staged(card, weights) / card.weights[0].path
-        network = attribute(card, upstream(card, _MODULES[card.name]), "MoGeModel")
+        file = staged_weights(card, weights) / card.weights[0].path
+        network = attribute(card, import_upstream(card, _MODULES[card.name]), "MoGeModel")
         self._card, self._device = card, device(card, where, "set depth.source to embedded")
         try:
             self._network = network.from_pretrained(str(file)).to(self._device).eval()

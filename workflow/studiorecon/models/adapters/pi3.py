@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.images.sizes import as_float, resampled
+from studiorecon.images.sizes import as_float, resample
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
+from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, require_finite, staged_weights
 from studiorecon.models.protocols import Reconstruction
 from studiorecon.scene.camera import Camera
 
@@ -134,7 +134,7 @@ def preprocess(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> tuple[Float[
         size = (min(round(picture.shape[0] * scale), frame[0]), min(round(picture.shape[1] * scale), frame[1]))
         missing = [side - own for side, own in zip(frame, size)]
         beside = [(m // 2, m - m // 2) for m in missing]
-        inside = np.pad(resampled(as_float(picture), size), (*beside, (0, 0)), mode="edge")
+        inside = np.pad(resample(as_float(picture), size), (*beside, (0, 0)), mode="edge")
         tensors.append(np.clip(inside, 0, 1).transpose(2, 0, 1))
         taken.append(Inset(beside[0][0], beside[1][0], *size))
     return np.stack(tensors), taken
@@ -228,10 +228,10 @@ class Pi3:
     """Pi3 or Pi3X, loaded once; satisfies ``PoseAndDepth``."""
 
     def __init__(self, card: Card, weights: Path, where: str) -> None:
-        file = staged(card, weights) / card.weights[0].path
+        file = staged_weights(card, weights) / card.weights[0].path
         self._card, self._device = card, device(card, where, LOWER)
-        network = attribute(card, upstream(card, f"pi3.models.{card.name}"), card.title)
-        state = attribute(card, upstream(card, "safetensors.torch"), "load_file")(str(file))
+        network = attribute(card, import_upstream(card, f"pi3.models.{card.name}"), card.title)
+        state = attribute(card, import_upstream(card, "safetensors.torch"), "load_file")(str(file))
         self._network = network()
         try:
             if card is PI3X:
@@ -249,7 +249,7 @@ class Pi3:
         tensor, taken = preprocess(pictures)
         made = inferred(self._network, tensor, self._device)
         for what, values in zip(("points", "confidence", "poses"), made):
-            finite(self._card, what, values)
+            require_finite(self._card, what, values)
         return postprocess(*made, taken, names, metric=self._card is PI3X)
 
 

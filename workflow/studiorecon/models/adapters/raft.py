@@ -13,7 +13,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
+from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, require_finite, staged_weights
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
@@ -101,8 +101,8 @@ class Raft:
     ``weights``."""
 
     def __init__(self, card: Card, weights: Path, where: str) -> None:
-        file = staged(card, weights) / card.weights[0].path
-        build = attribute(card, upstream(card, "torchvision.models.optical_flow"), "raft_large")
+        file = staged_weights(card, weights) / card.weights[0].path
+        build = attribute(card, import_upstream(card, "torchvision.models.optical_flow"), "raft_large")
         import torch
 
         self._device = device(card, where, "set enhance.flow to dis")
@@ -120,7 +120,7 @@ class Raft:
     ) -> Float[np.ndarray, "H W 2"]:
         """Optical flow; see ``models.protocols.Flow``."""
         pair, fitted = preprocess(first, second)
-        return postprocess(finite(CARD, "flow", estimated(self._network, pair, self._device)), fitted)
+        return postprocess(require_finite(CARD, "flow", estimated(self._network, pair, self._device)), fitted)
 
 
 def estimated(

@@ -16,7 +16,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, device, staged, upstream
+from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, staged_weights
 from studiorecon.progress import warn
 
 if TYPE_CHECKING:
@@ -149,8 +149,8 @@ class Sam3:
     """The video model, loaded once; satisfies ``PersonSegmenter``. Weights: ``sam3/`` below ``weights``."""
 
     def __init__(self, card: Card, weights: Path, where: str, chunk: int, prompt: str = PROMPT) -> None:
-        folder = str(staged(card, weights) / "sam3")
-        module = upstream(card, "transformers")
+        folder = str(staged_weights(card, weights) / "sam3")
+        module = import_upstream(card, "transformers")
         network, processor = (attribute(card, module, name) for name in ("Sam3VideoModel", "Sam3VideoProcessor"))
         import torch
 

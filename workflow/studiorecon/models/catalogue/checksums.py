@@ -64,7 +64,7 @@ def code_in(folder: Path, files: Iterable[WeightFile]) -> list[WeightFile]:
     return found
 
 
-def verified(folder: Path, file: WeightFile, pins: dict[str, Any]) -> dict[str, Any]:
+def verify(folder: Path, file: WeightFile, pins: dict[str, Any]) -> dict[str, Any]:
     """The pin of an existing file; computes the hash when the file is new or was modified.
 
     Raises UserError when the hash differs.

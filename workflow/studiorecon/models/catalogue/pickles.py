@@ -56,7 +56,7 @@ def read_arrays(stream: IO[bytes]) -> Any:
     return _Arrays(stream, encoding="latin1").load()
 
 
-def vetted(paths: Iterable[Path]) -> None:
+def require_safe_pickles(paths: Iterable[Path]) -> None:
     """Raises UserError for the first of these .pkl and .npz files that would run code when it is unpickled."""
     for path in paths:
         try:

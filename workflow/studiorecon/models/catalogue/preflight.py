@@ -17,7 +17,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import Card
-from studiorecon.models.catalogue.checksums import PINS, code_in, read_pins, verified, write_pins
+from studiorecon.models.catalogue.checksums import PINS, code_in, read_pins, verify, write_pins
 from studiorecon.models.catalogue.confined import confine
 from studiorecon.progress import say, warn
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from jaxtyping import Num
 
 
-def staged(card: Card, folder: Path) -> Path:
+def staged_weights(card: Card, folder: Path) -> Path:
     """The weights folder, if every file of the ``card`` is in it and verified; otherwise raises UserError with the
     first wrong file.
 
@@ -45,14 +45,14 @@ def staged(card: Card, folder: Path) -> Path:
             )
         if file.path not in pins and not (file.sha256 or file.md5):
             say(f"{folder / file.path} is new: its checksum is recorded and verified from now on")
-        pins[file.path] = verified(folder, file, pins)
+        pins[file.path] = verify(folder, file, pins)
     for file in code_in(folder, card.weights):
         if file.path not in pins:
             raise UserError(
                 f"{folder / file.path} is code that {card.title} would run, and nobody has said that it is what was "
                 "fetched; read it, and run snakemake weights, which holds it to what it is now"
             )
-        verified(folder, file, pins)
+        verify(folder, file, pins)
     if pins != known:
         try:
             write_pins(folder, pins)
@@ -62,7 +62,7 @@ def staged(card: Card, folder: Path) -> Path:
     return folder
 
 
-def upstream(card: Card, module: str) -> Any:
+def import_upstream(card: Card, module: str) -> Any:
     """The upstream module, imported; raises UserError with image and pins when it is missing or of another version."""
     pins = ", ".join((f"Python {card.runtime.python}", f"torch {card.runtime.torch}", *card.runtime.pins))
     try:
@@ -126,7 +126,7 @@ def device(card: Card, wanted: str, lower: str, needed: float | None = None) -> 
     return torch.device("cuda")
 
 
-def finite(card: Card, what: str, values: Num[np.ndarray, " ..."]) -> Num[np.ndarray, " ..."]:
+def require_finite(card: Card, what: str, values: Num[np.ndarray, " ..."]) -> Num[np.ndarray, " ..."]:
     """``values`` unchanged; raises UserError when a network returned non-finite numbers."""
     bad = int(np.size(values) - np.isfinite(values).sum())
     if bad:

@@ -18,7 +18,7 @@ from studiorecon.people.association.grouping import Group, group_tracks, torso_m
 from studiorecon.people.association.image_evidence import CameraEvidence, ImageEvidence, evidence_in_cameras
 from studiorecon.people.association.picture_change import (
     EvidenceLimits,
-    absent,
+    absent_people,
     limb_counts,
     motion_support,
     sampled_frames,
@@ -129,7 +129,7 @@ def identities_from_keypoints(
         shares, limbs = supports(likely, cameras, videos, fps, evidence)
         told = [
             evidence_in_cameras(group, given, cameras, videos, witnesses, evidence) if gone else None
-            for group, gone in zip(likely, absent(shares, limbs, evidence))
+            for group, gone in zip(likely, absent_people(shares, limbs, evidence))
         ]
         contradicted = iter(_contradicted(shares, told, cameras, evidence))
         why = [reason or next(contradicted) for reason in why]

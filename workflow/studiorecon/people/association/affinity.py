@@ -91,7 +91,7 @@ class AssociationLimits:
     reentry_s: float = 3.0
 
 
-def gated(distance: Num[np.ndarray, " ..."], gate: float) -> Float[np.ndarray, " ..."]:
+def apply_gate(distance: Num[np.ndarray, " ..."], gate: float) -> Float[np.ndarray, " ..."]:
     """``distance`` where it is finite and below ``gate``, else NaN: pairs past the gate are no candidates (A02,
     A03)."""
     with np.errstate(invalid="ignore"):
@@ -107,12 +107,14 @@ def affinities(
     With ``affinity: both`` the position must pass its gate; a pair with unknown poses is judged by its position alone,
     on the same scale. ``position`` and ``pose`` use one term, with its own gate (``gate_m``, ``limits.pose_gate_rad``).
     """
-    near, alike = gated(distance_m, gate_m), gated(pose_rad, np.inf)
+    near, alike = apply_gate(distance_m, gate_m), apply_gate(pose_rad, np.inf)
     position = np.exp(-near / limits.sigma_m)
-    return combined(position, np.exp(-alike / limits.sigma_rad), gated(pose_rad, limits.pose_gate_rad), limits)
+    return combine_similarities(
+        position, np.exp(-alike / limits.sigma_rad), apply_gate(pose_rad, limits.pose_gate_rad), limits
+    )
 
 
-def combined(
+def combine_similarities(
     position: Float[np.ndarray, " ..."],
     pose: Float[np.ndarray, " ..."],
     pose_rad: Float[np.ndarray, " ..."],

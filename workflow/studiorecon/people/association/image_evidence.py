@@ -23,7 +23,7 @@ from studiorecon.images.channels import channel_max
 from studiorecon.people.association.grouping import Group
 from studiorecon.people.association.picture_change import (
     EvidenceLimits,
-    even,
+    normalise_picture,
     places_changed,
     sampled_frames,
     view_shares,
@@ -122,12 +122,12 @@ def _by_plate(group: Group, camera: Camera, video: Path, witness: CameraEvidence
     if witness.plate is None:
         return float("nan")
     plate, measured = read_plate(witness.plate)
-    empty = even(np.rint(255 * plate).astype(np.uint8))
+    empty = normalise_picture(np.rint(255 * plate).astype(np.uint8))
     chosen = set(sampled_frames(group.frames, limits.frames).tolist())
     counts = np.zeros(2, dtype=int)
     for t, picture in enumerate(read_frames(video, 0, max(chosen, default=-1) + 1)):
         if t in chosen:
-            apart = np.where(measured, channel_max(np.abs(even(picture) - empty)), np.nan)
+            apart = np.where(measured, channel_max(np.abs(normalise_picture(picture) - empty)), np.nan)
             counts += places_changed(apart, group.points_m[t], camera, limits).sum(0)
     return float(view_shares(counts))
 

@@ -131,7 +131,7 @@ def motion_support(
     them, NaN where unknown; ``step_m`` (12,) is the least motion of each. Every two pictures are compared, after a
     little blur and without their median colour (exposure).
     """
-    smooth = [even(picture) for picture in pictures]
+    smooth = [normalise_picture(picture) for picture in pictures]
     pixels, depth = camera.project(points_m)
     pixels = np.where(depth[..., None] > 0, pixels, np.nan)
     metre_px = camera.intrinsics[0, 0] / np.maximum(
@@ -156,7 +156,7 @@ def motion_support(
     return counts
 
 
-def even(picture: Integer[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
+def normalise_picture(picture: Integer[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) float32 of a picture (H, W, 3) uint8 after a little blur, without its median colour (exposure)."""
     blurred = cv2.GaussianBlur(picture, (0, 0), _BLUR_PX).astype(np.float32)
     return blurred - np.median(blurred[::4, ::4], axis=(0, 1))
@@ -240,7 +240,9 @@ def limb_counts(counts: Num[np.ndarray, "... 12 2"]) -> Num[np.ndarray, "... 4 2
     return np.stack([counts[..., list(ends), :].sum(-2) for ends in _LIMB_ENDS], axis=-2)
 
 
-def absent(shares: Float[np.ndarray, "G V"], limbs: Float[np.ndarray, "G V 4"], limits: EvidenceLimits) -> list[bool]:
+def absent_people(
+    shares: Float[np.ndarray, "G V"], limbs: Float[np.ndarray, "G V 4"], limits: EvidenceLimits
+) -> list[bool]:
     """For every group, whether the pictures show that no person is there, from all joints' (G, V) and limbs' (G, V, 4)
     shares.
 

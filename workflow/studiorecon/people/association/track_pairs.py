@@ -28,8 +28,8 @@ from studiorecon.keypoints.correspondence import (
 from studiorecon.people.association.affinity import (
     AssociationLimits,
     affinities,
-    combined,
-    gated,
+    apply_gate,
+    combine_similarities,
     window_distances,
 )
 from studiorecon.people.association.postures import (
@@ -204,8 +204,10 @@ def track_pairs(
     elif any(np.isfinite(s.pelvis_m).any() for s in seen):
         shares = np.where(np.isnan(shares), _pelvis_distances(graph, seen) / limits.pelvis_gate_m, shares)
     pose = _pose_differences(graph, seen) if limits.affinity != "position" else np.full(shares.shape, np.nan)
-    near = gated(shares, 1.0)
-    affinity = combined(1 - near, np.exp(-pose / limits.sigma_rad), gated(pose, limits.pose_gate_rad), limits)
+    near = apply_gate(shares, 1.0)
+    affinity = combine_similarities(
+        1 - near, np.exp(-pose / limits.sigma_rad), apply_gate(pose, limits.pose_gate_rad), limits
+    )
     judged = pose / limits.pose_gate_rad if limits.affinity == "pose" else shares
     forbidden = ~np.isnan(judged) & ~(np.nan_to_num(judged, nan=0.0) < 1)
     same_view = graph.view[:, None] == graph.view[None]

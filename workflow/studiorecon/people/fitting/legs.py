@@ -26,7 +26,7 @@ _UNDER_M = 0.1
 _SOLE_M = 0.07
 
 
-def seated(
+def bend_hidden_legs(
     local: Float[np.ndarray, "T 24 3 3"],
     trans_m: Float[np.ndarray, "T 3"],
     betas: Float[np.ndarray, " B"],

@@ -88,7 +88,7 @@ def off_m(names: Sequence[str], detections: Sequence[Detections]) -> Num[np.ndar
     return np.array([max((one.off_m(name) for one in layouts), default=0.0) for name in names])
 
 
-def lift(
+def triangulate_keypoints(
     names: list[str],
     keypoints: Num[np.ndarray, "V T K 3"],
     cameras: list[Camera],

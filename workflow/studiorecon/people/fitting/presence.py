@@ -64,7 +64,7 @@ def runs(chosen: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
     return [(int(part[0]), int(part[-1])) for part in parts]
 
 
-def filled(
+def fill_gaps(
     local: Num[np.ndarray, "T 24 3 3"],
     trans_m: Num[np.ndarray, "T 3"],
     measured: Bool[np.ndarray, " T"],

@@ -32,7 +32,7 @@ _LONGEST_S, _LONGEST_FRAMES = 0.04, 1.05
 _SHIFT_PX, _SLOWEST_PX_S, _AT_WIDTH = 1.0, 60.0, 1280.0
 
 
-def readouts(pixels: Num[np.ndarray, "V P T J 2"], cameras: Sequence[Camera], fps: float) -> list[Readout]:
+def estimate_readouts(pixels: Num[np.ndarray, "V P T J 2"], cameras: Sequence[Camera], fps: float) -> list[Readout]:
     """The readout of every camera, from people's keypoints (V, P, T, J, 2) on the common clock, NaN where not seen."""
     whole = _told(pixels, cameras)
     middle = pixels.shape[2] // 2

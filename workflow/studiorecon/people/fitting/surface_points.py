@@ -15,7 +15,7 @@ import numpy as np
 
 from studiorecon.body.fitting.fit import SurfacePoints
 from studiorecon.body.model import BodyModel
-from studiorecon.people.fitting.points import Triangulation, lift
+from studiorecon.people.fitting.points import Triangulation, triangulate_keypoints
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -58,7 +58,7 @@ def triangulate_surface(
         return None
     among = body.proxy_vertices
     vertices = among[np.linspace(0, len(among) - 1, min(count or len(among), len(among))).astype(int)]
-    chosen = [surest(person, d, identities, frames) if own else {} for d, own in zip(detections, seen)]
+    chosen = [surest_detections(person, d, identities, frames) if own else {} for d, own in zip(detections, seen)]
     at_once, points_m, sigma_m = max(1, _AT_ONCE // len(vertices)), [], []
     for first in range(0, frames, at_once):
         span = range(first, min(first + at_once, frames))
@@ -70,13 +70,13 @@ def triangulate_surface(
                 pixels[view, frame - first] = np.column_stack(
                     [skin_px(found, d, camera, body, vertices), np.full(len(vertices), sure)]
                 )
-        points = lift([], pixels, list(cameras), settings, unverified_sigma_m)
+        points = triangulate_keypoints([], pixels, list(cameras), settings, unverified_sigma_m)
         points_m.append(points.points_m)
         sigma_m.append(points.sigma_m)
     return SurfacePoints(vertices, np.concatenate(points_m), np.concatenate(sigma_m))
 
 
-def surest(
+def surest_detections(
     person: str, found: Detections, identities: Mapping[tuple[str, int], str], frames: int
 ) -> dict[int, tuple[int, float]]:
     """Frame → the person's detection with the most confident keypoint, and that confidence; the first of equals."""

@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.footage.container import keeps_every_pixel
+from studiorecon.footage.container import is_lossless
 from studiorecon.footage.kinds import film_suffixes
-from studiorecon.footage.stills import decoded
+from studiorecon.footage.stills import read_image
 from studiorecon.footage.video import read_frames
 from studiorecon.progress import say
-from studiorecon.scene.numbered import pictures_in
+from studiorecon.scene.numbered_files import pictures_in
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer
@@ -65,7 +65,7 @@ def read_masks(source: Path) -> Iterator[Bool[np.ndarray, "H W"]]:
 
 def _lossless(name: str, versions: Sequence[Path]) -> Path:
     """The only lossless one of several versions of one film; raises UserError when there are none or several."""
-    chosen = [path for path in versions if path.is_dir() or keeps_every_pixel(path)]
+    chosen = [path for path in versions if path.is_dir() or is_lossless(path)]
     if len(chosen) == 1:
         say(
             f"{name}: {chosen[0].name} is scored, which is lossless; {_listed(set(versions) - set(chosen))} is not read"
@@ -86,7 +86,7 @@ def _stored(source: Path) -> Iterator[np.ndarray]:
         yield from read_frames(source)
         return
     for path in pictures_in(source):
-        yield np.ascontiguousarray(decoded(path, cv2.IMREAD_COLOR)[..., ::-1])
+        yield np.ascontiguousarray(read_image(path, cv2.IMREAD_COLOR)[..., ::-1])
 
 
 def digest(source: Path) -> str:

@@ -23,8 +23,8 @@ from studiorecon.footage.video import read_frames
 from studiorecon.images.regions import dilated
 from studiorecon.images.warp import nearest_pixels, sample
 from studiorecon.scene.camera import CAMERA, Camera
-from studiorecon.scene.intermediate import read
 from studiorecon.scene.schema import Listed
+from studiorecon.scene.step_files import read
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.pages import html
-from studiorecon.report.sections.judgement import judgement
 from studiorecon.report.sections.paper import table as paper_table
+from studiorecon.report.sections.quality_summary import quality_summary
 from studiorecon.scene.capture import Manifest
 from studiorecon.scene.decisions import Decision
 
@@ -88,7 +88,7 @@ def head(scene: str, capture: Manifest, cameras: int, metrics: Mapping[str, Any]
     held_out = len(capture.held_out)
     about = f"{cameras} training cameras, {held_out} held out, {capture.frames} frames at {capture.fps:g} per second."
     return (
-        f'<h1>{html.text(scene)}</h1><p class="lead">{html.text(judgement(metrics))}</p>'
+        f'<h1>{html.text(scene)}</h1><p class="lead">{html.text(quality_summary(metrics))}</p>'
         f'<p class="soft">{html.text(about)}</p>'
     )
 

@@ -40,7 +40,7 @@ from studiorecon.splatting.rendering import (
     Drawable,
     GaussianGradients,
     Rendering,
-    checked_values,
+    check_values,
     facing_normals,
     split_channels,
 )
@@ -115,7 +115,7 @@ class Rasteriser:
         normals. The first three channels of all these cost 14 to 25 % of a pass (50,000 Gaussians at 320×176 to 300,000
         at 1280×704), every three more 70 to 80 %. Raises ValueError for values of another number of Gaussians.
         """
-        wanted = [] if values is None else [checked_values(values, gaussians.count)]
+        wanted = [] if values is None else [check_values(values, gaussians.count)]
         with self.own_threads():
             blocked = gaussians if isinstance(gaussians, BlockedGaussians) else blocks.block(gaussians)
             if normals:

@@ -38,7 +38,7 @@ from studiorecon.splatting.rendering import (
     Drawable,
     GaussianGradients,
     Rendering,
-    checked_values,
+    check_values,
     facing_normals,
     split_channels,
 )
@@ -224,7 +224,7 @@ class GsplatRasteriser:
             rendering = Rendering(
                 *(_array(image) for image in (self._view.rgb, self._view.alpha, expected_depth(self._view)))
             )
-        wanted = [] if values is None else [checked_values(values, gaussians.count)]
+        wanted = [] if values is None else [check_values(values, gaussians.count)]
         if normals:
             wanted.append(facing_normals(arrays[0], arrays[1], arrays[2], camera.centre_m))
         blended = self._blended(np.hstack(wanted)) if wanted else np.zeros((*rendering.alpha.shape, 0), np.float32)

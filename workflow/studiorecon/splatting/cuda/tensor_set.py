@@ -111,10 +111,10 @@ class TensorSet:
         """Add and remove Gaussians, chosen on the CPU by the same functions."""
         s, drawn = self._settings, self._drawn
         assert drawn is not None
-        if density.watched(s, done) and drawn.centres.grad is not None:
+        if density.is_density_control_on(s, done) and drawn.centres.grad is not None:
             self._seen[0] += drawn.visible * drawn.centres.grad[0].norm(dim=1) * (width / 2)
             self._seen[1] += drawn.visible
-        if density.due(s, done):
+        if density.is_growth_step(s, done):
             mean = (self._seen[0] / self._seen[1].clamp_min(1)).cpu().numpy()
             grown = density.grow_scene(self.gaussians(), mean, s, self._extent_m, self._rng)
             self.source = self.source[grown.parent]

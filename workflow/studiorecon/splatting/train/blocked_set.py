@@ -97,15 +97,15 @@ class BlockedSet:
 
     def _control(self, done: int, width: int) -> None:
         s, before = self._settings, self.state
-        if density.watched(s, done):
+        if density.is_density_control_on(s, done):
             drawn = self.rasteriser
             state.add_screen_gradient(
                 drawn.visible, drawn.screen, np.float32(width / 2), before.gradient_sum, before.gradient_count
             )
-        if density.due(s, done):
+        if density.is_growth_step(s, done):
             mean = (before.gradient_sum / np.maximum(before.gradient_count, 1))[: before.blocked.count]
             grown = density.grow_scene(self.gaussians(), mean, s, self._extent_m, self._rng)
-            self.state = state.regrown(before, grown.gaussians, grown.parent, grown.fresh)
+            self.state = state.regrow(before, grown.gaussians, grown.parent, grown.fresh)
 
     def preview(self) -> Preview:
         """A preview of the first target."""
@@ -123,6 +123,6 @@ class BlockedSet:
 
     def resume(self, arrays: dict[str, Shaped[np.ndarray, " ..."]], facts: dict[str, Any]) -> None:
         """Restore a ``snapshot``."""
-        self.state = state.restored(arrays)
+        self.state = state.restore_state(arrays)
         self.adam.resume({name.removeprefix("adam."): a for name, a in arrays.items() if name.startswith("adam.")})
         self.order.pending = facts["pending"]

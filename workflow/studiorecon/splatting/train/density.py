@@ -29,7 +29,7 @@ class Growth:
     pruned: int
 
 
-def watched(settings: TrainingSettings, done: int) -> bool:
+def is_density_control_on(settings: TrainingSettings, done: int) -> bool:
     """Whether density control continues after ``done`` steps.
 
     Gaussians added after the last step would stay untrained: 6 dB on the photos when measured.
@@ -37,9 +37,11 @@ def watched(settings: TrainingSettings, done: int) -> bool:
     return settings.densify != "none" and done <= settings.densify_until and done < settings.iterations
 
 
-def due(settings: TrainingSettings, done: int) -> bool:
+def is_growth_step(settings: TrainingSettings, done: int) -> bool:
     """Whether this is a step after which Gaussians are added."""
-    return watched(settings, done) and done >= settings.densify_from and done % settings.densify_every == 0
+    return (
+        is_density_control_on(settings, done) and done >= settings.densify_from and done % settings.densify_every == 0
+    )
 
 
 def grow_scene(

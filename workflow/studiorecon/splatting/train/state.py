@@ -51,7 +51,7 @@ def start(gaussians: Gaussians) -> TrainingState:
     return _laid_out(gaussians, np.arange(n), moments, moments, np.full(n, -1))
 
 
-def regrown(
+def regrow(
     state: TrainingState, gaussians: Gaussians, parent: Integer[np.ndarray, " M"], fresh: Bool[np.ndarray, " M"]
 ) -> TrainingState:
     """The state with other Gaussians: ``parent`` (M,) is the old index of each; ``fresh`` ones start without
@@ -86,7 +86,7 @@ def state_arrays(state: TrainingState) -> dict[str, Shaped[np.ndarray, " ..."]]:
     }
 
 
-def restored(arrays: Mapping[str, Shaped[np.ndarray, " ..."]]) -> TrainingState:
+def restore_state(arrays: Mapping[str, Shaped[np.ndarray, " ..."]]) -> TrainingState:
     """The state of ``state_arrays``, bit for bit."""
     count, degree = arrays["shape"].tolist()
     laid = {name: aligned(len(arrays[name])) for name in ("parameters", "raw", "first", "second")}

@@ -60,7 +60,7 @@ class Scale:
     shifts: int = 80
 
 
-def filled(
+def fill_by_texture(
     rgb: Float[np.ndarray, "H W 3"], known: Bool[np.ndarray, "H W"], scale: Scale, rng: np.random.Generator
 ) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) in [0, 1] with pixels that are not ``known`` continued like the others.
@@ -73,7 +73,7 @@ def filled(
         raise ValueError("no pixel is known: there is nothing to go on from")
     light = low_frequency_light(rgb, known, scale.light)
     detail = np.where(known[..., None], rgb - light, 0.0)
-    shifts = repeats(detail, known, scale, rng)
+    shifts = texture_periods(detail, known, scale, rng)
     copied, reached = _copied(detail, known, shifts, scale.patch // 2)
     painted = np.where(reached[..., None], light + copied, light)
     return np.where(known[..., None], rgb, np.clip(painted, 0, 1))
@@ -113,7 +113,7 @@ def _smooth(rgb: np.ndarray, weight: np.ndarray, sigma: float) -> np.ndarray:
     return cv2.resize(mean, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
-def repeats(
+def texture_periods(
     detail: Float[np.ndarray, "H W 3"], known: Bool[np.ndarray, "H W"], scale: Scale, rng: np.random.Generator
 ) -> Integer[np.ndarray, "K 2"]:
     """(K, 2) rows and columns by which the surface repeats, the commonest first; none where too little of it is

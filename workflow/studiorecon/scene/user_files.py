@@ -2,7 +2,7 @@
 """Opens every file that a user brings; a file is either valid for its suffix or refused in one sentence.
 
 Opening a file never runs a program (no pickles, no YAML tags). Memory is bounded by the file's own size or by a limit
-below. ``scene.values`` checks the meaning of values, ``scene.numbered`` the order of numbered files.
+below. ``scene.user_values`` checks the meaning of values, ``scene.numbered_files`` the order of numbered files.
 """
 
 from __future__ import annotations
@@ -99,7 +99,8 @@ def read_text(path: Path, remedy: str = "") -> str:
 def read_json(path: Path, remedy: str = _COPY) -> Any:
     """The value of a JSON file; raises UserError, ending in ``remedy``, for invalid or too deeply nested JSON.
 
-    NaN and infinities, which detectors write, are accepted: ``scene.values`` refuses them where they are not allowed.
+    NaN and infinities, which detectors write, are accepted: ``scene.user_values`` refuses them where they are not
+        allowed.
     """
     text = read_text(path, remedy if remedy is not _COPY else "")
     try:

@@ -38,7 +38,7 @@ def without_thread(error: BaseException) -> bool:
     return isinstance(error, OSError) and error.errno == errno.EAGAIN
 
 
-def starved(error: BaseException) -> bool:
+def is_memory_error(error: BaseException) -> bool:
     """Whether ``error`` is a sign of too little memory.
 
     It knows those of Python and numpy, OpenCV, decoders that start no thread, ONNX Runtime, the system's loader of
@@ -53,9 +53,9 @@ def starved(error: BaseException) -> bool:
     return any(words in told for words in _STARVED)
 
 
-def refused(error: BaseException) -> str | None:
+def describe_resource_error(error: BaseException) -> str | None:
     """The machine's refusal and a remedy, if ``error`` is one; None for any other error."""
-    if starved(error):
+    if is_memory_error(error):
         return (
             f"there is not enough memory ({_first_line(error) or 'it did not say for what'}); run fewer jobs at once "
             f"(--cores 1), or make pictures smaller (capture.width); {_KEPT}"
@@ -81,7 +81,7 @@ def refused(error: BaseException) -> str | None:
     return None
 
 
-def short_of_memory() -> str | None:
+def memory_note() -> str | None:
     """A hint for any error in a process that has used most of its memory limit (ulimit -v); None without a limit.
 
     Without memory, libraries fail with all kinds of messages.

@@ -104,7 +104,7 @@ def turned(wh: tuple[int, int], unit: Float[np.ndarray, "2 3"], exchanged: Float
     return found
 
 
-def applied(reading: Num[np.ndarray, "2 3"], points: Num[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 2"]:
+def apply_reading(reading: Num[np.ndarray, "2 3"], points: Num[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 2"]:
     """``points`` mapped to pixels of the film."""
     return points @ reading[:, :2].T + reading[:, 2]
 

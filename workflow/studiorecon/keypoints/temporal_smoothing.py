@@ -16,7 +16,7 @@ _SIGMA_S = 1 / 60
 _REACH = 3.0
 
 
-def steadied(seen: Detections, fps: float) -> Detections:
+def smooth_keypoints(seen: Detections, fps: float) -> Detections:
     """``seen`` with every keypoint on a straight line through its track's neighbouring times.
 
     The line is fitted with weights that fall with time and rise with confidence, so people who walk are not delayed,

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from studiorecon.keypoints.coordinate_readings import apply_reading
 from studiorecon.keypoints.motion import Motion
-from studiorecon.keypoints.possible_readings import applied
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
@@ -125,7 +125,7 @@ def score(
     sample = np.clip(np.searchsorted(motion.frame, shown), 0, len(motion.frame) - 1)
     counted = motion.frame[sample] == shown
     sample = sample[counted]
-    here = motion.at(sample, applied(film_from_recorded, moving.points[counted]))
+    here = motion.at(sample, apply_reading(film_from_recorded, moving.points[counted]))
     number = np.bincount(sample, minlength=len(motion.frame))
     lift = np.bincount(sample, here[:, 0] - here[:, 1], minlength=len(motion.frame))
     per_frame = np.where(number > 0, lift / np.maximum(number, 1), np.nan)
@@ -139,7 +139,7 @@ def best(scores: Iterable[tuple[int, Score]]) -> tuple[int, Score]:
     return max(scores, key=lambda one: one[1].lift)
 
 
-def upside_down(keypoints: Num[np.ndarray, "D K 3"], names: Sequence[str]) -> Bool[np.ndarray, " D"]:
+def is_upside_down(keypoints: Num[np.ndarray, "D K 3"], names: Sequence[str]) -> Bool[np.ndarray, " D"]:
     """(D,) bool: detections with head and both ankles seen whose head is lower."""
     at = {name: k for k, name in enumerate(names)}
     if not {"nose", "left_ankle", "right_ankle"} <= at.keys():
@@ -149,7 +149,7 @@ def upside_down(keypoints: Num[np.ndarray, "D K 3"], names: Sequence[str]) -> Bo
     return parts[seen, 0, 1] > parts[seen, 1:, 1].max(-1)
 
 
-def frozen(keypoints: Num[np.ndarray, "D K 3"], frame: Integer[np.ndarray, " D"]) -> bool:
+def is_frozen(keypoints: Num[np.ndarray, "D K 3"], frame: Integer[np.ndarray, " D"]) -> bool:
     """Whether every picture has exactly the same numbers, which no detector's output on a film has."""
     frames, count = np.unique(frame, return_counts=True)
     if len(frames) < MIN_FRAMES or len(set(count.tolist())) > 1:

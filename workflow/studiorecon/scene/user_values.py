@@ -23,7 +23,7 @@ MAX_SHOWN = 60
 _LONGEST_NAME = 255
 
 
-def shown(value: Any) -> str:
+def short_text(value: Any) -> str:
     """A value for a sentence: on one line, and not too long."""
     try:
         text = repr(value) if not isinstance(value, (dict, list, tuple)) or len(value) < 20 else type(value).__name__
@@ -33,28 +33,28 @@ def shown(value: Any) -> str:
     return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 1] + "…"
 
 
-def mapping(value: Any, where: str, example: str) -> Mapping[Any, Any]:
+def as_mapping(value: Any, where: str, example: str) -> Mapping[Any, Any]:
     """``value``, which must be a mapping from names such as ``example``; None becomes an empty one."""
     if value is None:
         return {}
     if not isinstance(value, Mapping):
-        raise UserError(f"{where} is {shown(value)}; it must have the form {example}")
+        raise UserError(f"{where} is {short_text(value)}; it must have the form {example}")
     return value
 
 
-def listed(value: Any, where: str, example: str) -> list[Any]:
+def as_list(value: Any, where: str, example: str) -> list[Any]:
     """``value``, which must be a list such as ``example``, and not text; None becomes an empty one."""
     if value is None:
         return []
     if not isinstance(value, (list, tuple)):
-        raise UserError(f"{where} is {shown(value)}; it must be a list, such as {example}")
+        raise UserError(f"{where} is {short_text(value)}; it must be a list, such as {example}")
     return list(value)
 
 
 def name(value: Any, where: str) -> str:
     """``value`` as a name or path: text, or a whole number, which YAML makes of 01 and the like."""
     if isinstance(value, bool) or not isinstance(value, (str, int)) or value == "":
-        raise UserError(f"{where} is {shown(value)}; it must be text")
+        raise UserError(f"{where} is {short_text(value)}; it must be text")
     return str(value)
 
 
@@ -62,20 +62,20 @@ def path(value: Any, where: str) -> str:
     """``value`` as a path, whose parts are no longer than systems allow."""
     found = name(value, where)
     if max(map(len, found.split("/"))) > _LONGEST_NAME or "\0" in found:
-        raise UserError(f"{where} is {shown(found)}; no file can be called so")
+        raise UserError(f"{where} is {short_text(found)}; no file can be called so")
     return found
 
 
 def number(value: Any, where: str, low: float, high: float, what: str) -> float:
     """``value`` as a finite number within ``low`` … ``high``; ``what`` names the expected quantity, with its unit."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise UserError(f"{where} is {shown(value)}; it must be {what}{_as_text(value)}")
+        raise UserError(f"{where} is {short_text(value)}; it must be {what}{_as_text(value)}")
     try:
         found = float(value)
     except OverflowError:
         found = math.inf
     if not low <= found <= high:
-        raise UserError(f"{where} is {shown(value)}; it must be {what}")
+        raise UserError(f"{where} is {short_text(value)}; it must be {what}")
     return found
 
 
@@ -84,7 +84,7 @@ def whole(value: Any, where: str, low: int, high: int, what: str = "a whole numb
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not low <= value <= high:
-        raise UserError(f"{where} is {shown(value)}; it must be {what} from {low} to {high}{_as_text(value)}")
+        raise UserError(f"{where} is {short_text(value)}; it must be {what} from {low} to {high}{_as_text(value)}")
     return int(value)
 
 
@@ -103,12 +103,12 @@ def numbers(value: Any, where: str, *, finite: bool = True) -> Float[np.ndarray,
         if array.dtype == object and _plain(array):
             array = np.array([math.nan if v is None else v for v in array.reshape(-1)], float).reshape(array.shape)
         if array.dtype.kind not in "iuf":
-            raise UserError(f"{where}: {shown(value)} are not numbers in lists of one length")
+            raise UserError(f"{where}: {short_text(value)} are not numbers in lists of one length")
         array = array.astype(np.float64)
     except (ValueError, TypeError, OverflowError, RecursionError):
-        raise UserError(f"{where}: {shown(value)} are not numbers in lists of one length") from None
+        raise UserError(f"{where}: {short_text(value)} are not numbers in lists of one length") from None
     if finite and not np.isfinite(array).all():
-        raise UserError(f"{where} holds a number that is not finite ({shown(value)})")
+        raise UserError(f"{where} holds a number that is not finite ({short_text(value)})")
     return array
 
 

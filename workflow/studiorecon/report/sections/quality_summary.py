@@ -9,7 +9,7 @@ from typing import Any
 _PRESET = "a longer training (preset standard) helps most"
 
 
-def judgement(metrics: Mapping[str, Any]) -> str:
+def quality_summary(metrics: Mapping[str, Any]) -> str:
     """One or two sentences on a scene from its metrics.json, about measured values only."""
     pictures = metrics["pictures"].get("enhanced") or metrics["pictures"].get("raw") or {}
     psnr, ssim = _value(pictures, "psnr"), _value(pictures, "ssim")

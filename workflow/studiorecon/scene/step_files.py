@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from studiorecon.errors import UserError
-from studiorecon.scene import outside
+from studiorecon.scene import user_files
 from studiorecon.scene.schema import Listed, Numbers, Schema, check
 
 if TYPE_CHECKING:
@@ -63,11 +63,11 @@ def read(
     """
     with step_file_context(path):
         if path.suffix == ".npz":
-            values: Any = outside.read_npz(path, names=names, but=but, remedy=CURE)
+            values: Any = user_files.read_npz(path, names=names, but=but, remedy=CURE)
         elif path.suffix == ".tsv":
             values = _rows(path, schema)
         else:
-            values = outside.read_json(path, remedy=CURE)
+            values = user_files.read_json(path, remedy=CURE)
         check(values, schema, sizes=sizes)
         return values if made is None else made(values)
 
@@ -76,7 +76,7 @@ def _rows(path: Path, schema: Schema) -> list[dict[str, Any]]:
     """The rows of a table whose columns are ``schema``'s, with numeric columns converted from text."""
     assert isinstance(schema, Listed)
     assert isinstance(schema.inner, Mapping)
-    text = outside.read_text(path, CURE)
+    text = user_files.read_text(path, CURE)
     header, *rows = csv.reader(io.StringIO(text, newline=""), delimiter="\t", strict=True)
     expect(text.endswith("\n") and header == list(schema.inner), f"its columns are {header} or its end is missing")
     kinds = {"f": float, "i": int}
@@ -112,5 +112,5 @@ def step_file_context(path: Path) -> Iterator[None]:
     except UserError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, csv.Error) as error:
-        reason = f"it has no {error.args[0]!r}" if isinstance(error, KeyError) else outside.first_line(error)
+        reason = f"it has no {error.args[0]!r}" if isinstance(error, KeyError) else user_files.first_line(error)
         raise UserError(f"{path} is damaged, or of another version of this program ({reason}); {CURE}") from None

@@ -46,13 +46,13 @@ def at_working_frames(seen: Detections, footage: Footage, clocks: Clocks | None)
     if clocks is None:
         return seen
     first = part_used(footage, clocks).first_source_frame
-    return on_common_clock(replace(seen, frame=seen.frame + first), clocks, footage.wh[1])
+    return resample_keypoints(replace(seen, frame=seen.frame + first), clocks, footage.wh[1])
 
 
 def at_working_moments(seen: Detections, clocks: Clocks, height_px: float) -> Detections:
     """``seen`` at the times of the working frames; its pictures are up to half a frame off.
 
-    Each keypoint is moved along its track, as in ``on_common_clock``.
+    Each keypoint is moved along its track, as in ``resample_keypoints``.
     """
     late, readout = clocks.late_frames(seen.camera), clocks.of(seen.camera).readout_s * clocks.fps
     if not late.any() and not readout:
@@ -74,14 +74,14 @@ def _along_tracks(seen: Detections, late: np.ndarray, readout: float, height_px:
 def correct_rolling_shutter(seen: Detections, readout_s: float, height_px: float, fps: float) -> Detections:
     """``seen`` at its own frames, corrected for a rolling shutter that reads ``height_px`` rows in ``readout_s``.
 
-    Each keypoint is moved along its track to the frame's time, as in ``on_common_clock``.
+    Each keypoint is moved along its track to the frame's time, as in ``resample_keypoints``.
     """
     if not readout_s:
         return seen
     return replace(seen, keypoints=_along_tracks(seen, np.zeros(len(seen.frame)), readout_s * fps, height_px, fps))
 
 
-def on_common_clock(seen: Detections, clocks: Clocks, height_px: float) -> Detections:
+def resample_keypoints(seen: Detections, clocks: Clocks, height_px: float) -> Detections:
     """``seen`` (numbered by the frames of the footage) at the working frames, in the order of time.
 
     A working frame has the detections of the picture that is nearest to it. Each keypoint is moved along its track to

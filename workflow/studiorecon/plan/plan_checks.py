@@ -12,10 +12,10 @@ from studiorecon.calibration.formats import accepted
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.registry import MODELS, of_kind
 from studiorecon.plan.decisions import Plan
-from studiorecon.scene.outside import file_size
+from studiorecon.scene.user_files import file_size
 
 
-def refuse(plan: Plan, config: Mapping[str, Any]) -> None:
+def check_plan(plan: Plan, config: Mapping[str, Any]) -> None:
     """Raises UserError for the first missing or contradictory input."""
     _calibration(plan)
     _enhancement(plan, config)

@@ -23,27 +23,27 @@ _LARGEST_RATIO = 8
 
 
 @dataclass(frozen=True)
-class Place:
+class CropHypothesis:
     """One reading: the lens under it, and the film's position in words; "" without an assumption."""
 
     lens: Lens
     how: str
 
 
-def places(lens: Lens, source_wh: tuple[int, int]) -> list[Place]:
+def crop_hypotheses(lens: Lens, source_wh: tuple[int, int]) -> list[CropHypothesis]:
     """Every possible position, the usual one first.
 
     Raises UserError, as ``calibration_from_video_pixels``, for shapes that neither padding nor a turn explains.
     """
     if lens.has_place or 0 in lens.wh or same_shape(lens.wh, source_wh):
-        return [Place(lens, "")]
+        return [CropHypothesis(lens, "")]
     found = list(_padded(lens, source_wh))
     if not found and same_shape(lens.wh[::-1], source_wh):
-        clockwise = turned(lens)
+        clockwise = rotate_lens_90(lens)
         # Cameras are seldom upside down, so the picture's up points up.
-        both = [(clockwise, "clockwise"), (turned(turned(clockwise)), "counter-clockwise")]
+        both = [(clockwise, "clockwise"), (rotate_lens_90(rotate_lens_90(clockwise)), "counter-clockwise")]
         both.sort(key=lambda turn: turn[0].camera_from_world[1, 2])
-        found = [Place(turn, f"the calibrated picture turned {way} by 90°") for turn, way in both]
+        found = [CropHypothesis(turn, f"the calibrated picture turned {way} by 90°") for turn, way in both]
     if not found:
         calibration_from_video_pixels(lens, source_wh)  # raises the error
     return found
@@ -72,7 +72,7 @@ def for_square_pixels(lens: Lens, stored_wh: tuple[int, int], shown_wh: tuple[in
     return square, f"{named} stored, {stored}, not as shown, {shown}"
 
 
-def _padded(lens: Lens, source_wh: tuple[int, int]) -> Iterator[Place]:
+def _padded(lens: Lens, source_wh: tuple[int, int]) -> Iterator[CropHypothesis]:
     calibrated, film = np.array(lens.wh, float), np.array(source_wh, float)
     ratios = film / calibrated
     # The side without padding was scaled by a ratio of small integers.
@@ -88,10 +88,10 @@ def _padded(lens: Lens, source_wh: tuple[int, int]) -> Iterator[Place]:
     places_found.append((np.array([[1 / ratios[0], 0, 0], [0, 1 / ratios[1], 0]]), "stretched to its size"))
     for affine, where in places_found:
         how = f"its {source_wh[0]}×{source_wh[1]} pixels in the calibration's {lens.wh[0]}×{lens.wh[1]} {where}"
-        yield Place(replace(lens, calibration_from_video=affine, placed=how), how)
+        yield CropHypothesis(replace(lens, calibration_from_video=affine, placed=how), how)
 
 
-def turned(lens: Lens) -> Lens:
+def rotate_lens_90(lens: Lens) -> Lens:
     """The lens of the same camera whose pictures were turned clockwise by 90°."""
     width, height = lens.wh
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
