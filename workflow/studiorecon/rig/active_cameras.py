@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which cameras show people at all: people say nothing of where the others stand, which serve the room all the same."""
+"""Selects the cameras that see people; the others' poses are not estimated, but they show the room."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 
 from studiorecon.scene.people import Detections
 
-# What a detector sees in furniture lasts for some frames. It is no witness of where a camera stands when it is seen for
-# less than this, and in less than such a share of the frames in which the camera that shows most of people does.
+# False detections in furniture last for some frames. They are no evidence of a camera's pose if they last less than
+# this, and for less than such a share of the frames in which the camera that shows most of people does.
 _LONG_S, _HARDLY = 1.0, 0.2
 
 
 def active_cameras(detections: Sequence[Detections], fps: float) -> list[int]:
-    """Indices of the cameras that show people for more than some frames; ``fps`` 0: nobody knows how long these are."""
+    """Indices of the cameras that show people for more than some frames; ``fps`` is 0 if unknown."""
     frames = _frames(detections)
     least = _HARDLY * max(frames, default=0)
     return [v for v, count in enumerate(frames) if count and count >= (min(least, _LONG_S * fps) if fps else least)]
 
 
 def inactive_camera_notes(detections: Sequence[Detections], fps: float) -> dict[str, str]:
-    """Camera → one sentence about it, for every one that shows nobody, or hardly anybody, where another does."""
+    """Camera → one sentence, for every camera that shows nobody, or hardly anybody, where another does."""
     frames, watched = _frames(detections), active_cameras(detections, fps)
     if not watched:
         return {}
@@ -38,5 +38,5 @@ def inactive_camera_notes(detections: Sequence[Detections], fps: float) -> dict[
 
 
 def _frames(detections: Sequence[Detections]) -> list[int]:
-    """In how many frames every camera shows somebody."""
+    """Number of frames in which every camera shows a person."""
     return [len(np.unique(d.frame)) for d in detections]

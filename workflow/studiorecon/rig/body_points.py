@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where people's keypoints are, camera by camera and in the world: what clocks, hands, faces and feet are judged by."""
+"""People's keypoints, camera by camera and in the world, to evaluate clocks, hands, faces and feet."""
 
 from __future__ import annotations
 
@@ -40,8 +40,10 @@ def tracks(
     frames: int,
     least: float,
 ) -> Tracks:
-    """Keypoints surer than ``least`` of detections that ``identities`` gives to one of ``people``, in the names all
-    layouts share."""
+    """Keypoints with more confidence than ``least``, of the detections that ``identities`` gives to ``people``.
+
+    Their names are those that all layouts share.
+    """
     layouts = [LAYOUTS[d.layout].keypoints for d in found]
     names = tuple(n for n in layouts[0] if all(n in other for other in layouts)) if layouts else ()
     shape = (len(found), len(people), frames, len(names))

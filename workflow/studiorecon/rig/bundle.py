@@ -26,13 +26,13 @@ _POSES_ONLY = LensPrior(0.0, 0.0)
 
 @dataclass(frozen=True)
 class AgreementLimits:
-    """When cameras agree with people; every step that judges or moves cameras on people is told.
+    """When cameras agree with people; a setting of every step that judges or moves cameras on people.
 
     A calibration is refused when people's keypoints are off by more than ``max_error_share`` of the longer image side.
-    Tracks of two cameras may be one person when their rays pass within ``gate_m``, generous, since poses may be off.
+    Tracks of two cameras may be one person when their rays pass within ``gate_m``, a wide gate, since poses may be off.
     """
 
-    # The worst real calibration that refinement could still use was 0.7 % off, one that was shuffled 1.2 %.
+    # The worst real calibration that refinement could still use was 0.7 % off, a shuffled one 1.2 %.
     max_error_share: float = 0.01
     gate_m: float = 0.25
     limits: Limits = Limits()
@@ -40,7 +40,7 @@ class AgreementLimits:
 
 @dataclass(frozen=True)
 class CalibrationPrior:
-    """How far the given cameras are trusted where people call for others."""
+    """The trust in the given cameras where people contradict them."""
 
     bundle: BundleSettings = BundleSettings()
 
@@ -50,10 +50,10 @@ class LensSettings:
     """When people may change a lens.
 
     Attributes:
-        focal_sigma, radial_sigma: standard deviations of a given focal length, as a share, and of its radial term k1.
-        min_sigmas: a change must be this many of its own standard deviations, all frames of a joint counting as one
+        focal_sigma, radial_sigma: sigmas of a given focal length, as a share, and of its radial term k1.
+        min_sigmas: a change must be this many of its own sigmas, with all frames of a joint counting as one
             observation.
-        gain: and lower the median error on frames it has not seen by this share beyond what poses can do.
+        gain: and lower the median error on the validation split by this share beyond the poses' effect.
     """
 
     focal_sigma: float = 0.1
@@ -68,7 +68,7 @@ def error_medians(
     """Median reprojection error in pixels over all views and per camera (None: nothing seen), and the points valid
     there.
 
-    Points need three views where there are three cameras: the residual of a pair says nothing (T13).
+    Points need three views where there are three cameras: the residual of a pair proves nothing (T13).
     """
     found = triangulate(
         seen.pixels, seen.confidence, cameras, replace(limits, outlier_units=limits.outlier_units * _LOOSE)
@@ -83,7 +83,7 @@ def error_medians(
 def contradicted_share(
     cameras: Sequence[Camera], seen: Observations, detections: Sequence[Detections], limits: Limits
 ) -> float:
-    """Share of the points of two views that lie in a third one's picture, where people were seen in that frame, but not
+    """Share of the points of two views that are in a third one's picture, which detected people in that frame, but not
     there."""
     found = triangulate(
         seen.pixels, seen.confidence, cameras, replace(limits, outlier_units=limits.outlier_units * _LOOSE)
@@ -110,10 +110,10 @@ def fit_cameras(
 ) -> Adjusted | None:
     """Cameras bundle-adjusted on ``seen`` without their common drift; None where people show too little.
 
-    Loose agreement first, so that a camera that is off can come in (unless all are ``close``), then the usual one. A
-    detector misplaces the same joint in the same way in every frame, so all frames of a joint count as one observation.
-    If they counted fully, that bias would outvote the calibration in the directions that people hardly determine, such
-    as all cameras pitching together: seen as 10 px on marks of a real floor, for no gain on the keypoints.
+    Loose limits first, so that a wrong camera can converge (unless all are ``close``), then the usual ones. A
+    detector's error of a joint is the same in every frame, so all frames of a joint count as one observation. If they
+    counted fully, that bias would outvote the calibration in directions that people hardly determine, such as all
+    cameras pitching together: observed as 10 px on marks of a real floor, for no gain on the keypoints.
     """
     result: Adjusted | None = None
     current = list(cameras)
@@ -126,7 +126,8 @@ def fit_cameras(
             return None
         joints = len(np.unique(seen.group[used] * len(STABLE_KEYPOINTS) + seen.keypoint[used]))
         weights = np.where(found.inliers, seen.confidence, 0.0)[:, used] * (joints / used.sum())
-        # Every round starts at the given lenses with the poses of the last: their priors are about what was given.
+        # Every round starts at the given lenses with the poses of the last, because the priors refer to the given
+        # lenses.
         start = [replace(c, intrinsics=g.intrinsics) for c, g in zip(current, cameras)]
         result = adjust_with_lenses(
             start, seen.pixels[:, used], weights, found.points_m[used], unit_px(start, limits), bundle, lens
@@ -136,7 +137,7 @@ def fit_cameras(
 
 
 def remove_radial(seen: Observations, cameras: Sequence[Camera], radial: Num[np.ndarray, " V"]) -> Observations:
-    """The observations without a radial term k1 beyond what was already removed; pixels that no ray explains are
+    """The observations without a radial term k1 in addition to the distortion removed before; pixels without a ray are
     dropped."""
     pixels, confidence = seen.pixels.copy(), seen.confidence.copy()
     for v in map(int, np.flatnonzero(radial)):
@@ -152,7 +153,7 @@ def remove_radial(seen: Observations, cameras: Sequence[Camera], radial: Num[np.
 
 @dataclass(frozen=True)
 class LensVerdict:
-    """What people say about the lenses: which terms they call for, and why."""
+    """The decision on lenses: which terms people require, and why."""
 
     focal: bool
     radial: bool
@@ -167,11 +168,10 @@ def choose_lens_terms(
     bundle: BundleSettings,
     lens: LensSettings,
 ) -> LensVerdict:
-    """Whether focal lengths, or focal lengths and a radial term, explain frames that the fit has not seen better than
-    ``cameras``.
+    """Whether focal lengths, or these and a radial term, explain the validation split better than ``cameras``.
 
-    ``cameras``: the best that poses alone can do, fitted on ``fit_on``. A term is called for when some camera's change
-    is ``min_sigmas`` of its own standard deviations and the median error on ``judge_on`` falls by a further ``gain``.
+    ``cameras``: the best with poses only, fitted on ``fit_on``. A term is required when some camera's change is
+    ``min_sigmas`` of its own sigmas and the median error on ``judge_on`` falls by a further ``gain``.
     """
     before = error_medians(cameras, judge_on, limits)[0]
     report: dict[str, Any] = {"unseen_poses_only_px": before, "focal": False, "radial": False}

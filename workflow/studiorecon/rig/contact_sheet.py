@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the doctor and refinement show: one frame per camera with reprojected points, and all cameras from above."""
+"""The picture of the doctor and refinement: one frame per camera with reprojected points, and all cameras from
+above."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ def contact_sheet(
 ) -> Integer[np.ndarray, "H W 3"]:
     """RGB, uint8: the pictures in rows, then the view from above; a line of text each.
 
-    ``keypoints``: per camera the pixels that were detected, drawn as rings around which the points' dots should lie.
+    ``keypoints``: per camera the detected pixels, drawn as rings in which the points' dots should be.
     """
     before = report.get("before_px_per_camera") or [None] * len(training)
     after = report.get("after_px_per_camera") or [None] * len(training)
@@ -49,7 +50,7 @@ def contact_sheet(
 
 
 def _in_rows(tiles: Sequence[np.ndarray]) -> np.ndarray:
-    """Tiles of one height, in rows no wider than a screen."""
+    """Tiles of one height, in rows that fit a screen."""
     rows: list[list[np.ndarray]] = [[]]
     for tile in tiles:
         if rows[-1] and sum(t.shape[1] for t in rows[-1]) + tile.shape[1] > _WIDEST:

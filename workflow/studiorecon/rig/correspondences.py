@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points that several cameras see, taken from people's keypoints before anybody knows who is who."""
+"""Points that several cameras see, from people's keypoints before their identities are known."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ class Observations:
     affinity: float
 
     def by(self, views: Sequence[int]) -> Observations:
-        """As those cameras alone saw them."""
+        """The observations of some cameras only."""
         return replace(self, pixels=self.pixels[list(views)], confidence=self.confidence[list(views)])
 
     def of(self, which: Bool[np.ndarray, " N"]) -> Observations:
-        """Those points only."""
+        """Some of the points."""
         return Observations(
             self.pixels[:, which],
             self.confidence[:, which],
@@ -63,7 +63,7 @@ class Observations:
 def make_observations(
     detections: Sequence[Detections], cameras: Sequence[Camera], frames: Integer[np.ndarray, " F"], gate_m: float
 ) -> tuple[Observations, TrackGraph]:
-    """What the people in ``frames`` show the cameras, grouped by ray distance below ``gate_m``."""
+    """The cameras' observations of people in ``frames``, grouped by ray distance below ``gate_m``."""
     stable = stable_detections(detections, frames)
     graph = track_graph(stable, cameras)
     groups = track_groups(graph.distance_m, graph.view, graph.moments, gate_m)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the room's straight edges contradict how cameras are turned to one another, and cameras put right by them.
+"""Detects contradictions between the room's straight edges and the cameras' relative rotations, and refines on both.
 
-One person on one spot accepts calibrations that are degrees off. The room's edges do not hang on people: those of a
-real room and a motion-capture system's calibration of it differ by less than a degree between any two cameras, and a
-hand-picked calibration of the same cameras, 3.4° off that system's, by 2.4°, nearly five standard deviations.
+One person in one place fits calibrations that are degrees off. The room's edges do not depend on people. In a real room
+they differ from a motion-capture system's calibration by less than a degree between any two cameras; from a hand-picked
+calibration of the same cameras, 3.4° off that system's, by 2.4°, nearly five sigmas.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from studiorecon.rig.room_refinement import edge_rotations, refine_on_room
 from studiorecon.rig.room_turns import RoomTurn
 from studiorecon.scene.camera import Camera
 
-# Edges that two cameras share contradict how these are turned past so many of their standard deviations, and degrees.
+# Edges contradict the relative rotation of two cameras if they differ by more than so many of their sigmas, and
+# degrees.
 _CALLED_SIGMAS, _CALLED_DEG = 3.5, 1.5
 # How much worse people may fit where the edges move cameras.
 _PEOPLE_COST = 1.05
@@ -33,8 +34,7 @@ _PEOPLE_COST = 1.05
 
 @dataclass(frozen=True)
 class EdgeContradiction:
-    """The two cameras whose edges contradict most how they are turned to one another: by how many degrees, and how many
-    of the edges' own standard deviations that is."""
+    """The two cameras whose edges most contradict their relative rotation: by how many degrees, and how many sigmas."""
 
     cameras: tuple[str, str]
     off_deg: float
@@ -42,12 +42,12 @@ class EdgeContradiction:
 
     @property
     def clear(self) -> bool:
-        """Whether that is clearly more than edges err by."""
+        """Whether that is clearly more than the edges' error."""
         return self.sigmas >= _CALLED_SIGMAS and self.off_deg >= _CALLED_DEG
 
 
 def edge_contradiction(cameras: Sequence[Camera], turns: Mapping[int, RoomTurn]) -> EdgeContradiction | None:
-    """Where the edges contradict ``cameras`` most; None where fewer than two cameras' edges tell."""
+    """The largest contradiction of the edges to ``cameras``; None where fewer than two cameras have enough edges."""
     found = []
     for a, b in combinations(sorted(turns), 2):
         by_edges = turns[a].rotation_camera_from_world @ turns[b].rotation_camera_from_world.T
@@ -60,14 +60,14 @@ def edge_contradiction(cameras: Sequence[Camera], turns: Mapping[int, RoomTurn])
 
 @dataclass(frozen=True)
 class EdgeRefinement:
-    """Cameras that the edges and people call for together.
+    """Cameras refined on edges and people together.
 
     Attributes:
-        cameras: laid on the given ones.
-        off_deg: what the edges still contradict them by.
-        between_deg: half of the 95 % interval of how any two of them are turned to one another.
+        cameras: aligned to the given ones.
+        off_deg: remaining contradiction of the edges.
+        between_deg: half of the 95 % interval of the rotation between any two of them.
         people_px: median error of people's keypoints before and after.
-        believed: whether people are hardly the worse for it: else the cameras stay where they are.
+        believed: whether people fit almost as well; otherwise the cameras stay.
     """
 
     cameras: list[Camera]
@@ -85,8 +85,8 @@ def refine_on_edges(
     limits: Limits,
     bundle: BundleSettings,
 ) -> EdgeRefinement | None:
-    """``adjusted`` cameras moved to where the edges in ``rooms`` and people call for, about the ``given`` ones; None
-    where the room shows nothing."""
+    """``adjusted`` cameras refined on the edges in ``rooms`` and people, with the ``given`` ones as prior; None without
+    edges."""
     free = replace(bundle, prior_deg=FREE_DEG, prior_m=FREE_M)
     found = refine_on_room(adjusted, given, seen, rooms, limits, free, people_cost=_PEOPLE_COST)
     if found is None:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth of the first moment by the network that found the cameras (``calibration.network``), in the metres and at the
-size that the scene works in."""
+"""The first moment's depth from the network that estimated the cameras (``calibration.network``), in the scene's metres
+and size."""
 
 from __future__ import annotations
 
@@ -20,13 +20,16 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-# Two cameras of one picture: the network's and the working one differ by rounding only.
+# Two cameras of one picture: the network's and the working one differ only by rounding.
 _FOCAL_TOLERANCE = 0.05
 
 
 def metres_per_metre(found: Sequence[Camera], used: Sequence[Camera], instead: str) -> float:
-    """Working metres in one of the network's: the ratio of distances between the same cameras, whatever moved or
-    scaled the world since. Raises UserError, with what to do ``instead``, when they share fewer than two places."""
+    """Working metres per metre of the network: the ratio of distances between the same cameras.
+
+    It does not depend on later moves or scales of the world. Raises UserError, with the remedy ``instead``, when they
+    share fewer than two positions.
+    """
     own = {c.name: c.centre_m for c in found}
     shared = [(own[c.name], c.centre_m) for c in used if c.name in own]
     before, after = (sum(float(np.linalg.norm(a[k] - b[k])) for a, b in combinations(shared, 2)) for k in (0, 1))
@@ -41,11 +44,10 @@ def metres_per_metre(found: Sequence[Camera], used: Sequence[Camera], instead: s
 def first_moment(
     first: Path, found: Path, cameras: Sequence[Camera], own: Camera, instead: str
 ) -> tuple[Num[np.ndarray, "H W"], Num[np.ndarray, "H W"]]:
-    """Depth of the first moment in working metres, 0 = unknown, and the network's confidence, at the size of the
-    camera ``own``.
+    """Depth of the first moment in working metres, 0 = unknown, and its confidence, at the size of the camera ``own``.
 
     ``first`` is the depth (EXR) in the metres of the network's cameras ``found``, ``cameras`` are those in use. Raises
-    UserError, with what to do ``instead``, when the two do not show the same picture.
+    UserError, with the remedy ``instead``, when the two show different pictures.
     """
     network = read_model(found.parent)
     seen = next((c for c in network if c.name == own.name), None)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A refinement may move cameras; it may not tilt or lift the floor.
+"""Keeps the floor level: a refinement may move cameras, but not tilt or lift the floor.
 
-All cameras pitching together is what people hardly show, and what a film shows at once: feet that sink into the floor.
-So the floor under the refined cameras is compared with the floor before, and where it has moved by more than it is
-known to, the whole rig is moved back, which changes no pixel.
+People hardly show it if all cameras pitch together, but a film does: feet sink into the floor. So the floor under the
+refined cameras is compared with the floor before. Where it has moved by more than its uncertainty, the whole rig is
+moved back, which changes no pixel.
 """
 
 from __future__ import annotations
@@ -24,24 +24,23 @@ if TYPE_CHECKING:
     from jaxtyping import Num
 
 _ROUNDS = 10
-# Parts that are left out one after the other for how well the floor is known.
+# Number of parts that are left out in turn to estimate the floor's uncertainty.
 _PARTS = 10
 _MIN = 30
-# Below this nobody sees it.
+# A smaller change is invisible.
 _MIN_DEG, _MIN_M = 0.05, 0.003
-# No refinement leans or lifts a floor by more: those are feet that rise, or stand on something (a real man who balances
-# on one spot: 42 degrees, 0.44 m).
+# No refinement tilts or lifts a floor by more: then feet rise, or are on an object (a real man who balances in one
+# place: 42 degrees, 0.44 m).
 _MAX_DEG, _MAX_M = 10.0, 0.15
 _SIGMAS = 2.0
 _ANKLES = [STABLE_KEYPOINTS.index(f"{side}_ankle") for side in ("left", "right")]
-# Ankles are so high above the floor, and detectors misplace them by so much.
+# Height of ankles above the floor, and sigma of a detector's ankles.
 _ANKLE_HEIGHT_M, _FEET_M = 0.08, 0.015
 
 
 @dataclass(frozen=True)
 class Floor:
-    """How a floor lies against z = 0: its slope along x and y and its height at (0, 0), metres, with the covariance of
-    the three."""
+    """The floor relative to z = 0: its slope along x and y and its height at (0, 0), metres, with their covariance."""
 
     slope_height: Num[np.ndarray, " 3"]
     covariance: Num[np.ndarray, "3 3"]
@@ -56,9 +55,9 @@ class Floor:
 
 
 def fit_floor(points_m: Num[np.ndarray, "N 3"], height_m: Num[np.ndarray, " N"]) -> Floor | None:
-    """The plane by which ``height_m`` (N,) changes over where ``points_m`` (N, 3) stand, robustly; None of too few.
+    """The plane of the changes ``height_m`` (N,) over positions ``points_m`` (N, 3), robustly; None with too few.
 
-    Its covariance is the scatter between parts of the points in the order they come in, which are not independent.
+    Its covariance is the scatter between parts of the points in their order, because they are not independent.
     """
     known = np.isfinite(points_m).all(-1) & np.isfinite(height_m)
     points_m, height_m = points_m[known], height_m[known]
@@ -77,7 +76,7 @@ def _plane(points_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
     weight = np.ones(len(points_m))
     found: np.ndarray = np.zeros(3)
     for _ in range(_ROUNDS):
-        # A slope that nothing shows (one spot, a line) stays 0.
+        # An undetermined slope (one spot, a line) stays 0.
         found = np.linalg.lstsq(design * weight[:, None], height_m * weight, rcond=1e-2)[0]
         rest = np.abs(height_m - design @ found)
         weight = np.sqrt(1 / np.maximum(rest / max(2 * float(np.median(rest)), 1e-6), 1.0))
@@ -87,10 +86,10 @@ def _plane(points_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
 def floor_under_feet(
     cameras: Sequence[Camera], seen: Observations, marks_m: Num[np.ndarray, "M 3"], limits: Limits
 ) -> tuple[Floor, Num[np.ndarray, " 2"]] | None:
-    """The floor that people stand on by ``cameras``, and the middle of where they do; None where too few feet show it.
+    """The floor under people by ``cameras``, and the middle of their positions; None with too few feet.
 
-    Its slope is that of the plane through ``marks_m``, places on it, where there are enough; a detector's ankles are
-    all too high, or too low, by some centimetres.
+    Its slope is that of the plane through ``marks_m``, points on it, where there are enough, because a detector's
+    ankles are all too high, or too low, by some centimetres.
     """
     if not len(seen.frame):
         return None
@@ -100,7 +99,7 @@ def floor_under_feet(
     feet_m = found.points_m[counted][order]
     _, body = np.unique(np.stack([seen.group[counted], seen.frame[counted]])[:, order], axis=1, return_inverse=True)
     body = body.reshape(-1)
-    # The lower foot of every body stands.
+    # The lower foot of every body is on the floor.
     lowest = np.lexsort([feet_m[:, 2], body])
     feet_m = feet_m[lowest[np.unique(body[lowest], return_index=True)[1]]]
     by_feet, by_marks = fit_floor(feet_m, feet_m[:, 2] - _ANKLE_HEIGHT_M), fit_floor(marks_m, marks_m[:, 2])
@@ -114,7 +113,7 @@ def floor_under_feet(
         slope, covariance = by_marks.slope_height[:2], by_marks.covariance.copy()
     height_m = float(by_feet.slope_height @ [*middle_m, 1.0])
     covariance[2] = covariance[:, 2] = 0.0
-    # The height is that of the feet about their middle, however the floor slopes.
+    # The height is that of the feet about their middle, whatever the floor's slope.
     covariance[:2, 2] = covariance[2, :2] = -covariance[:2, :2] @ middle_m
     feet_sigma = float(np.array([*middle_m, 1.0]) @ by_feet.covariance @ [*middle_m, 1.0]) + _FEET_M**2
     covariance[2, 2] = feet_sigma + middle_m @ covariance[:2, :2] @ middle_m
@@ -124,9 +123,11 @@ def floor_under_feet(
 def align_to_floor(
     cameras: Sequence[Camera], floor: Floor, at_m: Num[np.ndarray, " 2"]
 ) -> tuple[list[Camera], float, float]:
-    """The cameras in a world whose floor lies at z = 0 about ``at_m``, and by how much (degrees, metres) it was tilted
-    and lifted there; (cameras, 0, 0) where that is less than it is known to, or than anybody sees. A slope or a
-    height that is no refinement's moves nothing."""
+    """The cameras in a world whose floor is at z = 0 about ``at_m``, and its tilt and lift (degrees, metres) there.
+
+    (cameras, 0, 0) where that is within its uncertainty, or invisible. A slope or a height too large for a refinement
+    moves nothing.
+    """
     lift_m = float(floor.slope_height @ [*at_m, 1.0])
     lift_sigma = float(np.sqrt([*at_m, 1.0] @ floor.covariance @ [*at_m, 1.0]))
     tilted = max(_MIN_DEG, _SIGMAS * floor.tilt_sigma_deg) < floor.tilt_deg <= _MAX_DEG
@@ -145,7 +146,7 @@ def align_to_floor(
 
 
 def _upright(normal: np.ndarray) -> np.ndarray:
-    """(3, 3) the least rotation that takes a unit vector to z."""
+    """(3, 3) the smallest rotation that takes a unit vector to z."""
     across = np.cross(normal, [0.0, 0.0, 1.0])
     skew = np.array([[0, -across[2], across[1]], [across[2], 0, -across[0]], [-across[1], across[0], 0]])
     found: np.ndarray = np.eye(3) + skew + skew @ skew / (1 + normal[2])

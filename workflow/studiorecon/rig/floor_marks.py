@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What lies on the floor, seen by cameras that are far apart: carpets, boards, tape, the edges of a platform.
+"""Points on the floor that distant cameras share: carpets, boards, tape, the edges of a platform.
 
-From a quarter turn away nothing in a room looks alike, except what lies in a plane whose place is known: seen from
-straight above, a carpet is the same carpet for every camera. So every picture is laid on the floor, edges are compared
-by their directions (which no light and no exposure changes; Fitch et al., Orientation correlation, 2002), and patches
-that are found again say where one camera sees what another one sees. A floor that is not quite where it was thought to
-be, or a camera that is not, only shifts them: what must hold is one homography for each pair of cameras.
+From a quarter turn away a room looks different, except for a plane of known position: seen from straight above, a
+carpet is the same for every camera. So every picture is projected onto the floor. Edges are compared by their
+directions, which do not depend on light and exposure (Fitch et al., Orientation correlation, 2002), and matched patches
+give correspondences. A small error of the floor or of a camera only shifts them: every pair of cameras must have one
+homography.
 """
 
 from __future__ import annotations
@@ -28,39 +28,39 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Num
 
-# Part of the floor that is looked at: half its width about where people are, metres.
+# Half the width of the compared part of the floor around people, metres.
 _HALF_M = 2.5
-# Size of a place on the floor: coarse, for where a whole floor lies; fine, as the pictures resolve it, at least.
+# Size of a cell of the floor: coarse, to align whole floors; fine, the least and largest at the pictures' resolution.
 _COARSE_M, _FINEST_M, _WIDEST_M = 0.02, 0.004, 0.02
-# Planes that people's feet may mean, about the one that is told.
+# Candidate heights of the floor relative to the given one.
 _HEIGHTS_M = np.arange(-0.16, 0.161, 0.04)
-# Patches: size and spacing, metres; how alike a patch is to its neighbourhood where it says nothing, and how alike two
-# views of one patch are.
+# Size and spacing of patches, metres; correlation of a patch with its neighbourhood above which it is ambiguous, and of
+# a match.
 _PATCH_M, _EVERY_M, _BESIDE_M = 0.30, 0.12, 0.03
 _SELF_ALIKE, _ALIKE, _SECOND = 0.75, 0.35, 0.85
 # Share of a patch with edges in it.
 _MIN_EDGES = 0.04
-# One homography: within so many places, for so many patches and such a share of them, spread over so much of the floor.
-# On floors that have nothing in common chance finds 9 to 19 patches, 32 to 65 % of those that are found at all; on one
-# and the same floor it is hundreds and 75 % or more.
+# One homography: within so many cells, for so many patches and such a share of them, spread over so much of the floor.
+# On unrelated floors chance matches 9 to 19 patches, 32 to 65 % of all matches; on the same floor it is hundreds and 75
+# % or more.
 _SAME_PLACES, _MIN_PATCHES, _MIN_SHARE, _MIN_SPREAD_M = 2.0, 20, 0.7, 0.25
-# What a patch is found again to, as a share of a place, and what lenses are off that nobody looked for, as a share of
-# the longer side; patches overlap, and each is looked for from several cameras: so much of one counts by itself.
+# Sigma of a match, as a share of a cell; error of unmodelled lenses, as a share of the longer side; weight of one
+# patch, because patches overlap and are matched from several cameras.
 _SHARP, _LENS_SHARE, _ALONE = 0.4, 0.001, 0.1
 _LOOSE = 3.0
-# How far the floor that two cameras see may lie beside what the coarse look finds.
+# Largest distance of a match from the coarse alignment.
 _BEYOND_M = 0.06
 
 
 @dataclass(frozen=True)
 class FloorMarks:
-    """N places on the floor as V cameras see them.
+    """N points on the floor as V cameras see them.
 
     Attributes:
-        pixels: (V, N, 2), NaN where not seen; every place by two cameras at least.
-        points_m: (N, 3) where they are by the cameras that were given.
-        sigma_px: (V,) standard deviation of a place in every camera's picture.
-        seen_by: pairs of cameras → how many places they share.
+        pixels: (V, N, 2), NaN where not seen; every point in two cameras at least.
+        points_m: (N, 3) by the given cameras.
+        sigma_px: (V,) sigma of a point in every camera's picture.
+        seen_by: pairs of cameras → number of points that they share.
     """
 
     pixels: Num[np.ndarray, "V N 2"]
@@ -69,7 +69,7 @@ class FloorMarks:
     seen_by: dict[tuple[int, int], int]
 
     def of(self, which: Bool[np.ndarray, " N"]) -> FloorMarks:
-        """Those places only."""
+        """Some of the points."""
         return replace(self, pixels=self.pixels[:, which], points_m=self.points_m[which])
 
     def joined(
@@ -80,8 +80,11 @@ class FloorMarks:
         cameras: Sequence[Camera],
         limits: Limits,
     ) -> tuple[Num[np.ndarray, "V M 2"], Num[np.ndarray, "V M"], Num[np.ndarray, "M 3"]]:
-        """What bundle adjustment of ``cameras``, in whatever world, takes: ``pixels``, ``weights`` and ``points_m``,
-        where residuals are in error units; and behind them those places that the cameras agree about at all."""
+        """The inputs of bundle adjustment of ``cameras``: ``pixels``, ``weights`` and ``points_m``, with the floor's
+        points appended.
+
+        Residuals are in error units. Only points on which the cameras agree are appended; any world will do.
+        """
         seen = np.isfinite(self.pixels).all(-1).astype(float)
         found = triangulate(self.pixels, seen, cameras, replace(limits, outlier_units=limits.outlier_units * _LOOSE))
         weight = found.inliers * (_ALONE * (unit_px(cameras, limits) / self.sigma_px) ** 2)[:, None]
@@ -92,7 +95,7 @@ class FloorMarks:
         )
 
     def off_sigmas(self, cameras: Sequence[Camera], limits: Limits) -> float:
-        """Median distance of places from their projection, in their standard deviations."""
+        """Median reprojection error of the points, in sigmas."""
         seen = np.isfinite(self.pixels).all(-1).astype(float)
         wide = replace(limits, outlier_units=limits.outlier_units * _LOOSE)
         error = triangulate(self.pixels, seen, cameras, wide).error_px / self.sigma_px[:, None]
@@ -101,8 +104,10 @@ class FloorMarks:
 
 @dataclass(frozen=True)
 class _Laid:
-    """A picture laid on the floor: edges' directions, doubled (so that both sides of an edge are one), with their
-    strength up to 1: (H, W, 2); and where it knows the floor (H, W)."""
+    """A picture projected onto the floor: (H, W, 2) directions of edges, and (H, W) where the floor is known.
+
+    Directions are doubled, so that both sides of an edge are one, with their strength up to 1.
+    """
 
     edges: Float[np.ndarray, "H W 2"]
     known: Bool[np.ndarray, "H W"]
@@ -115,8 +120,8 @@ def floor_marks(
     height_m: float,
     reach_m: float,
 ) -> FloorMarks | None:
-    """Places on the floor about ``middle_m``, near the height ``height_m``, that cameras with a picture share; None
-    where no two do.
+    """Points on the floor around ``middle_m``, near the height ``height_m``, that cameras with a picture share; None
+    without.
 
     ``cameras`` are right up to shifts of ``reach_m`` on the floor. Raises ValueError for pictures of another size.
     """
@@ -130,7 +135,7 @@ def floor_marks(
     plane_m, shifts = _coarse(cameras, rooms, views, middle_m, height_m, reach_m)
     middle = np.append(middle_m, plane_m)
     pixel_m = np.array([_pixel_m(camera, middle) for camera in cameras])
-    # As the pictures resolve it, within what is worth looking at.
+    # The pictures' resolution, within the useful range.
     place_m = float(np.clip(np.median(pixel_m[views]), _FINEST_M, _WIDEST_M))
     laid = {v: _laid(rooms[v], cameras[v], _grid(middle_m, place_m), plane_m) for v in views}
     places: list[tuple[int, np.ndarray, dict[int, np.ndarray]]] = []
@@ -143,7 +148,7 @@ def floor_marks(
             for b in views
             if b != a
         }
-        # Most are found nowhere, and of those it does not matter what is beside them.
+        # Most have no match, so their surroundings need no check.
         some = np.any([np.isfinite(moved[:, 0]) for moved in again.values()], axis=0).tolist()
         alone = np.array([s and _alone(laid[a], place, place_m, reach_m) for s, place in zip(some, at)], bool)
         found: dict[int, np.ndarray] = {}
@@ -170,14 +175,14 @@ def floor_marks(
 
 
 def _grid(middle_m: np.ndarray, place_m: float) -> np.ndarray:
-    """(H, W, 2) middles of the places of the floor, metres."""
+    """(H, W, 2) middles of the cells of the floor, metres."""
     along = np.arange(-_HALF_M, _HALF_M, place_m) + place_m / 2
     x, y = np.meshgrid(middle_m[0] + along, middle_m[1] + along)
     return np.stack([x, y], axis=-1)
 
 
 def _pixel_m(camera: Camera, place_m: np.ndarray) -> float:
-    """What a pixel is at a place of the floor, metres: the mean of along and across the line of sight."""
+    """Size of a pixel at a position on the floor, metres: the mean of along and across the line of sight."""
     away_m = float(np.linalg.norm(camera.centre_m - place_m))
     slope = abs(camera.centre_m[2] - place_m[2]) / away_m
     return away_m / float(np.mean(camera.focal_px)) / float(np.sqrt(max(slope, 0.1)))
@@ -191,7 +196,7 @@ def _laid(room: RoomPicture | None, camera: Camera, grid_m: np.ndarray, plane_m:
     (x, y), (width, height) = np.moveaxis(pixels, -1, 0), camera.wh
     known = (depth_m > 0) & (x >= 1) & (y >= 1) & (x < width - 1) & (y < height - 1)
     at = np.where(known[..., None], pixels, -1.0).astype(np.float32) - 0.5
-    # Where places are larger than pixels, pixels between them count too.
+    # Where cells are larger than pixels, the pixels between them count too.
     shrink = max(1.0, float(np.median(_spacing_px(pixels)[known[:-1, :-1]]))) if known[:-1, :-1].any() else 1.0
     grey = cv2.GaussianBlur(room.grey, (0, 0), 0.5 * shrink) if shrink > 1.2 else room.grey
     grey = cv2.remap(grey.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
@@ -208,7 +213,7 @@ def _laid(room: RoomPicture | None, camera: Camera, grid_m: np.ndarray, plane_m:
 
 
 def _spacing_px(pixels: np.ndarray) -> np.ndarray:
-    """(H - 1, W - 1) pixels from a place to the next, the lesser of both ways."""
+    """(H - 1, W - 1) pixels from a cell to the next, the lesser of both ways."""
     x, y = np.moveaxis(pixels, -1, 0)
     right, below = (np.diff(x)[:-1], np.diff(y)[:-1]), (np.diff(x, axis=0)[:, :-1], np.diff(y, axis=0)[:, :-1])
     nearest: np.ndarray = np.sqrt(np.minimum(*(across**2 + down**2 for across, down in (right, below))))
@@ -223,8 +228,7 @@ def _coarse(
     height_m: float,
     reach_m: float,
 ) -> tuple[float, dict[tuple[int, int], np.ndarray]]:
-    """The height at which the floors of all cameras agree best, and by how much each pair's are shifted there, all in
-    metres."""
+    """The height at which the floors of all cameras agree best, and the shift of each pair there, all in metres."""
     grid_m, reach = _grid(middle_m, _COARSE_M), max(1, round(reach_m / _COARSE_M))
     best: tuple[float, float, dict[tuple[int, int], np.ndarray]] | None = None
     for plane_m in height_m + _HEIGHTS_M:
@@ -242,8 +246,10 @@ def _coarse(
 
 
 def _spectra(laid: _Laid) -> np.ndarray:
-    """(4, H', W') Fourier transforms of the edges' two parts, of the square of their strength and of what is known,
-    padded against wrapping round."""
+    """(4, H', W') Fourier transforms of the edges' two parts, of their squared strength and of the known cells.
+
+    Padded against wrapping round.
+    """
     shape = [fft.next_fast_len(2 * n, real=True) for n in laid.known.shape]
     across, down = np.moveaxis(laid.edges, -1, 0)
     spectra: np.ndarray = fft.rfft2(np.stack([across, down, across**2 + down**2, laid.known.astype(np.float32)]), shape)
@@ -251,8 +257,10 @@ def _spectra(laid: _Laid) -> np.ndarray:
 
 
 def _correlate(first: np.ndarray, second: np.ndarray, shape: Sequence[int], reach: int) -> np.ndarray:
-    """(2 reach + 1, 2 reach + 1) how alike two floors of ``shape`` are by the second one's shift, at most 1; -1 where
-    they share too little."""
+    """(2 reach + 1, 2 reach + 1) correlation of two floors of ``shape`` by the second one's shift, at most 1.
+
+    -1 where they overlap too little.
+    """
     padded, at = [fft.next_fast_len(2 * n, real=True) for n in shape], np.arange(-reach, reach + 1)
     (across, down, strength, known), (other_across, other_down, other_strength, other_known) = np.conj(first), second
     products = across * other_across + down * other_down, strength * other_known, known * other_strength
@@ -284,7 +292,7 @@ def _patch(laid: _Laid, place: np.ndarray, place_m: float) -> np.ndarray:
 
 
 def _alone(laid: _Laid, place: np.ndarray, place_m: float, reach_m: float) -> bool:
-    """Does the patch about a place look like nothing beside it?"""
+    """Whether the patch at a cell differs from all of its neighbourhood."""
     beside = max(1, round(_BESIDE_M / place_m))
     reach = max(2 * beside, round(reach_m / place_m))
     around = _window(laid.edges, place[1], place[0], _half(place_m) + reach)
@@ -300,7 +308,7 @@ def _edged(edges: np.ndarray) -> np.ndarray:
 
 
 def _window(edges: np.ndarray, row: int, column: int, half: int) -> np.ndarray:
-    """(2 half + 1, 2 half + 1, 2) edges about a place, none beyond the rim."""
+    """(2 half + 1, 2 half + 1, 2) edges around a cell, 0 beyond the border."""
     height, width = edges.shape[:2]
     top, left, bottom, right = row - half, column - half, row + half + 1, column + half + 1
     inside = edges[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
@@ -326,8 +334,7 @@ def _match_back(
     shift_m: np.ndarray,
     place_m: float,
 ) -> np.ndarray:
-    """(K, 2) column and row where each patch is found in another camera's floor near ``shift_m`` beside, NaN where it
-    is not."""
+    """(K, 2) column and row of each patch's match in another camera's floor near ``shift_m``, NaN without one."""
     found = np.full((len(patches), 2), np.nan)
     reach, beside = max(2, round(_BEYOND_M / place_m)), max(1, round(_BESIDE_M / place_m))
     begin = np.rint(np.asarray(shift_m) / place_m).astype(int)
@@ -352,15 +359,17 @@ def _match_back(
 
 
 def _vertex(three: np.ndarray) -> float:
-    """Where between three neighbours the parabola through them is highest, from the middle one."""
+    """Position of the maximum of the parabola through three neighbours, from the middle one."""
     before, at, after = (float(x) for x in three)
     bend = before - 2 * at + after
     return 0.5 * (before - after) / bend if bend < 0 else 0.0
 
 
 def _one_homography(here: np.ndarray, there: np.ndarray, place_m: float) -> np.ndarray:
-    """(K,) which patches (K, 2), found at ``there``, one homography explains; none where these are too few, or a
-    minority, or too near one another."""
+    """(K,) which patches (K, 2), matched at ``there``, one homography explains.
+
+    None if these are too few, or a minority, or too near one another.
+    """
     told = np.flatnonzero(np.isfinite(there).all(-1))
     agreed = np.zeros(len(here), bool)
     if len(told) < _MIN_PATCHES:

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the cameras stand, from nothing but tracks of people: a pair from its epipolar geometry, the others by
-resection.
+"""Camera poses from tracks of people alone: a pair from its epipolar geometry, the others by resection.
 
-Nobody knows which track of one camera is which of another. So every pair of tracks proposes a relative pose of its two
-cameras, all other tracks vote on it, and the world grows from the best pair, one camera at a time, with bundle
-adjustment in between. Lengths are metres from the first pair on: people's bones are about as long as the body model's.
+The identities of tracks in different cameras are unknown. So every pair of tracks proposes a relative pose of its two
+cameras, all other tracks vote on it, and the rig grows from the best pair, one camera at a time, with bundle adjustment
+in between. Lengths are metres from the first pair on, because people's bones are about as long as the body model's.
 """
 
 from __future__ import annotations
@@ -39,13 +38,13 @@ if TYPE_CHECKING:
 
 _BONES = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("shoulder", "hip"))
 BONES = np.array([[STABLE_KEYPOINTS.index(f"{s}_{e}") for e in bone] for s in ("left", "right") for bone in _BONES])
-# Pairs of tracks that are tried per pair of cameras; pairs of cameras that a world is grown from at most, and worlds of
-# all cameras that are enough.
+# Pairs of tracks to try per pair of cameras; most pairs of cameras from which a rig is grown, and rigs of all cameras
+# that suffice.
 _TRIED_TRACKS = 9
 _TRIED_SEEDS, _ENOUGH_WORLDS = 8, 2
 _MIN_SHARED = 60
-# Share of a pair of tracks that must agree to be one person: wrong pairs of one pair of cameras reach 0.8 by
-# themselves, but not together with the right ones of everybody else.
+# Share of a pair of tracks that must agree to be one person: wrong pairs reach 0.8 in one pair of cameras, but not
+# together with the right pairs of all others.
 _AGREE = 0.6
 _LOOSE = 3.0
 _FREE = BundleSettings(iterations=30, prior_deg=20.0, prior_m=2.0)
@@ -55,8 +54,8 @@ _UNSCALED_GATE = 0.1
 
 @dataclass(frozen=True)
 class Sightings:
-    """Tracks of every camera on common frames: ``pixels``, per camera and person, of the stable keypoints, NaN where
-    unsure."""
+    """Tracks of every camera on common frames: ``pixels``, per camera and person, of the stable keypoints, NaN if not
+    confident."""
 
     detections: Sequence[Detections]
     frames: Integer[np.ndarray, " F"]
@@ -65,13 +64,13 @@ class Sightings:
 
 @dataclass(frozen=True)
 class Rig:
-    """Cameras in metres, in the axes of one of them, with what they rest on.
+    """Cameras in metres, in the axes of one of them, with their evidence.
 
     Attributes:
         cameras: view → camera; views that could not be placed are absent.
         seen: observations of the placed views, in ascending order of view.
-        points: what they triangulate to.
-        support: observations that agree.
+        points: their triangulation.
+        support: number of observations that agree.
     """
 
     cameras: Mapping[int, Camera]
@@ -100,7 +99,7 @@ def sightings(detections: Sequence[Detections], frames: Integer[np.ndarray, " F"
 def propose_rigs(
     seen: Sightings, cameras: Sequence[Camera], template_m: Num[np.ndarray, "12 3"], gate_m: float, limits: Limits
 ) -> list[Rig]:
-    """The best rigs that were found, most support first; ``cameras`` give sizes and lenses, their poses do not matter.
+    """The best rigs, most support first; of ``cameras`` only sizes and lenses are used.
 
     ``template_m`` (12, 3) stable keypoints of a body of mean shape.
     """
@@ -109,7 +108,7 @@ def propose_rigs(
     seeds.sort(key=lambda s: (-s[0], s[1]))
     grown: list[Rig] = []
     for seed in seeds[:_TRIED_SEEDS]:
-        # Two people of one height may fit a pair of cameras better than one person does: such a world does not grow.
+        # Two people of the same height may fit a pair of cameras better than one person does: such a rig does not grow.
         if sum(len(r.cameras) == len(cameras) for r in grown) >= _ENOUGH_WORLDS:
             break
         rig = _grown(seen, cameras, seed, template_m, gate_m, limits)
@@ -127,12 +126,10 @@ def adjust_rig(
 ) -> tuple[Adjusted, Bool[np.ndarray, " N"]]:
     """The rig's cameras (ascending view) after bundle adjustment of poses and lenses, and which points it used.
 
-    ``known_px``: view → the focal length that the lens's prior is about; where there is none it is the rig's own.
-    ``turns``: view → how the room's edges say that it is turned; ``marks``: what its floor shows of the views.
-
-    A detector misplaces a joint in the same way wherever the body stays the same, so observations weigh by the number
-    of places (cells of 20 cm) where a joint was seen, not by the number of frames: somebody who stands still is one
-    observation.
+    ``known_px``: view → the focal length that is the prior; by default the rig's own. ``turns``: view → its rotation by
+    the room's edges; ``marks``: the views' points on the floor. A detector's error of a joint is the same for similar
+    views of the body, so observations are weighted by the number of cells of 20 cm in which a joint was seen, not by
+    the number of frames: a person who does not move is one observation.
     """
     views, told = sorted(rig.cameras), turns or {}
     cameras = [rig.cameras[v] for v in views]
@@ -161,8 +158,7 @@ def with_focal(camera: Camera, focal_px: float) -> Camera:
 
 
 def places_of_joints(rig: Rig, used: Num[np.ndarray, " N"]) -> int:
-    """In how many different places (cells of 20 cm) the joints of the points ``used`` (N,) were seen, everybody's
-    apart."""
+    """Number of different cells of 20 cm in which the joints of the points ``used`` (N,) were seen, per person."""
     cells = np.floor(rig.points.points_m[used] / _CELL_M).astype(int)
     return len(
         np.unique(np.concatenate([rig.seen.group[used, None], rig.seen.keypoint[used, None], cells], axis=1), axis=0)
@@ -172,8 +168,7 @@ def places_of_joints(rig: Rig, used: Num[np.ndarray, " N"]) -> int:
 def bone_factor(
     points_m: Num[np.ndarray, "N 3"], rig_points: Triangulated, seen: Observations, template_m: Num[np.ndarray, "12 3"]
 ) -> float | None:
-    """By how much all lengths must be multiplied for people's bones (points, NaN unknown) to be as long as the
-    template's.
+    """Factor on all lengths that makes people's bones (points, NaN unknown) as long as the template's.
 
     ``template_m`` are the stable keypoints of a body of mean shape. None when too few bones are seen.
     """
@@ -188,7 +183,7 @@ def bone_factor(
 
 
 def scale_camera(camera: Camera, factor: float) -> Camera:
-    """The camera in a world that is ``factor`` times as large."""
+    """The camera in a world scaled by ``factor``."""
     pose = camera.camera_from_world.copy()
     pose[:3, 3] *= factor
     return replace(camera, camera_from_world=pose)
@@ -201,7 +196,7 @@ def _normalised(pixels: np.ndarray, camera: Camera) -> np.ndarray:
 def _pair(
     seen: Sightings, cameras: Sequence[Camera], a: int, b: int, unit: float
 ) -> tuple[int, int, int, np.ndarray] | None:
-    """(votes, a, b, second_from_first (4, 4) with a unit baseline) of the best hypothesis which track is whom."""
+    """(votes, a, b, second_from_first (4, 4) with a unit baseline) of the best hypothesis on the tracks' identities."""
     first = [_normalised(p, cameras[a]).reshape(-1, 2) for p in seen.pixels[a]]
     second = [_normalised(p, cameras[b]).reshape(-1, 2) for p in seen.pixels[b]]
     shared = {}
@@ -238,7 +233,7 @@ def _voted(
     translation: np.ndarray,
     unit: float,
 ) -> tuple[list[tuple[int, int]], int]:
-    """Which tracks of two cameras are one person under a relative pose, and how many points agree; one person once at a
+    """Which tracks of two cameras are one person under a relative pose, and how many points agree; each track once at a
     time."""
     essential, votes = essential_matrix(rotation, translation), {}
     for (i, j), both in shared.items():
@@ -330,8 +325,7 @@ def refine_rig(
 
 
 def _placed(seen: Sightings, camera: Camera, view: int, rig: Rig, limits: Limits) -> tuple[int, np.ndarray] | None:
-    """(points that agree, camera_from_world) of a further camera from the best hypothesis which of its tracks is which
-    group."""
+    """(points that agree, camera_from_world) of a further camera from the best match of its tracks to groups."""
     found = rig.points
     place = {int(f): i for i, f in enumerate(seen.frames)}
     unit = float(limits.huber_share * max(camera.wh) / np.mean(camera.focal_px)) * 2
@@ -368,7 +362,7 @@ def _placed(seen: Sightings, camera: Camera, view: int, rig: Rig, limits: Limits
 def _agreeing(
     pairs: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]], pose: np.ndarray, unit: float
 ) -> tuple[int, list[tuple[int, int]]]:
-    """Points that agree with a pose, every track with one group at most, and those pairs."""
+    """Number of points that agree with a pose, every track with one group at most, and those pairs."""
     votes = {}
     for key, (points, pixels) in pairs.items():
         agreed = int((reprojection_distances(pose, points, pixels) < unit).sum())

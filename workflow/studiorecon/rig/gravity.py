@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Up and the floor from people: they stand upright on average, and the foot that is lower stands on the floor."""
+"""Up and the floor from people: they are upright on average, and their lower foot is on the floor."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _SHOULDERS = tuple(STABLE_KEYPOINTS.index(f"{s}_shoulder") for s in ("left", "right"))
 _ANKLES = tuple(STABLE_KEYPOINTS.index(f"{s}_ankle") for s in ("left", "right"))
 _ANKLE_HEIGHT_M = 0.08
-# Feet that stood on an area narrower than this do not show how the floor lies.
+# Feet in an area narrower than this do not determine the floor's slope.
 _MIN_FLOOR_M = 0.25
 _MAX_TILT_DEG = 12.0
 _ROUNDS = 20
@@ -34,10 +34,10 @@ def people_tilt(
     frame: Num[np.ndarray, " N"],
     keypoint: Num[np.ndarray, " N"],
 ) -> float | None:
-    """By how many degrees people lean against the world's z, in the robust mean of all of them; None where too few are
-    seen from ankles to shoulders.
+    """Degrees by which people lean against the world's z, in the robust mean; None where too few show ankles and
+    shoulders.
 
-    Points as for ``world_from_people``. Up to 12° people may share a lean; more than that, and the world does.
+    Points as for ``world_from_people``. Up to 12° people may share a lean; beyond that, the world is tilted.
     """
     upright = _upright(points_m, group, frame, keypoint)[1]
     if len(upright) < _MIN_UPRIGHT:
@@ -47,7 +47,7 @@ def people_tilt(
 
 
 def check_tilt(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> float | None:
-    """``people_tilt`` what the cameras place of people, with a warning where it is the world that leans."""
+    """``people_tilt`` of the cameras' people, with a warning where the world is tilted."""
     if not len(seen.frame):
         return None
     found = triangulate(seen.pixels, seen.confidence, cameras, limits)
@@ -64,8 +64,8 @@ def check_tilt(cameras: Sequence[Camera], seen: Observations, limits: Limits) ->
 def _upright(
     points_m: np.ndarray, group: np.ndarray, frame: np.ndarray, keypoint: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(B, 12, 3) keypoints of every body in every frame, NaN unknown, and (U, 3) from ankles to shoulders of those that
-    show both."""
+    """(B, 12, 3) keypoints of every body in every frame, NaN unknown, and (U, 3) from ankles to shoulders where both
+    are known."""
     _, body = np.unique(np.stack([group, frame], axis=1), axis=0, return_inverse=True)
     body = body.reshape(-1)
     grid = np.full((int(body.max(initial=-1)) + 1, len(STABLE_KEYPOINTS), 3), np.nan)
@@ -80,11 +80,11 @@ def world_from_people(
     frame: Num[np.ndarray, " N"],
     keypoint: Num[np.ndarray, " N"],
 ) -> tuple[Num[np.ndarray, "4 4"], str] | None:
-    """Rigid transform to z up with the floor at z = 0 below people's middle, and how it was found; None without bodies.
+    """Rigid transform to z up with the floor at z = 0 below people's middle, and its method; None without bodies.
 
     ``points_m``, NaN unknown, belong to ``group``, ``frame`` and ``keypoint``. The robust mean of all directions from
-    ankles to shoulders is up to a lean that people share; the plane of the lower ankles replaces it where feet stood in
-    an area, not in a line, and the two agree within 12°.
+    ankles to shoulders is right up to a lean that people share. The plane of the lower ankles replaces it where feet
+    were in an area, not on a line, and the two agree within 12°.
     """
     grid, upright = _upright(points_m, group, frame, keypoint)
     if not len(upright):
@@ -119,8 +119,8 @@ def world_from_people(
 
 
 def _robust_direction(directions: np.ndarray) -> np.ndarray:
-    """(3,) unit vector with the smallest summed angle-like distance to unit vectors (N, 3): people who bend or sit do
-    not count."""
+    """(3,) unit vector with the smallest summed angle-like distance to unit vectors (N, 3), so that people who bend or
+    sit are outliers."""
     mean = np.median(directions, axis=0)
     for _ in range(_ROUNDS):
         weight = 1 / np.maximum(np.linalg.norm(directions - mean, axis=-1), 0.02)
@@ -130,11 +130,11 @@ def _robust_direction(directions: np.ndarray) -> np.ndarray:
 
 
 def _plane(points: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, float]:
-    """(3,) normal of the plane of points (N, 3) on the side of ``up``, and how far they spread across their narrow
-    direction, metres.
+    """(3,) normal of the plane of points (N, 3) on the side of ``up``, and their spread across their narrow direction,
+    metres.
 
-    The plane is a height over the directions across ``up``, so that a foot in the air is an error along ``up`` and a
-    Cauchy weight can leave it out.
+    The plane is a height over the directions across ``up``, so that a foot in the air is an error along ``up`` which a
+    Cauchy weight can reject.
     """
     across = np.linalg.svd(up[None])[2][1:]
     flat, height = points @ across.T, points @ up

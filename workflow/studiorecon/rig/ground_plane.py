@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rig from people, laid on the one floor that all of its cameras see."""
+"""Aligns a rig from people to the one floor that all of its cameras see."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ from studiorecon.rig.room_turns import RoomTurn
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-# How far floors may lie beside one another, metres: by what people leave uncertain, then by what is left of it.
+# Largest distance between the cameras' floors, metres: by the uncertainty from people, then by the remaining one.
 _REACH_M = (0.30, 0.12, 0.12)
-# What people may lose by it, and what the floor must be explained to, in its own standard deviations.
+# Least share of people's support to keep, largest factor on their error, and largest error of the floor in its own
+# sigmas.
 _KEPT_SUPPORT, _FLOOR_COSTS, _MAX_SIGMAS = 0.85, 1.35, 3.0
 
 
@@ -38,8 +39,8 @@ def align_to_ground_plane(
     agreement: AgreementLimits,
     turns: Mapping[int, RoomTurn],
 ) -> tuple[Rig, Adjusted, FloorMarks | None]:
-    """The rig with what the floor shows joined, and that; as it is where the floor shows nothing, or where people
-    contradict it."""
+    """The rig refined on the floor too, with the floor's points; unchanged without a floor, or where people contradict
+    it."""
     held, after, marks = rig, result, None
     for reach_m in _REACH_M:
         found = _marks(held, after, rooms, reach_m)
@@ -66,7 +67,7 @@ def align_to_ground_plane(
 
 
 def _marks(rig: Rig, result: Adjusted, rooms: Sequence[RoomPicture | None], reach_m: float) -> FloorMarks | None:
-    """What cameras that stand upright by the people on it see of the floor."""
+    """The floor's points in the cameras, made upright by the people on it."""
     used = rig.points.verified if len(result.cameras) > 2 else rig.points.valid
     points_m = np.full_like(rig.points.points_m, np.nan)
     points_m[used] = result.points_m

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pose of a camera that takes no part, from people whom the other cameras place: the pose that pictures at it are
-judged by.
+"""The pose of a held-out camera from people whom the other cameras place, for judging its pictures.
 
-Nothing that this camera shows moves a point or another camera. As in ``moved_cameras``, the prior at the given pose has
-rungs, and the narrower is taken where it explains unseen halves about as well as the wide one.
+Its observations move no point and no other camera. As in ``moved_cameras``, the prior at the given pose has several
+widths, and the narrower is chosen where it explains the validation halves about as well as the wide one.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _MIN_HALF = 20
 _MAX_UNITS = 3.0
 _ROUNDS = 15
 _STEP = 1e-6
-# What RANSAC counts as agreement, in error units: the pose is refined after it.
+# RANSAC's threshold, in error units, wide because the pose is refined afterwards.
 _LOOSE = 3.0
 
 
@@ -47,8 +46,8 @@ class ObservedJoints:
 
     Attributes:
         points_m: (N, 3) in the world.
-        pixels: (N, 2) where this camera shows them; ``confidence`` (N,).
-        frame, group, keypoint: (N,) when, whose, and index into ``STABLE_KEYPOINTS``.
+        pixels: (N, 2) in this camera; ``confidence`` (N,).
+        frame, group, keypoint: (N,) frame, person, and index into ``STABLE_KEYPOINTS``.
     """
 
     points_m: Num[np.ndarray, "N 3"]
@@ -65,14 +64,14 @@ class ObservedJoints:
 
 @dataclass(frozen=True)
 class HeldOutPose:
-    """The camera to judge by, and what is told of it.
+    """The camera for judging, and its report.
 
     Attributes:
-        camera: the given one, or with the pose that people call for.
-        joints: how many joints were compared.
-        before_px, after_px: median distance of joints from their projection as given and as used; None: too few.
+        camera: the given one, or with the pose from people.
+        joints: number of compared joints.
+        before_px, after_px: median reprojection error as given and as used; None: too few.
         turned_deg, moved_m: from the given pose to the one used.
-        checked: whether people showed enough to judge the given pose.
+        checked: whether people suffice to judge the given pose.
     """
 
     camera: Camera
@@ -87,18 +86,20 @@ class HeldOutPose:
 def estimate_held_out_pose(
     given: Camera, seen: ObservedJoints, limits: Limits, bundle: BundleSettings, gain: float
 ) -> HeldOutPose:
-    """The pose of ``given`` that explains what it ``seen``; its own where no other lowers the error of unseen halves by
-    the share ``gain``."""
+    """The pose of ``given`` that explains the joints ``seen``.
+
+    Its own unless another lowers the validation error by the share ``gain``.
+    """
     before_px = _median_px(given, seen)
     if len(seen.frame) < _MIN_POINTS or len(np.unique(seen.frame)) < 2:
         return HeldOutPose(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
     unit = float(unit_px([given], limits)[0])
     start = _started(given, seen, unit)
-    # Somebody else's joints, and limbs that the network mixed up, have no say for any pose.
+    # Other people's joints, and mixed-up limbs of the network, must not affect any pose.
     seen = seen.of(np.linalg.norm(_units(start, seen, unit), axis=-1) < limits.outlier_units)
     if len(seen.frame) < _MIN_POINTS:
         return HeldOutPose(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
-    # No rung between: six numbers, and a camera either stands or was moved; half a pull leaves it at neither place.
+    # No width in between: six numbers, and a camera was either moved or not; a compromise would be at neither pose.
     rungs = [bundle, replace(bundle, prior_deg=FREE_DEG, prior_m=FREE_M)]
     as_given = _unseen(given, given, seen, unit, None)
     errors = [_unseen(start, given, seen, unit, rung) for rung in rungs]
@@ -120,7 +121,7 @@ def _median_px(camera: Camera, seen: ObservedJoints) -> float | None:
 
 
 def _started(given: Camera, seen: ObservedJoints, unit: float) -> Camera:
-    """Where the search begins: a resection, which does not mind that many joints are somebody else's; or as given."""
+    """The start of the search: a resection, which tolerates many joints of other people; or the given pose."""
     focal, principal = np.array(given.focal_px), np.array(given.principal_px)
     found = resection(seen.points_m, (seen.pixels - principal) / focal, _LOOSE * unit / float(focal.mean()))
     if found is None:
@@ -142,8 +143,11 @@ def _error(camera: Camera, seen: ObservedJoints, unit: float) -> float:
 
 
 def _unseen(start: Camera, given: Camera, seen: ObservedJoints, unit: float, rung: BundleSettings | None) -> float:
-    """Mean error in error units, at most 3, of halves of the clip and of the joints after fitting the other half;
-    ``rung`` None: of the given pose, which is fitted to nothing."""
+    """Mean validation error in error units, at most 3, of halves of the clip and of the joints after fitting the other
+    half.
+
+    ``rung`` None: of the given pose, which is not fitted.
+    """
     early = seen.frame <= np.median(seen.frame)
     half = HALF_OF_THE_JOINTS[seen.keypoint]
     errors = []
@@ -156,8 +160,10 @@ def _unseen(start: Camera, given: Camera, seen: ObservedJoints, unit: float, run
 
 
 def _fitted(start: Camera, given: Camera, seen: ObservedJoints, unit: float, rung: BundleSettings) -> Camera:
-    """The pose that lowers the Huber cost under the prior of ``rung``, by Gauss-Newton; all frames of a joint count as
-    one observation, as everywhere in ``rig``."""
+    """The pose of least Huber cost under the prior of ``rung``, by Gauss-Newton.
+
+    All frames of a joint count as one observation, as everywhere in ``rig``.
+    """
     joints = len(np.unique(seen.group * len(STABLE_KEYPOINTS) + seen.keypoint))
     weight = seen.confidence * (joints / max(len(seen.frame), 1))
     sigma = np.concatenate([np.full(3, np.radians(rung.prior_deg)), np.full(3, rung.prior_m)])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Are people as large as people? A calibration in feet fits every pixel, and nothing else."""
+"""Checks that people have a human size, because a calibration in feet fits every pixel."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
-# Stature of a mean adult by the length of a bone between keypoints, metres (shoulder to hip, hip to knee, knee to
+# Stature of a mean adult over the length of a bone between keypoints, metres (shoulder to hip, hip to knee, knee to
 # ankle): the same mean adult as in ``rig.moved_cameras``.
 _ADULT_M = 1.70
 _BONES = {("shoulder", "hip"): 0.52, ("hip", "knee"): 0.42, ("knee", "ankle"): 0.41}
-# A toddler, and the tallest who ever lived, with a third of doubt: bones of few keypoints are short or long.
+# A toddler, and the tallest person on record, with a margin of a third: bones of few keypoints are short or long.
 _SMALLEST_M, _LARGEST_M = 0.5, 3.0
-# What an adult may be, to say which unit was meant.
+# Range of adults' statures, to identify the unit.
 _ADULTS_M = 1.3, 2.2
 _MIN_BONES = 30
-# Metres that something of another unit was taken for, over what it is.
+# Number of each unit in a metre.
 _TAKEN_FOR_METRES = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.3701, "feet": 3.28084}
 
 
@@ -52,7 +52,7 @@ def statures_m(cameras: Sequence[Camera], seen: Observations, limits: Limits) ->
 
 
 def check_human_size(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> float | None:
-    """The median stature in metres, None where too few bones are seen; raises UserError for what nobody is."""
+    """The median stature in metres, None where too few bones are seen; raises UserError for an impossible one."""
     found_m = statures_m(cameras, seen, limits)
     if len(found_m) < _MIN_BONES:
         return None
@@ -69,7 +69,7 @@ def check_units(
     gate_m: float,
     limits: Limits,
 ) -> None:
-    """Where nothing agrees: raises UserError if cameras whose lengths were of another unit see people of human size."""
+    """Raise UserError if nothing agrees, but cameras in another unit see people of human size."""
     for factor in _TAKEN_FOR_METRES.values():
         smaller = [replace(c, camera_from_world=_scaled(c.camera_from_world, 1 / factor)) for c in cameras]
         found_m = statures_m(smaller, make_observations(detections, smaller, frames, gate_m)[0], limits)

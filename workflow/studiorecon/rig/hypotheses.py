@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Were the poses meant the other way round? People decide: under the right convention their rays meet, in front of the
-cameras."""
+"""Tests other conventions of the poses: under the right one people's rays meet, in front of the cameras."""
 
 from __future__ import annotations
 
@@ -24,8 +23,8 @@ if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
 _CLEARLY = 1.5
-# How many times better people must fit cameras that were exchanged: than as they were read, than when they were moved,
-# which has more freedom to fit.
+# How many times better people must fit exchanged cameras: than the cameras as read, and than moved cameras, which have
+# more freedom to fit.
 _MUCH_BETTER, _BETTER = 3.0, 1.5
 _TORSO_M = (0.25, 0.9)
 MAX_MARGIN = 20.0
@@ -38,7 +37,7 @@ _HYPOTHESES: dict[str, Callable[[Num[np.ndarray, "4 4"]], Num[np.ndarray, "4 4"]
 }
 
 
-# What the user does about a reading that fits better.
+# The user's remedy for a reading that fits better.
 REMEDIES = {
     "as read": "",
     "poses are world-from-camera": "set calibration.poses: world_from_camera",
@@ -49,7 +48,7 @@ REMEDIES = {
     "the lenses are fisheyes": "set calibration.lens: fisheye",
     "the lenses are not fisheyes": "set calibration.lens: opencv",
 }
-# What the lenses would be under the readings that concern them.
+# The lens model of each reading.
 LENS_READINGS: dict[str, LensReading] = {"the lenses are fisheyes": "fisheye", "the lenses are not fisheyes": "opencv"}
 
 
@@ -60,14 +59,13 @@ def score_conventions(
     gate_m: float,
     limits: Limits,
 ) -> tuple[list[dict[str, Any]], list[float | None]]:
-    """Every reading with its score, remedy and ``met`` (the share of people's joints at which its rays meet, of three
-    cameras where there are three), and per camera how many times more it adds as read than under the best other
-    reading.
+    """Every reading with its score, remedy and ``met``, and each camera's margin as read over the best other reading.
 
-    On a ring of cameras rays of a wrong reading may pass close to each other as often as those of the right one; they
-    do not meet. (The demo: scores 0.65 and 0.57, joints of which three cameras agree 82 % and none.)
-    What a camera adds is the agreement of everybody less that of the others alone. For its margin only its own pose is
-    read otherwise; at most 20, None when it adds nothing under any reading.
+    ``met`` is the share of people's joints at which its rays meet, of three cameras where there are three. On a ring of
+    cameras, rays of a wrong reading may pass close to each other as often as those of the right one, but they do not
+    meet. (The demo: scores 0.65 and 0.57, joints on which three cameras agree 82 % and none.) A camera's contribution
+    is the agreement of all cameras less that of the others. For its margin, a factor, only its own pose is read
+    differently; at most 20, None when it contributes nothing under any reading.
     """
     changes: dict[str, Callable[[np.ndarray], np.ndarray]] = {
         **_HYPOTHESES,
@@ -107,15 +105,17 @@ def score_lens_model(
     frames: Integer[np.ndarray, " F"],
     gate_m: float,
 ) -> dict[str, Any]:
-    """The row of ``score_conventions`` for cameras and detections as another lens model would have them."""
+    """The row of ``score_conventions`` for cameras and detections under another lens model."""
     return {"hypothesis": name, "score": _score(cameras, detections, frames, gate_m), "remedy": REMEDIES[name]}
 
 
 def best_swap(
     cameras: Sequence[Camera], detections: Sequence[Detections], frames: Integer[np.ndarray, " F"], gate_m: float
 ) -> tuple[dict[str, Any], list[Camera]] | None:
-    """The row of ``score_conventions`` for the two cameras whose exchange people like best, and all cameras then; None
-    with fewer than three."""
+    """The row of ``score_conventions`` for the exchange of two cameras that people fit best, and all cameras then.
+
+    None with fewer than three.
+    """
     rows: list[tuple[dict[str, Any], list[Camera]]] = []
     for i, j in combinations(range(len(cameras)), 2) if len(cameras) > 2 else ():
         poses = [c.camera_from_world for c in cameras]
@@ -138,10 +138,11 @@ def refuse_swapped(
     before_px: float,
     moved_px: float,
 ) -> None:
-    """Raises UserError when people fit several times better with two cameras exchanged than as read (``before_px``,
-    NaN where no three cameras agree), also than with cameras moved (``moved_px``).
+    """Raise UserError when people fit several times better with two cameras exchanged than as read, and than with
+    cameras moved.
 
-    On a regular ring a swap is nearly a mirror image: it passes every limit, and all bodies are wrong.
+    The errors are ``before_px`` (NaN where no three cameras agree) and ``moved_px``. On a regular ring a swap is nearly
+    a mirror image: it passes every limit, and all bodies are wrong.
     """
     found = best_swap(cameras, detections, frames[:: max(1, len(frames) // 6)], gate_m)
     if found is None:
@@ -178,7 +179,7 @@ def _affinity(cameras: Sequence[Camera], detections: Sequence[Detections], frame
 
 
 def _human_size(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> bool:
-    """Whether upper bodies are as long as people's: in a world a thousand times too small all rays pass close to each
+    """Whether upper bodies have a human length: in a world a thousand times too small all rays pass close to each
     other."""
     seen, _ = make_observations(detections, cameras, frames, gate_m)
     if not len(seen.frame):
@@ -208,7 +209,7 @@ def check_conventions(
 ) -> list[dict[str, Any]]:
     """Every reading of the poses with its score: agreement of people's rays, per detection that could agree.
 
-    Raises UserError when another reading clearly beats the one that was used.
+    Raises UserError when another reading clearly beats the one in use.
     """
     table: list[dict[str, Any]] = []
     for name, change in _HYPOTHESES.items():

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same distortion numbers under another lens model, for files that do not say, or say wrongly, whether a lens is a
-fisheye."""
+"""Reads distortion numbers under another lens model, for files with a missing or wrong lens type."""
 
 from __future__ import annotations
 
@@ -15,8 +14,7 @@ LensReading = Literal["as_read", "opencv", "fisheye"]
 
 
 def as_model(lens: Lens, model: LensReading) -> Lens:
-    """The lens with its first four coefficients taken literally as those of ``model``: both models are written as four
-    numbers."""
+    """The lens with its first four coefficients read as those of ``model``: both models have four numbers."""
     if model in ("as_read", lens.model):
         return lens
     four = np.zeros(4)
@@ -25,8 +23,8 @@ def as_model(lens: Lens, model: LensReading) -> Lens:
 
 
 def with_radial(lens: Lens, k1: float) -> Lens:
-    """The lens with ``k1`` added to its first coefficient: for small terms, the distortion left over after the lens's
-    own was removed."""
+    """The lens with ``k1`` added to its first coefficient, for a small distortion that remained after removing the
+    lens's own."""
     if k1 == 0.0:
         return lens
     more = np.zeros(max(1, len(lens.distortion)))

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metres for cameras that were found from people: somebody's height, or a measured distance between two cameras.
+"""Metres for cameras estimated from people: a person's height, or a measured distance between two cameras.
 
-Without either, people's bones are taken to be those of a mean adult, which is wrong by as much as people differ from
-one another.
+Without either, people's bones are assumed to be a mean adult's, which is wrong by as much as people differ.
 """
 
 from __future__ import annotations
@@ -23,15 +22,15 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-# Limbs of people of one height differ by about this, as a share, and so does what a detector takes for joints.
+# Sigma of limbs of people of one height, as a share, and of a detector's joints.
 _OF_HEIGHT = 0.02
-# Persons whose heights call for scales further apart than this are not who they were taken for.
+# If persons' heights give scales further apart than this, the identities are wrong.
 _CONTRADICT = 0.12
 
 
 @dataclass(frozen=True)
 class GivenLengths:
-    """What capture.yaml says.
+    """Lengths in capture.yaml.
 
     Attributes:
         height_m: person → height, metres; "" = everybody's, or their mean.
@@ -45,7 +44,7 @@ class GivenLengths:
 
 @dataclass(frozen=True)
 class Scale:
-    """By how much all lengths are multiplied, how sure that is (1 σ, a share), and the sentence that says why."""
+    """Factor on all lengths, its sigma (a share), and a sentence with its reason."""
 
     factor: float
     sigma: float
@@ -67,11 +66,11 @@ def scale_from_lengths(
     template_m: Num[np.ndarray, "12 3"],
     mean_stature_m: float,
 ) -> Scale | None:
-    """The scale of what is given, of which a distance counts more than heights; None where nothing is.
+    """The scale from the given lengths, where a distance has priority over heights; None without any.
 
     ``points``, NaN unknown, are those of ``found`` and ``seen`` in the units of ``cameras``; ``template_m`` and
-    ``mean_stature_m`` are the mean body's. Raises UserError for names that nobody has, and for heights that contradict
-    one another.
+    ``mean_stature_m`` are the mean body's. Raises UserError for unknown names, and for heights that contradict one
+    another.
     """
     if given.between:
         return _by_distance(given, cameras)
@@ -107,8 +106,10 @@ def scale_from_lengths(
 
 
 def people_in_order(points: Num[np.ndarray, "N 3"], seen: Observations) -> list[int]:
-    """Groups as association will name them p0, p1, …: by first frame, then by how long, then by x; pieces too short to
-    be anybody are none."""
+    """Groups in association's order of p0, p1, …: by first frame, then by duration, then by x.
+
+    Groups too short for a person are left out.
+    """
     told = []
     for group in np.unique(seen.group):
         mine = (seen.group == group) & np.isfinite(points).all(-1)
@@ -132,7 +133,7 @@ def _by_distance(given: GivenLengths, cameras: Sequence[Camera]) -> Scale:
 
 
 def _visibility_note(group: int, cameras: Sequence[Camera], points: np.ndarray, seen: Observations) -> str:
-    """Where somebody is, in words for who has the pictures: the first camera that sees them, and its pixels."""
+    """A sentence that helps to locate a person in the pictures: the first camera that sees them, and its pixels."""
     mine = np.flatnonzero((seen.group == group) & np.isfinite(points).all(-1))
     frame = seen.frame[mine].min()
     now = mine[seen.frame[mine] == frame]

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cameras that were moved since they were calibrated: their poses from the people, under a prior that follows the
-evidence.
+"""Cameras that were moved since they were calibrated: their poses from people, under a prior of adaptive width.
 
-A fixed prior either holds cameras that somebody knocked by degrees, or lets cameras that stand where they stood drift
-along what people hardly show. So the prior has rungs, and the narrowest is taken that explains what the fit has not
-seen about as well as the best: the other half of the clip, and the other half of the joints, since a detector misplaces
-a joint in the same way all the time.
+A fixed prior either holds cameras that were knocked by degrees, or lets unmoved cameras drift in directions that people
+hardly determine. So the prior has several widths. The narrowest is chosen that explains the validation split about as
+well as the best: the other half of the clip, and the other half of the joints, since a detector's error of a joint is
+always the same.
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
-# The wide rung: several times what a knocked or replaced tripod is off, so that it only holds what people do not show
-# at all.
+# The widest prior: several times the displacement of a knocked or replaced tripod, so that it only holds undetermined
+# directions.
 FREE_DEG, FREE_M = 20.0, 2.0
 _MIDDLE = 4.0
-# Past this it is another place, or another camera's pose.
+# Beyond this it is another position, or another camera's pose.
 FURTHEST_DEG, FURTHEST_M = 10.0, 1.0
-# What people place no better than this, they do not place.
+# A pose with a larger sigma from people counts as undetermined.
 _MAX_SIGMA_DEG, _MAX_SIGMA_M = 2.5, 0.25
 # From coarse to fine: gate of tracks in metres, error units as multiples of the usual one.
 _ROUNDS = ((1.0, 8.0), (0.5, 4.0), (0.25, 2.0), (0.25, 1.0), (0.25, 1.0))
@@ -47,26 +46,26 @@ _STARTS = (2, 1, 0)
 _RIG_FRAMES = 16
 _LAID = 20
 _POSES_ONLY = LensPrior(0.0, 0.0)
-# How much worse than the best a narrower rung may explain unseen halves. Where cameras stood still, the halves of a
-# real man's clip differed by 2 to 3 % between rungs; where they had moved by a degree, by 9 % and more.
+# How much worse than the best a narrower prior may explain validation halves. Where cameras were not moved, the halves
+# of a real man's clip differed by 2 to 3 % between widths; where they had moved by a degree, by 9 % and more.
 ABOUT_AS_WELL = 1.05
 _MAX_UNITS = 3.0
 # One joint of every pair: the other half has the other side's, so both halves cover the body.
 HALF_OF_THE_JOINTS = np.array([k % 4 in (0, 3) for k in range(len(STABLE_KEYPOINTS))])
-# Keypoints of a mean adult with arms out (metres): a rig from nothing is laid on the given cameras, only its gates are
-# in metres.
+# Keypoints of a mean adult with arms out (metres): a rig from people alone is aligned to the given cameras, so only its
+# gates are in metres.
 _SIDE_M = np.array([[0.16, 0.49], [0.44, 0.47], [0.70, 0.46], [0.10, -0.03], [0.16, -0.45], [0.15, -0.86]])
 _ADULT_M = np.stack([np.pad(_SIDE_M * [s, 1.0], ((0, 0), (0, 1))) for s in (1.0, -1.0)], axis=1).reshape(-1, 3)
 
 
 @dataclass(frozen=True)
 class MovedCameras:
-    """Cameras that clearly stand elsewhere than they were given.
+    """Cameras that are clearly at other poses than given.
 
     Attributes:
-        cameras: with the poses that the people call for.
-        seen: what people show them.
-        report: the rungs with their errors on unseen halves, in error units, and how well every camera is known.
+        cameras: with the poses from people.
+        seen: the observations of people.
+        report: the prior's widths with their validation errors, in error units, and every camera's sigmas.
     """
 
     cameras: list[Camera]
@@ -87,11 +86,11 @@ def relocalise(
     allowed_px: float,
     rooms: Sequence[RoomPicture | None] = (),
 ) -> MovedCameras | None:
-    """Cameras at the places that people call for; None where they stayed, or where people do not say where they are.
+    """Cameras at poses from people; None where they did not move, or where people do not determine them.
 
-    ``before_px``: median error as given, NaN where no three cameras agree. The answer must be better by the share
+    ``before_px``: median error as given, NaN where no three cameras agree. The result must be better by the share
     ``gain``, and within ``allowed_px``. ``rooms``: pictures of the room, where there are any. Cameras that are not
-    ``watched`` (indices), because they see nobody, stay where they are.
+    ``watched`` (indices), because they see no people, stay.
     """
     if len(watched) < 2:
         return None
@@ -119,8 +118,8 @@ def relocalise(
 
 
 def report_moved_cameras(given: Sequence[Camera], found: MovedCameras, between_deg: float) -> None:
-    """Say where the cameras stand now, and how well that is known: ``between_deg`` is half of the 95 % interval of the
-    rotation between any two of them."""
+    """Log the cameras' new poses and their uncertainty, half of the 95 % interval ``between_deg`` of rotations between
+    two."""
     degrees, metres = pose_changes(found.cameras, given)
     place = np.array(list(found.report["sigma_m"].values()))
     warn(
@@ -144,13 +143,12 @@ def refine_with_wider_prior(
     lost: bool,
     rooms: Sequence[RoomPicture | None] = (),
 ) -> MovedCameras | None:
-    """The cameras under the narrowest prior that explains unseen halves; None where that is ``bundle``'s own, or people
-    say too little.
+    """The cameras under the narrowest prior that explains validation halves; None where that is ``bundle``'s own.
 
-    ``lost``: nearly nothing agrees as the cameras were given, so wider gates are tried too, since who is who hangs on
-    the poses and the poses on who is who, and at last a rig from nothing (``people_rig``), laid on the given cameras.
-    What ``rooms`` show of the room joins people where it explains itself. Two cameras have nobody to confirm them but
-    frames and joints that the fit has not seen, and the room.
+    Also None with too little evidence. ``lost``: almost nothing agrees with the given cameras. Then wider gates are
+    tried too, since identities and poses depend on each other, and at last a rig from people alone (``people_rig``),
+    aligned to the given cameras. The room in ``rooms`` is used with people where it is consistent. For two cameras the
+    only validation is by frames and joints outside of the fit, and the room.
     """
     wide = replace(bundle, prior_deg=FREE_DEG, prior_m=FREE_M)
     best: tuple[int, list[Camera]] = (0, [])
@@ -205,15 +203,17 @@ def refine_with_wider_prior(
 def pose_changes(
     found: Sequence[Camera], given: Sequence[Camera]
 ) -> tuple[Num[np.ndarray, " V"], Num[np.ndarray, " V"]]:
-    """Degrees and metres that the cameras were turned and moved by."""
+    """Degrees and metres by which the cameras were turned and moved."""
     turned = np.stack([f.camera_from_world[:3, :3] @ g.camera_from_world[:3, :3].T for f, g in zip(found, given)])
     apart = np.array([f.centre_m - g.centre_m for f, g in zip(found, given)])
     return np.degrees(np.linalg.norm(log(turned), axis=-1)), np.linalg.norm(apart, axis=-1)
 
 
 def _align_to_unmoved(found: Sequence[Camera], given: Sequence[Camera], bundle: BundleSettings) -> list[Camera]:
-    """The cameras laid on the given ones that moved least: one that was knocked does not carry away the others, nor
-    those that took no part."""
+    """The cameras aligned to the given ones that moved least, so that a knocked one does not displace the others.
+
+    Nor does it displace those that took no part.
+    """
     weights = np.ones(len(given))
     for _ in range(_LAID):
         laid = remove_drift(found, given, weights.tolist())[0]
@@ -259,8 +259,8 @@ def _converge(
     limits: Limits,
     bundle: BundleSettings,
 ) -> tuple[int, list[Camera]]:
-    """(observations that agree, cameras) after the rounds; (0, []) where too little agrees or a camera ends up far from
-    where it was."""
+    """(observations that agree, cameras) after the rounds; (0, []) with too little agreement or a camera far from its
+    given pose."""
     current, used = list(start), None
     for gate_m, units in rounds:
         seen, _ = make_observations(detections, current, frames, gate_m)
@@ -286,11 +286,11 @@ def _use_all_people(
 def _unseen_error(
     seen: Observations, found: Sequence[Camera], given: Sequence[Camera], limits: Limits, bundle: BundleSettings
 ) -> float:
-    """Mean error in error units, at most 3, of halves (first and second of the clip, and of the joints) after fitting
-    the other half.
+    """Mean validation error in error units, at most 3, of halves of the clip and of the joints after fitting the other
+    half.
 
-    Points that no three views (no two, of two) agree on any more count as 3. ``found``: the cameras under the wide
-    prior, which start every search.
+    Points without agreement of three views (of two, if there are two) count as 3. ``found``: the cameras under the wide
+    prior, from which every search starts.
     """
     agreed = triangulate(seen.pixels, seen.confidence, found, limits)
     counted = agreed.verified if len(found) > 2 else agreed.valid

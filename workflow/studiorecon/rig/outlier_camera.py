@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One camera that all others contradict: which one it is, and what was probably mixed up.
+"""Detects one camera that all others contradict, and the probable mix-up.
 
-Robust estimation hides it: triangulation leaves its rays out, all errors stay small, and its pictures are trained on
-all the same. So every camera is asked in turn whether it sees people where the others say that they are.
+Robust estimation hides it: triangulation leaves its rays out, all errors stay small, and its pictures are still used in
+training. So every camera in turn is tested for people at the positions from the others.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
-# A keypoint agrees when it lies this share of the longer image side from where the others see it: three times what a
-# calibration may be off (``Agreement.max_error_share``), since clocks and detectors are off too.
+# A keypoint agrees when it is within this share of the longer image side of the others' prediction: three times the
+# largest error of a calibration (``Agreement.max_error_share``), since clocks and detectors add errors.
 _REACH_SHARE = 0.03
-# Keypoints that lie where others see people, as multiples of that share in the others themselves (their median):
-# contradicted up to the first, explained from the second. Where one thing was mixed up in one camera of a studio it had
-# 0 to 0.3, and 1.1 once put right; where all was well, or the focal length 25 % off, 0.8 to 1.
+# Share of keypoints at the others' people, relative to that share among the others (their median): contradicted below
+# the first, explained from the second. With one mix-up in one camera of a studio it was 0 to 0.3, and 1.1 after
+# correction; without any, or with the focal length 25 % off, 0.8 to 1.
 _CONTRADICTED, _EXPLAINED = 0.4, 0.8
-# The others outvote a camera only if they agree themselves: so large a share, on so many points in so many frames.
+# The others outvote a camera only if they agree themselves: at least this share, on so many points in so many frames.
 _OTHERS_AGREE, _MIN_POINTS, _MIN_FRAMES = 0.3, 60, 5
 _LOOSE = 3.0
 _FRAMES = 48
@@ -40,7 +40,7 @@ _FRAMES = 48
 # is well (people that two cameras confuse are contradicted too), 0.96 and more where something was mixed up.
 _WRONG_SOMEWHERE = 0.9
 _MAX_LAG = 90
-# Past this nobody has knocked a tripod.
+# A knocked tripod turns by less than this.
 _MAX_TURNED_DEG = 45.0
 _COUNT = len(STABLE_KEYPOINTS)
 _OTHER_SIDE = np.arange(_COUNT).reshape(-1, 2)[:, ::-1].reshape(-1)
@@ -56,10 +56,10 @@ class OutlierCamera:
 
     Attributes:
         camera: its name.
-        share: of its keypoints that lie where the others see people.
-        share_then: the same if ``cause`` were so.
-        cause: what was probably mixed up; empty where nothing that was tried explains it.
-        remedy: what to do.
+        share: of its keypoints that are at the others' people.
+        share_then: the same if ``cause`` were true.
+        cause: the probable mix-up; empty where no tested one explains it.
+        remedy: for the user.
         turned: whether a camera that was turned since it was calibrated would disagree in the same way.
     """
 
@@ -71,7 +71,7 @@ class OutlierCamera:
     turned: bool = False
 
     def sentence(self) -> str:
-        """What is wrong, and what would help."""
+        """The problem and its remedy."""
         then = f", {self.share_then:.0%} would if {self.cause}" if self.cause else ""
         return (
             f"camera {self.camera} disagrees with all others: {self.share:.0%} of its keypoints lie where they see "
@@ -95,10 +95,10 @@ def find_outlier_camera(
     gate_m: float,
     limits: Limits,
 ) -> OutlierCamera | None:
-    """The camera that the others, who agree with one another, contradict; None where there is none.
+    """The camera that the others, who agree with one another, contradict; None without one.
 
-    ``frames`` are looked at, 48 of them at most. Three cameras name one only together with what was mixed up: two
-    rays always meet somewhere. Fewer than three name none.
+    At most 48 of ``frames`` are used. With three cameras one is named only together with its mix-up, because two rays
+    always meet somewhere. With fewer than three none is named.
     """
     if len(cameras) < 3:
         return None
@@ -109,7 +109,7 @@ def find_outlier_camera(
         rest = [k for k in range(len(cameras)) if k != v]
         points = _points([cameras[k] for k in rest], [detections[k] for k in rest], chosen, gate_m, limits)
         without.append((int(np.isfinite(points[..., 0]).sum()), v, points))
-    if len(cameras) > 3:  # whose absence leaves most that three others agree on
+    if len(cameras) > 3:  # the one whose removal leaves the most points on which three others agree
         without = [max(without, key=lambda row: row[0])]
     found: list[tuple[float, OutlierCamera]] = []
     for count, v, points in without:
@@ -146,7 +146,7 @@ def _gridded(seen: Detections, frames: np.ndarray) -> np.ndarray:
 def _points(
     cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
 ) -> np.ndarray:
-    """(F, G, K, 3) world points of the people that these cameras agree on, NaN elsewhere."""
+    """(F, G, K, 3) world points of the people on which these cameras agree, otherwise NaN."""
     seen, _ = make_observations(detections, cameras, frames, gate_m)
     if not len(seen.frame):
         return np.full((len(frames), 1, _COUNT, 3), np.nan)
@@ -167,8 +167,10 @@ def _projected(points_m: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def _share(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> tuple[float, int]:
-    """Which share of what a camera saw (F, M, K, 2) lies where the points (F, G, K, 3) are, and of how many keypoints
-    that is: those in frames where the same joint of somebody is known; (0, 0) with too few frames."""
+    """Share of a camera's keypoints (F, M, K, 2) that are at the points (F, G, K, 3), and the number of such keypoints.
+
+    Only keypoints in frames with a known joint of the same name count; (0, 0) with too few frames.
+    """
     known = np.isfinite(points_m[..., 0]).any(axis=1)  # (F, K)
     counted = np.isfinite(seen[..., 0]) & known[:, None]
     if counted.any(axis=(1, 2)).sum() < _MIN_FRAMES:
@@ -181,7 +183,7 @@ def _share(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> tuple[floa
 
 
 def _in_picture(points_m: np.ndarray, camera: Camera) -> int:
-    """How many of the points lie in the picture as it was calibrated."""
+    """Number of points in the picture as calibrated."""
     pixels = np.nan_to_num(_projected(points_m, camera), nan=-1.0)
     return int(((pixels >= 0) & (pixels < camera.wh)).all(axis=-1).sum())
 
@@ -194,7 +196,7 @@ def _readings(
     frames: np.ndarray,
     points_m: np.ndarray,
 ) -> Iterator[_Reading]:
-    """What camera ``v`` would be, if one thing about it were otherwise; where two are as good, the first is told."""
+    """Yields camera ``v`` with one property changed at a time; of two equally good ones the first counts."""
     camera, seen = cameras[v], own[v]
     for k in range(len(cameras)):
         if k != v and _same(seen, own[k]):
@@ -234,7 +236,7 @@ def _readings(
 
 
 def _offset_px(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> np.ndarray | None:
-    """(2,) pixels by which most of what a camera saw lies beside the points; None where nothing is to be compared."""
+    """(2,) offset in pixels of most of a camera's keypoints from the points; None without comparable ones."""
     apart = (seen[:, :, None] - _projected(points_m, camera)[:, None]).reshape(-1, 2)
     apart = apart[np.isfinite(apart).all(axis=-1)]
     if not len(apart):
@@ -294,9 +296,11 @@ def warn_of_outlier_cameras(
     limits: Limits,
     told_already: Sequence[bool],
 ) -> None:
-    """Warn of cameras whose people no two others confirm, or only far off, and where somebody is wrong but nobody can
-    tell who: ``each_px`` are the median errors of the cameras, ``limit_px`` what they may be; ``told_already``: of
-    which cameras that was said."""
+    """Warn of cameras whose people no two others confirm, or with large errors, and of an error without a known camera.
+
+    ``each_px`` are the median errors of the cameras, ``limit_px`` their limit; ``told_already``: cameras with a warning
+    before.
+    """
     if len(cameras) < 3:
         return
     help_ = "see whether its video, keypoints and calibration belong together, or leave it out (train in capture.yaml)"

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which cameras people place, from nothing: the arrangement that most of them support, who is not in it and why, and
-another one that they support about as well.
+"""The rig that people determine without any poses: the one with most support, cameras left out with reasons, and a
+rival.
 
-A camera that nobody says anything of is no reason to do without the others: it is left out by name.
+A camera without evidence is left out by name; the others are still used. The rival is another rig with about as much
+support.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-# Widths of view that are tried when nobody says: phones, action cameras, webcams, tele ends.
+# Fields of view to try without a given one: phones, action cameras, webcams, telephoto lenses.
 _HFOV_DEG = (65.0, 85.0, 48.0, 105.0, 36.0)
-# Real detectors are off by more than one error unit more often than made ones: a second, wider look where the first
-# fails.
+# Real detectors are off by more than one error unit more often than synthetic ones: a second, wider search where the
+# first fails.
 _WIDER = (1.0, 2.0)
-# Another arrangement is one whose cameras are turned by more than this to one another.
+# In a different rig, cameras have relative rotations that differ by more than this.
 _SAME_DEG = 5.0
 
 
@@ -40,11 +41,11 @@ class PoseConsensus:
     """The cameras that people place.
 
     Attributes:
-        placed: their numbers among all cameras, ascending.
-        rig: the arrangement; its views count the placed cameras.
-        seen: what these saw.
+        placed: their indices among all cameras, ascending.
+        rig: the rig; its views count the placed cameras.
+        seen: their observations.
         left_out: all other cameras → why.
-        rival: another arrangement of the same cameras with about as much support, or None.
+        rival: another rig of the same cameras with about as much support, or None.
     """
 
     placed: list[int]
@@ -65,11 +66,10 @@ def find_pose_consensus(
     limits: Limits,
     rival_share: float,
 ) -> PoseConsensus | None:
-    """The best arrangement of all cameras, or of as many as people place; None where they do not even place two.
+    """The best rig of all cameras, or of as many as people place; None if they place fewer than two.
 
-    ``known_px``: camera → focal length, where it is known. At most ``looked_at`` of ``frames`` are looked at, spread
-    over those in which two cameras see somebody; as many again of those in which a camera does that the first did not
-    place.
+    ``known_px``: camera → focal length, where it is known. At most ``looked_at`` of ``frames`` are used, spread over
+    those in which two cameras see people; and as many again for each camera that the first search did not place.
     """
     names = [d.camera for d in detections]
     guesses = _HFOV_DEG if len(known_px) < len(names) else _HFOV_DEG[:1]
@@ -91,7 +91,7 @@ def find_pose_consensus(
     if not best:
         return None
     if len(best[0].cameras) < len(names):
-        # The narrow look's lengths are guess enough for a wide one.
+        # The focal lengths of the narrow search are a sufficient start for a wide one.
         best = look(seen, guesses[0], _WIDER[-1], best)
     missing = [v for v in range(len(names)) if v not in best[0].cameras]
     own = [frame for v in missing if len(frame := np.intersect1d(shared, detections[v].frame))]
@@ -111,7 +111,7 @@ def find_pose_consensus(
 
 
 def pose_distance(rival: Rig, cameras: Sequence[Camera]) -> tuple[Num[np.ndarray, " V"], Num[np.ndarray, " V"]]:
-    """Degrees and metres by which ``cameras`` differ from those of another arrangement that is laid on them."""
+    """Degrees and metres by which ``cameras`` differ from those of another rig aligned to them."""
     laid = remove_drift([rival.cameras[v] for v in sorted(rival.cameras)], cameras)[0]
     return pose_changes(laid, cameras)
 
@@ -132,7 +132,7 @@ def _started(
     known_px: Mapping[str, float],
     hfov_deg: float,
 ) -> list[Camera]:
-    """Cameras to begin with: lengths that are known, those of the best rig so far and their median, or guesses."""
+    """Initial cameras, with known focal lengths, those of the best rig so far and their median, or guesses."""
     found_px = {v: c.focal_px[0] for v, c in best[0].cameras.items()} if best else {}
     usual = float(np.median(list(found_px.values()))) if found_px else None
     return [_pinhole(n, wh[v], known_px.get(n) or found_px.get(v) or usual, hfov_deg) for v, n in enumerate(names)]

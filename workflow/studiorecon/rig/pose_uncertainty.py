@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well cameras found from people are known: what halves of the evidence disagree by, not only what random noise
-would do.
+"""Uncertainty of cameras estimated from people: from differences between halves of the evidence, not only random noise.
 
-A detector misplaces joints by centimetres, in the same way for as long as the body looks the same from a camera. No
+A detector's joints are wrong by centimetres, in the same way for as long as the body looks the same from a camera. No
 number of frames averages that out, and the residuals do not show it. But halves of the clip show other poses and halves
-of the body other joints: what the cameras found from them differ by is an error of that kind.
+of the body other joints: the difference between the cameras estimated from them is an error of that kind.
 """
 
 from __future__ import annotations
@@ -27,16 +26,16 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-# What stays when every half agrees: joints that are defined otherwise seen from the front than from behind.
+# Least sigma if all halves agree: a detector's joints differ between front and back views.
 _FLOOR_DEG = 0.2
-# Where the optical axis meets the picture, which is taken for the middle: off by this share of the longer side along
-# each axis in the lenses of a motion-capture system and of a checkerboard calibration. It turns a camera by as much.
+# Error of the assumption that the principal point is the middle, as a share of the longer side along each axis, in the
+# lenses of a motion-capture system and of a checkerboard calibration. It turns a camera by as much.
 _PRINCIPAL_SHARE = 0.006
 _MIN_POINTS = 60
 _LENSES_KNOWN = LensPrior(0.0, 0.0)
-# How much wider the interval of the worst pair is for errors about all three axes than ``rotation_interval_deg`` says.
+# Factor on the interval of the worst pair in ``rotation_interval_deg`` for errors about all three axes.
 ABOUT_ALL_AXES = 3.4 / 3.0
-# Fields of the floor that err together: a carpet's border, the edge of a platform.
+# Size of the floor's fields with correlated errors: a carpet's border, the edge of a platform.
 _FIELD_M = 0.5
 
 
@@ -64,7 +63,7 @@ def pose_sigmas(
     counted = rig.points.verified if len(result.cameras) > 2 else rig.points.valid
     early = rig.seen.frame <= np.median(rig.seen.frame[counted]) if counted.any() else counted
     half, side = HALF_OF_THE_JOINTS[rig.seen.keypoint], rig.seen.keypoint % 2 == 0
-    # What moments disagree by and what joints disagree by are different errors: the larger counts, not their mean.
+    # Differences between moments and between joints are different errors: the larger counts, not their mean.
     about = lens, limits, known_px, turns
     of_kinds = [
         _off_by(result, [(_part(rig, part), marks) for part in _both(patterns) if _enough(part & counted)], *about)
@@ -89,11 +88,12 @@ def pose_sigmas(
 
 
 def rotation_observability(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[float, float] | None:
-    """What people alone, with calibrated lenses, tell of how any two of calibrated cameras are turned to one another:
-    by how many degrees they would turn two of them, and half of the 95 % interval of that (``rotation_interval_deg``).
+    """How well people alone determine calibrated cameras' relative rotation: the change that they require, and its
+    interval.
 
-    A calibration fits people while it is off by as much as the sum: one man on one spot allows degrees. None where
-    there is too little. Of cameras that see nobody people tell nothing.
+    These are the degrees by which they would turn two cameras, and half of the 95 % interval
+    (``rotation_interval_deg``). A calibration fits people even if it is off by their sum: one man in one place allows
+    degrees. None with too little evidence. People determine nothing about cameras that do not see them.
     """
     sighted = [int(v) for v in np.flatnonzero((seen.confidence > 0).any(1))]
     cameras, seen = [cameras[v] for v in sighted], seen.by(sighted)
@@ -112,8 +112,10 @@ def rotation_observability(cameras: Sequence[Camera], seen: Observations, limits
 
 
 def moved_rotation_interval_deg(found: MovedCameras, limits: Limits) -> float:
-    """``rotation_interval_deg`` of cameras that were put right, for errors about all three axes: of what their fit
-    says, and where no room joined the people, of what halves of the people disagree by."""
+    """``rotation_interval_deg`` of refined moved cameras, for errors about all three axes.
+
+    From their fit's sigmas and, where no room was used, from the difference between halves of the people.
+    """
     found_deg = rotation_interval_deg(np.array(list(found.report["sigma_deg"].values())))
     if not found.report.get("room", {}).get("explained"):
         told = rotation_observability(found.cameras, found.seen, limits)
@@ -144,14 +146,16 @@ def _off_by(
     known_px: Mapping[int, float] | None,
     turns: Mapping[int, RoomTurn] | None,
 ) -> np.ndarray:
-    """(3, V) root mean square of what cameras from ``parts`` of the evidence are off ``result``: turn (degrees) and
-    place (metres) per number, focal length (share); zeros where there are none."""
+    """(3, V) root mean square error of cameras from ``parts`` of the evidence against ``result``; zeros without parts.
+
+    Rotation (degrees) and position (metres) per number, focal length (share).
+    """
     off = []
     for rig, marks in parts:
         part, _ = adjust_rig(rig, lens, limits, known_px, turns, marks)
         degrees, metres = pose_changes(remove_drift(part.cameras, result.cameras)[0], result.cameras)
         focal = [np.log(a.focal_px[0] / b.focal_px[0]) for a, b in zip(part.cameras, result.cameras)]
-        # A turn has three numbers and so has a place: per number, as the formal ones are.
+        # A rotation has three numbers and so has a position: per number, like the formal sigmas.
         off.append([degrees / np.sqrt(3), metres / np.sqrt(3), focal])
     return np.sqrt(np.mean(np.square(off), axis=0)) if off else np.zeros((3, len(result.cameras)))
 
@@ -170,9 +174,10 @@ def _part(rig: Rig, chosen: np.ndarray) -> Rig:
 
 
 def rotation_interval_deg(turn_deg: Num[np.ndarray, " V"]) -> float:
-    """95 % interval (half width, degrees) of the rotation between the two least certain of cameras with
-    ``pose_sigmas``'s turns, which the worst of all pairs of them keeps.
+    """Half of the 95 % interval, degrees, of the rotation between the two least certain cameras, valid for the worst
+    pair.
 
-    3 standard deviations: of six pairs, between 2.6 for errors about one axis and 3.4 for such about all three.
+    ``turn_deg`` are the rotations' sigmas from ``pose_sigmas``. 3 standard deviations: of six pairs, between 2.6 for
+    errors about one axis and 3.4 for errors about all three.
     """
     return float(3.0 * np.sqrt((np.sort(turn_deg)[-2:] ** 2).sum()))

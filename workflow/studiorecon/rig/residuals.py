@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Why rays of one body point do not meet: lens, clock, readout, all at once, with the points themselves taken out of
-the equations.
+"""Why rays of one body point do not meet: lens, clock and readout, estimated together with the points eliminated.
 
 Each camera c sees point X of a body at u = π_c(X) + lag_c v + readout_c v (row/H - 1/2) + k1_c f r² n + pose + noise, v
 the image velocity in px/frame. Linear in everything but X, and X is eliminated per point (its three columns are
-projected out), so nothing is damped by having triangulated first (evaluation 3.4: by a factor of 20). Estimated
-together, one effect does not pass for another.
+projected out), so no effect is damped by a previous triangulation (evaluation 3.4: by a factor of 20). Estimated
+together, one effect does not appear as another.
 
 Velocities come from an antisymmetric kernel, the same for all cameras and not using the frame itself: for stationary
-noise it is uncorrelated with the residual, so a person at rest gives no false lag (V07); it gives a wide
-interval.
+noise it is uncorrelated with the residual, so a person at rest gives no false lag (V07); it gives a wide interval.
 """
 
 from __future__ import annotations
@@ -30,25 +28,25 @@ if TYPE_CHECKING:
 # Antisymmetric derivative over five frames (Savitzky-Golay): a tenth of the noise variance per frame.
 _DERIVATIVE = np.array([-2.0, -1.0, 0.0, 1.0, 2.0]) / 10
 _REACH = len(_DERIVATIVE) // 2
-# Lag, readout, lens, three angles and three lengths of the pose: standard deviations believed beforehand (frames, frame
-# intervals, k1, radians, metres). Wide for what is asked; the calibration's own errors for the pose, so that they do
-# not pass for a lens.
+# Prior sigmas of lag, readout, lens, three angles and three lengths of the pose (frames, frame intervals, k1, radians,
+# metres). Wide for the estimated effects; the calibration's own errors for the pose, so that they do not appear as a
+# lens.
 _PRIOR = np.array([10.0, 3.0, 1.0, *[np.radians(0.3)] * 3, *[0.01] * 3])
-# Place of the readout among them.
+# Index of the readout among them.
 _READOUT = 1
 _HUBER, _ROUNDS = 2.0, 4
-# Fewer points or moments than these say nothing.
+# Fewer points or moments give no estimate.
 _MIN_POINTS, _MIN_MOMENTS = 60, 8
 
 
 @dataclass(frozen=True)
 class Causes:
-    """What was found per camera; NaN everywhere with a ``reason`` when there was too little.
+    """The estimates per camera; NaN everywhere, with a ``reason``, when there was too little evidence.
 
     Attributes:
         readout, readout_sigma: (V,) time from the first to the last row, in frame intervals.
         speed_px: median, and 95 % quantile, of the image speed per frame.
-        rows: share of the picture's height between the 5 % and 95 % quantile of the rows that were used.
+        rows: share of the picture's height between the 5 % and 95 % quantile of the rows in use.
     """
 
     readout: Num[np.ndarray, " V"]
@@ -59,10 +57,10 @@ class Causes:
 
 
 def causes(pixels: Num[np.ndarray, "V P T J 2"], cameras: Sequence[Camera], moments: int, limits: Limits) -> Causes:
-    """Readout of every camera from tracks ``pixels`` of P people, NaN where not seen; lag and lens are estimated with
-    it, so that they do not pass for it.
+    """Readout of every camera from tracks ``pixels`` of P people, NaN where not seen.
 
-    At most ``moments`` frames are used, evenly spaced. 0.3 s for 4 cameras, 60 moments and 17 keypoints.
+    Lag and lens are estimated with it, so that they do not appear as a readout. At most ``moments`` frames are used,
+    evenly spaced. 0.3 s for 4 cameras, 60 moments and 17 keypoints.
     """
     system = _system(pixels, cameras, moments, limits)
     if isinstance(system, str):
@@ -85,7 +83,7 @@ class _System:
 
 
 def _sample(pixels: np.ndarray, moments: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels and velocities (V, N, 2) at evenly spaced frames, and which person's moment (N,) each belongs to."""
+    """Pixels and velocities (V, N, 2) at evenly spaced frames, and the moment and person (N,) of each."""
     views, people, length, joints = pixels.shape[:4]
     if length < 2 * _REACH + 1:
         return np.zeros((views, 0, 2)), np.zeros((views, 0, 2)), np.zeros(0, int)
@@ -100,7 +98,7 @@ def _sample(pixels: np.ndarray, moments: int) -> tuple[np.ndarray, np.ndarray, n
 def _points(
     seen_px: np.ndarray, velocity: np.ndarray, cameras: Sequence[Camera], limits: Limits
 ) -> tuple[np.ndarray, np.ndarray]:
-    """World points (N, 3) and the views (V, N) that hold them; a point needs three views, two always meet."""
+    """World points (N, 3) and their views (V, N); a point needs three views, because two always meet."""
     usable = np.isfinite(seen_px).all(-1) & np.isfinite(velocity).all(-1)
     found = triangulate(
         np.where(usable[..., None], seen_px, np.nan), usable.astype(float), cameras, limits, solver="dlt"
@@ -164,9 +162,9 @@ def _system(pixels: np.ndarray, cameras: Sequence[Camera], moments: int, limits:
 def _solve(system: _System) -> tuple[np.ndarray, np.ndarray]:
     """Robust solution (V K,) and its covariance.
 
-    Points are weighted as a whole (Huber on their root mean square residual): the projection must stay what it is. The
-    covariance is the larger of the one from the noise and the one from the scatter of whole moments, whose keypoints
-    err together.
+    Points are weighted as a whole (Huber on their root mean square residual), because the projection must stay the
+    same. The covariance is the larger of the one from the noise and the one from the scatter of whole moments, whose
+    keypoints have correlated errors.
     """
     views = system.seen.shape[1]
     columns, prior = system.columns, np.tile(1 / _PRIOR**2, views)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room as one camera sees it, for whatever looks for edges and places in it."""
+"""The room in one camera's picture, for all modules that use its edges and points."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class RoomPicture:
 
     Attributes:
         grey: (H, W) uint8, in the camera's pixels.
-        known: (H, W) whether it shows the room there, and nobody.
+        known: (H, W) bool: shows the room without people.
     """
 
     grey: Integer[np.ndarray, "H W"]
@@ -32,13 +32,13 @@ class RoomPicture:
 
     @cached_property
     def edges_px(self) -> Num[np.ndarray, "N 4"]:
-        """(N, 4) ends of its straight edges (``room_turns.straight_edges``), found once: whoever tries cameras asks
-        again for each."""
+        """(N, 4) ends of its straight edges (``room_turns.straight_edges``), cached because every trial of cameras uses
+        them."""
         return straight_edges(self.grey, self.known)
 
 
 def make_room_picture(plate: Path) -> RoomPicture:
-    """A clean plate in grey, and where people never left it unseen."""
+    """A clean plate in grey, with the pixels that people did not always cover as known."""
     rgb, measured = read_plate(plate)
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
     return RoomPicture(np.clip(255 * grey + 0.5, 0, 255).astype(np.uint8), measured)

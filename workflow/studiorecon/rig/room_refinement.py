@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calibrated cameras moved to where the room itself calls for: what lies on the floor, and how its edges run.
+"""Calibrated cameras refined on the room itself: points on the floor, and directions of its edges.
 
-A detector misplaces joints in the same way all the time, so people leave cameras uncertain by tenths of a degree, or by
-degrees where they stay on one spot. The empty room knows nothing of joints. Cameras that are a quarter turn apart share
-its floor (``floor_marks``) and its directions (``room_turns``); both join people in one bundle adjustment, and are
-believed where they explain themselves and people are not the worse for it.
+A detector's error of a joint is always the same, so people leave cameras uncertain by tenths of a degree, or by degrees
+if they stay in one place. The empty room does not depend on joints. Cameras that are a quarter turn apart share its
+floor (``floor_marks``) and its directions (``room_turns``). Both are combined with people in one bundle adjustment, and
+accepted where they are consistent and people fit almost as well.
 """
 
 from __future__ import annotations
@@ -28,35 +28,35 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-# How far the floors of cameras may lie beside one another, metres: at first, and once that was made use of.
+# Largest distance between the cameras' floors, metres: at first, and after the first refinement.
 REACH_M = (0.25, 0.12)
 _ANKLES = [STABLE_KEYPOINTS.index(f"{side}_ankle") for side in ("left", "right")]
 _ANKLE_HEIGHT_M = 0.08
 _MIN_FEET = 20
-# The floor is believed where it explains itself to so many of its own standard deviations, called for at least so many,
-# and by so much more than afterwards; people may be off by so much more with it.
+# The floor is consistent within so many of its own sigmas. It requires a change above so many, if they exceed those
+# afterwards by this factor; people's error may grow by the last factor.
 _MAX_SIGMAS, CALLED_SIGMAS, _CLEARLY, PEOPLE_COST = 3.0, 2.0, 1.3, 1.15
-# Edges are looked at in pictures that show so much of the room (one of which 59 to 62 % showed, in specks: 2.5° off).
+# Least visible share of the room for using a picture's edges (one with 59 to 62 %, in specks, was 2.5° off).
 _MIN_KNOWN = 0.7
-# Edges tell more than a prior that is as wide as this.
+# Edges determine rotations better than a prior of this sigma.
 _WIDE_DEG = 1.0
 _POSES_ONLY = LensPrior(0.0, 0.0)
-# What places on a floor that agree to a hundredth of a degree do not say: lenses, and that a floor is no plane. Edges
-# alone agree with a laboratory's calibration to 0.3 to 0.7 degrees.
+# Sigmas of errors that points on a floor which agree to a hundredth of a degree do not show: lenses, and a floor that
+# is not a plane. Edges alone agree with a laboratory's calibration to 0.3 to 0.7 degrees.
 _UNSAID_DEG, _UNSAID_BY_EDGES_DEG, _UNSAID_M = 0.1, 0.5, 0.01
 
 
 @dataclass(frozen=True)
 class RoomRefinement:
-    """Cameras that people and the room together call for.
+    """Cameras refined on people and the room together.
 
     Attributes:
         cameras: with their poses.
-        marks: what they share of the floor; None where only edges or people spoke.
-        adjusted: how well they are known.
-        report: numbers to tell.
-        explained: whether the room explains itself with them, and people are not the worse for it.
-        believed: whether it clearly calls for them besides: cameras before may stay where they are otherwise.
+        marks: shared points of the floor; None where only edges or people were used.
+        adjusted: with their sigmas.
+        report: numbers to report.
+        explained: whether the room is consistent with them, and people fit almost as well.
+        believed: whether the room clearly requires them; otherwise the cameras before may stay.
     """
 
     cameras: list[Camera]
@@ -67,7 +67,7 @@ class RoomRefinement:
     believed: bool
 
     def marks_m(self, limits: Limits) -> Num[np.ndarray, "N 3"]:
-        """The places on the floor by these cameras."""
+        """The points on the floor by these cameras."""
         if self.marks is None:
             return np.zeros((0, 3))
         seen = np.isfinite(self.marks.pixels).all(-1).astype(float)
@@ -85,10 +85,10 @@ def refine_on_room(
     reach_m: Sequence[float] = REACH_M,
     people_cost: float = PEOPLE_COST,
 ) -> RoomRefinement | None:
-    """``cameras`` moved by people and the room under a prior about ``given``; None where the room shows nothing.
+    """``cameras`` refined on people and the room with ``given`` as prior; None where the room shows nothing.
 
-    ``seen`` are people's joints, ``rooms`` the pictures of the room, None where there is none. The room is not believed
-    where people fit ``people_cost`` times as badly with it.
+    ``seen`` are people's joints, ``rooms`` the pictures of the room, None where there is none. The room is rejected
+    where people fit ``people_cost`` times worse with it.
     """
     middle_m, floor_m = standing_area(cameras, seen, limits)
     turns = edge_rotations(cameras, rooms) if np.min(bundle.prior_deg) > _WIDE_DEG else {}
@@ -142,24 +142,26 @@ def refine_on_room(
 
 
 def edge_rotations(cameras: Sequence[Camera], rooms: Sequence[RoomPicture | None]) -> dict[int, RoomTurn]:
-    """How the straight edges in the pictures of the room turn the cameras; empty where they do not tell.
+    """The cameras' rotations by the straight edges in the pictures of the room; empty where undetermined.
 
-    A room that is mostly hidden says nothing: the few edges left are not a fair choice, and agree with one another on
-    turns that are degrees off.
+    A mostly hidden room gives no rotation: its few visible edges are a biased sample, and may agree on rotations that
+    are degrees off.
     """
     edges = {v: room.edges_px for v, room in enumerate(rooms) if room is not None and room.known.mean() >= _MIN_KNOWN}
     return room_turns(dict(enumerate(cameras)), edges)
 
 
 def standing_area(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[Num[np.ndarray, " 2"], float]:
-    """Middle of where people are, metres, and the height of what they stand on; by where the cameras look, and 0, where
-    there is nobody."""
+    """Middle of people's positions, metres, and the height of the surface under them.
+
+    Without people: the middle of the cameras' view, and 0.
+    """
     if len(seen.frame):
         found = triangulate(seen.pixels, seen.confidence, cameras, limits)
         counted = found.verified if len(cameras) > 2 else found.valid
         feet = counted & np.isin(seen.keypoint, _ANKLES)
         if feet.sum() >= _MIN_FEET:
-            # The lower foot of every body stands on it.
+            # The lower foot of every body is on it.
             _, body = np.unique(np.stack([seen.group[feet], seen.frame[feet]]), axis=1, return_inverse=True)
             lowest = np.full(int(body.max()) + 1, np.inf)
             np.minimum.at(lowest, body.reshape(-1), found.points_m[feet, 2])
@@ -181,7 +183,7 @@ def _fit(
     limits: Limits,
     prior: BundleSettings,
 ) -> Adjusted:
-    """People, all frames of a joint as one observation, and the floor, under a prior about other cameras."""
+    """People, all frames of a joint as one observation, and the floor, adjusted with other cameras as prior."""
     pixels, weights, points_m = np.zeros((len(current), 0, 2)), np.zeros((len(current), 0)), np.zeros((0, 3))
     if len(seen.frame):
         found = triangulate(seen.pixels, seen.confidence, current, limits)

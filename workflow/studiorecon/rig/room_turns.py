@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How cameras are turned to one another by the straight edges of the room: walls, windows and furniture run along
-three directions that all cameras share.
+"""Relative rotations of cameras from the room's straight edges: walls, windows and furniture have three common
+directions.
 
-People leave relative rotations uncertain by degrees where they stay on one spot, since a detector misplaces joints in
-the same way all the time. Edges know nothing of people: with rotations that are right within some degrees, every
-camera's own edges say the rest (vanishing points of a Manhattan world; Coughlan and Yuille 1999). Which of the 24
-equivalent frames is meant, the people's rotations decide. Edges are found by the line segment detector (Grompone von
-Gioi et al. 2010).
+People leave relative rotations uncertain by degrees where they stay in one place, since a detector's error of a joint
+is always the same. Edges do not depend on people. With rotations that are right within some degrees, every camera's own
+edges determine the rest (vanishing points of a Manhattan world; Coughlan and Yuille 1999). The people's rotations
+choose one of the 24 equivalent frames. Edges come from the line segment detector (Grompone von Gioi et al. 2010).
 """
 
 from __future__ import annotations
@@ -26,22 +25,22 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
-# Shorter edges, as a share of the longer side, say little about directions.
+# Shorter edges, as a share of the longer side, do not determine directions.
 _MIN_SHARE = 0.02
-# How far people's rotations may be off, degrees, and the step of the search within that.
+# Largest error of people's rotations, degrees, and the step of the search within that.
 _REACH_DEG, _STEP_DEG = 8.0, 2.0
-# Frames that are tried for the room: 6° apart.
+# Number of room frames to try: 6° apart.
 _FRAMES = 3000
 _REFINED = 12
-# Widths of agreement from coarse to fine, degrees: across cameras, whose turns are off, and within one camera.
+# Widths of agreement from coarse to fine, degrees: across cameras, whose rotations are off, and within one camera.
 _ACROSS_DEG, _COARSE_DEG, _FINE_DEG = (5.0, 4.0), (1.5, 1.0, 0.6), 0.6
-# Edges that tell: so much of their length along the three directions (chance: 5 %), along two of them at least so much
-# and so many.
+# Sufficient edges: at least this share of their length is along the three directions (chance: 5 %), and along two of
+# them at least so much and so many.
 _ALONG, _ALONG_EACH, _MIN_EDGES = 0.25, 0.05, 6
-# Another turn of a camera with this share of the support, further away than this, leaves it untold.
+# Another rotation of a camera with this share of the support, further away than this, leaves it undetermined.
 _RIVAL, _ELSEWHERE_DEG = 0.8, 1.5
-# Walls and furniture are square to about this; what a real room's edges and a motion-capture system's calibration
-# differed by, camera for camera.
+# Walls and furniture are square to about this; a real room's edges differed from a motion-capture system's calibration
+# by as much, camera for camera.
 _SQUARE_DEG = 0.3
 _HELD_DEG = 1.0
 
@@ -49,9 +48,11 @@ _HELD_DEG = 1.0
 def straight_edges(
     grey: Num[np.ndarray, "H W"], known: Bool[np.ndarray, "H W"] | None = None
 ) -> Num[np.ndarray, "N 4"]:
-    """(N, 4) ends x0, y0, x1, y1 of the straight edges of ``grey`` (H, W, uint8) that are long enough to say where they
-    run, centres of pixels at +0.5; with ``known`` (H, W) only those that run where it is set. Raises ValueError for
-    another shape."""
+    """(N, 4) ends x0, y0, x1, y1 of the straight edges of ``grey`` (H, W, uint8) that are long enough for a direction.
+
+    Centres of pixels are at +0.5. With ``known`` (H, W) only those where it is set. Raises ValueError for another
+    shape.
+    """
     size = require("grey", grey, ("H", "W"))
     found = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD).detect(np.ascontiguousarray(grey))[0]
     if found is None:
@@ -60,7 +61,7 @@ def straight_edges(
     kept = np.hypot(ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1]) >= _MIN_SHARE * max(grey.shape)
     if known is not None:
         require("known", known, ("H", "W"), size)
-        # A pixel beside the edge of what is unknown is already beside it.
+        # The border of the unknown region makes edges in known pixels next to it.
         sure = cv2.erode(known.astype(np.uint8), np.ones((5, 5), np.uint8))
         for share in (0.0, 0.5, 1.0):
             at = (1 - share) * ends[:, :2] + share * ends[:, 2:]
@@ -71,12 +72,12 @@ def straight_edges(
 
 @dataclass(frozen=True)
 class RoomTurn:
-    """How one camera is turned.
+    """The rotation of one camera.
 
     Attributes:
-        rotation_camera_from_world: (3, 3), in the world of the rotations that were given.
-        sigma_deg: standard deviation of each of its three numbers.
-        along: share of the length of its edges that runs along the room's three directions.
+        rotation_camera_from_world: (3, 3), in the world of the given rotations.
+        sigma_deg: sigma of each of its three numbers.
+        along: share of the length of its edges that is along the room's three directions.
     """
 
     rotation_camera_from_world: Num[np.ndarray, "3 3"]
@@ -86,8 +87,10 @@ class RoomTurn:
 
 @dataclass(frozen=True)
 class _Edges:
-    """Edges of one camera as planes through its centre: unit normals, weights that sum to 1, and in which of two
-    patterns of halves each lies."""
+    """Edges of one camera as planes through its centre: unit normals, weights that sum to 1, and halves.
+
+    Each edge is in a half of each of two patterns.
+    """
 
     normals: Num[np.ndarray, "N 3"]
     weights: Num[np.ndarray, " N"]
@@ -95,7 +98,7 @@ class _Edges:
 
 
 def room_turns(cameras: Mapping[int, Camera], edges: Mapping[int, Num[np.ndarray, "N 4"]]) -> dict[int, RoomTurn]:
-    """view → its turn, for the views whose ``edges`` (N, 4: ends, pixels) tell; empty when fewer than two do.
+    """view → its rotation, for the views whose ``edges`` (N, 4: ends, pixels) determine it; empty with fewer than two.
 
     ``cameras``: with rotations relative to one another that are right within 8°. Raises ValueError for other shapes.
     """
@@ -123,15 +126,16 @@ def _planes(camera: Camera, ends: np.ndarray) -> _Edges:
     normals = np.cross(rays[:, 0], rays[:, 1])
     length = np.linalg.norm(normals, axis=-1)
     told = length > 0
-    # Neighbouring edges err together (both sides of one window frame): halves are fields of a chessboard, and stripes.
+    # Neighbouring edges have correlated errors (both sides of one window frame): halves are fields of a chessboard, and
+    # stripes.
     cells = np.floor(points.mean(1) / np.array(camera.wh) * 4).astype(int)
     halves = np.stack([cells.sum(1) % 2 == 0, cells[:, 1] % 2 == 0])
     return _Edges(normals[told] / length[told, None], length[told] / length[told].sum(), halves[:, told])
 
 
 def support(edges: _Edges, camera_from_room: Num[np.ndarray, "... 3 3"], width_deg: float) -> Num[np.ndarray, " ..."]:
-    """Share of the edges' length that runs along one of the room's directions, to within about ``width_deg``."""
-    # One matrix product per direction, and one array that is worked on where it lies: thousands of rotations are tried.
+    """Share of the edges' length that is along one of the room's directions, to within about ``width_deg``."""
+    # One matrix product per direction, and one array modified in place, because thousands of rotations are tried.
     axes = camera_from_room.reshape(-1, 3, 3)
     off = np.abs(edges.normals @ axes[:, :, 0].T)
     for k in (1, 2):
@@ -144,7 +148,7 @@ def support(edges: _Edges, camera_from_room: Num[np.ndarray, "... 3 3"], width_d
 
 
 def _room(edges: Sequence[_Edges], rotations: Sequence[np.ndarray]) -> np.ndarray:
-    """(3, 3) world_from_room that the edges of all cameras support best, by their given rotations."""
+    """(3, 3) world_from_room with the best support of all cameras' edges, by their given rotations."""
     tried = Rotation.random(_FRAMES, np.random.default_rng(0)).as_matrix()
     wide, narrow = _ACROSS_DEG
 
@@ -166,8 +170,8 @@ def _ball(reach: float, step: float) -> np.ndarray:
 
 
 def _turn(edges: _Edges, start: np.ndarray) -> tuple[np.ndarray, float, float] | None:
-    """(camera_from_room, standard deviation in degrees, share along it) nearest ``start``; None where the edges do not
-    tell."""
+    """(camera_from_room, sigma in degrees, share along it) nearest ``start``; None where the edges do not determine
+    it."""
     offsets = _ball(_REACH_DEG, _STEP_DEG)
     near = exp(np.radians(offsets[np.linalg.norm(offsets, axis=1) <= _REACH_DEG])) @ start
     first = near[np.argsort(-support(edges, near, _COARSE_DEG[0]), kind="stable")[:_REFINED]]
@@ -190,7 +194,8 @@ def _turn(edges: _Edges, start: np.ndarray) -> tuple[np.ndarray, float, float] |
 
 
 def _two_ways(edges: _Edges, camera_from_room: np.ndarray) -> bool:
-    """Whether enough edges run along two of the room's directions: along one alone a turn about it is not told."""
+    """Whether enough edges are along two of the room's directions: one alone does not determine the rotation about
+    it."""
     off = np.abs(edges.normals @ camera_from_room)
     which, near = off.argmin(1), off.min(1) < 2 * np.radians(_FINE_DEG)
     along = [near & (which == k) for k in range(3)]
@@ -198,8 +203,10 @@ def _two_ways(edges: _Edges, camera_from_room: np.ndarray) -> bool:
 
 
 def _refined(edges: _Edges, camera_from_room: np.ndarray, held: bool = False) -> np.ndarray:
-    """The rotation where the edges agree best, by Gauss-Newton from ``camera_from_room``; ``held``: to about 1° there,
-    for parts of the edges that may not tell all of it."""
+    """The rotation with the best agreement of the edges, by Gauss-Newton from ``camera_from_room``.
+
+    ``held``: with a prior of about 1° there, for parts of the edges that may not determine all of it.
+    """
     found = camera_from_room
     for width_deg in _COARSE_DEG:
         for _ in range(6):

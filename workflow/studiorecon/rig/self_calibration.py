@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rig from people, made exact: poses and focal lengths together, then the room's edges, with people grouped anew in
+"""Refines a rig from people: poses and focal lengths together, then the room's edges, with people grouped again in
 between."""
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 _ROUNDS = 6
 _SETTLED_SHARE = 0.002
-# Rounds in which people's groups are formed anew after the room's edges turned the cameras; what people may lose by it.
+# Rounds in which people are grouped again after the room's edges turned the cameras; least share of people's support to
+# keep.
 _EDGE_ROUNDS = 2
 _KEPT_SUPPORT, _EDGES_COST = 0.9, 1.2
 
@@ -33,8 +34,8 @@ def self_calibrate(
     known_px: Mapping[int, float],
     agreement: AgreementLimits,
 ) -> tuple[Rig, Adjusted]:
-    """Poses and focal lengths together, with the groups formed anew after every change, until the focal lengths
-    stay."""
+    """The rig and its adjustment after poses and focal lengths are refined together, with new groups, until focal
+    lengths converge."""
     result, _ = adjust_rig(rig, lens, agreement.limits, known_px)
     for _ in range(_ROUNDS):
         before = np.array([rig.cameras[v].focal_px[0] for v in sorted(rig.cameras)])
@@ -59,8 +60,10 @@ def rotate_by_edges(
     edges: Mapping[int, Num[np.ndarray, "N 4"]],
     agreement: AgreementLimits,
 ) -> tuple[Rig, Adjusted, dict[int, RoomTurn]]:
-    """The rig with what the room's edges say about its turns, and that; as it is where they say nothing, or where
-    people contradict them."""
+    """The rig refined on the rotations from the room's edges, its adjustment, and these rotations.
+
+    Unchanged without sufficient edges, or where people contradict them.
+    """
     turns = room_turns(dict(enumerate(result.cameras)), edges)
     if not turns:
         return rig, result, {}
