@@ -49,7 +49,7 @@ class _Shown(logging.Handler):
 
 
 def shortened(text: str, columns: int) -> str:
-    """The text on one line of so many columns, cut at its end."""
+    """The text on one line of at most ``columns``, cut at its end."""
     line = " ".join(text.split())
     return line if len(line) <= columns else f"{line[: columns - 1]}…"
 

@@ -67,7 +67,7 @@ class Moment:
     """Facts about one picture besides its colours.
 
     Attributes:
-        camera: its camera.
+        camera: the picture's camera.
         frame: (fractional) frame of the capture it shows.
         depth_m: (H, W) rendered depth, 0 = unknown.
         injected: (H, W) share of the input that comes from earlier outputs, which were already enhanced.

@@ -48,7 +48,7 @@ _ARRAYS = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kin
 
 
 def read_pickle(path: Path) -> dict[str, Any]:
-    """The entries of a body's pickle; raises UserError when it is none, or holds anything but arrays."""
+    """The entries of a body's pickle; raises UserError unless it is a pickle of arrays only."""
     try:
         with open(path, "rb") as stream:
             return dict(read_arrays(stream))

@@ -26,7 +26,7 @@ def _holds(name: str, word: str) -> bool:
 
 
 def _longer(pair: tuple[str, str], other: tuple[str, str]) -> bool:
-    """Whether both pairs share a name, and in ``other`` the second name is longer and contains the one of ``pair``."""
+    """Whether both pairs share one name, and the other name of ``other`` is longer and contains that of ``pair``."""
     return any(
         pair[k] == other[k] and _holds(pair[k], other[1 - k]) and _holds(other[1 - k], pair[1 - k])
         for k in (0, 1)

@@ -280,7 +280,7 @@ class Files(UserInputs):
     def segments(self, wildcards: Any) -> list[str]:
         """Gaps between cameras that get synthesised views: those that the survey selects.
 
-        The widest gap is left out where the survey says that the cameras' path is open.
+        The widest gap is left out unless ``closed_path`` is on.
         """
         forced = self.plan.forced.get("view_synthesis")
         if forced == "off" or self.config["background"]["views_share"] == 0:

@@ -22,8 +22,8 @@ _WALL_FROM_M = 1.2
 # The sky: rings of patches (elevation in degrees, number of patches), at this distance.
 _SKY_RINGS = ((20.0, 12), (40.0, 10), (60.0, 6), (80.0, 3))
 _SKY_M, _SKY_RADIUS = 200.0, 0.15
-# Patches are merged where the merged one, seen from people, is at most this fraction of its distance wide, so that a
-# hall has as few as a room.
+# Patches are merged where the width of the merged one, seen from people, is at most this part (1 / 4) of its distance,
+# so that a hall has as few as a room.
 _JOINED_FROM = 4.0
 # Pixels whose equations are set up at a time.
 _PIXELS = 256

@@ -22,7 +22,7 @@ class PathStep:
     """One picture of a path.
 
     Attributes:
-        camera: the camera.
+        camera: the camera that takes the picture.
         frame: 0-based working frame that is shown (fractions between frames are allowed).
         segment: name of the part of the path this picture belongs to (``"00"``, or a camera name for ``heldout``).
     """

@@ -99,7 +99,7 @@ def adapter_modules(step: str, config: Mapping[str, Any]) -> list[str]:
 
 
 def at(config: Mapping[str, Any], where: str) -> Any:
-    """The value of a setting with a dotted name; None when there is none."""
+    """The value of a setting with a dotted name; None for a missing one."""
     value: Any = config
     for key in where.split("."):
         value = value.get(key) if isinstance(value, Mapping) else None

@@ -52,7 +52,7 @@ NAMES = (
 )
 # Smaller pictures have no pyramid for the flow search; they get no temporal measures.
 _SMALLEST_FLOW_PX = 24
-# ꟻLIP takes ten times as long as the others, so only the first of every so many frames is measured.
+# ꟻLIP takes ten times as long as the others, so it is measured in one frame of this many, starting with the first.
 FLIP_EVERY = 12
 
 
