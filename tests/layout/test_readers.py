@@ -72,7 +72,7 @@ def test_no_step_opens_what_lies_between_steps_but_by_its_reader() -> None:
     places = READERS | NO_NOUN
     opening = {path: names for path in sorted(PACKAGE.rglob("*.py")) if (names := opened(path))}
     past = {str(path.relative_to(PACKAGE)): names for path, names in opening.items() if not within(path, places)}
-    assert not past, "read it with scene.intermediate.read and a schema"
+    assert not past, "read it with scene.step_files.read and a schema"
     used = {place for path in opening for place in within(path, places)}
     assert used == set(places), "what opens nothing needs no excuse"
 

@@ -51,7 +51,7 @@ class Painted:
     Attributes:
         face: the rectangle.
         points_m: (R, C, 3) nodes.
-        rgb: (R, C, 3) float64: averaged over the cameras where ``seen``, painted elsewhere.
+        rgb: (R, C, 3) float64: averaged over the cameras where ``seen``, otherwise painted.
         seen: (R, C) bool.
     """
 

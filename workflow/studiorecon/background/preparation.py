@@ -94,7 +94,7 @@ class Photo:
 
 
 def paint_room(photos: Sequence[Photo], box: RoomBox, settings: Settings) -> list[hole_filling.Painted]:
-    """The room's faces as the photos show them, and going on alike where no camera sees them."""
+    """The room's faces, painted from the photos and continued over unseen parts."""
     faces = box.rectangles
     step_m = hole_filling.node_step(faces, settings.fill_step_m, settings.fill_limit)
     cameras, plates, known, depths = zip(*((p.camera, p.rgb, p.known, p.depth_m) for p in photos))

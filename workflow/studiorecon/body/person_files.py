@@ -44,7 +44,7 @@ def write_person(path: Path, person: Person) -> None:
 def read_person(path: Path) -> Person:
     """The person of a file; frames with numbers that are not finite are filled and not valid.
 
-    A warning counts them. Raises UserError as ``intermediate.read`` does, also when no frame is finite.
+    A warning counts them. Raises UserError as ``step_files.read`` does, also when no frame is finite.
     """
 
     def made(data: dict[str, Any]) -> tuple[Person, np.ndarray]:

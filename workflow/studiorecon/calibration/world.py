@@ -67,7 +67,7 @@ def metres_per_unit(
 
 
 def camera_up(rotations_camera_from_world: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, " 3"]:
-    """(3,) unit up vector for cameras (N, 3, 3) held level: across all their x axes, on the side of their -y axes.
+    """(3,) unit up vector for level cameras (N, 3, 3): across all their x axes, on the side of their -y axes.
 
     Pitched cameras bias the mean of -y, but not the cross direction. With rolled cameras, or parallel x axes, the mean
     of -y is used.

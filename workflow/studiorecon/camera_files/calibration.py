@@ -42,7 +42,7 @@ class Calibration:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """The calibration; raises UserError as ``intermediate.read`` does."""
+    """The calibration; raises UserError as ``step_files.read`` does."""
     return read(path, _CALIBRATION, _calibration)
 
 

@@ -81,7 +81,7 @@ def onsets(samples: Float[np.ndarray, " N"]) -> Float[np.ndarray, "bands T"]:
 
 
 def compare(first: Float[np.ndarray, " N"], second: Float[np.ndarray, " M"]) -> SoundLag:
-    """``SoundLag`` of two sound tracks of ``sound_of``, from time 0 of their files on."""
+    """``SoundLag`` of two sound tracks of ``read_sound``, from time 0 of their files on."""
     shorter = min(len(first), len(second)) / RATE_HZ
     if shorter < _MIN_OVERLAP_S:
         return _nothing(f"{shorter:.1f} s of sound are too short")

@@ -163,7 +163,7 @@ def film_rows(steps: Sequence[PathStep]) -> Float[np.ndarray, "P 14"]:
 
 def read_shade(path: Path, count: int) -> Shade:
     """The shade in ``render/room.shade.npz`` of a room of ``count`` Gaussians; raises UserError as
-    ``intermediate.read`` does.
+    ``step_files.read`` does.
     """
     schema: Schema = {
         "at": whole("M", low=0, high=count - 1),

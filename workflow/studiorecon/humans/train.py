@@ -89,7 +89,7 @@ def run(
 ) -> None:
     """Train one person and write the avatar; pictures are divided by the gains and light of ``exposure``, if any.
 
-    Files stay (``unchanged``) where nothing near the person has changed since they were written. A killed run resumes
+    Files stay if nothing near the person has changed since (``result_cache``). A killed run resumes
     at its checkpoint. ``working`` is a folder of its own: the checkpoint, preview pictures, and the last result;
     ``lpips`` holds the weights of the perceptual term.
     """

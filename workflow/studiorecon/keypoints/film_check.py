@@ -326,7 +326,7 @@ def _points(keypoints: Num[np.ndarray, "D K 3"]) -> Float[np.ndarray, "N 2"]:
 
 
 def _in_film_pixels(recorded: Recorded, reading: Reading, as_read: Reading) -> Recorded:
-    """``recorded`` with its coordinates converted so that ``as_read`` gives what ``reading`` gives now."""
+    """``recorded`` with its coordinates converted so that ``as_read`` gives the same pixels as ``reading`` before."""
     if reading is as_read:
         return recorded
     inverse = np.linalg.inv(np.vstack([as_read.film_from_recorded, [0, 0, 1.0]]))[:2]

@@ -96,7 +96,7 @@ def redetect(
             first = detect_in_region(network, picture, region) if region is not None else None
             if first is None or place is None or now is None:
                 continue
-            # The network's own idea of the region is better, unless it leads to somebody else.
+            # The network's own region is better, unless it contains another person.
             tried = [first, *filter(None, [detect_in_region(network, picture, first.next_region)])]
             looks = [SecondLook(frame, k, before, t, view.working(t)) for t in tried]
             near = people[k].near_share
@@ -150,8 +150,7 @@ def improve_detections(
     owners: Sequence[str],
     row: int,
 ) -> Detections:
-    """The camera's detections as planned, with what was found by looking again, whose masks are rows ``row`` and
-    after."""
+    """The camera's detections after ``plan``, with the new ones, whose masks are rows ``row`` and after."""
     kept = ~plan.dropped
     kept[[look.replaces for look in looks if look.replaces >= 0]] = False
     keypoints, guess = own.keypoints.copy(), np.array(own.points_m)
@@ -206,11 +205,11 @@ def run(
     seen: Written,
     report: Written,
 ) -> None:
-    """Write ``detections`` (the camera's, improved), ``seen`` (the detector's file and what was added) and ``report``
-    (JSON, how many).
+    """Write ``detections`` (the camera's, improved), ``seen`` (the detector's file with additions) and ``report``
+    (JSON, counts).
 
-    ``first`` are the detections of all training cameras before, ``identities`` who is who in them; ``networks``,
-    ``second`` and ``layout`` as in detect.people.
+    ``first`` are the detections of all training cameras before, ``identities`` the persons of their tracks;
+    ``networks``, ``second`` and ``layout`` as in detect.people.
     """
     cameras, footage, who = read_model(model.parent), read_manifest(manifest).of(camera), read_identities(identities)
     given = [read_detections(p) for p in first]

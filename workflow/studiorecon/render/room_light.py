@@ -154,7 +154,7 @@ def write_light(path: Path, light: Light) -> None:
 
 
 def read_light(path: Path) -> Light:
-    """The light in a file of ``write_light``; raises UserError as ``intermediate.read`` does."""
+    """The light in a file of ``write_light``; raises UserError as ``step_files.read`` does."""
     return read(path, _LIGHT, _light)
 
 

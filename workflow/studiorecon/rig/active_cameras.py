@@ -22,7 +22,7 @@ def active_cameras(detections: Sequence[Detections], fps: float) -> list[int]:
 
 
 def inactive_camera_notes(detections: Sequence[Detections], fps: float) -> dict[str, str]:
-    """Camera → one sentence, for every camera that shows nobody, or hardly anybody, where another does."""
+    """Camera → one sentence, for every camera that shows no people, or hardly any, where another does."""
     frames, watched = _frames(detections), active_cameras(detections, fps)
     if not watched:
         return {}

@@ -291,8 +291,7 @@ def refine_rig(
     turns: Mapping[int, RoomTurn] | None = None,
     marks: FloorMarks | None = None,
 ) -> Rig | None:
-    """The rig after two rounds of grouping, triangulation and adjustment; a first pair is made metric by people's
-    bones.
+    """The rig after two rounds of grouping, triangulation and adjustment; people's bones give a first pair its scale.
 
     Before its scale is known (``first_pair``), the gate is a tenth of the pair's baseline. ``turns`` and
     ``marks`` as for ``adjust_rig``.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pose of a held-out camera from people whom the other cameras place, for judging its pictures.
+"""The pose of a held-out camera from people in the other cameras, for judging its pictures.
 
 Its observations move no point and no other camera. As in ``moved_cameras``, the prior at the given pose has several
 widths, and the narrower is chosen where it explains the validation halves about as well as the wide one.

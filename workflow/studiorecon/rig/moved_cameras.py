@@ -146,7 +146,7 @@ def refine_with_wider_prior(
     """The cameras under the narrowest prior that explains validation halves; None where that is ``bundle``'s own.
 
     Also None with too little evidence. ``lost``: almost nothing agrees with the given cameras. Then wider gates are
-    tried too, since identities and poses depend on each other, and at last a rig from people alone (``people_rig``),
+    tried too, since identities and poses depend on each other, and at last a rig from people alone (``from_tracks``),
     aligned to the given cameras. The room in ``rooms`` is used with people where it is consistent. For two cameras the
     only validation is by frames and joints outside of the fit, and the room.
     """
@@ -230,8 +230,8 @@ class _Used:
 
 
 def _agreeing(seen: Observations, cameras: Sequence[Camera], limits: Limits) -> _Used | None:
-    """What three views or more agree on, or both of two; all frames of a joint weigh as one observation, as in
-    ``people_bundle.fit_cameras``."""
+    """Observations on which three views agree, or both of two; all frames of a joint count as one, as in
+    ``bundle.fit_cameras``."""
     if not len(seen.frame):
         return None
     found = triangulate(seen.pixels, seen.confidence, cameras, limits)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
 # A keypoint agrees when it is within this share of the longer image side of the others' prediction: three times the
-# largest error of a calibration (``Agreement.max_error_share``), since clocks and detectors add errors.
+# largest error of a calibration (``AgreementLimits.max_error_share``), since clocks and detectors add errors.
 _REACH_SHARE = 0.03
 # Share of keypoints at the others' people, relative to that share among the others (their median): contradicted below
 # the first, explained from the second. With one mix-up in one camera of a studio it was 0 to 0.3, and 1.1 after
@@ -36,8 +36,8 @@ _CONTRADICTED, _EXPLAINED = 0.4, 0.8
 _OTHERS_AGREE, _MIN_POINTS, _MIN_FRAMES = 0.3, 60, 5
 _LOOSE = 3.0
 _FRAMES = 48
-# Share of contradicted points (``bundle.contradicted_share``) past which somebody must be wrong: 0.2 to 0.75 where all
-# is well (people that two cameras confuse are contradicted too), 0.96 and more where something was mixed up.
+# Share of contradicted points (``bundle.contradicted_share``) above which one camera must be wrong: 0.2 to 0.75 without
+# a mix-up (people that two cameras confuse are contradicted too), 0.96 and more with one.
 _WRONG_SOMEWHERE = 0.9
 _MAX_LAG = 90
 # A knocked tripod turns by less than this.

@@ -49,16 +49,14 @@ def pose_sigmas(
     marks: FloorMarks | None = None,
     principal_share: float = _PRINCIPAL_SHARE,
 ) -> tuple[Num[np.ndarray, " V"], Num[np.ndarray, " V"], Num[np.ndarray, " V"]]:
-    """Standard deviations of turn (degrees), place (metres) and focal length (share) of cameras relative to one
-    another.
+    """Sigmas of rotation (degrees), position (metres) and focal length (share) of cameras relative to one another.
 
-    The largest of what the residuals say (``Adjusted.sigma``, with all places of a joint as one observation), and of
-    what half fits are off in the root mean square, of the clip and of the joints; and 0.2° of what no half shows, with
-    what that means in place at the people's distance; and the principal point, which nobody looks for
-    (``principal_share`` of the longer side; 0 where lenses were calibrated). The difference
-    of a half from the whole is as uncertain as the whole where errors are independent. Focal lengths are known no worse
-    than ``lens`` says; ``known_px``, ``turns`` and ``marks`` as for ``adjust_rig``: fields of the floor
-    are halves too.
+    The largest of the residuals' (``Adjusted.sigma``, with all cells of a joint as one observation), and of the root
+    mean square errors of fits to halves of the clip and of the joints. Added are 0.2° that no half shows, with their
+    effect on position at the people's distance, and the principal point, which is not estimated (``principal_share`` of
+    the longer side; 0 where lenses were calibrated). With independent errors, the difference of a half from the whole
+    is as uncertain as the whole. Sigmas of focal lengths are at most those of ``lens``; ``known_px``, ``turns`` and
+    ``marks`` as for ``adjust_rig``: fields of the floor are halves too.
     """
     counted = rig.points.verified if len(result.cameras) > 2 else rig.points.valid
     early = rig.seen.frame <= np.median(rig.seen.frame[counted]) if counted.any() else counted

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _ROUNDS = 6
 _SETTLED_SHARE = 0.002
 # Rounds in which people are grouped again after the room's edges turned the cameras; least share of people's support to
-# keep.
+# keep, and largest factor on their error.
 _EDGE_ROUNDS = 2
 _KEPT_SUPPORT, _EDGES_COST = 0.9, 1.2
 

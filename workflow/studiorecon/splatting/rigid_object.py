@@ -191,7 +191,7 @@ def write_objects(path: Path, objects: Sequence[RigidObject], frames: int) -> No
 
 
 def read_objects(path: Path) -> list[RigidObject]:
-    """The objects of a scene; raises UserError as ``intermediate.read`` does."""
+    """The objects of a scene; raises UserError as ``step_files.read`` does."""
     names = [str(name) for name in read(path, {"names": Listed(text())}, names=("names",))["names"]]
     schema: dict[str, Schema] = {"names": Listed(text()), "frames": whole(low=1)}
     for name in names:

@@ -54,7 +54,7 @@ class Settings(Made):
 
 
 def read_request(path: Path) -> dict[str, Shaped[np.ndarray, " ..."]]:
-    """The arrays of a request (npz), which its network checks; raises UserError as ``intermediate.read`` does."""
+    """The arrays of a request (npz), which its network checks; raises UserError as ``step_files.read`` does."""
     return read(path, Named(real("...")))
 
 

@@ -159,7 +159,7 @@ class Avatar:
 
     @property
     def drifting(self) -> Bool[np.ndarray, " N"]:
-        """(N,) bool: the Gaussians that ``network`` acts on, the measured ones unless it says otherwise."""
+        """(N,) bool: the Gaussians that ``network`` acts on: the measured ones, or all."""
         everywhere = self.network is not None and self.network.everywhere
         return np.ones(len(self.provenance), bool) if everywhere else self.provenance == MEASURED
 
@@ -235,7 +235,7 @@ def _sha256(path: Path) -> str:
 def read_avatar(ply: Path, npz: Path, model: BodyModel, *, brought: bool = False) -> Avatar:
     """Read the files of ``write_avatar``.
 
-    Raises UserError as ``intermediate.read`` does, also when the two were not written together or belong to another
+    Raises UserError as ``step_files.read`` does, also when the two were not written together or belong to another
     body model. The Gaussians of ``brought`` may have been renamed or repainted by a user.
     """
     gaussians = read_ply(ply)
@@ -269,7 +269,7 @@ def read_avatar(ply: Path, npz: Path, model: BodyModel, *, brought: bool = False
 
 def read_decision(npz: Path) -> Decision | None:
     """The survey's decision on the network in an avatar's file, None when it made none; raises UserError as
-    ``intermediate.read`` does."""
+    ``step_files.read`` does."""
 
     def made(data: dict[str, Any]) -> Decision | None:
         told = str(data["decision"])

@@ -143,7 +143,7 @@ class TemporalNetwork:
         return encode_position(in_body_box(points_m, self.low_m, self.high_m))
 
     def _evaluate(self, place: np.ndarray, frame: float) -> np.ndarray:
-        """(M, 4) colour and opacity residuals at places of code (M, 63)."""
+        """(M, 4) colour and opacity residuals at positions with code (M, 63)."""
         code = np.empty((len(place), _INPUTS), np.float32)
         code[:, :_POSITION_INPUTS] = place
         at = float(np.clip(frame, 0, self.frames - 1))

@@ -156,9 +156,9 @@ class Equations:
 def _factors(
     normal: Normal, damping: np.ndarray, floor: float, kind: type
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Factors L of H, transposed (F, 75, 75), rows of L⁻¹[C g] (F, S + 1, 75), and Σ [C g]ᵀ H⁻¹ [C g] (S + 1, S + 1).
+    """Factors L of H, transposed, rows of L⁻¹[C g], and Σ [C g]ᵀ H⁻¹ [C g]; None where H is not positive definite.
 
-    None where H is not positive definite.
+    Shapes: (F, 75, 75), (F, S + 1, 75), (S + 1, S + 1).
     """
     lower: np.ndarray = normal.own.astype(kind)
     solved: np.ndarray = normal.rows.astype(kind)

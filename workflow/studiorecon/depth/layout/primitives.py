@@ -96,7 +96,7 @@ def write_primitives(path: Path, primitives: Sequence[Primitive]) -> None:
 
 
 def read_primitives(path: Path) -> list[Primitive]:
-    """The primitives in ``depth/primitives.json``; raises UserError as ``intermediate.read`` does."""
+    """The primitives in ``depth/primitives.json``; raises UserError as ``step_files.read`` does."""
     return read(path, {"primitives": Listed(_PRIMITIVE)}, lambda value: [_primitive(v) for v in value["primitives"]])
 
 

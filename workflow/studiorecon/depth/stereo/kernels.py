@@ -112,8 +112,10 @@ def hidden(depth, o, flat, z):
 
 @njit(cache=True, parallel=True)
 def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, judges, half, mean_weight):
-    """Fill ``pair``, ``at``, ``z``, ``cost`` and ``judges`` (see ``evidence.Explained``) for the surfaces in ``depth``
-    and ``surface``."""
+    """Fill ``pair``, ``at``, ``z``, ``cost`` and ``judges`` for the surfaces in ``depth`` and ``surface``.
+
+    ``photo_cost.PhotoCostVolume`` describes them.
+    """
     views, height, width = known.shape
     for job in prange(views * views):
         v, o = job // views, job % views

@@ -39,7 +39,7 @@ class Feedback:
         self.losses, self.psnrs_db = record["losses"].tolist(), record["psnrs_db"].tolist()
 
     def add(self, loss: float, psnr_db: float) -> bool:
-        """Record one iteration; returns True when a tenth is done and ``tell`` is due."""
+        """Record one iteration; returns True when a tenth is done and ``report_progress`` is due."""
         self.losses.append(loss)
         self.psnrs_db.append(psnr_db)
         return len(self.losses) % self._tenth == 0

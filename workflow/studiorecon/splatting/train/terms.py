@@ -268,7 +268,7 @@ def active_terms(weights: Any, network: Perceptual | None = None) -> list[Term]:
     """The terms whose weights (fields ``l1``, ``ssim``, ``lpips`` and the names in ``WEIGHED``) are above 0; L1 and
     SSIM always.
 
-    ``weighing``, where there is such a field, selects what the targets' weights multiply.
+    ``weighing``, where there is such a field, selects the errors that the targets' weights multiply.
     """
     named = ((make, getattr(weights, name, 0.0)) for name, make in WEIGHED.items())
     terms: list[Term] = [L1AndSsim(weights.l1, weights.ssim), *(make(weight) for make, weight in named if weight > 0)]
