@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""enhance: clips in parts, cuts, clips that stand still, and any folder of pictures."""
+"""enhance: cuts, clips that stand still, and any folder of pictures."""
 
 from __future__ import annotations
 
@@ -19,21 +19,7 @@ from studiorecon.footage.video import write_lossless
 from studiorecon.recursive.clip import is_still
 from studiorecon.scene.path import PathStep
 
-from tests.made.enhance_folder import VIEW, Warmer, panning, played, write_pictures
-from tests.made.enhance_limits import PAPER
-
-
-@pytest.mark.parametrize("flow", ["direct", "chained"])
-@pytest.mark.parametrize("cut", [1, 2, 3, 7])
-def test_a_clip_in_two_parts_has_the_bytes_of_one_pass(flow: str, cut: int) -> None:
-    pictures, reading = panning(10), replace(PAPER, flow=flow)
-    whole = played(pictures, Warmer(), injection=reading)
-    overlap = list(zip(pictures[:cut], whole[:cut]))[-reading.history :]
-    rest = played(pictures[cut:], Warmer(), tuple(overlap), reading)
-    for a, b in zip(whole[cut:], rest, strict=True):
-        np.testing.assert_array_equal(a, b)
-    alone = played(pictures[cut:], Warmer(), (), reading)
-    assert not np.array_equal(alone[0], rest[0]), "without the overlap the first picture of a part would differ"
+from tests.made.enhance_folder import VIEW, panning, played, write_pictures
 
 
 def test_a_cut_starts_the_injection_anew(capsys: pytest.CaptureFixture) -> None:
@@ -44,14 +30,6 @@ def test_a_cut_starts_the_injection_anew(capsys: pytest.CaptureFixture) -> None:
     assert "picture 5 of segment a follows a cut" in "".join(capsys.readouterr())
     played(first, Unchanged())
     assert "cut" not in "".join(capsys.readouterr()), "panning is no cut"
-
-
-@pytest.mark.parametrize("at", [5, 6, 7])
-def test_a_part_that_starts_shortly_after_a_cut_knows_of_it(at: int) -> None:
-    pictures = panning(5, 3) + panning(5, 4)
-    whole = played(pictures, Warmer())
-    rest = played(pictures[at:], Warmer(), tuple(zip(pictures[at - 3 : at], whole[at - 3 : at])))
-    np.testing.assert_array_equal(np.stack(whole[at:]), np.stack(rest))
 
 
 def test_pictures_of_two_sizes_are_refused() -> None:
@@ -78,15 +56,12 @@ def read(folder: Path) -> list[np.ndarray]:
     return [cv2.imread(str(p))[..., ::-1] for p in sorted(folder.glob("*.png"))]
 
 
-def test_any_folder_is_steadied_and_parts_are_gone_on_with(tmp_path: Path, settings: enhance_folder.Settings) -> None:
+def test_any_folder_is_steadied(tmp_path: Path, settings: enhance_folder.Settings) -> None:
     pictures = panning(8)
     source = write_pictures(tmp_path / "renders", pictures)
     enhance_folder.run(settings, source, None, tmp_path / "whole")
-    for first in (0, 3, 6):
-        enhance_folder.run(settings, source, None, tmp_path / "parts", first, 3)
-    whole, parts = read(tmp_path / "whole"), read(tmp_path / "parts")
-    assert len(whole) == len(parts) == 8
-    np.testing.assert_array_equal(np.stack(whole), np.stack(parts))
+    whole = read(tmp_path / "whole")
+    assert len(whole) == 8
     np.testing.assert_array_equal(whole[0], pictures[0])
     assert any((a != b).any() for a, b in zip(whole[1:], pictures[1:]))
     write_lossless(tmp_path / "renders.mkv", pictures, 10.0)
@@ -100,7 +75,7 @@ def test_a_still_folder_comes_out_as_it_went_in(
     picture = panning(1)[0]
     enhance_folder.run(settings, write_pictures(tmp_path / "renders", [picture] * 4), None, tmp_path / "out")
     np.testing.assert_array_equal(np.stack(read(tmp_path / "out")), np.stack([picture] * 4))
-    assert "stands still" in "".join(capsys.readouterr())
+    assert "nothing to steady" in "".join(capsys.readouterr())
 
 
 def test_folders_that_do_not_do_are_refused_by_name(tmp_path: Path, settings: enhance_folder.Settings) -> None:
@@ -113,12 +88,6 @@ def test_folders_that_do_not_do_are_refused_by_name(tmp_path: Path, settings: en
         enhance_folder.run(settings, tmp_path / "empty", None, tmp_path / "out")
     with pytest.raises(UserError, match="neither a folder of pictures nor a video"):
         enhance_folder.run(settings, tmp_path / "nowhere", None, tmp_path / "out")
-    with pytest.raises(UserError, match=r"000001\.png is missing.*make the pictures from 1 on first"):
-        enhance_folder.run(
-            replace(settings, injection=replace(settings.injection, history=2)), source, None, tmp_path / "out", 3, 1
-        )
-    with pytest.raises(UserError, match="no picture 9"):
-        enhance_folder.run(settings, source, None, tmp_path / "out", 9)
     with pytest.raises(UserError, match="needs cameras, depth"):
         enhance_folder.run(replace(settings, enhancer="residual"), source, None, tmp_path / "out")
     (source / "frame0002.png").write_bytes(b"broken")

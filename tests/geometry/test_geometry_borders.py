@@ -43,7 +43,7 @@ PINHOLE = Lens(
 )
 SETTINGS = bundle.BundleSettings(iterations=1, prior_deg=1.0, prior_m=0.1)
 EYES = np.tile(np.eye(3), (4, 24, 1, 1))
-FPS = smoothing.Smoothing(0.05, 0.03, "cascade", True, "rotations")
+FPS = smoothing.Smoothing(0.05, 0.03, True, "rotations")
 Case = tuple[Callable[[], object], str]
 
 

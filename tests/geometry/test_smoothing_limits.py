@@ -23,13 +23,12 @@ def apart_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.rad2deg(rotations.angle(a, b))
 
 
-@pytest.mark.parametrize("passes", ["cascade", "average"], ids="F01-{}".format)
-def test_angles_alternating_about_half_a_turn_stay_there(passes: str) -> None:
+def test_f01_angles_alternating_about_half_a_turn_stay_there() -> None:
     # Axis-angle components of ±179° average to 39..77°; the truth is 180°.
     turns = about(Z, np.where(np.arange(40) % 2, 179.0, -179.0))
-    smooth = smoothing.smooth_rotations(turns, *PAPER, passes)
+    smooth = smoothing.smooth_rotations(turns, *PAPER)
     assert apart_deg(smooth, about(Z, np.full(40, 180.0))).max() < 1
-    literal = Smoothing(HALF_S, 1 / 30, passes, True, "axis_angles").smooth_body(
+    literal = Smoothing(HALF_S, 1 / 30, True, "axis_angles").smooth_body(
         np.tile(turns[:, None], (1, 24, 1, 1)), np.zeros((40, 3)), 30.0
     )
     assert apart_deg(literal[0][:, 3], about(Z, np.full(40, 180.0))).min() > 90  # the naive form, selectable (U42)
@@ -113,21 +112,16 @@ def test_an_unfilled_gap_is_refused(bad: float) -> None:
         smoothing.smooth_rotations(turns, *PAPER)
 
 
-@pytest.mark.parametrize(
-    ("passes", "sigma", "kept"),
-    [("average", 0.0, 0.356), ("cascade", 0.0, 0.147), ("average", 1.0, 0.071), ("cascade", 1.0, 0.046)],
-    ids=["F06-average", "F06-cascade", "F06-average-gauss", "F06-cascade-gauss"],
-)
-def test_the_chosen_passes_are_taken_exactly(passes: str, sigma: float, kept: float) -> None:
-    """Acceleration that white noise keeps; the two readings differ by 2.4 without the Gaussian."""
-    weights = smoothing.kernel(0.5, sigma, passes)
+@pytest.mark.parametrize(("sigma", "kept"), [(0.0, 0.147), (1.0, 0.046)], ids=["F06-cascade", "F06-cascade-gauss"])
+def test_the_passes_are_a_cascade(sigma: float, kept: float) -> None:
+    """Acceleration that white noise keeps; averaged passes would keep 2.4 times as much without the Gaussian."""
+    weights = smoothing.kernel(0.5, sigma)
     second = np.array([1.0, -2.0, 1.0])
     assert np.linalg.norm(np.convolve(weights, second)) / np.linalg.norm(second) == pytest.approx(kept, abs=0.002)
     # Sample by sample, as the recursion is written.
     values = np.random.default_rng(3).normal(size=400)
-    forward, backward = recursion(values, 0.5), recursion(values[::-1], 0.5)[::-1]
-    truth = recursion(forward[::-1], 0.5)[::-1] if passes == "cascade" else (forward + backward) / 2
-    found = smoothing.smooth_vectors(values, 0.5, 0.0, passes)
+    truth = recursion(recursion(values, 0.5)[::-1], 0.5)[::-1]
+    found = smoothing.smooth_vectors(values, 0.5, 0.0)
     np.testing.assert_allclose(found[60:-60], truth[60:-60], atol=1e-3)
 
 
@@ -148,10 +142,9 @@ def test_the_share_of_a_motion_that_is_kept_is_documented(period: int, kept: flo
     assert np.rad2deg(found[120 - 120 % period]) == pytest.approx(20 * kept, abs=0.3)
 
 
-@pytest.mark.parametrize("passes", ["cascade", "average"], ids="F08-{}".format)
-def test_the_first_frame_has_no_more_say_than_others(passes: str) -> None:
+def test_f08_the_first_frame_has_no_more_say_than_others() -> None:
     # Averaged passes that start from the first sample: weight 0.75 on itself, influence 1.25 in all.
-    influence = smoothing.smooth_vectors(np.eye(60), *PAPER, passes).sum(0)
+    influence = smoothing.smooth_vectors(np.eye(60), *PAPER).sum(0)
     assert influence.max() < 1.12
     assert influence[0] < 1.05
     np.testing.assert_allclose(influence.sum(), 60)
@@ -177,17 +170,17 @@ def test_what_is_smoothed_follows_the_settings() -> None:
     """U42: the root with the pose, or the pose alone; U41: the deviation is a time."""
     rng = np.random.default_rng(4)
     local, trans = rotations.exp(rng.normal(0, 0.3, (30, 24, 3))), rng.normal(size=(30, 3))
-    whole = Smoothing(HALF_S, 1 / 30, "cascade", True, "rotations").smooth_body(local, trans, 30.0)
-    body = Smoothing(HALF_S, 1 / 30, "cascade", False, "rotations").smooth_body(local, trans, 30.0)
+    whole = Smoothing(HALF_S, 1 / 30, True, "rotations").smooth_body(local, trans, 30.0)
+    body = Smoothing(HALF_S, 1 / 30, False, "rotations").smooth_body(local, trans, 30.0)
     np.testing.assert_array_equal(whole[0][:, 1:], body[0][:, 1:])
     np.testing.assert_array_equal(body[0][:, 0], local[:, 0])
     np.testing.assert_array_equal(body[1], trans)
     np.testing.assert_allclose(whole[1], smoothing.smooth_vectors(trans, 0.5, 1.0))
     assert apart_deg(whole[0][:, 0], local[:, 0]).mean() > 1
-    faster = Smoothing(HALF_S, 1 / 30, "cascade", True, "rotations").smooth_body(local, trans, 60.0)
+    faster = Smoothing(HALF_S, 1 / 30, True, "rotations").smooth_body(local, trans, 60.0)
     np.testing.assert_allclose(faster[1], smoothing.smooth_vectors(trans, 1 - 0.5**0.5, 2.0))
     with pytest.raises(ValueError, match=r"trans_m has shape \(29, 3\)"):
-        Smoothing(HALF_S, 1 / 30, "cascade", True, "rotations").smooth_body(local, trans[:29], 30.0)
+        Smoothing(HALF_S, 1 / 30, True, "rotations").smooth_body(local, trans[:29], 30.0)
 
 
 def test_no_smoothing_changes_nothing() -> None:
@@ -207,7 +200,7 @@ def test_time_reversal_commutes() -> None:
 
 @pytest.mark.parametrize("fps", [15.0, 60.0, 120.0])
 def test_smoothing_keeps_its_length_in_seconds(fps: float) -> None:
-    reference = Smoothing(1 / (30 * np.log(2)), 1 / 30, "cascade", True, "rotations")
+    reference = Smoothing(1 / (30 * np.log(2)), 1 / 30, True, "rotations")
     alpha, sigma = smoothing.at_frame_rate(reference, fps)
     # A motion of two seconds keeps the same share at every frame rate.
     assert smoothing.gain(alpha, sigma, 2 * fps) == pytest.approx(smoothing.gain(0.5, 1.0, 60), abs=0.01)

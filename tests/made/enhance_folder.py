@@ -35,12 +35,10 @@ class Warmer:
         return np.clip(image + np.float32([0.02, 0.0, -0.01]), 0, 1)
 
 
-def played(
-    pictures: list[np.ndarray], enhancer: object, before: tuple = (), injection: object = PAPER
-) -> list[np.ndarray]:
+def played(pictures: list[np.ndarray], enhancer: object, injection: object = PAPER) -> list[np.ndarray]:
     steps = [PathStep(VIEW, float(k), "a") for k in range(len(pictures))]
     depths = [np.full(VIEW.hw, 2000, np.uint16)] * len(pictures)
-    return list(enhanced(steps, pictures, depths, lambda step: pictures[0], enhancer, injection, SEARCH, before))
+    return list(enhanced(steps, pictures, depths, lambda step: pictures[0], enhancer, injection, SEARCH))
 
 
 def write_pictures(folder: Path, pictures: list[np.ndarray]) -> Path:

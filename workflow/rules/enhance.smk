@@ -42,34 +42,6 @@ rule enhance_shot:
         command("enhance.shot")
 
 
-# On request: snakemake results/SCENE/enhance/orbit.37.steps.png shows how picture 37 was made.
-rule enhance_sheet:
-    input:
-        render="results/{scene}/render/{shot}.mkv",
-        render_path="results/{scene}/render/{shot}.json",
-        video="results/{scene}/enhance/{shot}.mkv",
-        decisions="results/{scene}/enhance/{shot}.decisions.json",
-    output:
-        image="results/{scene}/enhance/{shot}.{picture}.steps.png",
-    log:
-        "logs/{scene}/enhance/sheet/{shot}.{picture}.log",
-    benchmark:
-        "timings/{scene}/enhance/sheet/{shot}.{picture}.tsv"
-    container:
-        model_image(PLAN.networks.enhance)
-    threads: 1
-    resources:
-        mem_mb=800,
-        gpu=gpus(PLAN.networks.enhance),
-    params:
-        settings=settings("enhance.sheet"),
-        code=code("enhance.sheet"),
-        weights=PLAN.networks.weights if PLAN.networks.enhance else "none",
-        device=config["device"] if PLAN.networks.enhance else "cpu",
-    shell:
-        command("enhance.sheet")
-
-
 rule enhance_comparison:
     input:
         render="results/{scene}/render/{shot}.mkv",

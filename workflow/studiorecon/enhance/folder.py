@@ -2,11 +2,8 @@
 """``enhance.folder``: enhances any method's rendered pictures, with photos for reference and consistency injection.
 
     python -m studiorecon enhance.folder --settings config/config.yaml --pictures DIR --references DIR --output DIR
-    [--first N --count M]
 
-Pictures and references are folders of pictures (in the order of their names) or videos. A part of a clip continues from
-the pictures already in the output folder, with the same bytes as one pass. So a long clip can be made in parts, and an
-interrupted one continued.
+Pictures and references are folders of pictures (in the order of their names) or videos.
 """
 
 from __future__ import annotations
@@ -30,7 +27,7 @@ from studiorecon.progress import progress, say
 from studiorecon.recursive.clip import enhanced, is_still
 from studiorecon.recursive.flows import load_flow
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.numbered_files import natural
+from studiorecon.scene.numbered import natural
 from studiorecon.scene.path import PathStep
 
 if TYPE_CHECKING:
@@ -45,14 +42,13 @@ class Settings(Enhancing, Injecting):
     """Settings of this step."""
 
 
-def read_pictures(source: Path, first: int = 0, count: int | None = None) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-    """(H, W, 3) uint8 pictures ``first`` … of a folder, in the order of their names, or of a video.
+def read_pictures(source: Path) -> Iterator[Integer[np.ndarray, "H W 3"]]:
+    """(H, W, 3) uint8 pictures of a folder, in the order of their names, or of a video.
 
     Raises UserError for a source that is missing, holds no pictures, or holds one that cannot be read.
     """
-    stop = None if count is None else first + count
     if source.is_file() and source.suffix.lower() in _VIDEOS:
-        yield from islice(read_frames(source), first, stop)
+        yield from read_frames(source)
         return
     if not source.is_dir():
         raise UserError(f"{source} is neither a folder of pictures nor a video")
@@ -61,7 +57,7 @@ def read_pictures(source: Path, first: int = 0, count: int | None = None) -> Ite
     )
     if not files:
         raise UserError(f"{source} holds no pictures ({', '.join(sorted(_PICTURES))})")
-    for file in files[first:stop]:
+    for file in files:
         yield np.ascontiguousarray(read_image(file, cv2.IMREAD_COLOR)[..., ::-1])
 
 
@@ -70,16 +66,13 @@ def run(
     pictures: Path,
     references: Path | None,
     output: Path,
-    first: int = 0,
-    count: int = 0,
     weights: Path = Path("resources/weights"),
     device: str = "auto",
 ) -> None:
-    """Enhance pictures ``first`` … ``first + count - 1`` (0 = to the end) into ``output``/000000.png, 000001.png, …
+    """Enhance pictures into ``output``/000000.png, 000001.png, …
 
-    References are one photo for all pictures, or one per picture. Raises UserError when an enhancer needs inputs that a
-    folder does not have, when the numbers of pictures and references do not agree, and when the outputs before
-    ``first`` are missing.
+    References are one photo for all pictures, or one per picture. Raises UserError where an enhancer needs what a
+    folder does not have, and where the numbers of pictures and references do not fit.
     """
     if settings.enhancer == "residual":
         raise UserError(
@@ -92,10 +85,7 @@ def run(
             "the enhancer precomputed is for films of a scene's shots; set enhance.enhancer to none or to a network"
         )
     total = sum(1 for _ in read_pictures(pictures))
-    wanted = min(count or total, total - first)
-    if wanted < 1:
-        raise UserError(f"{pictures} holds {total} pictures, so there is no picture {first}")
-    photos = list(read_pictures(references, 0, 1)) if references is not None else []
+    photos = list(islice(read_pictures(references), 1)) if references is not None else []
     given = sum(1 for _ in read_pictures(references)) if references is not None else 0
     if given not in (0, 1, total):
         raise UserError(
@@ -108,10 +98,6 @@ def run(
     if injection.history and is_still(steps, read_pictures(pictures)):
         say(f"{pictures} does not move, so there is nothing to steady: no earlier outputs are injected")
         injection = replace(injection, history=0)
-    overlap = min(injection.history, first)
-    before = list(
-        zip(read_pictures(pictures, first - overlap, overlap), _earlier(output, first - overlap, overlap), strict=True)
-    )
     if settings.enhancer == "difix" and not given:
         raise UserError(
             "the enhancer difix needs a photo for reference; give --references, or "
@@ -119,27 +105,15 @@ def run(
         )
     enhancer = network(settings.enhancer, weights, device, settings.seed)
     search = load_flow(settings.flow, settings.flow_preset, weights, device)
-    each = read_pictures(references, first, wanted) if references is not None and given == total and total > 1 else None
+    each = read_pictures(references) if references is not None and given == total and total > 1 else None
 
     def reference(step: PathStep) -> np.ndarray:
         # ``enhanced`` calls this once per picture, in order.
         return next(each) if each is not None else photos[0] if photos else np.zeros((1, 1, 3), np.uint8)
 
-    parts = read_pictures(pictures, first, wanted)
     unknown_depth = np.zeros(next(read_pictures(pictures)).shape[:2], np.uint16)
-    depths = (unknown_depth for _ in range(wanted))
-    outputs = enhanced(steps[first : first + wanted], parts, depths, reference, enhancer, injection, search, before)
-    for index, picture in enumerate(progress(outputs, f"pictures of {pictures.name}", total=wanted), first):
+    depths = (unknown_depth for _ in range(total))
+    outputs = enhanced(steps, read_pictures(pictures), depths, reference, enhancer, injection, search)
+    for index, picture in enumerate(progress(outputs, f"pictures of {pictures.name}", total=total)):
         write_png(output / f"{index:06d}.png", picture)
-    say(f"{wanted} pictures of {pictures} are in {output}; the film continues from {overlap} earlier outputs")
-
-
-def _earlier(output: Path, first: int, count: int) -> Iterator[np.ndarray]:
-    for index in range(first, first + count):
-        file = output / f"{index:06d}.png"
-        if not file.is_file():
-            raise UserError(
-                f"{file} is missing; a part of a clip goes on from the outputs before it: "
-                f"make the pictures from {index} on first"
-            )
-        yield np.ascontiguousarray(read_image(file, cv2.IMREAD_COLOR, "make it again")[..., ::-1])
+    say(f"{total} pictures of {pictures} are in {output}")

@@ -31,10 +31,7 @@ _MEAN_STEPS = 2
 
 @dataclass(frozen=True)
 class Smoothing:
-    """Strength of the smoothing.
-
-    ``passes``: the second exponential pass runs over the first one's result, or the two are averaged (U40).
-    """
+    """Strength of the smoothing."""
 
     forget_s: float = setting(
         0.0277,
@@ -52,7 +49,6 @@ class Smoothing:
         paper="0.0333, 1 frame at 30 fps, appendix; U41",
         paper_value=0.0333,
     )
-    passes: Literal["cascade", "average"] = "cascade"
     root: bool = setting(True, "Smooth the pelvis's turn and position too.", paper="false; U42", paper_value=False)
     smooth_in: Literal["rotations", "axis_angles"] = setting(
         "rotations",
@@ -72,11 +68,11 @@ class Smoothing:
         require("trans_m", trans_m, ("T", 3), sizes, finite=True)
         alpha, sigma = at_frame_rate(self, fps)
         if self.smooth_in == "axis_angles":
-            turns = rotations.exp(smooth_vectors(rotations.log(local), alpha, sigma, self.passes))
+            turns = rotations.exp(smooth_vectors(rotations.log(local), alpha, sigma))
         else:
-            turns = smooth_rotations(local, alpha, sigma, self.passes)
+            turns = smooth_rotations(local, alpha, sigma)
         if self.root:
-            return turns, smooth_vectors(trans_m, alpha, sigma, self.passes)
+            return turns, smooth_vectors(trans_m, alpha, sigma)
         return np.concatenate([local[:, :1], turns[:, 1:]], axis=1), np.array(trans_m, dtype=np.float64)
 
 
@@ -91,20 +87,16 @@ def at_frame_rate(smoothing: Smoothing, fps: float) -> tuple[float, float]:
     return float(forgotten), smoothing.sigma_s * fps
 
 
-def kernel(alpha: float, sigma_frames: float, passes: str = "cascade") -> Num[np.ndarray, " W"]:
+def kernel(alpha: float, sigma_frames: float) -> Num[np.ndarray, " W"]:
     """(2R + 1,) weights that sum to 1: exponential passes (U40), then Gaussian cut at four deviations (U41).
 
-    The cascade's response is α/(2−α) (1−α)^|d|; the average's α/2 (1−α)^|d| and α at d = 0, which keeps more noise.
-    Raises ValueError for α outside (0, 1], a negative σ and other passes.
+    The second pass runs over the first one's result: its response is α/(2−α) (1−α)^|d|. Raises ValueError for α outside
+    (0, 1] and a negative σ.
     """
     if not 0 < alpha <= 1 or sigma_frames < 0:
         raise ValueError(f"alpha must be in (0, 1] and sigma ≥ 0, not {alpha} and {sigma_frames}")
     reach = 0 if alpha == 1 else int(np.ceil(np.log(_FADED) / np.log(1 - alpha)))
-    if passes not in ("cascade", "average"):
-        raise ValueError(f"passes must be cascade or average, not {passes!r}")
     both = (1 - alpha) ** np.abs(np.arange(-reach, reach + 1)) if reach else np.ones(1)
-    if passes == "average":
-        both[reach] *= 2  # both passes weigh the sample itself
     # A narrower Gaussian gives neighbours no weight; dividing by it would only overflow.
     wide = int(np.ceil(_GAUSS_REACH * sigma_frames)) if sigma_frames > 1e-3 else 0
     gauss = np.exp(-0.5 * (np.arange(-wide, wide + 1) / sigma_frames) ** 2) if wide else np.ones(1)
@@ -112,9 +104,9 @@ def kernel(alpha: float, sigma_frames: float, passes: str = "cascade") -> Num[np
     return both / both.sum()
 
 
-def gain(alpha: float, sigma_frames: float, period_frames: float, passes: str = "cascade") -> float:
+def gain(alpha: float, sigma_frames: float, period_frames: float) -> float:
     """Share of a sinusoidal motion of that period that survives (F07). Raises ValueError as ``kernel`` does."""
-    weights = kernel(alpha, sigma_frames, passes)
+    weights = kernel(alpha, sigma_frames)
     reach = len(weights) // 2
     return float(weights @ np.cos(2 * np.pi * np.arange(-reach, reach + 1) / period_frames))
 
@@ -143,9 +135,7 @@ def fill_rotations(values: Num[np.ndarray, "T ... 3 3"], valid: Bool[np.ndarray,
     return np.where(valid.reshape(-1, *(1,) * (values.ndim - 1)), values, filled)
 
 
-def smooth_vectors(
-    values: Num[np.ndarray, "T ..."], alpha: float, sigma_frames: float, passes: str = "cascade"
-) -> Num[np.ndarray, "T ..."]:
+def smooth_vectors(values: Num[np.ndarray, "T ..."], alpha: float, sigma_frames: float) -> Num[np.ndarray, "T ..."]:
     """(T, ...) smoothed along the first axis; fewer than three frames pass through (F04).
 
     Raises ValueError for values that are not finite: one would spread over the whole clip (F05); fill gaps first.
@@ -154,7 +144,7 @@ def smooth_vectors(
     require("values", values, ("T", ...), finite=True)
     if len(values) < 3:
         return values.copy()
-    shifts, weights = _windows(len(values), kernel(alpha, sigma_frames, passes))
+    shifts, weights = _windows(len(values), kernel(alpha, sigma_frames))
     out = np.zeros_like(values)
     for shift, weight in zip(shifts, weights):
         out += weight.reshape(-1, *(1,) * (values.ndim - 1)) * values[_shifted(len(values), shift)]
@@ -162,7 +152,7 @@ def smooth_vectors(
 
 
 def smooth_rotations(
-    values: Num[np.ndarray, "T ... 3 3"], alpha: float, sigma_frames: float, passes: str = "cascade"
+    values: Num[np.ndarray, "T ... 3 3"], alpha: float, sigma_frames: float
 ) -> Num[np.ndarray, "T ... 3 3"]:
     """(T, ..., 3, 3) smoothed along the first axis on SO(3): weighted Karcher mean of each window, two steps from the
     mean quaternion.
@@ -175,7 +165,7 @@ def smooth_rotations(
     require("values", values, ("T", ..., 3, 3), finite=True)
     if len(values) < 3:
         return values.copy()
-    shifts, weights = _windows(len(values), kernel(alpha, sigma_frames, passes))
+    shifts, weights = _windows(len(values), kernel(alpha, sigma_frames))
     quaternions = np.moveaxis(rotations.to_quaternion(values).reshape(len(values), -1, 4), -1, 0)  # (4, T, N)
     reach = len(shifts) // 2
     padded = np.pad(quaternions, ((0, 0), (reach, reach), (0, 0)), mode="edge")

@@ -18,7 +18,6 @@ import numpy as np
 from studiorecon.arrays import require
 from studiorecon.errors import UserError
 from studiorecon.images.temporal import forward_backward_consistent
-from studiorecon.images.warp import warp
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Num
@@ -70,26 +69,6 @@ def dis_flow(
             f"optical flow needs pictures of at least {_SMALLEST_SIDE_PX} pixels a side, not {first_grey.shape[::-1]}"
         )
     return cv2.DISOpticalFlow.create(PRESETS[preset]).calc(first_grey, second_grey, None)  # type: ignore[call-overload]
-
-
-def chain_flow(
-    flow: Num[np.ndarray, "H W 2"],
-    valid: Bool[np.ndarray, "H W"],
-    further: Num[np.ndarray, "H W 2"],
-    further_valid: Bool[np.ndarray, "H W"],
-) -> tuple[Num[np.ndarray, "H W 2"], Bool[np.ndarray, "H W"]]:
-    """Flow from a first picture to a third and where it is valid, from first to second and second to third.
-
-    F(p) = f(p) + g(p + f(p)); invalid where either part is, or where p + f(p) leaves the second picture. Raises
-    ValueError for flows of two sizes.
-    """
-    sizes = require("flow", flow, ("H", "W", 2))
-    require("further", further, ("H", "W", 2), sizes)
-    require("valid", valid, ("H", "W"), sizes)
-    require("further_valid", further_valid, ("H", "W"), sizes)
-    onward, inside = warp(further, flow)
-    known, _ = warp(further_valid, flow, "nearest")
-    return flow + onward, valid & inside & known
 
 
 def consistent(flow: Num[np.ndarray, "H W 2"], reverse_flow: Num[np.ndarray, "H W 2"]) -> Bool[np.ndarray, "H W"]:

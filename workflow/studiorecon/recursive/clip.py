@@ -12,7 +12,7 @@ import itertools
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -24,12 +24,12 @@ from studiorecon.images.flow import one_thread
 from studiorecon.images.warp import warp
 from studiorecon.models.protocols import Enhancer, Flow, Moment
 from studiorecon.progress import say, warn
-from studiorecon.recursive.alignment import Past, backward_flow, flows_back
+from studiorecon.recursive.alignment import Past, backward_flow
 from studiorecon.recursive.injection import Injection, confidence, inject
 from studiorecon.scene.path import PathStep
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Integer, Num
+    from jaxtyping import Float, Integer, Num
 
 # Pictures that differ by less than this from the ones before them, in levels of 255 on average, make a static clip.
 _STILL_LEVELS = 0.25
@@ -40,39 +40,21 @@ _LARGEST_GAIN = 1.02
 _PROBE = np.float32(8 / 255)
 
 
-@dataclass(frozen=True)
-class Blend:
-    """The parts of one picture's injection.
-
-    Attributes:
-        flows: per earlier picture, latest first, (H, W, 2) flow to it; ``valid``: (H, W) bool where it is valid.
-        confidences: per earlier picture (H, W) float32.
-        blended: (H, W, 3) float32 input of the enhancer; ``injected``: (H, W) share of it that comes from earlier
-            outputs.
-    """
-
-    flows: Sequence[Float[np.ndarray, "H W 2"]]
-    valid: Sequence[Bool[np.ndarray, "H W"]]
-    confidences: Sequence[Float[np.ndarray, "H W"]]
-    blended: Float[np.ndarray, "H W 3"]
-    injected: Float[np.ndarray, "H W"]
-
-
 def blend(
     picture: Integer[np.ndarray, "H W 3"], history: Sequence[Past], injection: Injection, search: Flow, pool: Executor
-) -> Blend:
-    """The enhancer's input for a picture (H, W, 3) uint8 with earlier pictures, latest first; the render itself after a
-    cut.
+) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"]] | None:
+    """The enhancer's input for a picture (H, W, 3) uint8 with earlier pictures, latest first, and their share of it
+    (H, W); None after a cut.
 
-    A cut is where less than ``injection.cut_share`` of the picture matches the one before it.
+    A cut is where less than ``injection.cut_share`` of the picture is found again in the one before it. Every stored
+    output is warped once, along the flow of the raw renders straight to it (U06, E08).
     """
     render = to_float(picture)
-    flows = flows_back(picture, history, injection, search, pool)
+    flows = list(pool.map(lambda past: backward_flow(picture, past.render, search, injection.check), history))
     if flows and injection.check and flows[0][1].mean() < injection.cut_share:
-        flows = []
-    found = list(pool.map(partial(_aligned, render, injection), list(history)[: len(flows)], flows))
-    blended, injected = inject(render, [w for w, _ in found], [c for _, c in found], injection)
-    return Blend([f for f, _ in flows], [v for _, v in flows], [c for _, c in found], blended, injected)
+        return None
+    found = list(pool.map(partial(_aligned, render, injection), history, flows))
+    return inject(render, [warped for warped, _ in found], [trust for _, trust in found], injection)
 
 
 def enhanced(
@@ -83,20 +65,16 @@ def enhanced(
     enhancer: Enhancer,
     injection: Injection,
     search: Flow,
-    before: Sequence[tuple[Integer[np.ndarray, "H W 3"], Num[np.ndarray, "H W 3"]]] = (),
 ) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """The enhanced (H, W, 3) uint8 pictures, in order; history restarts with every segment of the path and at every
     cut.
 
-    ``before``: raw picture and stored output of the pictures before the first one, oldest first, of the same segment,
-    as the start of a part of a clip. Raises UserError for pictures of different sizes and for an enhancer whose outputs
-    may not be fed back.
+    Raises UserError for pictures of different sizes and for an enhancer whose outputs may not be fed back.
     """
     history: deque[Past] = deque(maxlen=injection.history)
-    segment = steps[0].segment if steps and before else None
+    segment = None
     checked = False
     with one_thread(), ThreadPoolExecutor(max_workers=2) as pool:
-        history.extend(clip_history(before, injection, search))
         for number, (step, picture, depth_mm) in enumerate(zip(steps, pictures, depths_mm, strict=True)):
             photo = to_float(reference(step))
             depth_m = depth_mm.astype(np.float32) / 1000
@@ -114,35 +92,15 @@ def enhanced(
                     f"{old}; pictures of a clip have one size"
                 )
             mixed = blend(picture, history, injection, search, pool)
-            if history and not mixed.flows:
+            if mixed is None:
                 say(f"picture {number} of segment {segment} follows a cut: injection restarts")
                 history.clear()
-            output = _finite(
-                enhancer.enhance(mixed.blended, photo, Moment(step.camera, step.frame, depth_m, mixed.injected)),
-                picture,
-                step,
-            )
-            link = (mixed.flows[0], mixed.valid[0]) if mixed.flows else (None, None)
-            history.appendleft(Past(to_float(output), picture, *link))
+                mixed = to_float(picture), np.zeros(depth_m.shape, np.float32)
+            blended, injected = mixed
+            moment = Moment(step.camera, step.frame, depth_m, injected)
+            output = _finite(enhancer.enhance(blended, photo, moment), picture, step)
+            history.appendleft(Past(to_float(output), picture))
             yield output
-
-
-def clip_history(
-    before: Sequence[tuple[Integer[np.ndarray, "H W 3"], Num[np.ndarray, "H W 3"]]], injection: Injection, search: Flow
-) -> list[Past]:
-    """The history of a picture, latest first: the last K of the raw pictures and stored outputs ``before`` it.
-
-    Pictures before a cut are left out. Deterministic inside ``one_thread``.
-    """
-    history: list[Past] = []
-    for raw, output in list(before)[-injection.history :] if injection.history else ():
-        link: tuple = (None, None)
-        if history:
-            link = backward_flow(raw, history[0].render, search, injection.check)
-            if injection.check and link[1].mean() < injection.cut_share:
-                history, link = [], (None, None)
-        history.insert(0, Past(to_float(output), raw, *link))
-    return history
 
 
 def adapt_injection(injection: Injection, steps: Sequence[PathStep]) -> Injection:

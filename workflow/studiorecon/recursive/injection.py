@@ -25,9 +25,6 @@ from studiorecon.images.blur import gaussian_blur
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-MEAN, NORM, SUM = 0, 1, 2
-_ERRORS = {"mean": MEAN, "norm": NORM, "sum": SUM}
-
 
 @dataclass(frozen=True)
 class Injection:
@@ -35,10 +32,7 @@ class Injection:
 
     Attributes:
         decay: weight of each earlier frame relative to the one after it (U03).
-        error: how the RGB difference of a pixel becomes one number (paper: "RGB error"; U04).
-        blurred: the confidence, or the error before it becomes confidence (U05); ``blur_px``, ``blur_sigma_px``: the
-            kernel.
-        flow: of the raw renders, direct to each earlier picture, or chained over those between (U06).
+        blur_px, blur_sigma_px: the kernel that blurs the confidence (U05).
         cut_share: if a smaller share than this of a picture matches the one before it, injection restarts; 0 = never.
             Needs ``check``.
     """
@@ -58,7 +52,6 @@ class Injection:
         0.6, "The same in films whose camera moves.", minimum=0, below=1, paper="0.3", paper_value=0.3
     )
     decay: float = 0.5
-    error: Literal["mean", "norm", "sum"] = "mean"
     error_threshold: float = setting(
         60.0,
         "Difference at which confidence reaches zero, levels of 255.",
@@ -67,7 +60,6 @@ class Injection:
         paper="30; U04",
         paper_value=30.0,
     )
-    blurred: Literal["confidence", "error"] = "confidence"
     blur_px: int = 11
     blur_sigma_px: float = 2.0
     form: Literal["residual", "literal"] = setting(
@@ -82,7 +74,6 @@ class Injection:
         paper="false",
         paper_value=False,
     )
-    flow: Literal["direct", "chained"] = "direct"
     check: bool = setting(True, "Trust only flow that leads back.", paper="false; U06", paper_value=False)
     cut_share: float = 0.1
 
@@ -109,15 +100,9 @@ def confidence(
     sizes = require("render", render, ("H", "W", 3))
     require("warped", warped, ("H", "W", 3), sizes)
     require("valid", valid, ("H", "W"), sizes)
-    error_levels = difference_levels(
-        np.ascontiguousarray(warped), np.ascontiguousarray(render), _ERRORS[injection.error]
-    )
+    error_levels = difference_levels(np.ascontiguousarray(warped), np.ascontiguousarray(render))
     usable = np.isfinite(error_levels) & valid
-    # Non-finite values count as certainly wrong: just past the threshold, so that a blurred error stays in proportion.
     error_levels = np.where(usable, np.where(usable, error_levels, 0.0), injection.error_threshold)
-    if injection.blurred == "error":
-        error_levels = gaussian_blur(error_levels, injection.blur_px, injection.blur_sigma_px)
-        return (np.maximum(0.0, 1 - error_levels / injection.error_threshold) * usable).astype(np.float32)
     trust = np.maximum(0.0, 1 - error_levels / injection.error_threshold)
     return gaussian_blur(trust, injection.blur_px, injection.blur_sigma_px) * usable
 
@@ -160,12 +145,10 @@ def whole_levels(change: Float[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]
 
 @numba.njit(cache=True, nogil=True)
 def difference_levels(
-    first: Float[np.ndarray, "H W 3"], second: Float[np.ndarray, "H W 3"], kind: int
+    first: Float[np.ndarray, "H W 3"], second: Float[np.ndarray, "H W 3"]
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 difference of two pictures (H, W, 3) in [0, 1], in levels of 255; NaN where either is NaN.
-
-    E11: of a grey difference of 20 levels the MEAN over channels is 20, the NORM 34.6 and the SUM 60.
-    """
+    """(H, W) float32 difference of two pictures (H, W, 3) in [0, 1], mean over channels in levels of 255 (U04, E11);
+    NaN where either is NaN."""
     height, width = first.shape[:2]
     levels = np.empty((height, width), np.float32)
     for i in range(height):
@@ -173,10 +156,7 @@ def difference_levels(
             a = np.float32(255) * abs(first[i, j, 0] - second[i, j, 0])
             b = np.float32(255) * abs(first[i, j, 1] - second[i, j, 1])
             c = np.float32(255) * abs(first[i, j, 2] - second[i, j, 2])
-            if kind == NORM:
-                levels[i, j] = np.sqrt(a * a + b * b + c * c)
-            else:
-                levels[i, j] = (a + b + c) / (np.float32(3) if kind == MEAN else np.float32(1))
+            levels[i, j] = (a + b + c) / np.float32(3)
     return levels
 
 
