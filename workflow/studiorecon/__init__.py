@@ -5,8 +5,7 @@ How to read it
 --------------
 The ``Snakefile`` lists the stages in the order of the data. ``workflow/rules/<stage>.smk`` declares inputs and outputs
 of each step; ``studiorecon/<stage>/<step>.py`` is the step. Only its ``run()`` reads and writes files, everything below
-is functions on arrays. The first page of a folder (``__init__.py``) says what comes in, what goes out, and in which
-order to read.
+is functions on arrays. The first page of a folder (``__init__.py``) names inputs, outputs and the order of reading.
 
 ``stages`` lists the stages; they never import each other, and no rule takes an input of a later one. Three tools use
 them: ``studio`` films synthetic captures with known truth, ``placement`` plans camera positions, ``sweep`` measures
@@ -19,9 +18,9 @@ files), ``geometry``, ``camera_files``, ``footage``, ``images``, ``keypoints``, 
 
 Glossary
 --------
-frame              one moment of the capture, numbered from 0 alike in all cameras
+frame              one moment of the capture, numbered from 0, the same in all cameras
 image, photo       an array of pixels; a photo comes from a camera, a *render* is drawn
-footage            what a camera recorded, as the user has it: a video file or a folder of images
+footage            a camera's recording in the user's form: a video file or a folder of images
 video, film        a video is frames in a file of this project; a film is a video made to be watched
 shot               one entry of ``render.shots``: camera path, lens and times of one film
 view               the scene from one camera; a *synthesised view* is drawn from a pose between two cameras
@@ -40,8 +39,8 @@ pose               rotation and translation: of a camera ``camera_from_world``, 
 rig                all cameras of a capture with their poses
 reprojection error distance in pixels between a keypoint and its projected joint
 residual           difference between a measurement and the model's prediction
-inlier, outlier    a measurement whose residual lies within, or beyond, what its noise explains
-prior              what is assumed before the data: a bone length, the given calibration with its sigma
+inlier, outlier    a measurement whose residual is within, or beyond, the range of its noise
+prior              an assumption before the data: a bone length, the given calibration with its sigma
 sigma              standard deviation; *interval* means 95 % unless stated otherwise
 undetermined       a result: the data do not decide, and the reason says why
 proposal           a candidate (box, wall, pose) that the images then accept or reject
@@ -63,7 +62,7 @@ Conventions
 ``b_from_a`` maps coordinates of a to those of b. Names carry units (``_m, _px, _rad, _deg, _s``). World: right-handed,
 metres, z up. Cameras as in OpenCV: x right, y down, z forward; the first pixel's centre is (0.5, 0.5). Quaternions are
 (w, x, y, z). Ids like T13 are hard cases of the arithmetic (``docs/hard-cases.md``), U07 readings of ambiguous passages
-of the paper (``docs/readings.md``). ``UserError`` is one sentence for the user: what, where, and a remedy.
+of the paper (``docs/readings.md``). ``UserError`` is one sentence for the user: problem, place and remedy.
 """
 
 from __future__ import annotations

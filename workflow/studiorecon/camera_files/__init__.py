@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads and writes camera files: a calibration in anybody's format in, cameras with our axes and units out.
+"""Reads and writes camera files. In: a calibration in a format of another tool; out: cameras with our axes and units.
 
 Read in this order:
 

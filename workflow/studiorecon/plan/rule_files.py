@@ -70,7 +70,9 @@ class Files(UserInputs):
     # ---- detections ----
 
     def first_detection(self, wildcards: Any) -> list[str]:
-        """First detections of one camera, without knowledge of other cameras; none when nobody can be in the scene."""
+        """First detections of one camera, without knowledge of other cameras; none when the room is known to
+        be empty.
+        """
         return [f"results/{wildcards.scene}/tracks/{wildcards.camera}.npz"] if self.plan.people else []
 
     def first_detections(self, wildcards: Any) -> list[str]:
@@ -176,7 +178,7 @@ class Files(UserInputs):
         return self.identities(wildcards) if self.detections_for_furniture(wildcards) else []
 
     def filmed_people(self, wildcards: Any) -> list[str]:
-        """The training cameras, if association found anybody."""
+        """The training cameras; none when association found no person."""
         return self.training(wildcards) if self.people(wildcards) else []
 
     def masks(self, wildcards: Any) -> list[str]:

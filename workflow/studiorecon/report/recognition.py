@@ -91,7 +91,7 @@ def run(
 
 
 def with_reason(scored: dict[str, Any]) -> dict[str, Any]:
-    """The scores, with the reason when nobody counted."""
+    """The scores, with the reason when no person counted."""
     return scored | {"reason": None if scored["people"] else "the detector finds no person in the photos"}
 
 

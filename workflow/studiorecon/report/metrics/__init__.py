@@ -5,5 +5,5 @@
   ``truth`` (of a synthetic studio);
 * cameras: ``overlap`` of the training cameras;
 * people: ``bodies``, ``identities`` and ``identity_scores``, ``pck``, ``jitter``;
-* ``rendered_effects``: decisions for the audit; ``bootstrap``: intervals; ``definitions``: the meaning of every number.
+* ``bootstrap``: intervals; ``definitions``: the meaning of every number.
 """
