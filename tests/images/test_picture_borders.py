@@ -13,7 +13,7 @@ from studiorecon.footage.stills import shrink
 from studiorecon.images import metrics
 from studiorecon.images.blur import gaussian_blur
 from studiorecon.images.exposure import Overlap, compare, solve_gains
-from studiorecon.images.flow import chain_flow, consistent, grey_levels
+from studiorecon.images.flow import consistent, grey_levels
 from studiorecon.images.plate import noise_levels, temporal_modes, write_plate
 from studiorecon.images.regions import dilated, signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import front_person, mesh_depth
@@ -45,10 +45,6 @@ CASES = {
     "plate-kind": (lambda: temporal_modes(zeros(3, 4, 5, 3), np.ones((3, 4, 5), bool), 8.0), "frames are float32"),
     "dilated": (lambda: dilated(np.ones((3, 4, 5), bool), 3), r"region has shape \(3, 4, 5\)"),
     "consistent": (lambda: consistent(zeros(5, 5, 2), zeros(5, 6, 2)), r"reverse_flow has shape \(5, 6, 2\)"),
-    "chained-valid": (
-        lambda: chain_flow(zeros(5, 5, 2), np.ones((5, 6), bool), zeros(5, 5, 2), np.ones((5, 5), bool)),
-        r"valid has shape \(5, 6\)",
-    ),
     "grey": (lambda: grey_levels(zeros(5, 5)), r"rgb has shape \(5, 5\)"),
     "noise": (lambda: noise_levels(zeros(5, 5, 3)), r"frames has shape \(5, 5, 3\)"),
     "distance": (lambda: signed_distance_px(zeros(5)), r"region has shape \(5,\)"),
@@ -78,10 +74,6 @@ CASES = {
         r"measured has shape \(5, 4\)",
     ),
     "depth-file": (lambda: write_depth(Path("no.exr"), zeros(5, 5), zeros(5, 4)), r"confidence has shape \(5, 4\)"),
-    "chained": (
-        lambda: chain_flow(zeros(5, 5, 2), np.ones((5, 5), bool), zeros(6, 5, 2), np.ones((6, 5), bool)),
-        "further has shape",
-    ),
 }
 
 

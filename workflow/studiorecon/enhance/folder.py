@@ -27,7 +27,7 @@ from studiorecon.progress import progress, say
 from studiorecon.recursive.clip import enhanced, is_still
 from studiorecon.recursive.flows import load_flow
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.numbered import natural
+from studiorecon.scene.numbered_files import natural
 from studiorecon.scene.path import PathStep
 
 if TYPE_CHECKING:
