@@ -105,7 +105,7 @@ def calibration_from_video_pixels(lens: Lens, source_wh: tuple[int, int]) -> Num
 
     The lens's own map where one was given; else the scaling from the video's size to the calibrated one. Raises
     UserError when the two sizes have different shapes: then the footage was cropped or padded, and only the user knows
-    how. Raises it too when the given map puts the calibrated pixels outside the video.
+    how. Raises UserError also when the given map puts the calibrated pixels outside the video.
     """
     given = np.asarray(lens.calibration_from_video, dtype=np.float64)
     if lens.has_place:
