@@ -37,7 +37,7 @@ function makePainter(canvas, scene) {
   if (!gl) return null;
   const most = gl.getParameter(gl.MAX_TEXTURE_SIZE), bands = Math.max(...scene.sets.map((set) => set.bands));
   if (scene.size / ROW > most || (scene.size * bands) / WIDE > most)
-    throw new Error(`this graphics card holds ${most} rows of Gaussians and the scene needs more`);
+    throw new Error(`this graphics card holds ${most} rows of Gaussians, too few for this scene`);
   // Half floats keep many faint layers apart; without them eight bits must do.
   const fine = !!(gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float"));
   const splats = program(gl, SPLAT_VERTEX, SPLAT_FRAGMENT), show = program(gl, SHOW_VERTEX, SHOW_FRAGMENT);

@@ -77,14 +77,14 @@ function listen(player) {
 }
 
 async function start() {
-  const films = "this is a picture of it, and the films beside this page show it";
+  const films = "this is a picture of it; the films in the same folder show it";
   if (!window.DecompressionStream) return say(`This browser is too old to unpack the scene; ${films}.`, 0);
   const bytes = await bytesOf(at("bytes").textContent), scene = readScene(JSON.parse(at("scene").textContent), bytes);
   const painter = makePainter(at("picture"), scene);
-  if (!painter) return say(`This browser has no WebGL2, so nobody can move through the scene here; ${films}.`, 0);
+  if (!painter) return say(`This browser has no WebGL2, so you cannot move through the scene; ${films}.`, 0);
   at("picture").addEventListener("webglcontextlost", () => {
     [at("picture").hidden, at("poster").hidden] = [true, false];
-    say("The graphics card gave up (too little memory?): reload this page, or look at the films beside it.", 0);
+    say("The graphics card stopped (too little memory?): reload this page, or watch the films in the same folder.", 0);
   });
   for (const id of ["panel", "time"]) at(id).hidden = false;
   const player = (window.player = makePlayer(scene, painter));

@@ -44,7 +44,7 @@ function makePanel(player) {
   const photo = add(panel, "label", "photo"), opacity = add(photo, "input", "", { type: "range", min: 0, max: 1 });
   Object.assign(opacity, { step: 0.01, value: state.opacity });
   opacity.oninput = () => { state.opacity = +opacity.value; changed(); };
-  const bright = box(panel, "as bright as the photo", state, "bright");
+  const bright = box(panel, "match the photo's brightness", state, "bright");
   refresh.push(() => {
     photo.style.display = eye.mode === "camera" ? "" : "none";
     bright.style.display = eye.mode === "camera" && scene.cameras[eye.camera].exposure ? "" : "none";
@@ -69,12 +69,12 @@ function makePanel(player) {
   });
   button(keep, "Link", () => {
     writeLink(player);
-    copy(location.href, "the link is copied", "the link is in the address");
+    copy(location.href, "the link is copied", "the address bar has the link");
   });
   const path = section("Film a path"), shot = add(panel, "textarea", "", { readOnly: true, hidden: true });
   shot.setAttribute("aria-label", "The path as an entry of render.shots");
   refresh.push(() => {
-    const text = keys.length > 1 ? shotText(keys) : "one more key makes a path";
+    const text = keys.length > 1 ? shotText(keys) : "add one more key for a path";
     shot.hidden = !keys.length;
     if (shot.value !== text) shot.value = text;
   });
@@ -82,13 +82,13 @@ function makePanel(player) {
   button(path, "Remove last", () => keys.pop());
   button(path, "Copy", () => {
     shot.select();
-    copy(shot.value, "copied: an entry of render.shots", "the text is chosen: copy it");
+    copy(shot.value, "copied: an entry of render.shots", "the text is selected: copy it");
   });
   const about = add(panel, "details");
   add(about, "summary", "About this view");
   const list = add(about, "ul"), { software, fine } = player.painter;
   const coarse = !fine && "this browser blends in 8 bits: faint layers show steps";
-  for (const sentence of [...scene.told, software && SLOW, coarse]) if (sentence) add(list, "li", sentence);
+  for (const sentence of [...scene.notes, software && SLOW, coarse]) if (sentence) add(list, "li", sentence);
 
   at("play").onclick = player.play;
   at("slider").oninput = () => { state.playing = false; player.seek(+at("slider").value); };

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // The player: which moment is seen from where, what must be sorted and drawn again, and what lies over the picture.
 
-const SLOW = "There is no graphics card here: what moves is drawn in part, and whole at rest.";
+const SLOW = "No graphics card: while moving, only part of the scene is drawn.";
 const at = (id) => document.getElementById(id);
 
 function say(text, seconds = 4) {
-  at("told").textContent = text;
-  if (seconds) setTimeout(() => at("told").textContent === text && (at("told").textContent = ""), 1000 * seconds);
+  at("message").textContent = text;
+  if (seconds) setTimeout(() => at("message").textContent === text && (at("message").textContent = ""), 1000 * seconds);
 }
 
 function makePlayer(scene, painter) {
@@ -17,7 +17,7 @@ function makePlayer(scene, painter) {
   Object.assign(state, { tinted: false, skeletons: false });
   const files = scene.cameras.map(() => null), flying = { right: 0, down: 0, ahead: 0 };
   // Numbers of changes: of those made, those drawn, those sorted for and those that the panel shows.
-  let changes = 1, drawn = 0, sorted = 0, told = 0, sorting = false, fresh = false, still = false;
+  let changes = 1, drawn = 0, sorted = 0, shown = 0, sorting = false, fresh = false, still = false;
   let before = 0, moved = NaN, noted = 0, pictures = 0;
   // The view that is drawn, when its drawing began, and of the whole picture how many Gaussians are drawn.
   let seen = { due: 0 }, begun = null, whole = Infinity;
@@ -201,8 +201,8 @@ function makePlayer(scene, painter) {
     if (state.playing) advance(passed * scene.fps * state.speed);
     drawFilmed();
     drawOn(now);
-    if (told !== changes) player.shown();
-    told = changes;
+    if (shown !== changes) player.shown();
+    shown = changes;
     if (now > noted + 500) {
       noted = now;
       writeLink(player);
@@ -220,7 +220,7 @@ function makePlayer(scene, painter) {
     pictures: () => pictures,
     rested: () => drawn === changes && whole >= painter.count(),
     begin() {
-      at("film").onerror = () => say("this browser does not play the cameras' films");
+      at("film").onerror = () => say("this browser cannot play the cameras' films");
       settle();
       readLink(player);
       requestAnimationFrame(tick);

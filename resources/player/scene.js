@@ -45,21 +45,21 @@ function quaternions(packed) {
 }
 
 // A description with all that is packed in it as what it stands for; deliver/packing.py wrote it.
-function unpacked(bytes, told) {
-  if (!told || typeof told !== "object") return told;
-  const { packed, at, count, columns } = told;
+function unpacked(bytes, described) {
+  if (!described || typeof described !== "object") return described;
+  const { packed, at, count, columns } = described;
   if (packed === "file") return new Uint8Array(bytes, at, count);
   if (packed === "floats") return new Float32Array(bytes, at, count * columns);
-  if (packed) return packed === "turns" ? quaternions(numbers(bytes, told)) : numbers(bytes, told);
-  for (const name in told) told[name] = unpacked(bytes, told[name]);
-  return told;
+  if (packed) return packed === "turns" ? quaternions(numbers(bytes, described)) : numbers(bytes, described);
+  for (const name in described) described[name] = unpacked(bytes, described[name]);
+  return described;
 }
 
 // Everything of a page's description; sets get a first Gaussian and a first bone in what all share.
 function readScene(described, bytes) {
-  const told = unpacked(bytes, described);
+  const data = unpacked(bytes, described);
   let first = 0, bone = 0;
-  for (const set of told.sets) {
+  for (const set of data.sets) {
     set.first = first;
     first += Math.ceil(set.count / ROW) * ROW;
     set.bands = (set.degree + 1) ** 2 - 1;
@@ -76,7 +76,7 @@ function readScene(described, bytes) {
       set.joints = new Float32Array(set.motion.parents.length * 3);
     }
   }
-  return { ...told, size: first, bones: new Float32Array(Math.max(bone, 1) * 12) };
+  return { ...data, size: first, bones: new Float32Array(Math.max(bone, 1) * 12) };
 }
 
 // The moments before and after a place in a list of them, and how far between.

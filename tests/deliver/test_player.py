@@ -108,9 +108,9 @@ def test_opened_from_disk_it_asks_nobody_and_logs_nothing(browser: Browser, page
     browser.wait("player.drawn() > 3")
     assert addresses_outside(browser.asked) == []
     assert not unexpected(browser)
-    assert "no graphics card" in browser.run("document.getElementById('told').textContent")
+    assert "No graphics card" in browser.run("document.getElementById('message').textContent")
     assert (
-        "no graphics card" in browser.run("[...document.querySelectorAll('#panel li')].map((li) => li.textContent)")[-1]
+        "No graphics card" in browser.run("[...document.querySelectorAll('#panel li')].map((li) => li.textContent)")[-1]
     )
     browser.wait("document.getElementById('poster').hidden")
 
@@ -378,8 +378,8 @@ def test_five_minutes_open_and_end_where_they_end(browser: Browser, tmp_path: Pa
 def test_without_webgl2_there_is_a_picture_and_a_sentence(tmp_path: Path, page: Path) -> None:
     with Browser(tmp_path, "--disable-3d-apis") as browser:
         browser.open(page.as_uri())
-        browser.wait("document.getElementById('told').textContent.includes('WebGL2')")
-        assert "films beside this page show it" in browser.run("document.getElementById('told').textContent")
+        browser.wait("document.getElementById('message').textContent.includes('WebGL2')")
+        assert "films in the same folder show it" in browser.run("document.getElementById('message').textContent")
         assert browser.run("document.getElementById('poster').naturalWidth") == 960
         assert browser.run("document.getElementById('panel').hidden")
 
@@ -391,7 +391,7 @@ def test_a_graphics_card_that_gives_up_leaves_the_picture_and_a_sentence(browser
     browser.run(
         "document.getElementById('picture').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext(), 0"
     )
-    browser.wait("document.getElementById('told').textContent.startsWith('The graphics card gave up')")
+    browser.wait("document.getElementById('message').textContent.startsWith('The graphics card stopped')")
     assert browser.run("document.getElementById('poster').hidden") is False
     assert browser.run("document.getElementById('picture').hidden") is True
 
@@ -429,7 +429,7 @@ def test_a_broken_page_says_so(browser: Browser, page: Path, tmp_path: Path) -> 
     start = text.index('id="bytes">') + len('id="bytes">')
     broken.write_text(text[:start] + text[start + 4000 :], encoding="utf-8")
     browser.open(broken.as_uri())
-    browser.wait("document.getElementById('told').textContent.startsWith('The scene cannot be shown')")
+    browser.wait("document.getElementById('message').textContent.startsWith('The scene cannot be shown')")
 
 
 def test_a_shade_of_one_moment_is_a_shade(browser: Browser, tmp_path: Path) -> None:

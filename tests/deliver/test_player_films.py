@@ -21,7 +21,7 @@ pytestmark = pytest.mark.browser
 FRAMES = 4 * round(FPS)
 # Every camera's film has its own colour, and a bar that reaches further to the right with every frame.
 COLOURS = [(220, 40, 40), (40, 200, 40), (60, 80, 230), (210, 200, 40)]
-SENTENCE = "document.getElementById('told').textContent"
+SENTENCE = "document.getElementById('message').textContent"
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def test_at_every_camera_its_film_plays(browser: Browser, page: Path) -> None:
         then = shown(browser)
         assert (first[0], then[0]) == (number, number)
         assert first[1] != then[1], "the picture moves"
-        assert "does not play" not in browser.run(SENTENCE)
+        assert "cannot play" not in browser.run(SENTENCE)
 
 
 def test_at_rest_the_film_shows_the_frame_of_the_scene(browser: Browser, page: Path) -> None:
@@ -111,18 +111,18 @@ def test_who_switches_quickly_sees_the_last_camera_s_film_and_no_complaint(brows
         }}, 30);
     }})"""
     )
-    assert not any("does not play" in sentence for sentence in said)
+    assert not any("cannot play" in sentence for sentence in said)
     browser.wait("!document.getElementById('film').paused && document.getElementById('film').readyState > 2")
     before = browser.run("document.getElementById('film').currentTime")
     browser.wait(f"Math.abs(document.getElementById('film').currentTime - {before}) > 0.3")
     assert shown(browser)[0] == 41 % len(COLOURS)
-    assert "does not play" not in browser.run(SENTENCE)
+    assert "cannot play" not in browser.run(SENTENCE)
 
 
 def test_a_film_that_cannot_be_played_is_reported(browser: Browser, page: Path) -> None:
     opened(browser, page, "frame=0")
     browser.run("player.scene.cameras[1].film.fill(0), Object.assign(player.eye, { mode: 'camera', camera: 1 }), 0")
-    browser.wait(f"{SENTENCE}.includes('does not play')")
+    browser.wait(f"{SENTENCE}.includes('cannot play')")
 
 
 def test_long_captures_show_the_photo_nearest_in_time(

@@ -132,7 +132,7 @@ def write_page(
     told, sentences = describe_scene(scene, held, exposure, shade)
     sentences += add_footage(held, told["cameras"], videos, scene.capture.frames, scene.capture.fps)
     poster = jpeg(render_poster(scene), QUALITY)
-    write_text(path, build_page(scene.name, told | {"told": sentences}, held, poster, PARTS))
+    write_text(path, build_page(scene.name, told | {"notes": sentences}, held, poster, PARTS))
     return path
 
 

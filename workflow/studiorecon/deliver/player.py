@@ -152,7 +152,7 @@ def run(
     with complete(poster) as partial:
         partial.write_bytes(picture)
     write_text(
-        page, build_page(f"{finished.name}: 4D scene", told | {"told": [*sentences, *_ALWAYS]}, held, picture, parts)
+        page, build_page(f"{finished.name}: 4D scene", told | {"notes": [*sentences, *_ALWAYS]}, held, picture, parts)
     )
     for sentence in sentences:
         say(f"player: {sentence}")
