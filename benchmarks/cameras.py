@@ -37,8 +37,8 @@ from studiorecon.detect import keypoints as sightings
 from studiorecon.geometry.lens import calibration_from_video_pixels, normalised_from_calibration
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.reading import to_pinhole
 from studiorecon.people import fit
 from studiorecon.people.fitting.points import Points, observations, triangulate_keypoints
 from studiorecon.plan.discovery import open_dataset

@@ -29,9 +29,9 @@ from typing import Any
 
 import numpy as np
 from studiorecon.clocks import offsets as clocks
-from studiorecon.clocks.all_cameras import RigOffsets, offsets_vs_rig
 from studiorecon.clocks.people_clock import people_pair
 from studiorecon.clocks.people_lag import track_lag
+from studiorecon.clocks.rig_offsets import RigOffsets, offsets_vs_rig
 from studiorecon.clocks.timeline import Timeline
 from studiorecon.keypoints.correspondence import stable_indices
 from studiorecon.keypoints.readers import read_keypoints

@@ -40,7 +40,7 @@ from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.room import read_room
 from studiorecon.studio.room import HALF_X_M, HALF_Y_M
 from studiorecon.views import synthesize
-from studiorecon.views.forward import blend, source
+from studiorecon.views.forward_warp import blend, source
 
 from tests.defaults import default_settings, loaded
 

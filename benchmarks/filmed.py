@@ -19,7 +19,7 @@ from studiorecon.calibration.room_pictures import read_room_pictures, without_di
 from studiorecon.detect import keypoints as sightings
 from studiorecon.detect import people as detect
 from studiorecon.footage.source import open_source
-from studiorecon.keypoints.reading import to_pinhole
+from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera, Lens

@@ -17,17 +17,17 @@ from studiorecon.keypoints.coordinate_readings import affine
 from studiorecon.keypoints.film_check import Film, Verdict, check_against_film
 from studiorecon.keypoints.motion import measure_motion, small
 from studiorecon.keypoints.numbering import numberings
-from studiorecon.scene.recorded import Recorded
+from studiorecon.scene.recorded_keypoints import RecordedKeypoints
 
 from tests.made.walkers import Take, take
 
-Change = Callable[[Take, Take], Recorded]
+Change = Callable[[Take, Take], RecordedKeypoints]
 
 
 def moved(matrix: Callable[[int, int], list[list[float]]]) -> Change:
     """Keypoints (x, y, 1) mapped by a matrix of the film's width and height."""
 
-    def change(own: Take, _: Take) -> Recorded:
+    def change(own: Take, _: Take) -> RecordedKeypoints:
         points = own.recorded.keypoints
         there = points[..., 2:] > 0
         new = np.concatenate([points[..., :2], np.ones_like(points[..., :1])], -1) @ np.array(matrix(*own.wh)).T
@@ -39,7 +39,7 @@ def moved(matrix: Callable[[int, int], list[list[float]]]) -> Change:
 def numbered(number: Callable[[np.ndarray, float], np.ndarray], counted: bool = False) -> Change:
     """Pictures with other numbers."""
 
-    def change(own: Take, _: Take) -> Recorded:
+    def change(own: Take, _: Take) -> RecordedKeypoints:
         seen = own.recorded
         pictures, frame = (number(np.asarray(v), own.fps).astype(np.int64) for v in (seen.pictures, seen.frame))
         return replace(seen, pictures=pictures, frame=frame, counted=counted)
@@ -50,7 +50,7 @@ def numbered(number: Callable[[np.ndarray, float], np.ndarray], counted: bool = 
 def late(by: int) -> Change:
     """Keypoints of ``by`` frames before, under a format that counts from 0; the last ones are missing."""
 
-    def change(own: Take, _: Take) -> Recorded:
+    def change(own: Take, _: Take) -> RecordedKeypoints:
         kept = own.recorded.frame + by < len(own.pictures)
         seen = own.recorded.only(kept)
         return replace(seen, frame=seen.frame + by, counted=True)
@@ -58,25 +58,25 @@ def late(by: int) -> Change:
     return change
 
 
-def from_one(own: Take, _: Take) -> Recorded:
+def from_one(own: Take, _: Take) -> RecordedKeypoints:
     """Files 1 … N - 3 for N frames: the film's length leaves open whether they count from 1."""
     seen = own.recorded.only(own.recorded.frame < len(own.pictures) - 3)
     return replace(seen, pictures=seen.pictures[: len(own.pictures) - 3] + 1, frame=seen.frame + 1)
 
 
-def shuffled(own: Take, _: Take) -> Recorded:
+def shuffled(own: Take, _: Take) -> RecordedKeypoints:
     order = np.random.default_rng(5).permutation(len(own.pictures))
     frame = order[own.recorded.frame]
     by_frame = np.argsort(frame, kind="stable")
     return replace(own.recorded, frame=frame[by_frame], keypoints=own.recorded.keypoints[by_frame])
 
 
-def frozen(own: Take, _: Take) -> Recorded:
+def frozen(own: Take, _: Take) -> RecordedKeypoints:
     frames = own.recorded.pictures
     return replace(own.recorded, frame=frames, keypoints=np.repeat(own.recorded.keypoints[:1], len(frames), 0))
 
 
-def as_is(own: Take, _: Take) -> Recorded:
+def as_is(own: Take, _: Take) -> RecordedKeypoints:
     return own.recorded
 
 
@@ -104,7 +104,7 @@ ROWS: dict[str, tuple[Change, str]] = {
 }
 
 
-def verdict(own: Take, given: Recorded, other: Take, stored_wh: tuple[int, int] | None = None) -> Verdict:
+def verdict(own: Take, given: RecordedKeypoints, other: Take, stored_wh: tuple[int, int] | None = None) -> Verdict:
     """What is decided about keypoints ``given`` for the film of ``own``, stored with so many pixels."""
     frames = len(own.pictures)
     wanted = np.unique(np.linspace(0, frames - 1, 64).round().astype(int)).tolist()

@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 import yaml
 from scipy.optimize import nnls
-from studiorecon.configuration.schema import typed
+from studiorecon.configuration.schema import coerce_types
 from studiorecon.home import HOME, SCHEMA
 from studiorecon.humans.result_cache import STANDS
-from studiorecon.plan.budget import Stated, overlay, preset
+from studiorecon.plan.budget import UserChoices, overlay, preset
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.prices import PRICES, Point, Price, PriceList, predict, probe_s, spent
 from studiorecon.plan.workload import ON_DEMAND, Work, measure_footage, segments_with_views, workload
@@ -57,8 +57,8 @@ class Run:
 def run_of(folder: Path, scene: str, name: str, dataset: str, capture_yaml: str = "") -> Run:
     """What a finished run asked for and took."""
     defaults, schema = yaml.safe_load((HOME / "config/config.yaml").read_text()), yaml.safe_load(SCHEMA.read_text())
-    config = overlay(defaults, Stated({}, schema), preset("" if name == "default" else name))
-    config = typed(config | {"dataset": dataset, "capture_yaml": capture_yaml, "scene": scene}, schema)
+    config = overlay(defaults, UserChoices({}, schema), preset("" if name == "default" else name))
+    config = coerce_types(config | {"dataset": dataset, "capture_yaml": capture_yaml, "scene": scene}, schema)
     plan = make_plan(config, HOME)
     # What it has decided is known now.
     made = read_decisions(folder / "results" / scene / "survey/decisions.json")

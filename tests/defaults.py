@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 
 
 # Settings that several steps share, and one of these.
-_STEPS_OF = {"keypoints.reading": "detect.keypoints"}
+_STEPS_OF = {"keypoints.detections": "detect.keypoints"}
 _MODULES = {step: module for module, step in _STEPS_OF.items()}
 
 

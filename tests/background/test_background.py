@@ -275,7 +275,7 @@ def test_holes_of_views_go_over_from_their_rim_to_the_painted_room(
     view = between[0]
     truth, depth_m = look(view)
     painted = [
-        room.Painted(face, nodes, np.full(nodes.shape, 0.25), np.ones(nodes.shape[:2], bool))
+        room.PaintedFace(face, nodes, np.full(nodes.shape, 0.25), np.ones(nodes.shape[:2], bool))
         for face in BOX.rectangles
         for nodes in [face.nodes(0.1)]
     ]

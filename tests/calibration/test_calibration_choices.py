@@ -10,7 +10,7 @@ import pytest
 from studiorecon.calibration.choose import choose_lenses
 from studiorecon.calibration.files import Settings
 from studiorecon.calibration.formats.reading import Reading
-from studiorecon.calibration.given_lenses import ideal_pinhole, lens_at_pose, undistort_detections
+from studiorecon.calibration.known_lenses import ideal_pinhole, lens_at_pose, undistort_detections
 from studiorecon.calibration.names import pairings
 from studiorecon.camera_files.raw_camera import RawCamera
 from studiorecon.errors import UserError

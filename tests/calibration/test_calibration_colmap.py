@@ -16,7 +16,7 @@ from studiorecon.errors import UserError
 from studiorecon.geometry.distortion import distort
 from studiorecon.geometry.rotations import exp
 from studiorecon.plan.discovery import open_dataset
-from studiorecon.render.given import GivenPath, path_steps
+from studiorecon.render.path_file import GivenPath, path_steps
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.dataset import colmap_files
 

@@ -14,7 +14,7 @@ from studiorecon.calibration.choose import choose_lenses
 from studiorecon.calibration.files import Settings, read_calibration
 from studiorecon.errors import UserError
 from studiorecon.geometry.triangulation import Limits
-from studiorecon.keypoints.reading import to_pinhole
+from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.rig.correspondences import make_observations
 from studiorecon.rig.human_size import check_human_size
 from studiorecon.rig.hypotheses import score_conventions

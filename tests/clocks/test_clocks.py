@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from studiorecon.clocks import offsets as clocks_step
 from studiorecon.clocks import people_clock
-from studiorecon.clocks.agreement import Pair, Proposal, combine_proposals, solve_offsets
 from studiorecon.clocks.motion_clock import compare
+from studiorecon.clocks.offset_consensus import Pair, Proposal, combine_proposals, solve_offsets
 from studiorecon.clocks.people_lag import PeopleLag, track_lag
 from studiorecon.clocks.timeline import common_moments
 from studiorecon.configuration.settings import load

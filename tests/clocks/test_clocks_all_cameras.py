@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.clocks import offsets
-from studiorecon.clocks.agreement import Proposal
-from studiorecon.clocks.all_cameras import offsets_vs_rig
+from studiorecon.clocks.offset_consensus import Proposal
 from studiorecon.clocks.offsets import joint_refinement
+from studiorecon.clocks.rig_offsets import offsets_vs_rig
 from studiorecon.clocks.timeline import Timeline
 from studiorecon.footage.source import FootageSource
 from studiorecon.scene.people import write_detections

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 from studiorecon.clocks import offsets
-from studiorecon.clocks.agreement import ClockVerdict, Pair, Proposal, count_contradictions
+from studiorecon.clocks.offset_consensus import ClockVerdict, Pair, Proposal, count_contradictions
 from studiorecon.clocks.timeline import Timeline
 
 FPS, SECONDS, CAMERAS = 30.0, 10.0, 9

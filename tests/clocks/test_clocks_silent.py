@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.clocks.agreement import Proposal, combine_proposals
+from studiorecon.clocks.offset_consensus import Proposal, combine_proposals
 from studiorecon.clocks.people_clock import people_pair
 from studiorecon.scene.clocks import Clock
 

@@ -24,7 +24,7 @@ from studiorecon.depth.layout.yaw import matched_yaw
 from studiorecon.depth.stereo.matching import plane_depth
 from studiorecon.depth.stereo.planes import wall_yaw
 from studiorecon.depth.stereo.plates import Picture
-from studiorecon.depth.sweep_settings import Assumed
+from studiorecon.depth.sweep_settings import DefaultConfidence
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.geometry.camera_path import with_pose
@@ -139,7 +139,7 @@ def test_confidence_tells_measured_from_default(
     found, truth, _ = furnished
     error = relative_errors(found, truth)
     confidence = np.concatenate([c.ravel() for c in found.confidence])
-    rests = confidence <= Assumed().default_confidence
+    rests = confidence <= DefaultConfidence().default_confidence
     assert 0.05 < rests.mean() < 0.6
     sure = confidence > 0.7
     assert sure.mean() > 0.3

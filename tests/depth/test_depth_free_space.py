@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from studiorecon.depth.stereo.free_space import is_looked_through, snap_to_room_box
-from studiorecon.depth.stereo.passes import Labelled
+from studiorecon.depth.stereo.passes import PlaneLabelling
 from studiorecon.geometry.camera_path import look_at
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
@@ -60,7 +60,9 @@ def test_floating_pixels_go_to_the_room_box_unjudged(rig: tuple[Camera, Camera])
     depth_m = walls(a)
     plane = ROOM_BOX.intersect(*a.rays())[1]
     depth_m[25:35, 35:45], plane[25:35, 35:45] = 2.5, 7
-    labelled = Labelled(plane, depth_m.astype(np.float32), np.zeros((60, 80), np.float32), np.ones((60, 80), bool))
+    labelled = PlaneLabelling(
+        plane, depth_m.astype(np.float32), np.zeros((60, 80), np.float32), np.ones((60, 80), bool)
+    )
     back, share = snap_to_room_box(labelled, a, ROOM_BOX, [(b, walls(b))])
     assert share > 0.01
     changed = back.plane != plane
@@ -77,7 +79,7 @@ def test_a_plane_inside_the_room_stays_only_where_somebody_s_match_speaks_for_it
     cost, judged = np.full((60, 80), 0.2, np.float32), np.ones((60, 80), bool)
     cost[25:35, 35:40] = 0.8
     judged[30:35, 40:45] = False
-    back, share = snap_to_room_box(Labelled(plane, depth_m.astype(np.float32), cost, judged), a, ROOM_BOX, [])
+    back, share = snap_to_room_box(PlaneLabelling(plane, depth_m.astype(np.float32), cost, judged), a, ROOM_BOX, [])
     assert (back.plane[25:30, 40:45] == 7).all(), "matched"
     assert (back.plane[25:35, 35:40] < 6).all(), "matched badly"
     assert (back.plane[30:35, 40:45] < 6).all(), "judged by nobody"

@@ -12,7 +12,7 @@ import pytest
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.configuration.settings import load
 from studiorecon.depth import aligned, network
-from studiorecon.depth.sweep_settings import Assumed
+from studiorecon.depth.sweep_settings import DefaultConfidence
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.images.plate import write_plate
@@ -84,8 +84,8 @@ def test_a_network_in_any_unit_ends_in_metres(
     assert not depth_m[:, 90:].any()
     assert not sure[:, 90:].any()
     # Where the planes only guessed, and guessed otherwise, the network stands alone: inferred, not measured.
-    assert (sure[:, :64] > Assumed().default_confidence).mean() > 0.95
-    assert (sure[:, 66:90] <= Assumed().default_confidence + 1e-6).all()
+    assert (sure[:, :64] > DefaultConfidence().default_confidence).mean() > 0.95
+    assert (sure[:, 66:90] <= DefaultConfidence().default_confidence + 1e-6).all()
 
 
 @pytest.mark.parametrize("kind", [".exr", ".npy", ".npz", ".png"])

@@ -80,7 +80,7 @@ def test_what_no_camera_sees_is_grey() -> None:
     depth_m[:, 48:] = 0.0
     picture = next(
         iter(
-            preview.drawn(
+            preview.draw_views(
                 preview.discs_from_depths([Picture(camera, rgb, np.ones((54, 96), bool))], [depth_m]), [camera]
             )
         )

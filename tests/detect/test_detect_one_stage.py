@@ -15,7 +15,7 @@ from onnx import TensorProto, helper, numpy_helper
 from studiorecon.detector.blazepose import BlazePose
 from studiorecon.detector.crops import opened
 from studiorecon.detector.one_stage import OneStage, agreements
-from studiorecon.detector.second import second_network
+from studiorecon.detector.second_network import second_network
 from studiorecon.detector.top_down import TopDown
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS

@@ -13,7 +13,7 @@ import pytest
 from studiorecon.errors import UserError
 from studiorecon.keypoints.file_numbers import number_names
 from studiorecon.keypoints.readers import read_keypoints
-from studiorecon.scene.recorded import Recorded, read_recorded, write_recorded
+from studiorecon.scene.recorded_keypoints import RecordedKeypoints, read_recorded, write_recorded
 
 # Two people in picture 0, nobody in 1, one in 2.
 SEEN = {0: (0, 1), 1: (), 2: (2,)}
@@ -192,11 +192,13 @@ def test_one_person_s_array_is_read(tmp_path: Path) -> None:
 
 
 def test_what_was_read_survives_its_file_and_a_cut_one_is_named(tmp_path: Path) -> None:
-    given = Recorded("npz", np.arange(3), np.array([0, 2]), POINTS[:2], True, "coco17", "why")
+    given = RecordedKeypoints("npz", np.arange(3), np.array([0, 2]), POINTS[:2], True, "coco17", "why")
     write_recorded(tmp_path / "r.npz", given)
     back = read_recorded(tmp_path / "r.npz")
-    for name in Recorded.__dataclass_fields__:
+    for name in RecordedKeypoints.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(back, name), getattr(given, name), err_msg=name)
-    write_recorded(tmp_path / "r.npz", Recorded("npz", np.arange(3), np.array([0]), POINTS[:2], True, "coco17"))
+    write_recorded(
+        tmp_path / "r.npz", RecordedKeypoints("npz", np.arange(3), np.array([0]), POINTS[:2], True, "coco17")
+    )
     with pytest.raises(UserError, match=r"r\.npz"):
         read_recorded(tmp_path / "r.npz")

@@ -20,7 +20,7 @@ from studiorecon.images.metrics import psnr
 from studiorecon.images.transfer import ResidualSource, Transfer, best_strength, source, transfer_residual
 from studiorecon.images.warp import sample
 from studiorecon.models.protocols import Moment
-from studiorecon.recursive.clip import adapt_injection, enhanced, loop_gain
+from studiorecon.recursive.sequence import adapt_injection, enhance_sequence, loop_gain
 from studiorecon.render import shot as render_shot
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import read_decisions
@@ -267,7 +267,7 @@ def test_the_recursion_ends_at_the_residual_and_not_beyond() -> None:
     picture = np.full((*view.hw, 3), 60, np.uint8)
     steps = [PathStep(view, 0.0, "00")] * 12
     depths = [np.rint(view_depth * 1000).astype(np.uint16)] * 12
-    outputs = list(enhanced(steps, [picture] * 12, depths, lambda step: photo, enhancer, section, SEARCH))
+    outputs = list(enhance_sequence(steps, [picture] * 12, depths, lambda step: photo, enhancer, section, SEARCH))
     _, cover = transfer_residual(view, depths[0] / 1000, [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER)
     added = outputs[-1][..., 0].astype(float) - 60
     np.testing.assert_allclose(added[cover > 0.95], 51 * cover[cover > 0.95], atol=2)
@@ -282,7 +282,7 @@ def test_a_film_that_pans_keeps_its_confidence() -> None:
     clean = [texture[:, 2 * k : 2 * k + width] for k in range(12)]
     noisy = [np.rint(255 * np.clip(c + rng.normal(0, 4 / 255, c.shape), 0, 1)).astype(np.uint8) for c in clean]
     steps, depths = [PathStep(view, float(k), "a") for k in range(12)], [np.full(view.hw, 2000, np.uint16)] * 12
-    outputs = list(enhanced(steps, noisy, depths, lambda step: noisy[0], Unchanged(), PAPER, SEARCH))
+    outputs = list(enhance_sequence(steps, noisy, depths, lambda step: noisy[0], Unchanged(), PAPER, SEARCH))
     inner = np.s_[:, 30:-30]
     before, after = (np.std([(p[k] / 255 - clean[k])[inner] for k in range(4, 12)]) for p in (noisy, outputs))
     assert after < 0.93 * before
@@ -299,7 +299,7 @@ def test_pixels_that_an_enhancer_breaks_are_left_as_rendered_and_counted(capsys:
     view, rng = ring([0], "view")[0], np.random.default_rng(3)
     picture, depth = rng.integers(40, 200, (*view.hw, 3), dtype=np.uint8), np.full(view.hw, 2000, np.uint16)
     steps = [PathStep(view, float(k), "a") for k in range(3)]
-    outputs = list(enhanced(steps, [picture] * 3, [depth] * 3, lambda step: picture, Breaking(), PAPER, SEARCH))
+    outputs = list(enhance_sequence(steps, [picture] * 3, [depth] * 3, lambda step: picture, Breaking(), PAPER, SEARCH))
     for output in outputs:
         np.testing.assert_array_equal(output, picture)
     assert "3 pixels not finite" in "".join(capsys.readouterr())
@@ -312,7 +312,7 @@ def test_history_starts_anew_with_every_segment() -> None:
     steps = [PathStep(view, 0.0, "a"), PathStep(view, 1.0, "b")]
     depths = [np.full(view.hw, 2000, np.uint16)] * 2
     loose = replace(PAPER, error_threshold=255.0)
-    together = list(enhanced(steps, pictures, depths, lambda step: pictures[0], Unchanged(), loose, SEARCH))
+    together = list(enhance_sequence(steps, pictures, depths, lambda step: pictures[0], Unchanged(), loose, SEARCH))
     np.testing.assert_array_equal(together[1], pictures[1])
 
 
@@ -326,7 +326,7 @@ def test_an_enhancer_that_brightens_is_refused_before_the_first_picture() -> Non
     injection = PAPER
     with pytest.raises(UserError, match=r"1\.050"):
         next(
-            enhanced(
+            enhance_sequence(
                 [PathStep(view, 0.0, "a")], [picture], [depth], lambda step: picture, Brighter(), injection, SEARCH
             )
         )
@@ -379,7 +379,7 @@ def test_injection_steadies_an_enhancer_that_adds_fresh_noise_to_every_picture(
         injection = replace(PAPER if reading == "paper" else settings.injection, history=history)
         steps = [PathStep(view, float(i), "a") for i in range(20)]
         outputs = list(
-            enhanced(steps, [picture] * 20, [depth] * 20, lambda step: picture, Flickering(), injection, SEARCH)
+            enhance_sequence(steps, [picture] * 20, [depth] * 20, lambda step: picture, Flickering(), injection, SEARCH)
         )
         return float(np.abs(np.diff(np.stack(outputs[4:]).astype(float), axis=0)).mean())
 
@@ -416,11 +416,15 @@ def test_brightness_stays_over_a_long_film(settings: enhance_shot.Settings) -> N
     scene = 60 + 120 * (scene - scene.min()) / np.ptp(scene)
     noisy = [np.clip(np.rint(scene + rng.normal(0, 8, scene.shape)), 0, 255).astype(np.uint8) for _ in range(120)]
     steps, depths = [PathStep(view, float(k), "a") for k in range(120)], [np.full(view.hw, 2000, np.uint16)] * 120
-    outputs = list(enhanced(steps, noisy, depths, lambda step: noisy[0], Unchanged(), settings.injection, SEARCH))
+    outputs = list(
+        enhance_sequence(steps, noisy, depths, lambda step: noisy[0], Unchanged(), settings.injection, SEARCH)
+    )
     drift = [float(output.mean() - picture.mean()) for output, picture in zip(outputs, noisy)]
     assert np.abs(drift).max() < 0.5
     literal = replace(settings.injection, form="literal")
-    darker = list(enhanced(steps[:30], noisy[:30], depths[:30], lambda step: noisy[0], Unchanged(), literal, SEARCH))
+    darker = list(
+        enhance_sequence(steps[:30], noisy[:30], depths[:30], lambda step: noisy[0], Unchanged(), literal, SEARCH)
+    )
     assert float(darker[-1].mean()) < float(noisy[29].mean()) - 5
 
 

@@ -16,8 +16,8 @@ from studiorecon.enhance.backends import Unchanged, network
 from studiorecon.errors import UserError
 from studiorecon.images.flow import one_thread
 from studiorecon.models.adapters.raft import postprocess, preprocess
-from studiorecon.recursive.clip import enhanced
 from studiorecon.recursive.flows import DisFlow, load_flow
+from studiorecon.recursive.sequence import enhance_sequence
 from studiorecon.scene.path import PathStep
 
 from tests.made.enhance_folder import VIEW, panning
@@ -65,9 +65,11 @@ def test_pictures_too_small_for_the_network_are_enlarged_and_steadied() -> None:
     steps = [PathStep(VIEW, float(k), "a") for k in range(6)]
     depths = [np.full(VIEW.hw, 2000, np.uint16)] * 6
     reading = replace(PAPER, history=1, check=False, strength=0.8, error_threshold=60.0)
-    outputs = list(enhanced(steps, pictures, depths, lambda step: pictures[0], Unchanged(), reading, search))
+    outputs = list(enhance_sequence(steps, pictures, depths, lambda step: pictures[0], Unchanged(), reading, search))
     assert all(min(size) >= 128 for size in search.sizes)
-    still = list(enhanced(steps, pictures, depths, lambda step: pictures[0], Unchanged(), reading, Network(-1.5)))
+    still = list(
+        enhance_sequence(steps, pictures, depths, lambda step: pictures[0], Unchanged(), reading, Network(-1.5))
+    )
     truth = panning(6, noise=0.0)
     error = [
         float(np.abs(o[-1][:, 12:-12].astype(int) - truth[-1][:, 12:-12]).mean()) for o in (outputs, pictures, still)

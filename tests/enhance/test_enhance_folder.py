@@ -16,7 +16,7 @@ from studiorecon.enhance import folder as enhance_folder
 from studiorecon.enhance.backends import Unchanged
 from studiorecon.errors import UserError
 from studiorecon.footage.video import write_lossless
-from studiorecon.recursive.clip import is_still
+from studiorecon.recursive.sequence import is_still
 from studiorecon.scene.path import PathStep
 
 from tests.made.enhance_folder import VIEW, panning, played, write_pictures

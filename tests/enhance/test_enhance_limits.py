@@ -13,8 +13,8 @@ from studiorecon.images.blur import gaussian_blur
 from studiorecon.images.flow import consistent, dis_flow, one_thread
 from studiorecon.images.warp import warp
 from studiorecon.models.adapters import raft
-from studiorecon.recursive.clip import check_gain
 from studiorecon.recursive.injection import Injection, confidence, history_weights, inject, whole_levels
+from studiorecon.recursive.sequence import check_gain
 
 from tests.made.enhance_limits import PAPER
 from tests.made.flow import textured

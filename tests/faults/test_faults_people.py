@@ -16,7 +16,7 @@ from studiorecon.people import associate
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.people import read_identities, read_people, write_detections
-from studiorecon.scene.recorded import Recorded
+from studiorecon.scene.recorded_keypoints import RecordedKeypoints
 from studiorecon.tracks import keypoints as detections
 
 from tests.made.cameras import detect, ring, walk
@@ -89,7 +89,7 @@ def test_detections_keep_their_tracks_and_what_was_not_hit(take, default_setting
     values, hit = poisoned(found.keypoints, poison, np.random.default_rng(3))
 
     def read(keypoints: np.ndarray):
-        given = Recorded("made", np.unique(found.frame), found.frame, keypoints, True, "coco17")
+        given = RecordedKeypoints("made", np.unique(found.frame), found.frame, keypoints, True, "coco17")
         return detections.detections_from_recorded(given, lens, footage(camera.name, camera.wh), options)
 
     before, after = read(np.nan_to_num(found.keypoints)), read(values)

@@ -27,7 +27,7 @@ from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.room import RoomBox
 from studiorecon.splatting.seeds import seeds_from_depth
 from studiorecon.survey import coverage, exposures
-from studiorecon.views import forward
+from studiorecon.views import forward_warp
 
 from tests.made.cameras import LIMITS, adjust, detect, ring, seen, walk
 from tests.made.gaussians import camera, rasterise
@@ -105,9 +105,11 @@ def test_views_carry_the_rest_of_a_photo(fault: float) -> None:
     depth, hit = with_faults(clean, fault)
     target = ring(16)[1].resized((160, 88))
     everything = np.ones_like(hit)
-    right, support, _ = forward.blend(target, [forward.source(VIEWS[0], rgb, everything, clean, 0.04)], 3, 0.02, 0.3)
-    found, kept, made_depth = forward.blend(
-        target, [forward.source(VIEWS[0], rgb, everything, depth, 0.04)], 3, 0.02, 0.3
+    right, support, _ = forward_warp.blend(
+        target, [forward_warp.source(VIEWS[0], rgb, everything, clean, 0.04)], 3, 0.02, 0.3
+    )
+    found, kept, made_depth = forward_warp.blend(
+        target, [forward_warp.source(VIEWS[0], rgb, everything, depth, 0.04)], 3, 0.02, 0.3
     )
     assert np.isfinite(found).all()
     assert np.isfinite(made_depth).all()

@@ -26,7 +26,7 @@ from studiorecon.footage.source import open_source
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import write_watchable
 from studiorecon.keypoints.readers import read_keypoints
-from studiorecon.masks.given import mask_pictures
+from studiorecon.masks.user_masks import mask_pictures
 from studiorecon.models.adapters.comotion import Comotion
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.gaussians import Gaussians

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from studiorecon.clocks.motion_clock import compare, motion_energy
-from studiorecon.images.regions import dilated
+from studiorecon.images.regions import dilate
 
 
 @pytest.mark.parametrize("case", ["still", "steady", "short", "one-sided"], ids=lambda c: f"V07-{c}")
@@ -33,4 +33,4 @@ def test_the_paper_s_dilation_is_a_kernel_of_21(size: int) -> None:
     # Naive: radius 21 (kernel 43) eats four times the floor around the feet.
     region = np.zeros((64, 64), bool)
     region[32, 32] = True
-    assert dilated(region, size).sum() == 441
+    assert dilate(region, size).sum() == 441

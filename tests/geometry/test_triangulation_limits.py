@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 from studiorecon.geometry import triangulation_kernels as kernels
-from studiorecon.geometry.triangulation import Triangulated, _rig, triangulate
+from studiorecon.geometry.triangulation import TriangulatedPoints, _rig, triangulate
 
 from tests.made.cameras import LIMITS, arc, look_at, ring, seen
 
@@ -19,7 +19,7 @@ CENTRE = np.array([[0.0, 0.0, 1.0]])
 SOLVERS = ["robust", "huber", "dlt"]
 
 
-def solve(pixels: np.ndarray, cameras: list, solver: str = "robust", **changed: float) -> Triangulated:
+def solve(pixels: np.ndarray, cameras: list, solver: str = "robust", **changed: float) -> TriangulatedPoints:
     return triangulate(
         pixels, np.ones(pixels.shape[:2]), cameras, replace(LIMITS, **changed), noise_px=1.0, solver=solver
     )

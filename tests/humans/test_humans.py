@@ -40,7 +40,7 @@ from studiorecon.humans.refined_motion import RefinedMotion
 from studiorecon.humans.surface_samples import (
     fill_unseen,
     gaussians_on,
-    mirrored,
+    mirror_indices,
     neighbours,
     sample_surface,
     vertex_samples,
@@ -195,7 +195,7 @@ def test_crops_keep_pixels_in_place(body: BodyModel) -> None:
 
 def test_unseen_colours_come_from_the_other_side_or_from_beside(body: BodyModel) -> None:
     samples = sample_surface(body.rest_vertices(np.zeros(10)), body.faces, body.weights, 3000, np.random.default_rng(0))
-    near, twin = neighbours(samples, 8), mirrored(samples, 2 * samples.spacing_m)
+    near, twin = neighbours(samples, 8), mirror_indices(samples, 2 * samples.spacing_m)
     truth = 0.5 + 0.4 * np.sin(3 * samples.points_m[:, 1:2] + np.array([0, 1, 2]))  # symmetric bands
     left_hand = samples.points_m[:, 0] > 0.5
     filled = fill_unseen(np.where(left_hand[:, None], 0.0, truth), ~left_hand, near, twin)

@@ -20,7 +20,7 @@ from studiorecon.images.encoded import write_png
 from studiorecon.models.adapters import lhm
 from studiorecon.render import shot as render_shot
 from studiorecon.scene.gaussians import SH_C0, Gaussians
-from studiorecon.scene.stand_ins import strangers
+from studiorecon.scene.replacement_photos import strangers
 
 from tests.made.scene import render_options, write_scene
 from tests.made.steps import call

@@ -15,7 +15,7 @@ from studiorecon.images.blur import gaussian_blur
 from studiorecon.images.exposure import Overlap, compare, solve_gains
 from studiorecon.images.flow import consistent, grey_levels
 from studiorecon.images.plate import noise_levels, temporal_modes, write_plate
-from studiorecon.images.regions import dilated, signed_distance_px, without_holes, without_islands
+from studiorecon.images.regions import dilate, signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import front_person, mesh_depth
 from studiorecon.images.similarity import similarity_map
 from studiorecon.images.warp import sample, warp
@@ -43,7 +43,7 @@ CASES = {
         r"free has shape \(2, 4, 5\)",
     ),
     "plate-kind": (lambda: temporal_modes(zeros(3, 4, 5, 3), np.ones((3, 4, 5), bool), 8.0), "frames are float32"),
-    "dilated": (lambda: dilated(np.ones((3, 4, 5), bool), 3), r"region has shape \(3, 4, 5\)"),
+    "dilated": (lambda: dilate(np.ones((3, 4, 5), bool), 3), r"region has shape \(3, 4, 5\)"),
     "consistent": (lambda: consistent(zeros(5, 5, 2), zeros(5, 6, 2)), r"reverse_flow has shape \(5, 6, 2\)"),
     "grey": (lambda: grey_levels(zeros(5, 5)), r"rgb has shape \(5, 5\)"),
     "noise": (lambda: noise_levels(zeros(5, 5, 3)), r"frames has shape \(5, 5, 3\)"),

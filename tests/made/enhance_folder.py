@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from studiorecon.models.protocols import Moment
-from studiorecon.recursive.clip import enhanced
+from studiorecon.recursive.sequence import enhance_sequence
 from studiorecon.scene.path import PathStep
 
 from tests.made.enhance import SEARCH
@@ -38,7 +38,7 @@ class Warmer:
 def played(pictures: list[np.ndarray], enhancer: object, injection: object = PAPER) -> list[np.ndarray]:
     steps = [PathStep(VIEW, float(k), "a") for k in range(len(pictures))]
     depths = [np.full(VIEW.hw, 2000, np.uint16)] * len(pictures)
-    return list(enhanced(steps, pictures, depths, lambda step: pictures[0], enhancer, injection, SEARCH))
+    return list(enhance_sequence(steps, pictures, depths, lambda step: pictures[0], enhancer, injection, SEARCH))
 
 
 def write_pictures(folder: Path, pictures: list[np.ndarray]) -> Path:

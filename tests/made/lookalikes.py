@@ -15,8 +15,8 @@ from studiorecon.detector.following import detect_people, keypoints_with_confide
 from studiorecon.detector.windows import small, usual
 from studiorecon.footage.video import write_lossless
 from studiorecon.geometry.rotations import exp, log
+from studiorecon.keypoints.detections import detections_from_detector
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.reading import detections_from_detector
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import TrackVerdict, identities_from_keypoints
 from studiorecon.people.association.image_evidence import CameraEvidence
@@ -29,7 +29,7 @@ from studiorecon.studio import rig
 from studiorecon.studio.actors import Actors
 from studiorecon.studio.description import RESOURCES, Description, read_description
 from studiorecon.studio.film import backdrop, render_frame, touched_pixels
-from studiorecon.studio.meshes import Mesh, box, lathe, placed, plain, transformed
+from studiorecon.studio.meshes import Mesh, box, lathe, plain, pose_on_floor, transform_points
 from studiorecon.studio.room import room
 from studiorecon.studio.sensor import Sensor, develop
 from studiorecon.studio.tracing import Tracer
@@ -233,7 +233,9 @@ def panel(picture: np.ndarray, height_m: float, above_m: float, glow: float = 0.
 
 def stool() -> Mesh:
     """What ``sitting`` sits on."""
-    return box("stool", (0.4, 0.4, SEAT_M[2]), placed((SEAT_M[0], SEAT_M[1], 0.0), FACING_RAD), plain((0.2, 0.3, 0.1)))
+    return box(
+        "stool", (0.4, 0.4, SEAT_M[2]), pose_on_floor((SEAT_M[0], SEAT_M[1], 0.0), FACING_RAD), plain((0.2, 0.3, 0.1))
+    )
 
 
 def dog(position_m: tuple[float, float], heading_rad: float, stride: float) -> list[Mesh]:
@@ -251,7 +253,7 @@ def dog(position_m: tuple[float, float], heading_rad: float, stride: float) -> l
         frame[:3, :3] = turn @ np.stack([side, np.cross(axis, side), axis], axis=1)
         frame[:3, 3] = turn @ np.array(start) + [*position_m, 0]
         straight = lathe("dog", profile, np.eye(4), paint, segments=24)
-        return replace(straight, vertices_m=transformed(straight.vertices_m, frame), world_from_solid=frame)
+        return replace(straight, vertices_m=transform_points(straight.vertices_m, frame), world_from_solid=frame)
 
     trunk = [(0.0, 0.0), (0.13, 0.05), (0.16, 0.3), (0.14, 0.6), (0.17, 0.8), (0.0, 0.92)]
     leg = [(0.0, 0.0), (0.075, 0.02), (0.05, 0.3), (0.035, 0.52), (0.045, 0.56), (0.0, 0.58)]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.readers import read_keypoints
-from studiorecon.scene.recorded import write_recorded
+from studiorecon.scene.recorded_keypoints import write_recorded
 
 
 def taken_over(keypoints: Path, out: Path, layout: str = "auto", first: int = 0) -> Path:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.scene.recorded import Recorded
+from studiorecon.scene.recorded_keypoints import RecordedKeypoints
 
 # Shares of somebody's height, from the feet upwards and to the right.
 _JOINTS = {
@@ -24,7 +24,7 @@ class Take:
     """A film and what a detector says of it."""
 
     pictures: list[np.ndarray]
-    recorded: Recorded
+    recorded: RecordedKeypoints
     wh: tuple[int, int]
     fps: float
 
@@ -80,5 +80,5 @@ def take(seed: int, frames: int = 96, people: int = 2, wh: tuple[int, int] = (32
                 keypoints.append(np.where(seen[:, None], np.column_stack([noisy, rng.uniform(0.4, 0.95, 17)]), 0.0))
         noise = rng.normal(0, 2.5, picture.shape) + rng.normal(0, 1.0)
         pictures.append(np.clip(picture + noise, 0, 255).astype(np.uint8))
-    recorded = Recorded("made", np.arange(frames), np.array(frame), np.array(keypoints), False, "coco17")
+    recorded = RecordedKeypoints("made", np.arange(frames), np.array(frame), np.array(keypoints), False, "coco17")
     return Take(pictures, recorded, wh, fps)

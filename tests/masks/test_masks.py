@@ -15,7 +15,7 @@ from studiorecon.camera_files.colmap import write_model
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_stack, write_lossless
 from studiorecon.images.plate import write_plate
-from studiorecon.images.regions import dilated, signed_distance_px, without_holes, without_islands
+from studiorecon.images.regions import dilate, signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import front_person, mesh_depth
 from studiorecon.masks import segment as step
 from studiorecon.masks.log_odds import colour_difference
@@ -242,11 +242,11 @@ class TestRegions:
     def test_dilation_is_centred(self) -> None:
         region = np.zeros((41, 41), bool)
         region[20, 20] = True
-        grown = dilated(region, 21)
+        grown = dilate(region, 21)
         assert grown.sum() == 21 * 21
         assert grown[10:31, 10:31].all()
         with pytest.raises(ValueError, match="odd"):
-            dilated(region, 20)
+            dilate(region, 20)
 
 
 def test_a_shadow_counts_less_than_paint_of_the_same_strength(settings: step.Settings) -> None:

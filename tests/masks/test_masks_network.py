@@ -12,8 +12,8 @@ import pytest
 from studiorecon.configuration.settings import load
 from studiorecon.footage.video import read_stack, write_lossless
 from studiorecon.masks import network
-from studiorecon.masks.given import label_given_masks
 from studiorecon.masks.tracks import UNASSIGNED, assign_people
+from studiorecon.masks.user_masks import label_given_masks
 from studiorecon.models.adapters import sam3
 from studiorecon.models.catalogue.card import Card
 from studiorecon.scene.capture import Footage, write_footage

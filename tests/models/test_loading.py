@@ -17,7 +17,7 @@ from studiorecon.configuration.schema import find_schema
 from studiorecon.models import loading
 from studiorecon.models.catalogue.card import Card
 from studiorecon.models.catalogue.registry import MODELS, adapter_module, of_kind
-from studiorecon.models.catalogue.selection import CHOICES, adapter_modules, selected
+from studiorecon.models.catalogue.selection import CHOICES, adapter_modules, select_networks
 from studiorecon.models.loading import adapter, load
 from studiorecon.stages import STAGES
 
@@ -106,7 +106,9 @@ def test_an_edited_adapter_reruns_the_steps_that_run_it_and_no_others() -> None:
     assert adapter_modules("humans.canonical", {}) == ["models.adapters.lhm"]
     assert adapter_modules("depth.network", {"depth": {"source": "embedded"}}) == []
     assert adapter_modules("people.lift", {"depth": {"source": "moge"}}) == ["models.adapters.moge"]
-    assert adapter_modules("report.page", preset) == sorted({adapter_module(name) for _, name in selected(preset)})
+    assert adapter_modules("report.page", preset) == sorted(
+        {adapter_module(name) for _, name in select_networks(preset)}
+    )
     without = code.digest("masks.network")
     assert code.digest("masks.network", ["models.adapters.sam3"]) != without
     # Nothing but the name leads there: else an edited adapter would rerun every step that runs some network.

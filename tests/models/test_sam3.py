@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.models.adapters import sam3
-from studiorecon.models.adapters.sam3 import CARD, joined, labelled, linked, postprocess, preprocess
+from studiorecon.models.adapters.sam3 import CARD, joined, labelled, match_labels, postprocess, preprocess
 from studiorecon.models.loading import load
 
 HW = (12, 20)
@@ -74,12 +74,12 @@ def test_people_keep_their_number_when_a_chunk_names_them_anew() -> None:
 
 
 def test_who_is_elsewhere_is_somebody_else() -> None:
-    assert linked(labels_of(n1=0), labels_of(n7=3)) == {}
-    assert linked(labels_of(n1=0), labels_of(n7=1)) == {7: 1}
+    assert match_labels(labels_of(n1=0), labels_of(n7=3)) == {}
+    assert match_labels(labels_of(n1=0), labels_of(n7=1)) == {7: 1}
     # Two new ones on one known: the better fit takes the number, the other a new one.
     again = labels_of(n7=0)
     again[2:4, 0:4] = 8
-    assert linked(labels_of(n1=0), again) == {7: 1}
+    assert match_labels(labels_of(n1=0), again) == {7: 1}
     assert list(joined([[labels_of(n1=0)], [labels_of(n1=10), labels_of(n1=10)]]))[1].max() == 2
 
 

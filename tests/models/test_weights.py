@@ -17,12 +17,12 @@ from studiorecon.errors import UserError
 from studiorecon.models import weights
 from studiorecon.models.catalogue.card import WeightFile
 from studiorecon.models.catalogue.checksums import PINS, digest, read_pins, verify
-from studiorecon.models.catalogue.confined import ARRAYS_ONLY, OFFLINE, confine
 from studiorecon.models.catalogue.fetching import fetch
 from studiorecon.models.catalogue.pickles import require_safe_pickles
 from studiorecon.models.catalogue.preflight import staged_weights
 from studiorecon.models.catalogue.registry import MODELS
-from studiorecon.models.catalogue.selection import check_licences, licence_rows, selected
+from studiorecon.models.catalogue.sandbox import ARRAYS_ONLY, OFFLINE, confine
+from studiorecon.models.catalogue.selection import check_licences, licence_rows, select_networks
 
 
 class Hub(ModuleType):
@@ -233,7 +233,7 @@ def test_a_configuration_says_which_networks_it_uses_and_commerce_refuses_some()
         "enhance": {"enhancer": "residual", "flow": "raft"},
         "background": {"training": {"lpips": {"weight": 0.1}}},
     }
-    assert selected(config) == [
+    assert select_networks(config) == [
         ("depth.source", "pi3"),
         ("enhance.flow", "raft"),
         ("background.training.lpips.weight", "lpips"),

@@ -19,9 +19,9 @@ import pytest
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import WeightFile
 from studiorecon.models.catalogue.checksums import digest, read_pins
-from studiorecon.models.catalogue.confined import OFFLINE
 from studiorecon.models.catalogue.fetching import fetch
 from studiorecon.models.catalogue.registry import MODELS
+from studiorecon.models.catalogue.sandbox import OFFLINE
 from studiorecon.models.weights import stage
 
 from tests.made.hub import Hub, serving

@@ -14,7 +14,7 @@ from snakemake_interface_logger_plugins.common import LogEvent
 from snakemake_logger_plugin_studiorecon import LogHandler
 from studiorecon import progress
 from studiorecon.cli.run_progress import KEPT, Run, Running, read_seconds, record_seconds
-from studiorecon.pages.ending import ending
+from studiorecon.pages.run_summary import ending
 
 
 def planned(**jobs: int) -> Counter[str]:
@@ -79,7 +79,7 @@ def test_beside_a_runs_bar_a_step_is_one_short_line_and_keeps_its_warnings_for_t
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     monkeypatch.setenv("COLUMNS", "60")
-    with progress.logged("depth.sweep", tmp_path / "step.log"):
+    with progress.log_to("depth.sweep", tmp_path / "step.log"):
         progress.say("a long sentence, " * 20)
         progress.warn("the floor is wet")
         assert list(progress.progress(range(3), "pictures")) == [0, 1, 2]

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from snakemake.cli import parse_config
 from snakemake.utils import update_config
-from studiorecon.configuration.schema import mistakes, named, typed
+from studiorecon.configuration.schema import coerce_types, mistakes, named
 from studiorecon.survey.effects import EFFECTS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,7 +32,7 @@ def over(above: dict[str, Any]) -> dict[str, Any]:
     """The configuration with something laid over it, as the workflow takes it."""
     config = copy.deepcopy(_defaults())
     update_config(config, above)
-    return typed(config, schema())
+    return coerce_types(config, schema())
 
 
 def said(*entries: str) -> dict[str, Any]:

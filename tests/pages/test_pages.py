@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from jinja2 import UndefinedError
 from studiorecon.calibration.checks import doctor_page as doctor
-from studiorecon.pages import html, running, skeleton
+from studiorecon.pages import html, run_page, skeleton
 from studiorecon.people import review
 
 from tests.made.browser import BROWSER
@@ -63,8 +63,8 @@ def identity_page(name: str) -> str:
 
 
 def runs_page(name: str, folder: Path, on: bool = True) -> str:
-    stages = [running.Stage("capture", 2, 4), running.Stage(name, 0, 1)]
-    return running.write_page(folder, name, f"2 of 5 jobs of {name}", name, stages, [name], [], on)
+    stages = [run_page.Stage("capture", 2, 4), run_page.Stage(name, 0, 1)]
+    return run_page.write_page(folder, name, f"2 of 5 jobs of {name}", name, stages, [name], [], on)
 
 
 def blocks(name: str) -> str:
@@ -94,7 +94,7 @@ def test_a_template_that_lacks_a_value_is_no_page() -> None:
 
 
 def test_a_page_reloads_while_the_run_is_on_and_leads_to_the_report_after_it(tmp_path: Path) -> None:
-    assert f'http-equiv="refresh" content="{running.RELOAD_S}"' in runs_page("demo", tmp_path)
+    assert f'http-equiv="refresh" content="{run_page.RELOAD_S}"' in runs_page("demo", tmp_path)
     assert 'http-equiv="refresh"' not in runs_page("demo", tmp_path, on=False), "a run that was stopped stays as it was"
     for name in ("report/index.html", "plates/cam0.png", "people/review.html"):
         (tmp_path / name).parent.mkdir(exist_ok=True)

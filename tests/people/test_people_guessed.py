@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from studiorecon.detector.blazepose import LAYOUT
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.people.expected import agreement, plan_second_look, swap_left_right
+from studiorecon.people.expected_keypoints import agreement, plan_second_look, swap_left_right
 from studiorecon.people.monocular_guess import guess_in_world, is_left_right_swapped, project_guess, right_to_left
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections

@@ -99,7 +99,7 @@ def lifted_m(camera: Camera, found: Detections) -> np.ndarray:
 
 def planted(camera: Camera, **lifting: float) -> tuple[Detections, np.ndarray]:
     seen, predicted, first_m = seen_by(camera), network_depths(camera), moments(camera)[0]
-    alignment = lift.aligned_to_first(predicted, first_m, seen)
+    alignment = lift.align_to_first(predicted, first_m, seen)
     assert alignment.model == "affine"
     return lift.lift_detections(seen, predicted, first_m, alignment, camera, Lifting(**lifting)), np.concatenate(
         [pelvises(t) for t in range(FRAMES)]
@@ -125,9 +125,9 @@ def test_one_alignment_for_all_frames_keeps_whoever_stands_at_one_depth() -> Non
     for t, depth in predicted.items():
         nobody = lift.static_pixels(camera.hw, seen.keypoints[seen.frame == t])
         predicted[t] = np.where(nobody, depth * rng.normal(1, 0.02, depth.shape), depth)
-    alignment = lift.aligned_to_first(predicted, first_m, seen)
+    alignment = lift.align_to_first(predicted, first_m, seen)
     assert alignment.scale == pytest.approx(UNIT, rel=0.1)
-    alone = [lift.aligned_to_first({t: depth}, first_m, seen).scale for t, depth in predicted.items()]
+    alone = [lift.align_to_first({t: depth}, first_m, seen).scale for t, depth in predicted.items()]
     assert np.ptp(alone) > 1e-4
     found = lift.lift_detections(seen, predicted, first_m, alignment, camera, Lifting())
     still = lifted_m(camera, found)[seen.track == 1][1:]
@@ -138,7 +138,7 @@ def test_the_first_moment_keeps_its_own_depth() -> None:
     camera = rig()[0]
     seen, predicted = seen_by(camera), network_depths(camera)
     first_m = moments(camera)[0]
-    alignment = lift.aligned_to_first(predicted, first_m, seen)
+    alignment = lift.align_to_first(predicted, first_m, seen)
     nearer = lift.lift_detections(seen, predicted, 0.9 * first_m, alignment, camera, Lifting())
     assert nearer.pelvis is not None
     as_it_was = lift.lift_detections(seen, predicted, first_m, alignment, camera, Lifting())

@@ -44,7 +44,7 @@ def at(camera: Camera, point_m: np.ndarray) -> tuple[int, int]:
 
 def test_the_skeleton_lies_on_the_joints_and_filled_frames_are_thinner(person: Person) -> None:
     grey = np.full((200, 320, 3), 90, np.uint8)
-    solid, filled = (painted(overlay.drawn(grey, f, CAMERA, [person], None, {}), person_colour(0)) for f in (0, 1))
+    solid, filled = (painted(overlay.draw_frame(grey, f, CAMERA, [person], None, {}), person_colour(0)) for f in (0, 1))
     for joint in (4, 5, 18, 19):
         assert solid[at(CAMERA, person.joints[0, joint])]
     assert 0.3 * solid.sum() < filled.sum() < 0.8 * solid.sum()
@@ -54,7 +54,7 @@ def test_the_skeleton_lies_on_the_joints_and_filled_frames_are_thinner(person: P
 def test_a_body_behind_the_camera_is_not_drawn(person: Person) -> None:
     away = replace(person, joints=person.joints + np.array([10.0, 0, 0]))
     grey = np.full((200, 320, 3), 90, np.uint8)
-    assert (overlay.drawn(grey, 0, CAMERA, [away], None, {}) == 90).all()
+    assert (overlay.draw_frame(grey, 0, CAMERA, [away], None, {}) == 90).all()
 
 
 def test_dots_have_the_colour_of_their_owner(person: Person) -> None:
@@ -62,7 +62,7 @@ def test_dots_have_the_colour_of_their_owner(person: Person) -> None:
     points[0, :3] = [[20.5, 30.5, 0.9], [50.5, 30.5, 0.5], [300.5, 20.5, 0.0]]
     points[1, :1] = [[20.5, 150.5, 0.9]]
     seen = Detections("cam0", "coco17", np.array([0, 0]), np.array([3, 4]), points)
-    drawn = overlay.drawn(
+    drawn = overlay.draw_frame(
         np.zeros((200, 320, 3), np.uint8), 0, CAMERA, [person], seen, {("cam0", 3): "p0", ("cam0", 4): ""}
     )
     assert painted(drawn, person_colour(0))[30, 20]
@@ -113,7 +113,7 @@ def test_the_film_has_every_frame(tmp_path: Path, root: Path, person: Person) ->
 def test_whoever_is_away_has_no_skeleton(person: Person) -> None:
     late = replace(person, present=np.arange(FRAMES) >= 2)
     grey = np.full((200, 320, 3), 90, np.uint8)
-    assert (overlay.drawn(grey, 1, CAMERA, [late], None, {}) == 90).all()
+    assert (overlay.draw_frame(grey, 1, CAMERA, [late], None, {}) == 90).all()
     np.testing.assert_array_equal(
-        overlay.drawn(grey, 2, CAMERA, [late], None, {}), overlay.drawn(grey, 2, CAMERA, [person], None, {})
+        overlay.draw_frame(grey, 2, CAMERA, [late], None, {}), overlay.draw_frame(grey, 2, CAMERA, [person], None, {})
     )

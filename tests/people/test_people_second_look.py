@@ -11,7 +11,7 @@ from studiorecon.detector.blazepose import LAYOUT, MASK_PX, Landmarks, Region
 from studiorecon.detector.windows import region_of_body
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people import second_look
-from studiorecon.people.expected import Expected, agreement, plan_second_look, swap_left_right
+from studiorecon.people.expected_keypoints import ExpectedKeypoints, agreement, plan_second_look, swap_left_right
 from studiorecon.people.second_look import SecondLook, improve_detections
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.clocks import Clock, Clocks
@@ -47,8 +47,8 @@ def detections(*rows: tuple[int, int, np.ndarray]) -> Detections:
     )
 
 
-def everywhere(person: str, x: float) -> Expected:
-    return Expected(person, np.repeat(somebody(x)[None], FRAMES, axis=0))
+def everywhere(person: str, x: float) -> ExpectedKeypoints:
+    return ExpectedKeypoints(person, np.repeat(somebody(x)[None], FRAMES, axis=0))
 
 
 def test_agreement_is_a_share_of_the_body_and_not_of_the_picture() -> None:
@@ -109,7 +109,9 @@ def test_a_free_track_where_somebody_is_expected_becomes_theirs() -> None:
 
 def test_nothing_is_known_where_the_other_cameras_see_too_little() -> None:
     unknown = np.full((FRAMES, 33, 2), np.nan)
-    plan = plan_second_look(detections((0, 0, somebody(100))), [Expected("p0", unknown)], {("left", 0): "p0"}, FRAMES)
+    plan = plan_second_look(
+        detections((0, 0, somebody(100))), [ExpectedKeypoints("p0", unknown)], {("left", 0): "p0"}, FRAMES
+    )
     assert plan.looks == []
     assert not plan.dropped.any()
 
@@ -149,7 +151,7 @@ def test_what_is_found_again_joins_the_persons_track_and_brings_its_mask(replace
 
 def test_where_somebody_is_between_two_moments_lies_on_the_line_between_them() -> None:
     """Half a frame late, and each row at its own time; where the next moment is unknown, as at this one."""
-    walking = Expected("p0", np.stack([somebody(100 + 12 * t) for t in range(FRAMES)]))
+    walking = ExpectedKeypoints("p0", np.stack([somebody(100 + 12 * t) for t in range(FRAMES)]))
     np.testing.assert_allclose(walking.at(2, 0.5), somebody(130))
     np.testing.assert_allclose(walking.at(2, -0.5), somebody(118))
     each = np.linspace(-0.5, 0.5, len(NAMES))
@@ -159,7 +161,7 @@ def test_where_somebody_is_between_two_moments_lies_on_the_line_between_them() -
 
 def test_what_is_found_in_a_late_picture_goes_back_to_its_moment(monkeypatch: pytest.MonkeyPatch) -> None:
     """A picture half a frame beside its moment shows somebody 6 px away; the landmarks found there come back."""
-    walking = Expected("p0", np.stack([somebody(100 + 12 * t) for t in range(FRAMES)]))
+    walking = ExpectedKeypoints("p0", np.stack([somebody(100 + 12 * t) for t in range(FRAMES)]))
     asked = []
 
     def seen_there(_network: object, _picture: object, region: Region) -> Landmarks:

@@ -18,9 +18,9 @@ from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import look_at
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.placement import advise, place
-from studiorecon.placement.figures import Judge, errors_m, information, is_in_picture
+from studiorecon.placement.camera_placement import advice, lens, move_text, place_cameras, with_pose
 from studiorecon.placement.picture import camera_position_text
-from studiorecon.placement.placing import advice, in_words, lens, place_cameras, with_pose
+from studiorecon.placement.rig_quality import RigEvaluator, errors_m, information, is_in_picture
 from studiorecon.placement.room import TALL_M, WIDTH_M, Room, is_blocked, read_room, room_about
 from studiorecon.scene.camera import Camera
 
@@ -94,20 +94,20 @@ def test_a_symmetric_room_gets_a_symmetric_rig(size: str, count: int, turns: flo
     room = read_room(size)
     cameras = place_cameras(room, lenses(count))
     assert {turned_by_half(c, room, turns) for c in cameras} == {turned_by_half(c, room, 0) for c in cameras}
-    errors = Judge(room).joint_errors_m(cameras, room.at_height(1.0))
+    errors = RigEvaluator(room).joint_errors_m(cameras, room.at_height(1.0))
     assert errors[::-1] == pytest.approx(errors, rel=1e-6), "the stage's grid turned by half a turn"
 
 
 def test_cameras_stand_in_the_room_and_a_named_rig_is_well_placed(rig: list[Camera]) -> None:
     assert all(ROOM.holds(camera.centre_m, 0.1) for camera in rig)
-    figures = Judge(ROOM).figures(rig)
+    figures = RigEvaluator(ROOM).figures(rig)
     assert figures.two["head"] > 0.95
     assert 0.008 < figures.error_m < 0.03
     assert figures.unseen["floor"] < 0.1
 
 
 def test_another_camera_never_makes_anything_worse(rig: list[Camera]) -> None:
-    judge = Judge(ROOM)
+    judge = RigEvaluator(ROOM)
     eye = np.array([3.0, 0.3, 2.2])
     fewer, more = (
         judge.figures(rig),
@@ -129,7 +129,7 @@ def displaced(rig: Sequence[Camera]) -> list[Camera]:
 
 def test_advice_names_the_camera_that_stands_badly_and_is_worth_what_it_says(rig: list[Camera]) -> None:
     cameras = displaced(rig)
-    judge = Judge(ROOM)
+    judge = RigEvaluator(ROOM)
     before, moves = judge.cost_m(cameras), advice(cameras, ROOM)
     assert moves[0].camera == "cam3"
     assert moves[0].gain > 0.1
@@ -149,18 +149,18 @@ def test_a_move_is_told_as_seen_from_behind_the_camera() -> None:
         look_at(np.array([3.0, 0.5, 1.5]), np.array([3.0, 4.0, 1.5])),
     )
     here, rotation = camera.centre_m, camera.world_from_camera[:3, :3]
-    assert in_words(camera, with_pose(camera, here - [0.6, 0, 0], rotation)) == "move cam3 60 cm left"
+    assert move_text(camera, with_pose(camera, here - [0.6, 0, 0], rotation)) == "move cam3 60 cm left"
     assert (
-        in_words(camera, with_pose(camera, np.add(here, (0.6, -0.3, 0.1)), rotation))
+        move_text(camera, with_pose(camera, np.add(here, (0.6, -0.3, 0.1)), rotation))
         == "move cam3 60 cm right, 30 cm back, 10 cm up"
     )
     assert (
-        in_words(camera, with_pose(camera, here, look_at(here, np.array([2.0, 4.0, 1.5]))))
+        move_text(camera, with_pose(camera, here, look_at(here, np.array([2.0, 4.0, 1.5]))))
         == "turn cam3 16° to the left"
     )
     nearer = np.add(here, (0, 0.3, 0))
     lowered = with_pose(camera, nearer, look_at(nearer, np.array([3.0, 4.0, 1.0])))
-    assert in_words(camera, lowered) == "move cam3 30 cm forward and tilt it 9° down"
+    assert move_text(camera, lowered) == "move cam3 30 cm forward and tilt it 9° down"
 
 
 def test_a_room_is_taken_to_be_where_the_cameras_stand(rig: list[Camera]) -> None:

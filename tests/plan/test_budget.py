@@ -16,7 +16,7 @@ import pytest
 import yaml
 from studiorecon.errors import UserError
 from studiorecon.plan import prices as price_list
-from studiorecon.plan.budget import Stated, choose, choose_preset, overlay, preset
+from studiorecon.plan.budget import UserChoices, choose, choose_preset, overlay, preset
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.prices import Point, Price, PriceList, pace_here, predict, read_prices
 from studiorecon.plan.workload import ON_DEMAND, Footage, Work, measure_footage, segments_with_views, workload
@@ -26,7 +26,7 @@ from tests.made.footage import smooth_pictures, write_video
 ROOT = Path(__file__).resolve().parents[2]
 DEFAULTS = yaml.safe_load((ROOT / "config/config.yaml").read_text(encoding="utf-8"))
 SCHEMA = yaml.safe_load((ROOT / "workflow/schemas/config.schema.yaml").read_text(encoding="utf-8"))
-NOBODY = Stated({}, SCHEMA)
+NOBODY = UserChoices({}, SCHEMA)
 USUAL = 4  # gaps between the cameras of a ring of four
 EVERYTHING = dict.fromkeys(ON_DEMAND.values(), "on")
 DEMO = Footage(training=4, held_out=4, detected=4, frames=60, wh=(480, 272), people=2)
@@ -118,7 +118,7 @@ def bought_for(
     minutes: float,
     of: tuple[Point, ...],
     config: dict | None = None,
-    stated: Stated = NOBODY,
+    stated: UserChoices = NOBODY,
     footage: Footage = DEMO,
 ) -> Any:
     held = replace(read_prices(), points=of)
@@ -173,7 +173,7 @@ def test_settings_of_the_user_stay() -> None:
 
 def test_a_default_that_the_user_says_stays_too() -> None:
     said = {"capture": {"width": DEFAULTS["capture"]["width"]}, "background": {"training": {"iterations": 1500}}}
-    made = bought_for(0.01, points(look=22.0, defaults=23.0), stated=Stated(said, SCHEMA)).chosen.config
+    made = bought_for(0.01, points(look=22.0, defaults=23.0), stated=UserChoices(said, SCHEMA)).chosen.config
     assert made["capture"]["width"] == DEFAULTS["capture"]["width"]
     assert made["background"]["training"]["iterations"] == 1500
     assert made["humans"]["iterations"] == preset("look")["humans"]["iterations"]

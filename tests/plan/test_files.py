@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.models.catalogue.selection import selected
+from studiorecon.models.catalogue.selection import select_networks
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.rule_files import Files
 from studiorecon.plan.step_config import report_settings, shot_settings, step_section, step_settings
@@ -239,7 +239,7 @@ def test_a_photo_of_a_stranger_is_made_into_a_person_and_asks_for_its_network(co
             "results/capture/humans/stranger_anna.canonical.ply"
         ]
     assert files.replacement_photo(Wildcards(scene="capture", stranger="stranger_anna")) == "local:photos/anna.JPG"
-    assert ("render.shots.guest.replace", "lhm") in selected(config)
+    assert ("render.shots.guest.replace", "lhm") in select_networks(config)
     with pytest.raises(UserError, match="no film's replace names a photo of otto"):
         files.replacement_photo(Wildcards(scene="capture", stranger="stranger_otto"))
     for other, said in (("more/anna.png", "rename one"), ("anna b.png", "letters, digits")):

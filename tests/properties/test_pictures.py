@@ -14,13 +14,13 @@ from studiorecon.geometry.depth_surface import points_and_normals
 from studiorecon.geometry.rotations import to_quaternion
 from studiorecon.images.exposure import Overlap, solve_gains
 from studiorecon.images.plate import temporal_modes
-from studiorecon.images.regions import dilated, signed_distance_px, without_holes, without_islands
+from studiorecon.images.regions import dilate, signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import mesh_depth
 from studiorecon.images.transfer import Transfer, source
 from studiorecon.models.protocols import Moment
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.room import RoomBox
-from studiorecon.views import forward
+from studiorecon.views import forward_warp
 
 from tests.made.cameras import ring
 from tests.made.gaussians import camera, rasterise, room
@@ -82,13 +82,13 @@ def test_gains_follow_their_cameras_and_have_a_mean_of_one(seed: int, order: lis
 @given(st.integers(0, 1000), st.sampled_from([1, 3, 7]))
 def test_operations_on_regions_only_grow_or_only_shrink(seed: int, size: int) -> None:
     region = np.random.default_rng(seed).random((20, 25)) < 0.3
-    assert (dilated(region, size) >= region).all()
+    assert (dilate(region, size) >= region).all()
     assert (without_holes(region, 9) >= region).all()
     assert (without_islands(region, 3) <= region).all()
     np.testing.assert_array_equal(signed_distance_px(region) > 0, region)
     np.testing.assert_allclose(signed_distance_px(~region), -signed_distance_px(region), atol=1e-5)
     for constant in (np.zeros((20, 25), bool), np.ones((20, 25), bool)):
-        for result in (dilated(constant, size), without_islands(constant, 3), without_holes(constant, 9)):
+        for result in (dilate(constant, size), without_islands(constant, 3), without_holes(constant, 9)):
             np.testing.assert_array_equal(result, constant)
 
 
@@ -138,11 +138,11 @@ def test_depth_to_the_room_box_turns_with_the_room(world: World) -> None:
     np.testing.assert_array_equal(face, other_face)
 
 
-def made_source(seed: int, world: World | None = None) -> forward.WarpSource:
+def made_source(seed: int, world: World | None = None) -> forward_warp.WarpSource:
     rng = np.random.default_rng(seed)
     view = ring(4)[0].resized((64, 36))
     depth = (4.5 + 0.3 * np.sin(np.arange(64) / 9.0)[None] + np.zeros((36, 1))) * (world.scale if world else 1)
-    return forward.source(
+    return forward_warp.source(
         world.camera(view) if world else view, rng.random((36, 64, 3)), np.ones((36, 64), bool), depth, 0.04
     )
 
@@ -151,8 +151,8 @@ def made_source(seed: int, world: World | None = None) -> forward.WarpSource:
 @given(worlds(), st.integers(0, 50))
 def test_a_carried_photo_does_not_depend_on_where_the_world_stands(world: World, seed: int) -> None:
     target = ring(12)[1].resized((64, 36))
-    rgb, support, depth = forward.blend(target, [made_source(seed)], 3, 0.02, 0.3)
-    moved_rgb, moved_support, moved_depth = forward.blend(
+    rgb, support, depth = forward_warp.blend(target, [made_source(seed)], 3, 0.02, 0.3)
+    moved_rgb, moved_support, moved_depth = forward_warp.blend(
         world.camera(target), [made_source(seed, world)], 3, 0.02, 0.3
     )
     # A sample on the border of two pixels may fall to either.
@@ -166,10 +166,10 @@ def test_a_carried_photo_does_not_depend_on_where_the_world_stands(world: World,
 def test_carried_photos_blend_the_same_in_any_order_and_an_empty_one_adds_nothing(seed: int, order: list[int]) -> None:
     sources = [made_source(seed + i) for i in range(3)]
     target = ring(12)[1].resized((64, 36))
-    one = forward.blend(target, sources, 3, 0.02, 0.3)
-    other = forward.blend(target, [sources[i] for i in order], 3, 0.02, 0.3)
+    one = forward_warp.blend(target, sources, 3, 0.02, 0.3)
+    other = forward_warp.blend(target, [sources[i] for i in order], 3, 0.02, 0.3)
     empty = replace(sources[0], usable=np.zeros((36, 64), bool))
-    with_empty = forward.blend(target, [*sources, empty], 3, 0.02, 0.3)
+    with_empty = forward_warp.blend(target, [*sources, empty], 3, 0.02, 0.3)
     for a, b, c in zip(one, other, with_empty):
         np.testing.assert_allclose(b, a, atol=1e-5)
         np.testing.assert_allclose(c, a, atol=1e-6)

@@ -198,7 +198,9 @@ def test_a_planted_lamp_is_found_and_explains_pictures_it_was_not_fitted_to(
     planted: tuple, settings: render_light.LightSettings
 ) -> None:
     points, ratio, bodies = planted
-    light = render_light.estimate([render_light.Observed(points, ratio)], range(MOMENTS), bodies, ROOM_BOX, settings)
+    light = render_light.estimate(
+        [render_light.FloorObservations(points, ratio)], range(MOMENTS), bodies, ROOM_BOX, settings
+    )
     assert light.kept
     assert found_lamp_deg(light) < 6
     assert light.share.sum() == pytest.approx(LAMP_SHARE, abs=0.1)
@@ -212,7 +214,7 @@ def test_a_shadow_that_the_plate_holds_does_not_hide_the_lamp(
     in_plate = np.quantile(ratio, 0.3, axis=1, keepdims=True)
     assert in_plate.min() < 0.95
     light = render_light.estimate(
-        [render_light.Observed(points, ratio / in_plate)], range(MOMENTS), bodies, ROOM_BOX, settings
+        [render_light.FloorObservations(points, ratio / in_plate)], range(MOMENTS), bodies, ROOM_BOX, settings
     )
     assert light.kept
     assert found_lamp_deg(light) < 6
@@ -226,7 +228,9 @@ def test_somebody_who_was_measured_in_half_of_the_frames_is_enough(
     gone = np.arange(MOMENTS) % 2 == 1
     seen = np.where(gone & (ratio < 0.97), np.nan, ratio)
     there = [[np.zeros((0, 7))] if g else b for b, g in zip(bodies, gone)]
-    light = render_light.estimate([render_light.Observed(points, seen)], range(MOMENTS), there, ROOM_BOX, settings)
+    light = render_light.estimate(
+        [render_light.FloorObservations(points, seen)], range(MOMENTS), there, ROOM_BOX, settings
+    )
     assert light.kept
     assert found_lamp_deg(light) < 10
 
@@ -234,11 +238,17 @@ def test_somebody_who_was_measured_in_half_of_the_frames_is_enough(
 def test_without_shadows_no_light_is_kept(planted: tuple, settings: render_light.LightSettings) -> None:
     points, ratio, bodies = planted
     flat = 1 + np.random.default_rng(2).normal(0, 0.02, ratio.shape)
-    light = render_light.estimate([render_light.Observed(points, flat)], range(MOMENTS), bodies, ROOM_BOX, settings)
+    light = render_light.estimate(
+        [render_light.FloorObservations(points, flat)], range(MOMENTS), bodies, ROOM_BOX, settings
+    )
     assert not light.kept
     assert "without" in light.reason
     unseen = render_light.estimate(
-        [render_light.Observed(points, np.full_like(ratio, np.nan))], range(MOMENTS), bodies, ROOM_BOX, settings
+        [render_light.FloorObservations(points, np.full_like(ratio, np.nan))],
+        range(MOMENTS),
+        bodies,
+        ROOM_BOX,
+        settings,
     )
     assert not unseen.kept
     assert "too little floor" in unseen.reason

@@ -14,11 +14,11 @@ from studiorecon.body.model import BodyModel
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.errors import UserError
 from studiorecon.render.composite import Composite
-from studiorecon.render.given import GivenPath, path_steps
 from studiorecon.render.keyframes import read_keys, spline_steps
 from studiorecon.render.kinds import KINDS, film
 from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.moves import DollyZoom, Follow, Oscillate, dolly_zoom_steps, follow_steps, oscillate_steps
+from studiorecon.render.path_file import GivenPath, path_steps
 from studiorecon.render.planning import plan
 from studiorecon.render.shot import find_targets
 from studiorecon.render.statistics import angles_deg, nearby_obstacles

@@ -19,7 +19,7 @@ from studiorecon.footage.video import read_frame, write_lossless, write_watchabl
 from studiorecon.models.adapters.lpips import read_lpips
 from studiorecon.report import compare, evaluate, score
 from studiorecon.report.metrics import films
-from studiorecon.report.metrics.bodies import compare_bodies, match, similarity_aligned
+from studiorecon.report.metrics.bodies import align_by_similarity, compare_bodies, match
 from studiorecon.report.metrics.measures import Flicker, measure_picture, measure_sequence, summary
 from studiorecon.report.metrics.truth import TrueView, regions
 from studiorecon.report.sections import paper
@@ -140,10 +140,10 @@ def test_similarity_alignment_never_mirrors() -> None:
     points = np.random.default_rng(0).normal(size=(24, 3))
     turn = np.array([[0, -1.0, 0], [1, 0, 0], [0, 0, 1]])
     np.testing.assert_allclose(
-        similarity_aligned(points, 1.3 * points @ turn.T + [1, 2, 3]), 1.3 * points @ turn.T + [1, 2, 3], atol=1e-12
+        align_by_similarity(points, 1.3 * points @ turn.T + [1, 2, 3]), 1.3 * points @ turn.T + [1, 2, 3], atol=1e-12
     )
     mirrored = points * [-1, 1, 1]
-    assert np.linalg.norm(similarity_aligned(points, mirrored) - mirrored) > 0.5
+    assert np.linalg.norm(align_by_similarity(points, mirrored) - mirrored) > 0.5
 
 
 def test_cost_adds_jobs_and_leaves_what_was_not_measured_null(tmp_path: Path) -> None:

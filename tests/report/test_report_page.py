@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.pages.ending import read_warnings
+from studiorecon.pages.run_summary import read_warnings
 from studiorecon.report.sections import appendix, comparison_slider, timeline
 from studiorecon.report.sections import tables as sections
 from studiorecon.report.sections.quality_summary import quality_summary
@@ -192,11 +192,11 @@ def test_what_was_delivered_is_linked_by_folder(tmp_path: Path) -> None:
     for name in files[:-1]:
         write_text(tmp_path / "deliver" / name, "x")
     write_json(tmp_path / "deliver/manifest.json", {"files": {name: {} for name in files}})
-    shown = appendix.delivered(tmp_path / "deliver", tmp_path / "report/index.html")
+    shown = appendix.delivery_links(tmp_path / "deliver", tmp_path / "report/index.html")
     linked = re.findall(r'href="([^"]+)"', shown)
     assert linked == ["../deliver/README.txt", "../deliver/bodies/p0.bvh", "../deliver/bodies/p0.glb"]
     assert "2 more files" in shown
-    assert appendix.delivered(tmp_path / "none", tmp_path / "report/index.html") == ""
+    assert appendix.delivery_links(tmp_path / "none", tmp_path / "report/index.html") == ""
 
 
 @pytest.mark.browser
@@ -293,11 +293,11 @@ def test_a_budget_is_told_beside_what_its_jobs_took() -> None:
     spent = {"reason": None, "total": total, "stages": {"render": total}}
     budget = {"minutes": 5.0, "preset": "look", "predicted_s": 120, "low_s": 96, "high_s": 150, "work_s": 200}
     budget["more"] = "the defaults would take 5 min for 0.9 dB more"
-    told = sections.reached({"pictures": {}}, spent, budget)
+    told = sections.cost_and_quality({"pictures": {}}, spent, budget)
     assert "A budget of 5 min chose look: predicted 2 min 00 s from nothing (1 min 36 s to 2 min 30 s)." in told
     assert "predicted to take 3 min 20 s of processor time and took 6 min 01 s." in told
     assert "The defaults would take 5 min for 0.9 dB more." in told
-    assert "budget" not in sections.reached({"pictures": {}}, spent, {})
+    assert "budget" not in sections.cost_and_quality({"pictures": {}}, spent, {})
 
 
 def test_warnings_are_told_once_with_their_step(tmp_path: Path) -> None:

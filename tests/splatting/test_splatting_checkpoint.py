@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from studiorecon.progress import logged
+from studiorecon.progress import log_to
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.train.blocked_set import BlockedSet
 from studiorecon.splatting.train.checkpoint import Checkpoint, fingerprint
@@ -147,7 +147,7 @@ def test_feedback_says_how_it_goes_and_paints_it(
     settings = replace(SETTINGS, iterations=40)
     log, previews = tmp_path / "train.log", tmp_path / "previews"
     previews.mkdir()
-    with logged("train", log):
+    with log_to("train", log):
         train(begin, targets, settings, np.random.default_rng(0), extent_m=1.0, threads=1, previews=previews)
     lines = [line for line in log.read_text().splitlines() if " of 40" in line]
     assert len(lines) == 10, "every tenth is in the log"

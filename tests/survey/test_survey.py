@@ -11,7 +11,7 @@ from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import gaps_around
 from studiorecon.rig.body_points import tracks
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.decisions import Decision, forced, read_decisions
+from studiorecon.scene.decisions import Decision, apply_forced, read_decisions
 from studiorecon.scene.room import Platform, read_room, write_room
 from studiorecon.survey import decide as step
 from studiorecon.survey.clips import halve_film, read_film, run_starts
@@ -129,11 +129,11 @@ class TestExposure:
 class TestDecisions:
     def test_they_can_be_forced(self) -> None:
         made = [Decision("exposure", "s", 1.5, None, 1.0, "on", "because")]
-        (decision,) = forced(made, {"exposure": "off"})
+        (decision,) = apply_forced(made, {"exposure": "off"})
         assert decision.verdict == "off"
         assert "measured on" in decision.reason
         with pytest.raises(UserError, match=r"effects decided here are .*exposure"):
-            forced(made, {"weather": "off"})
+            apply_forced(made, {"weather": "off"})
 
 
 class TestStep:

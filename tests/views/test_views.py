@@ -20,7 +20,7 @@ from studiorecon.scene.factors import write_factors
 from studiorecon.scene.path import write_path
 from studiorecon.views import path as views_path
 from studiorecon.views import synthesize
-from studiorecon.views.forward import WarpSource, blend, close_pinholes, source, warp_photo
+from studiorecon.views.forward_warp import WarpSource, blend, close_pinholes, source, warp_photo
 
 from tests.made.room import made_room, photograph, ring, write_capture
 

@@ -17,7 +17,7 @@ from studiorecon.configuration.settings import load
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import read_stack, to_bytes, write_lossless
-from studiorecon.images.regions import dilated
+from studiorecon.images.regions import dilate
 from studiorecon.models.adapters import gen3c, sam3
 from studiorecon.models.catalogue.card import Card
 from studiorecon.scene.camera import Camera
@@ -232,7 +232,7 @@ def someone(files: tuple, root: Path) -> tuple[Path, Path, list[Path], list[Path
 
 def around(standing: FirstMomentPeople, camera: Camera, side_px: int) -> np.ndarray:
     """(H, W) bool: somebody is there, or within the square of ``side_px``."""
-    return dilated(standing.depth_m(camera) > 0, side_px)
+    return dilate(standing.depth_m(camera) > 0, side_px)
 
 
 def test_key_frames_with_people_show_them_at_their_depth(files: tuple, someone: tuple) -> None:

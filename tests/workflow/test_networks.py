@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import yaml
-from studiorecon.models.catalogue.selection import selected
+from studiorecon.models.catalogue.selection import select_networks
 
 from tests.made.plan import dataset, on
 from tests.workflow.conftest import ROOT, House
@@ -53,7 +53,7 @@ def test_an_enhancer_that_is_a_network_repairs_views_of_the_half_trained_room(ho
 
 def test_the_papers_networks_are_one_preset() -> None:
     preset = yaml.safe_load((ROOT / "config/presets/networks.yaml").read_text())
-    assert [name for _, name in selected(preset)] == [
+    assert [name for _, name in select_networks(preset)] == [
         "pi3",
         "comotion",
         "sam3",

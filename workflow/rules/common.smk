@@ -25,7 +25,7 @@ from studiorecon.plan.make import make_plan
 from studiorecon.plan.films import unreadable
 from studiorecon.plan.networks import read_images
 from studiorecon.configuration.overlays import check_overlay
-from studiorecon.configuration.schema import mistakes, typed
+from studiorecon.configuration.schema import mistakes, coerce_types
 from studiorecon.stages import STAGES
 from studiorecon.sweep.table import BASE, read_rows
 
@@ -61,7 +61,7 @@ def check_settings():
             check_overlay(Path(file))
     except UserError as refusal:
         refuse(str(refusal))
-    config.update(typed(config, SCHEMA))
+    config.update(coerce_types(config, SCHEMA))
     if wrong := mistakes(config, SCHEMA):
         refuse("\n".join([*wrong, "config/README.md explains every setting"]))
 

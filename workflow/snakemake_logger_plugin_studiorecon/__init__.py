@@ -23,7 +23,7 @@ from pathlib import Path
 from snakemake_interface_logger_plugins.base import LogHandlerBase
 from snakemake_interface_logger_plugins.common import LogEvent
 from studiorecon.cli.run_progress import Run, Running, read_seconds, record_seconds
-from studiorecon.pages.ending import ending
+from studiorecon.pages.run_summary import ending
 from studiorecon.progress import CLEAR_LINE, RUN
 
 _SECONDS = Path("timings/seconds.json")
@@ -136,7 +136,7 @@ class LogHandler(LogHandlerBase):
 
     def _write_page(self, on: bool) -> None:
         # Not before a run is on: Snakemake imports its plugins at every start.
-        from studiorecon.pages import running
+        from studiorecon.pages import run_page
 
         run, now = self._run, time.monotonic()
         by_stage: dict[str, list[int]] = {stage: [0, 0] for stage in self._order}
@@ -146,12 +146,12 @@ class LogHandler(LogHandlerBase):
             done_total = by_stage.setdefault(rule.partition("_")[0], [0, 0])
             done_total[0] += min(run.done[rule], count)
             done_total[1] += count
-        stages = [running.Stage(name, *numbers) for name, numbers in by_stage.items() if numbers[1]]
+        stages = [run_page.Stage(name, *numbers) for name, numbers in by_stage.items() if numbers[1]]
         done, total = sum(s.done for s in stages), sum(s.total for s in stages)
         rest = run.left_in_words(now) if on else "finished" if done >= total else "stopped"
         folder = Path("results") / self._scene
         jobs = [f"{job.rule} {job.of}".strip() + f", since {now - job.since_s:.0f} s" for job in run.running.values()]
-        text = running.write_page(
+        text = run_page.write_page(
             folder,
             self._scene,
             f"{done} of {total} jobs, {rest}",

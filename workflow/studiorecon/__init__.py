@@ -78,8 +78,8 @@ if TYPE_CHECKING:
     from jaxtyping import Num
 
     from studiorecon.deliver.finished import FinishedScene
-    from studiorecon.geometry.bundle import Adjusted
-    from studiorecon.geometry.triangulation import Triangulated
+    from studiorecon.geometry.bundle import BundleResult
+    from studiorecon.geometry.triangulation import TriangulatedPoints
     from studiorecon.people.association.grouping import Group
     from studiorecon.scene.camera import Camera
     from studiorecon.scene.people import Detections
@@ -112,7 +112,7 @@ def draw(
 
 def triangulate(
     pixels: Num[np.ndarray, "V ... 2"], confidence: Num[np.ndarray, "V ..."], cameras: Sequence[Camera]
-) -> Triangulated:
+) -> TriangulatedPoints:
     """World points in metres from ``pixels`` (V, ..., 2) of V cameras with ``confidence`` (V, ...); NaN is unseen.
 
     Uses the default limits of the workflow; ``geometry.triangulation.triangulate`` takes others. Raises ValueError for
@@ -150,7 +150,7 @@ def associate(detections: Sequence[Detections], cameras: Sequence[Camera], fps: 
     return group_tracks(detections, cameras, frames, fps, AssociationLimits(), Limits())
 
 
-def refine(cameras: Sequence[Camera], detections: Sequence[Detections]) -> Adjusted | None:
+def refine(cameras: Sequence[Camera], detections: Sequence[Detections]) -> BundleResult | None:
     """Cameras after a bundle adjustment on people's keypoints, with the given cameras as prior.
 
     None if the keypoints do not determine them. The step ``cameras.refine`` also decides whether the result is better.

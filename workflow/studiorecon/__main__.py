@@ -30,8 +30,8 @@ from studiorecon.machine.crash_report import fault_sentence, keep_trace
 from studiorecon.machine.libraries import missing_library, remedy
 from studiorecon.machine.output import unbroken_output
 from studiorecon.machine.resource_errors import describe_resource_error, memory_note
-from studiorecon.models.catalogue.confined import confine
-from studiorecon.progress import LOGGER, fail, logged
+from studiorecon.models.catalogue.sandbox import confine
+from studiorecon.progress import LOGGER, fail, log_to
 
 _MAX_PIXELS = 2**28
 # ``kernel_cache``, by name: imports here are part of every step's digest, and the place of machine code changes no
@@ -78,7 +78,7 @@ def _main(argv: list[str]) -> int:
         return 2
     options = _parse(step, run, argv[1:])
     log = options.pop("log")
-    with logged(step, log):
+    with log_to(step, log):
         return _run(module, step, options, log)
 
 

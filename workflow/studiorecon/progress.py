@@ -44,11 +44,11 @@ class _Shown(logging.Handler):
             return
         text = self.format(record)
         if beside == "bar" and sys.stdout.isatty():
-            text = f"{CLEAR_LINE}{shortened(text, shutil.get_terminal_size().columns - 1)}"
+            text = f"{CLEAR_LINE}{shorten(text, shutil.get_terminal_size().columns - 1)}"
         print(text, flush=True)
 
 
-def shortened(text: str, columns: int) -> str:
+def shorten(text: str, columns: int) -> str:
     """The text on one line of at most ``columns``, cut at its end."""
     line = " ".join(text.split())
     return line if len(line) <= columns else f"{line[: columns - 1]}…"
@@ -75,7 +75,7 @@ LOGGER.handlers = [_shown("studiorecon")]
 
 
 @contextmanager
-def logged(step: str, log: Path | None) -> Iterator[None]:
+def log_to(step: str, log: Path | None) -> Iterator[None]:
     """Context in which sentences are shown with the step's name before them, and written to ``log`` without it."""
     before, LOGGER.handlers = LOGGER.handlers, [_shown(step)]
     if log is not None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.background.preparation import Prepared
+from studiorecon.background.preparation import PreparedTraining
 from studiorecon.background.refinement import refinement_cameras
 from studiorecon.background.targets import draw_shares
 from studiorecon.background.train_settings import Settings
@@ -69,7 +69,9 @@ class Training:
             device=self.device,
         )
 
-    def first_half(self, given: Prepared, checkpoint: Checkpoint) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
+    def first_half(
+        self, given: PreparedTraining, checkpoint: Checkpoint
+    ) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
         """The half-trained room, and the provenance of its Gaussians."""
         first = self.fit(given.start, given.real, given.synthesized, checkpoint, (0, self.split))
         return first.gaussians, given.marks[first.source]

@@ -45,7 +45,7 @@ def node_step(faces: Sequence[Face], step_m: float, limit: int) -> float:
 
 
 @dataclass(frozen=True)
-class Painted:
+class PaintedFace:
     """An atlas of one face.
 
     Attributes:
@@ -77,7 +77,7 @@ def paint(
     known: Sequence[Bool[np.ndarray, "H W"]],
     depths_m: Sequence[Float[np.ndarray, "H W"]],
     step_m: float,
-) -> list[Painted]:
+) -> list[PaintedFace]:
     """The atlas of every face: photographed where a camera sees it, continued next to that, otherwise borrowed.
 
     A wall without seen parts borrows from other walls, at the same height. ``plates`` (H, W, 3) float, ``known`` (H, W)
@@ -99,7 +99,7 @@ def paint(
                 apart_m = step_m * cv2.distanceTransform((~seen).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
                 copied = np.exp(-((apart_m / _COPIED_M) ** 2))[..., None]
                 rgb = copied * rgb + (1 - copied) * walls.at(nodes)
-            painted.append(Painted(face, nodes, rgb, seen))
+            painted.append(PaintedFace(face, nodes, rgb, seen))
             continue
         nodes = face.nodes(step_m * _COARSE)
         if walls is not None and _upright(face):
@@ -109,7 +109,7 @@ def paint(
         else:
             borrowed = all_rgb[nearest.query(nodes.reshape(-1, 3))[1]].reshape(nodes.shape)
             rgb = cv2.GaussianBlur(borrowed, (0, 0), _BLUR_NODES, borderType=cv2.BORDER_REPLICATE)
-        painted.append(Painted(face, nodes, rgb, np.zeros(nodes.shape[:2], bool)))
+        painted.append(PaintedFace(face, nodes, rgb, np.zeros(nodes.shape[:2], bool)))
     return painted
 
 
@@ -146,7 +146,7 @@ def _upright(face: Face) -> bool:
     return bool(abs(face.normal[2]) < 0.5)
 
 
-def draw_faces(camera: Camera, painted: Sequence[Painted]) -> Float[np.ndarray, "H W 3"]:
+def draw_faces(camera: Camera, painted: Sequence[PaintedFace]) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) float64: the painted, empty room from a camera; black where no face is in view."""
     rays = camera.unproject(camera.pixel_centres(), np.ones(camera.hw)) - camera.centre_m
     nearest, rgb = np.full(camera.hw, np.inf), np.zeros((*camera.hw, 3))

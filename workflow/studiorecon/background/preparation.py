@@ -18,7 +18,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frame, read_stack, to_float
-from studiorecon.images.regions import dilated
+from studiorecon.images.regions import dilate
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors, read_factors
@@ -64,7 +64,7 @@ class Sources:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedTraining:
     """Inputs of the first iteration.
 
     Attributes:
@@ -93,7 +93,7 @@ class Photo:
     confidence: Float[np.ndarray, "H W"]
 
 
-def paint_room(photos: Sequence[Photo], box: RoomBox, settings: Settings) -> list[hole_filling.Painted]:
+def paint_room(photos: Sequence[Photo], box: RoomBox, settings: Settings) -> list[hole_filling.PaintedFace]:
     """The room's faces, painted from the photos and continued over unseen parts."""
     faces = box.rectangles
     step_m = hole_filling.node_step(faces, settings.fill_step_m, settings.fill_limit)
@@ -102,7 +102,7 @@ def paint_room(photos: Sequence[Photo], box: RoomBox, settings: Settings) -> lis
 
 
 def initial_gaussians(
-    photos: Sequence[Photo], painted: Sequence[hole_filling.Painted], settings: Settings
+    photos: Sequence[Photo], painted: Sequence[hole_filling.PaintedFace], settings: Settings
 ) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
     """First Gaussians and their provenance (N,) uint8: discs on measured depth, and on unseen parts of the ``painted``
     room."""
@@ -163,7 +163,7 @@ def view_targets(
     pictures: Iterable[Integer[np.ndarray, "H W 3"]],
     supports: Iterable[Integer[np.ndarray, "H W"]],
     cameras: Sequence[Camera],
-    painted: Sequence[hole_filling.Painted],
+    painted: Sequence[hole_filling.PaintedFace],
     settings: Settings,
 ) -> list[Target]:
     """Every synthesized view as a target; its weight falls with the angle to the nearest real camera (paper, appendix
@@ -210,7 +210,7 @@ def mask_people(
                     f"{path} is {hw[1]}×{hw[0]} pixels, but camera {photo.camera.name} works at "
                     f"{photo.camera.wh[0]}×{photo.camera.wh[1]}"
                 )
-        known = ~dilated(people, dilation_px)
+        known = ~dilate(people, dilation_px)
         if not known.any():
             raise UserError(
                 f"camera {photo.camera.name} shows nothing but people at the first frame, {dilation_px} px about them "
@@ -242,7 +242,7 @@ def read_views(
     views: list[Path],
     supports: list[Path],
     cameras: Sequence[Camera],
-    painted: Sequence[hole_filling.Painted],
+    painted: Sequence[hole_filling.PaintedFace],
     settings: Settings,
 ) -> list[Target]:
     """All synthesized views as targets; none when their share of the draws is 0, or there are none."""
@@ -266,7 +266,7 @@ def read_views(
 
 def prepare(
     settings: Settings, sources: Sources, cameras: Sequence[Camera], varied: bool, rng: np.random.Generator
-) -> Prepared:
+) -> PreparedTraining:
     """Read all inputs and build the initial state; ``varied``: colours change with the direction of view."""
     box = read_room(sources.room_box)
     factors = read_factors(sources.gains)
@@ -292,4 +292,4 @@ def prepare(
     synthesized = read_views(sources.path, sources.views, sources.supports, cameras, painted, settings)
     drawn = settings.views_share if synthesized else 0.0
     say(f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {drawn:.0%} of the steps")
-    return Prepared(settings, photos, start, marks, real, synthesized)
+    return PreparedTraining(settings, photos, start, marks, real, synthesized)

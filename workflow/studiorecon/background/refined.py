@@ -18,9 +18,9 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frames, to_bytes, write_lossless
 from studiorecon.models.loading import load
 from studiorecon.progress import progress, say
-from studiorecon.recursive.clip import adapt_injection, enhanced
 from studiorecon.recursive.flows import load_flow
 from studiorecon.recursive.injection import Injection
+from studiorecon.recursive.sequence import adapt_injection, enhance_sequence
 from studiorecon.scene.factors import read_factors
 from studiorecon.scene.files import one_each
 from studiorecon.scene.path import PathStep, read_path
@@ -62,6 +62,6 @@ def run(
     how = load_settings(Injection, json.loads(injection), "enhance.injection")
     search = load_flow(flow, "medium", weights, device)
     pictures = progress(read_frames(renders, 0, len(steps)), "views of the room", total=len(steps))
-    repaired = enhanced(steps, pictures, depths_mm, reference, network, adapt_injection(how, steps), search)
+    repaired = enhance_sequence(steps, pictures, depths_mm, reference, network, adapt_injection(how, steps), search)
     write_lossless(refined, repaired, fps)
     say(f"{len(steps)} views of the room, repaired by {enhancer} one after the other")

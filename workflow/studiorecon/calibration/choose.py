@@ -25,14 +25,14 @@ from studiorecon.footage.source import open_source
 from studiorecon.geometry.crop_hypotheses import CropHypothesis, crop_hypotheses, for_square_pixels
 from studiorecon.geometry.lens import unseen_share
 from studiorecon.geometry.triangulation import Limits, triangulate
-from studiorecon.keypoints.reading import to_pinhole
+from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.progress import say
 from studiorecon.rig.correspondences import make_observations
 from studiorecon.scene import step_files
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import write_json
 from studiorecon.scene.people import Detections, read_detections
-from studiorecon.scene.schema import Anything, Named
+from studiorecon.scene.schema import Anything, MappingOf
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -186,7 +186,7 @@ def run(
     """
     content, reading = step_files.read(
         read,
-        Named(Anything()),
+        MappingOf(Anything()),
         lambda held: (held, Reading.from_json({k: v for k, v in held.items() if k != "source"})),
     )
     films = [open_source(source, picture_fps) for source in sources]

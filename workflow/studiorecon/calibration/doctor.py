@@ -32,7 +32,7 @@ from studiorecon.footage.source import open_source
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.encoded import png
-from studiorecon.keypoints.reading import to_pinhole
+from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.keypoints.resampling import resample_keypoints
 from studiorecon.progress import say
 from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
@@ -146,8 +146,8 @@ def examine(
         "sync": dict(sync or {"sentences": [], "refusal": ""}),
         "keypoints": {key: list((keypoints or {}).get(key, [])) for key in ("refused", "told")},
         "footage": {a["camera"]: dict(a) for a in about},
-        "facts": sanity.facts(cameras),
-        "oddities": [*doubts, *sanity.oddities(cameras)],
+        "facts": sanity.camera_facts(cameras),
+        "oddities": [*doubts, *sanity.calibration_notes(cameras)],
         "coverage": dict(zip(("1", "2", "3", "4"), health.coverage(cameras, middle, reach))),
         "reach_m": reach,
         "blind_sectors_deg": health.blind_sectors(cameras, middle),

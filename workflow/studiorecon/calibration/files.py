@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from studiorecon.calibration.formats import FORMATS, accepted
+from studiorecon.calibration.formats import FORMATS, accepted_formats
 from studiorecon.calibration.formats.reading import Reading
 from studiorecon.calibration.names import Pairing, pairings, pairings_in_order
 from studiorecon.calibration.world import metres_per_unit, refuse_mixed_units, to_metric_world, z_up_from_world
-from studiorecon.camera_files.raw_camera import checked_camera
+from studiorecon.camera_files.raw_camera import check_camera
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.geometry.lens import apply_pixel_map
@@ -71,7 +71,7 @@ def read_calibration(files: Sequence[Path], wanted: str = "auto") -> Reading:
     if not files:
         raise UserError(
             "the dataset has no calibration, and cameras this far apart cannot be "
-            f"calibrated from their pictures; bring {accepted()}"
+            f"calibrated from their pictures; bring {accepted_formats()}"
         )
     for file in files:
         if not file.exists():
@@ -86,7 +86,9 @@ def read_calibration(files: Sequence[Path], wanted: str = "auto") -> Reading:
             if not reading.cameras:
                 raise UserError(f"{files[0]} holds no cameras; it was read as {reading.format}")
             return reading
-    raise UserError(f"{', '.join(f.name for f in files)} is not a calibration of a known format; bring {accepted()}")
+    raise UserError(
+        f"{', '.join(f.name for f in files)} is not a calibration of a known format; bring {accepted_formats()}"
+    )
 
 
 def possible_pairings(reading: Reading, cameras: Sequence[str], source: str) -> list[Pairing]:
@@ -111,7 +113,7 @@ def paired_lenses(
     pairing = pairing or possible_pairings(reading, cameras, source)[0]
     matched, note = pairing.calibrated, pairing.sentence(source) if pairing.how else ""
     by_name = {c.name: c for c in reading.cameras}
-    checked = [checked_camera(c, by_name[matched[c]], source) for c in cameras]
+    checked = [check_camera(c, by_name[matched[c]], source) for c in cameras]
     chosen = [camera for camera, _ in checked]
     notes = [*reading.notes, *(n for _, told in checked for n in told), *([note] if note else [])]
     left_out = [c.name for c in reading.cameras if c.name not in matched.values()]

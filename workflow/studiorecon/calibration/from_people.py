@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.body.model import BodyModel
-from studiorecon.calibration.given_lenses import ideal_pinhole, lens_at_pose, lenses_of_cameras, undistort_detections
+from studiorecon.calibration.known_lenses import ideal_pinhole, lens_at_pose, lenses_of_cameras, undistort_detections
 from studiorecon.calibration.room_pictures import read_room_pictures, room_edges, without_distortion
 from studiorecon.errors import UserError
 from studiorecon.footage.lens_metadata import focal_px_from_metadata
-from studiorecon.geometry.bundle import Adjusted, LensPrior
+from studiorecon.geometry.bundle import BundleResult, LensPrior
 from studiorecon.geometry.lens import lens_with_pixel_map
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.keypoints.resampling import resample_keypoints
@@ -218,7 +218,7 @@ def _of_two(found: PoseConsensus, degrees: np.ndarray) -> str:
 
 
 def _settled_in_the_world(
-    result: Adjusted, rig: Rig, template_m: np.ndarray, given: GivenLengths, stature: float
+    result: BundleResult, rig: Rig, template_m: np.ndarray, given: GivenLengths, stature: float
 ) -> tuple[list[Camera], int, str, Scale]:
     used = rig.points.verified if len(result.cameras) > 2 else rig.points.valid
     points = np.full_like(rig.points.points_m, np.nan)

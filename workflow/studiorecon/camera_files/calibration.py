@@ -10,17 +10,17 @@ from typing import Any
 
 from studiorecon.errors import UserError
 from studiorecon.scene.camera import LENS, Lens
-from studiorecon.scene.schema import Anything, Listed, Maybe, Named, flag, text
+from studiorecon.scene.schema import Anything, ListOf, MappingOf, OptionalField, flag, text
 from studiorecon.scene.step_files import expect, read
 
 _CALIBRATION = {
-    "lenses": Listed(LENS),
-    "source": Maybe(text()),
-    "format": Maybe(text()),
-    "floor_known": Maybe(flag()),
-    "notes": Maybe(Listed(text())),
-    "doubts": Maybe(Listed(text())),
-    "people_rig": Maybe(Named(Anything())),
+    "lenses": ListOf(LENS),
+    "source": OptionalField(text()),
+    "format": OptionalField(text()),
+    "floor_known": OptionalField(flag()),
+    "notes": OptionalField(ListOf(text())),
+    "doubts": OptionalField(ListOf(text())),
+    "people_rig": OptionalField(MappingOf(Anything())),
 }
 
 

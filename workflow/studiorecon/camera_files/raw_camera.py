@@ -41,7 +41,7 @@ class RawCamera:
     Attributes:
         name: its name in the file.
         wh: calibrated size; (0, 0) when the file has none.
-        intrinsics: (3, 3), pixel centres at +0.5; ``checked_camera`` removes scale and skew of the file.
+        intrinsics: (3, 3), pixel centres at +0.5; ``check_camera`` removes scale and skew of the file.
         model, distortion: as in ``scene.camera.Lens``.
         camera_from_world: (4, 4) rigid, OpenCV axes.
     """
@@ -59,7 +59,7 @@ class RawCamera:
         return RawCamera(**{**value, **arrays, "wh": (int(value["wh"][0]), int(value["wh"][1]))})
 
 
-def checked_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, list[str]]:
+def check_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, list[str]]:
     """The camera with intrinsics in the form of all later steps, and a sentence for every number that was left out.
 
     Raises UserError with camera, number and likely cause for an impossible size, focal length, skew, principal point,
@@ -127,7 +127,7 @@ def intrinsics_matrix(fx: float, fy: float, cx: float, cy: float, integer_centre
 
 def unadjusted_intrinsics(matrix: object, where: str, integer_centres: bool = True) -> Float[np.ndarray, "3 3"]:
     """(3, 3) camera matrix of a file with pixel centres at +0.5, with its scale and skew still in it for
-    ``checked_camera``.
+    ``check_camera``.
 
     Raises UserError unless it is a 3×3 list of finite numbers.
     """

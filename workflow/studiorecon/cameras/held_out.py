@@ -22,7 +22,7 @@ from studiorecon.cameras import refine
 from studiorecon.detector.blazepose import LAYOUT, BlazePose
 from studiorecon.detector.following import keypoints_with_confidence
 from studiorecon.detector.looking import detect_in_region
-from studiorecon.detector.second import second_network
+from studiorecon.detector.second_network import second_network
 from studiorecon.detector.windows import region_of_body
 from studiorecon.footage.video import read_frame
 from studiorecon.geometry.triangulation import triangulate

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 
-from studiorecon.progress import shortened
+from studiorecon.progress import shorten
 
 KEPT = 12
 """Number of jobs of one rule and scene whose seconds are remembered."""
@@ -122,7 +122,7 @@ class Run:
         full = width * done // max(self.total, 1)
         names = ", ".join(f"{job.rule.replace('_', '.', 1)} {job.of}".strip() for job in self.running.values())
         said = f"{self.left_in_words(now_s)}; {names}" if names else "starting"
-        return shortened(f"{done}/{self.total} {'█' * full}{'░' * (width - full)} {said}", columns)
+        return shorten(f"{done}/{self.total} {'█' * full}{'░' * (width - full)} {said}", columns)
 
 
 def read_seconds(path: Path, scene: str) -> dict[str, list[float]]:

@@ -64,7 +64,7 @@ class CalibratedPair:
         return np.where(sine > _MIN_SINE, gap, np.nan)
 
 
-def straightened(seen: Detections, lens: Lens, wh: tuple[int, int]) -> Detections:
+def normalise_detections(seen: Detections, lens: Lens, wh: tuple[int, int]) -> Detections:
     """The detections in normalised coordinates of the lens, from pixels of footage of size ``wh``; points outside its
     field are missing."""
     affine = calibration_from_video_pixels(lens, wh)

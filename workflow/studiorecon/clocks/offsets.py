@@ -19,7 +19,7 @@ import numpy as np
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.clocks import motion_clock as sync
 from studiorecon.clocks import sound
-from studiorecon.clocks.agreement import (
+from studiorecon.clocks.offset_consensus import (
     HALF,
     ClockVerdict,
     Pair,
@@ -29,8 +29,8 @@ from studiorecon.clocks.agreement import (
     count_contradictions,
     solve_offsets,
 )
-from studiorecon.clocks.all_cameras import offsets_vs_rig
 from studiorecon.clocks.people_clock import Lenses, people_pair
+from studiorecon.clocks.rig_offsets import offsets_vs_rig
 from studiorecon.clocks.timeline import Timeline, clock_as_filmed, common_moments, read_timeline
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError

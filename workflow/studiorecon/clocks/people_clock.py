@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from studiorecon.clocks.agreement import Pair
-from studiorecon.clocks.calibrated_lag import CalibratedPair, calibrated_lag, straightened
+from studiorecon.clocks.calibrated_lag import CalibratedPair, calibrated_lag, normalise_detections
+from studiorecon.clocks.offset_consensus import Pair
 from studiorecon.clocks.people_lag import Meeting, PeopleLag, joint_lag, track_lag
 from studiorecon.keypoints.correspondence import stable_detections
 from studiorecon.scene.camera import Lens
@@ -56,7 +56,7 @@ def people_pair(
     rays: dict[int, list[tuple[int, np.ndarray]]] = {}
     for d in stable:
         if lenses and d.camera in lenses:
-            rays[index[d.camera]] = _longest(straightened(d, *lenses[d.camera]), clocks[index[d.camera]], rate)
+            rays[index[d.camera]] = _longest(normalise_detections(d, *lenses[d.camera]), clocks[index[d.camera]], rate)
     sighted = [i for i in sorted(tracks) if tracks[i]]
     reasons = {
         i: "it has no keypoints" if i not in tracks else "it sees nobody for long enough" for i in range(len(clocks))

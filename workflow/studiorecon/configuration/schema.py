@@ -3,8 +3,8 @@
 sentences.
 
 Snakemake reads values inside ``--config section='{...}'`` as text, YAML reads an unquoted ``off`` as false and ``1e-4``
-as text. The type of such a value depends on the setting, not on how it was written: ``typed`` uses the interpretation
-that the schema allows.
+as text. The type of such a value depends on the setting, not on how it was written: ``coerce_types`` uses the
+interpretation that the schema allows.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _REAL = re.compile(r"[-+]?(?:(?:0|[1-9]\d*)(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", 
 _WORDS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
 
 
-def typed(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any] | None = None) -> Any:
+def coerce_types(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any] | None = None) -> Any:
     """A copy of ``value`` in which every setting has the type that ``schema`` gives it, as far as possible.
 
     A value without a valid interpretation stays as it is, for ``mistakes`` to report. ``root`` is the schema that
@@ -30,15 +30,15 @@ def typed(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any] | None 
     root = schema if root is None else root
     schema = _resolved(schema, root)
     if isinstance(value, Mapping):
-        made = {str(key): typed(inner, _property(schema, str(key)), root) for key, inner in value.items()}
+        made = {str(key): coerce_types(inner, _property(schema, str(key)), root) for key, inner in value.items()}
         for part in schema.get("allOf", ()):
             if "if" not in part or _valid(made, part["if"], root):
-                made = typed(made, part.get("then", part) if "if" in part else part, root)
+                made = coerce_types(made, part.get("then", part) if "if" in part else part, root)
         return made
     if isinstance(value, (list, tuple)):
         options = [schema, *(_resolved(option, root) for option in schema.get("oneOf", ()))]
         items: dict[str, Any] = next((option["items"] for option in options if "items" in option), {})
-        return [typed(item, items, root) for item in value]
+        return [coerce_types(item, items, root) for item in value]
     readings = list(_readings(value, schema))
     kind = {"type": schema.get("type", [])}
     # A number out of bounds is still a number, and is refused as a number.

@@ -40,8 +40,8 @@ SECTIONS: tuple[Section, ...] = (
         (
             "tracks.bodies:Settings",
             "configuration.planned:Detect",
-            "keypoints.reading:Settings",
-            "keypoints.reading:Detected",
+            "keypoints.detections:Settings",
+            "keypoints.detections:DetectionLimits",
         ),
     ),
     Section("clocks", "When every camera was started.", ("clocks.offsets:Settings",)),
@@ -65,11 +65,11 @@ SECTIONS: tuple[Section, ...] = (
         "Identities, and each person's body over time.",
         (
             "configuration.planned:People",
-            "people.fit_settings:Triangulated",
+            "people.fit_settings:TriangulationSettings",
             "people.lift:Settings",
             "people.associate:Settings",
             "people.fit:Settings",
-            "people.fit_settings:Smoothed",
+            "people.fit_settings:SmoothingSettings",
         ),
     ),
     Section(
@@ -89,7 +89,7 @@ SECTIONS: tuple[Section, ...] = (
     Section(
         "survey",
         "Which effects the scene calls for.",
-        ("survey.effects:Decided",),
+        ("survey.effects:EffectSettings",),
     ),
     Section("objects", "Loose and held things.", ("objects.find:Settings",)),
     Section(
@@ -105,8 +105,8 @@ SECTIONS: tuple[Section, ...] = (
         "views",
         "New views between the cameras.",
         (
-            "views.warp_settings:Made",
-            "views.warp_settings:Shown",
+            "views.warp_settings:ViewSource",
+            "views.warp_settings:PeopleInViews",
             "configuration.planned:Views",
             "views.generate:Settings",
             "views.fitted:Settings",
@@ -115,11 +115,15 @@ SECTIONS: tuple[Section, ...] = (
         ),
     ),
     Section("background", "Static Gaussians of the room.", ("background.train_settings:Settings",)),
-    Section("humans", "Gaussians of every person.", ("humans.start_settings:Started", "humans.train_settings:Trained")),
+    Section(
+        "humans",
+        "Gaussians of every person.",
+        ("humans.start_settings:StartSettings", "humans.train_settings:TrainSettings"),
+    ),
     Section(
         "render",
         "Films of the 4D scene.",
-        ("render.draw_settings:Drawn", "render.shot:Settings", "configuration.planned:Render"),
+        ("render.draw_settings:DrawSettings", "render.shot:Settings", "configuration.planned:Render"),
     ),
     Section(
         "enhance",

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.depth.sweep_settings import Assumed, Near
+from studiorecon.depth.sweep_settings import DefaultConfidence, NearLimit
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.footage.stills import read_image
@@ -37,7 +37,7 @@ _WORST_GAP = 0.25
 
 
 @dataclass(frozen=True)
-class Settings(Near, Assumed):
+class Settings(NearLimit, DefaultConfidence):
     """A network's depth counts as measured within ``agree_share`` of the planes' depth, else as inferred."""
 
     agree_share: float = 0.05

@@ -16,7 +16,7 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout import box as room
 from studiorecon.depth.layout import ground_contacts
-from studiorecon.depth.layout.platform import Raised, fit_platform
+from studiorecon.depth.layout.platform import RaisedFloor, fit_platform
 from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
@@ -170,7 +170,7 @@ def _matching(settings: Settings) -> room.Matching:
     return room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m)
 
 
-def _on_lower_floor(box: RoomBox, raised: Raised, pictures: list[Picture], settings: Settings) -> RoomBox:
+def _on_lower_floor(box: RoomBox, raised: RaisedFloor, pictures: list[Picture], settings: Settings) -> RoomBox:
     """The box with its floor at the level around the people's platform."""
     size_m = raised.platform.high_m - raised.platform.low_m
     say(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.depth.sweep_settings import Near
+from studiorecon.depth.sweep_settings import NearLimit
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.images.warp import sample
@@ -27,7 +27,7 @@ _MIN_KNOWN = 0.05
 
 
 @dataclass(frozen=True)
-class Settings(Near):
+class Settings(NearLimit):
     """The range of valid depth."""
 
 

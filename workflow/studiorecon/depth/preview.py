@@ -81,7 +81,7 @@ def preview_path(cameras: Sequence[Camera]) -> list[Camera]:
     return [*way, *way[-2:0:-1]]
 
 
-def drawn(room: Gaussians, cameras: Sequence[Camera]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
+def draw_views(room: Gaussians, cameras: Sequence[Camera]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """Yields (H, W, 3) uint8 of every camera."""
     rasteriser = Rasteriser(near_m=_NEAR_M)
     for camera in progress(cameras, "pictures"):
@@ -95,5 +95,5 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     pictures = equalise_exposure(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
     depths_m = swept.votes.inside(pictures, fitted).depths_m(pictures, fitted)
     room, path = discs_from_depths(pictures, depths_m), preview_path([p.camera for p in pictures])
-    write_watchable(film, drawn(room, path), _FPS)
+    write_watchable(film, draw_views(room, path), _FPS)
     say(f"preview of the room without people: {film} ({len(path)} pictures of {room.count} Gaussians, untrained)")

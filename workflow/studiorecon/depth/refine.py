@@ -20,10 +20,10 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout.primitives import Primitive, in_front, read_primitives
 from studiorecon.depth.stereo.free_space import snap_to_room_box
-from studiorecon.depth.stereo.passes import Labelled, PassSettings, explain, plane_depths, plane_scores
+from studiorecon.depth.stereo.passes import PassSettings, PlaneLabelling, explain, plane_depths, plane_scores
 from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures
-from studiorecon.depth.sweep_settings import Assumed
+from studiorecon.depth.sweep_settings import DefaultConfidence
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.stills import read_plate
@@ -44,7 +44,7 @@ _EDGE_CONTRAST = 0.15
 
 
 @dataclass(frozen=True)
-class Settings(PassSettings, Assumed):
+class Settings(PassSettings, DefaultConfidence):
     """The size of the final pass."""
 
     refine_width: int = setting(
@@ -53,7 +53,7 @@ class Settings(PassSettings, Assumed):
 
 
 def confidence(
-    labelled: Labelled, fitted: Bool[np.ndarray, " 6"], default_confidence: float
+    labelled: PlaneLabelling, fitted: Bool[np.ndarray, " 6"], default_confidence: float
 ) -> Float[np.ndarray, "H W"]:
     """(H, W) float32: 1 for a perfect match down to ``default_confidence`` for none; half of it where the depth is a
     default.
@@ -124,7 +124,7 @@ def at_full_size(
     camera: Camera,
     rgb: Float[np.ndarray, "H W 3"],
     small: Picture,
-    labelled: Labelled,
+    labelled: PlaneLabelling,
     planes: Float[np.ndarray, "L 4"],
 ) -> tuple[Float[np.ndarray, "H W"], Integer[np.ndarray, "H W"]]:
     """(H, W) float32 depth of the carried planes, evaluated exactly at every full-size pixel, and the source index (H,
@@ -145,7 +145,7 @@ def label_at_size(
     room_box: RoomBox,
     passes: list[Float[np.ndarray, "h w"]],
     settings: Settings,
-) -> Labelled:
+) -> PlaneLabelling:
     """One camera labelled at this size against all others, whose surfaces are known from the agreed ``passes`` (h, w)
     depths."""
     picture = pictures[index]
@@ -176,7 +176,7 @@ def draw_primitives(
         return depth_m, certain, shown
     room = PhotoCostVolume.by_room_box(pictures, room_box, settings.refine_window, settings.mean_weight)
     room.replace_all(np.array([primitive.numbers for primitive in primitives]))
-    small = Labelled(
+    small = PlaneLabelling(
         *(
             a[: pictures[index].camera.hw[0], : pictures[index].camera.hw[1]]
             for a in (room.surface[index], room.depth[index], room.cost[index], room.judges[index] > 0)

@@ -9,14 +9,14 @@ from studiorecon.configuration.setting import setting
 
 
 @dataclass(frozen=True)
-class Near:
+class NearLimit:
     """Least z-depth in metres of a surface."""
 
     near_m: float = 0.3
 
 
 @dataclass(frozen=True)
-class Assumed:
+class DefaultConfidence:
     """Upper limit of the confidence of pixels on a default wall; measured ones are above. A share of 1, not a logit
     (U23)."""
 
@@ -24,7 +24,7 @@ class Assumed:
 
 
 @dataclass(frozen=True)
-class Matching(Near):
+class Matching(NearLimit):
     """How planes are compared with the pictures; ``mean_weight`` is the cost of a difference of mean colour, added to
     correlation."""
 

@@ -17,20 +17,20 @@ from studiorecon.footage.frames import glimpses, stills
 from studiorecon.footage.source import FootageSource, open_source
 from studiorecon.geometry.lens import lens_with_pixel_map
 from studiorecon.keypoints.coordinate_readings import affine
+from studiorecon.keypoints.detections import Settings, detections_from_detector, detections_from_recorded
 from studiorecon.keypoints.film_check import BORNE_OUT, Film, check_against_film
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.motion import Motion, measure_motion, small
 from studiorecon.keypoints.numbering import numberings
 from studiorecon.keypoints.readers import read_keypoints
-from studiorecon.keypoints.reading import Settings, detections_from_detector, detections_from_recorded
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.files import write_json
 from studiorecon.scene.people import Detections, write_detections
 from studiorecon.scene.raw_detections import is_detector_file, read_raw_detections
-from studiorecon.scene.recorded import Recorded, write_recorded
+from studiorecon.scene.recorded_keypoints import RecordedKeypoints, write_recorded
 from studiorecon.signature import Written
 
 # The layout of an empty recording: nothing reads its points.
@@ -101,7 +101,7 @@ def _compared(
     first_frame: int | None,
     filmed: FootageSource,
     pixel_map: str,
-) -> tuple[Recorded, list[str]]:
+) -> tuple[RecordedKeypoints, list[str]]:
     """The keypoints of a file in the frames and pixels of the film, if they fit it, and sentences about them."""
     given, path = _of_chapters(paths, filmed, first_frame), ", ".join(map(str, paths))
     if not len(given.frame):
@@ -118,7 +118,7 @@ def _compared(
     centre = 0.5 - settings.keypoint_centres
     film = Film(camera, filmed.wh, filmed.frames, motion, affine(scale, scale, x, y), centre, filmed.stored_wh)
 
-    def theirs() -> Mapping[str, Recorded]:
+    def theirs() -> Mapping[str, RecordedKeypoints]:
         found = {}
         for name, place in others.items():
             one = read_keypoints(place, filmed.wh)
@@ -134,11 +134,11 @@ def _compared(
     return replace(verdict.recorded, refusal=verdict.refusal), list(verdict.told)
 
 
-def _of_chapters(paths: Sequence[Path], filmed: FootageSource, first_frame: int | None) -> Recorded:
+def _of_chapters(paths: Sequence[Path], filmed: FootageSource, first_frame: int | None) -> RecordedKeypoints:
     """The result of ``read_keypoints`` for one file, or for one per chapter, by the frames of the whole film."""
     if len(paths) == 1:
         return read_keypoints(paths[0], filmed.wh)
-    found, before = list[Recorded](), 0
+    found, before = list[RecordedKeypoints](), 0
     for path, part in zip(paths, filmed.parts, strict=True):
         one = read_keypoints(path, filmed.wh)
         usual = numberings(one.pictures, part.frames, part.fps, first_frame, one.counted).possible[0]
@@ -155,11 +155,11 @@ def _of_chapters(paths: Sequence[Path], filmed: FootageSource, first_frame: int 
     return replace(found[0], pictures=pictures, frame=frame, keypoints=np.concatenate([s.keypoints for s in somebody]))
 
 
-def _none(program: str, layout: str) -> Recorded:
+def _none(program: str, layout: str) -> RecordedKeypoints:
     """An empty recording."""
     name = layout if layout in LAYOUTS else _NOBODYS
     nobody = np.zeros(0, dtype=np.int64)
-    return Recorded(program, nobody, nobody, np.zeros((0, len(LAYOUTS[name].keypoints), 3)), True, name)
+    return RecordedKeypoints(program, nobody, nobody, np.zeros((0, len(LAYOUTS[name].keypoints), 3)), True, name)
 
 
 def _nobody(camera: str) -> Detections:

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose
+from studiorecon.detector.film_rotation import film_from_turned, quarter_turns, rotate_picture
 from studiorecon.detector.following import detect_people, is_short_clip, keypoints_with_confidence
-from studiorecon.detector.second import second_network
-from studiorecon.detector.upright import film_from_turned, quarter_turns, turned
+from studiorecon.detector.second_network import second_network
 from studiorecon.detector.windows import small, usual
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import decode, glimpses, stills
@@ -79,8 +79,8 @@ def run(
     if turns:
         say(f"camera {camera}: people are upright once its pictures are turned by {90 * turns}° counter-clockwise")
     linear, offset = np.split(film_from_turned(footage.wh, turns), [2], axis=1)
-    pictures = (turned(p, turns) for p in progress(decode(footage, start, count), f"frames of {camera}", total))
-    backgrounds = [turned(background, turns) for background in backgrounds]
+    pictures = (rotate_picture(p, turns) for p in progress(decode(footage, start, count), f"frames of {camera}", total))
+    backgrounds = [rotate_picture(background, turns) for background in backgrounds]
     width, height = footage.wh
     wh = (height, width) if turns % 2 else (width, height)
     few = is_short_clip(total, footage.fps)

@@ -18,7 +18,7 @@ import numpy as np
 import onnxruntime
 
 from studiorecon.detector.crops import Region, opened, sampled
-from studiorecon.detector.second import SecondNetwork
+from studiorecon.detector.second_network import SecondNetwork
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
 
@@ -70,7 +70,8 @@ class BlazePose:
     numbers."""
 
     def __init__(self, detection: Path, landmarks: Path, second: SecondNetwork | None = None) -> None:
-        """``second`` has the say where points are; raises UserError when a file is missing or not what it should be."""
+        """``second_network`` has the say where points are; raises UserError when a file is missing or not what it
+        should be."""
         self._detection = open_network(detection, (1, _WINDOW_PX, _WINDOW_PX, 3))
         self._landmarks = open_network(landmarks, (1, _CROP_PX, _CROP_PX, 3))
         self._anchors = anchors()

@@ -24,8 +24,8 @@ from studiorecon.footage.stills import read_image
 from studiorecon.footage.video import read_frames
 from studiorecon.images.encoded import write_png
 from studiorecon.progress import progress, say
-from studiorecon.recursive.clip import enhanced, is_still
 from studiorecon.recursive.flows import load_flow
+from studiorecon.recursive.sequence import enhance_sequence, is_still
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.numbered_files import natural
 from studiorecon.scene.path import PathStep
@@ -108,12 +108,12 @@ def run(
     each = read_pictures(references) if references is not None and given == total and total > 1 else None
 
     def reference(step: PathStep) -> np.ndarray:
-        # ``enhanced`` calls this once per picture, in order.
+        # ``enhance_sequence`` calls this once per picture, in order.
         return next(each) if each is not None else photos[0] if photos else np.zeros((1, 1, 3), np.uint8)
 
     unknown_depth = np.zeros(next(read_pictures(pictures)).shape[:2], np.uint16)
     depths = (unknown_depth for _ in range(total))
-    outputs = enhanced(steps, read_pictures(pictures), depths, reference, enhancer, injection, search)
+    outputs = enhance_sequence(steps, read_pictures(pictures), depths, reference, enhancer, injection, search)
     for index, picture in enumerate(progress(outputs, f"pictures of {pictures.name}", total=total)):
         write_png(output / f"{index:06d}.png", picture)
     say(f"{total} pictures of {pictures} are in {output}")

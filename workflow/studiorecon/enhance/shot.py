@@ -24,12 +24,12 @@ from studiorecon.footage.streams import Writer, writing
 from studiorecon.footage.video import read_frames, to_bytes, write_lossless, write_watchable
 from studiorecon.models.protocols import Enhancer, Flow
 from studiorecon.progress import progress, say, warn
-from studiorecon.recursive.clip import adapt_injection, enhanced, is_still
 from studiorecon.recursive.flows import load_flow
 from studiorecon.recursive.injection import Injection
+from studiorecon.recursive.sequence import adapt_injection, enhance_sequence, is_still
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.decisions import Decision, forced, write_decisions
-from studiorecon.scene.effects import ENHANCEMENT, FILMED, INJECTION, force, settled, thresholds
+from studiorecon.scene.decisions import Decision, apply_forced, write_decisions
+from studiorecon.scene.effects import ENHANCEMENT, FILMED, INJECTION, certain_decision, force, thresholds
 from studiorecon.scene.factors import read_factors
 from studiorecon.scene.path import PathStep, read_path
 from studiorecon.signature import Place, Written
@@ -44,7 +44,8 @@ else:
 
 @dataclass(frozen=True)
 class Settings(Enhancing, Carrying, Injecting):
-    """Settings of enhancing a film, with the thresholds that ``survey.effects.Decided`` declares for all effects."""
+    """Settings of enhancing a film, with the thresholds that ``survey.effects.EffectSettings`` declares for all
+    effects."""
 
     thresholds: Mapping[Named, float] = thresholds(FILMED)
     force: Mapping[Named, str] = force(FILMED)
@@ -98,13 +99,13 @@ def run(
         say(f"shot {shot}: the pictures come from {made[0]}")
         write_decisions(decisions, [])
         return
-    drawn = Drawn(steps, render, render_depth, truth[0] if truth else None)
+    drawn = RenderedFilm(steps, render, render_depth, truth[0] if truth else None)
     if not train:
         _write(writers, drawn.pictures(), shot, len(steps))
         say(f"shot {shot}: the film is the render; enhance.enhancer is none and nothing is injected")
-        left_out = [settled(ENHANCEMENT, False, "enhance.enhancer is none")]
-        left_out.append(settled(INJECTION, False, "enhance.injection.history is 0"))
-        write_decisions(decisions, forced(left_out, settings.force))
+        left_out = [certain_decision(ENHANCEMENT, False, "enhance.enhancer is none")]
+        left_out.append(certain_decision(INJECTION, False, "enhance.injection.history is 0"))
+        write_decisions(decisions, apply_forced(left_out, settings.force))
         return
     photographed, photographed_path, photographed_depth = train
     training = open_training(
@@ -132,12 +133,12 @@ def run(
         say(f"shot {shot}: the film is the render")
         outputs = drawn.pictures()
     else:
-        outputs = enhanced(steps, drawn.pictures(), drawn.depths_mm(), reference, enhancer, injection, search)
+        outputs = enhance_sequence(steps, drawn.pictures(), drawn.depths_mm(), reference, enhancer, injection, search)
     _write(writers, outputs, shot, len(steps))
 
 
 @dataclass(frozen=True)
-class Drawn:
+class RenderedFilm:
     """A rendered film; depth is unknown where ``truth`` says that pixels were never photographed."""
 
     steps: Sequence[PathStep]
@@ -162,8 +163,8 @@ def choose_enhancer(settings: Settings, training: Training, weights: Path, devic
     """The enhancer of the film, and the decision: the selected network, or the residual transfer if it gains enough."""
     if settings.enhancer != "residual":
         on = settings.enhancer != "none"
-        decision = settled(ENHANCEMENT, on, f"enhance.enhancer is {settings.enhancer}")
-        (decision,) = forced([decision], _of(settings.force, ENHANCEMENT.name))
+        decision = certain_decision(ENHANCEMENT, on, f"enhance.enhancer is {settings.enhancer}")
+        (decision,) = apply_forced([decision], _of(settings.force, ENHANCEMENT.name))
         decision = decision if on else no_enhancement(decision)
         name = settings.enhancer if decision.called_for else "none"
         return network(name, weights, device, settings.seed), decision
@@ -173,8 +174,8 @@ def choose_enhancer(settings: Settings, training: Training, weights: Path, devic
         )
     else:
         strength = float(settings.strength)
-        decision = settled(ENHANCEMENT, strength > 0, f"enhance.strength is {strength:g}")
-    (decision,) = forced([decision], _of(settings.force, ENHANCEMENT.name))
+        decision = certain_decision(ENHANCEMENT, strength > 0, f"enhance.strength is {strength:g}")
+    (decision,) = apply_forced([decision], _of(settings.force, ENHANCEMENT.name))
     decision = decision if strength else no_enhancement(decision)
     if not decision.called_for:
         return Unchanged(), decision
@@ -193,7 +194,7 @@ def no_enhancement(decision: Decision) -> Decision:
 
 def choose_injection(
     settings: Settings,
-    drawn: Drawn,
+    drawn: RenderedFilm,
     reference: Callable[[PathStep], Integer[np.ndarray, "h w 3"]],
     enhancer: Enhancer,
     search: Flow,
@@ -201,17 +202,17 @@ def choose_injection(
     """The injection settings of the film, and the decision: on if enhanced pictures flicker more than renders."""
     injection = adapt_injection(settings.injection, drawn.steps)
     if not injection.history:
-        decision = settled(INJECTION, False, "enhance.injection.history is 0")
+        decision = certain_decision(INJECTION, False, "enhance.injection.history is 0")
     elif settings.force.get(INJECTION.name):
-        decision = settled(INJECTION, False, "not measured")
+        decision = certain_decision(INJECTION, False, "not measured")
     elif isinstance(enhancer, Unchanged):
-        decision = settled(INJECTION, False, "nothing is enhanced, so nothing flickers that did not before")
+        decision = certain_decision(INJECTION, False, "nothing is enhanced, so nothing flickers that did not before")
     elif is_still(drawn.steps, drawn.pictures()):
-        decision = settled(INJECTION, False, "the camera does not move, so there is nothing to steady")
+        decision = certain_decision(INJECTION, False, "the camera does not move, so there is nothing to steady")
     else:
         change = flicker(drawn.steps, drawn.render, drawn.depth, reference, enhancer, search)
         decision = decide_injection(change, settings.threshold(INJECTION.name))
-    (decision,) = forced([decision], _of(settings.force, INJECTION.name))
+    (decision,) = apply_forced([decision], _of(settings.force, INJECTION.name))
     return injection if decision.called_for else replace(injection, history=0), decision
 
 

@@ -6,7 +6,7 @@ Inputs are paths; outputs are upright frames in order, or files that are complet
 * ``source``: a camera's footage as the user has it, video or folder of pictures: the only place that opens it;
 * ``chapters``: several files of one recording as one film;
 * ``kinds``: which files are films; ``container``: an opened film, whatever the encoding of its tags;
-* ``timing``: number and times of the frames that a decoder shows; ``display_form``: one moment, BT.709, square pixels,
+* ``timing``: number and times of the frames that a decoder shows; ``stored_format``: one moment, BT.709, square pixels,
   upright;
 * ``frames``: the pictures, all or some of them; ``sound_track``: the first sound that can be decoded;
 * ``lens_metadata``: the focal length in a file's metadata; ``duplicate_films``: detects a film that was given twice;

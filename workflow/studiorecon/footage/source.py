@@ -17,8 +17,8 @@ import numpy as np
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.container import film_stream, film_streams, open_container, read_film_list
-from studiorecon.footage.display_form import StoredFormat, stored_format
 from studiorecon.footage.stills import read_image
+from studiorecon.footage.stored_format import StoredFormat, stored_format
 from studiorecon.footage.timing import read_timing, shown_frames
 from studiorecon.machine.resource_errors import without_thread
 from studiorecon.scene.dataset import PICTURE_SUFFIXES

@@ -47,7 +47,7 @@ class LensPrior:
 
 
 @dataclass(frozen=True)
-class Adjusted:
+class BundleResult:
     """Result of the bundle adjustment.
 
     Attributes:
@@ -84,7 +84,7 @@ def adjust_with_lenses(
     settings: BundleSettings,
     lens: LensPrior,
     given: Sequence[Camera] | None = None,
-) -> Adjusted:
+) -> BundleResult:
     """Cameras and points of least Huber cost of ``pixels``, with their uncertainty; ``weights``: 0 = not seen.
 
     Six numbers per camera, and one focal factor and one radial term where ``lens`` leaves them free; points are
@@ -102,7 +102,7 @@ def adjust_with_lenses(
         factor = np.where(np.diag([True, True, False]), np.exp(state.lens[v, 0]), 1.0)
         found.append(replace(turned, intrinsics=camera.intrinsics * factor))
     sigma, error = problem.accuracy(state)
-    return Adjusted(found, state.points, state.lens[:, 1].copy(), sigma, error)
+    return BundleResult(found, state.points, state.lens[:, 1].copy(), sigma, error)
 
 
 def move_camera(

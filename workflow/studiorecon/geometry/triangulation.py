@@ -45,7 +45,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Triangulated:
+class TriangulatedPoints:
     """N points (or any batch of axes in N's place), each determined or not.
 
     Attributes:
@@ -84,7 +84,7 @@ def triangulate(
     limits: Limits,
     noise_px: float | None = None,
     solver: Solver = "robust",
-) -> Triangulated:
+) -> TriangulatedPoints:
     """World points of ``pixels`` (V, ..., 2), seen with ``confidence`` (V, ...) by V cameras; NaN is a missing view.
 
     Any axes between the views and the two coordinates (people, frames, joints) are those of the result, N standing for
@@ -135,7 +135,7 @@ def triangulate(
         kernels.robust(_rig(cameras, units), seen, weights, gates, filled)
     else:
         kernels.linear(_rig(cameras, units), seen, weights, gates, solver == "huber", filled)
-    return Triangulated(
+    return TriangulatedPoints(
         points_m=points.reshape(*batch, 3),
         valid=(state > 0).reshape(batch),
         verified=(state > 1).reshape(batch),

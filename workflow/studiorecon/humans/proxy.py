@@ -17,7 +17,7 @@ import scipy
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.errors import UserError
-from studiorecon.humans.start_settings import Started
+from studiorecon.humans.start_settings import StartSettings
 from studiorecon.humans.surface_samples import gaussians_on, initial_samples
 from studiorecon.progress import say
 from studiorecon.scene.gaussians import sh_from_rgb
@@ -37,7 +37,7 @@ _DARKER = 0.72
 
 
 @dataclass(frozen=True)
-class Settings(Started):
+class Settings(StartSettings):
     """Number of Gaussians, and the seed of their positions."""
 
 

@@ -21,7 +21,7 @@ from studiorecon.humans.surface_samples import (
     fill_unseen,
     gaussians_on,
     initial_samples,
-    mirrored,
+    mirror_indices,
     neighbours,
 )
 from studiorecon.humans.train_settings import Settings
@@ -133,7 +133,7 @@ def build_rest_pose(
     held = () if settings.additions.pose_joints == "all" else HELD
     motion = RefinedMotion(fitted.poses, fitted.trans, body_model.rest_joints(fitted.betas), body_model.parents, held)
     colours, seen = initial_colours(samples, posing, motion, crops)
-    near, twin = neighbours(samples, NEIGHBOURS), mirrored(samples, 2 * samples.spacing_m)
+    near, twin = neighbours(samples, NEIGHBOURS), mirror_indices(samples, 2 * samples.spacing_m)
     degree = supported_degree(settings, motion, crops)
     if degree < settings.sh_degree:
         say(

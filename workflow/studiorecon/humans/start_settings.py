@@ -10,7 +10,7 @@ from studiorecon.configuration.setting import setting
 
 
 @dataclass(frozen=True)
-class Started:
+class StartSettings:
     """How a person's Gaussians are initialised."""
 
     gaussians: int = setting(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from studiorecon.humans.start_settings import Started
+from studiorecon.humans.start_settings import StartSettings
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.discs import DISC_WIDTH, discs
 
@@ -66,7 +66,7 @@ def initial_samples(
     vertices_m: Float[np.ndarray, "V 3"],
     faces: Integer[np.ndarray, "F 3"],
     weights: Float[np.ndarray, "V 24"],
-    how: Started,
+    how: StartSettings,
     rng: np.random.Generator,
 ) -> SurfaceSamples:
     """Start positions of a person's Gaussians, by the settings."""
@@ -120,7 +120,7 @@ def neighbours(samples: SurfaceSamples, count: int) -> Integer[np.ndarray, "N K"
     return np.where(fits, chosen, np.arange(len(near))[:, None])
 
 
-def mirrored(samples: SurfaceSamples, within_m: float) -> Integer[np.ndarray, " N"]:
+def mirror_indices(samples: SurfaceSamples, within_m: float) -> Integer[np.ndarray, " N"]:
     """(N,) index of the sample nearest to each sample's mirror image (the canonical body's x is left–right), −1 beyond
     ``within_m``."""
     distance, index = scipy.spatial.cKDTree(samples.points_m).query(samples.points_m * [-1, 1, 1])

@@ -32,7 +32,7 @@ from studiorecon.humans.rest_pose import NEIGHBOURS, RestPose, build_rest_pose
 from studiorecon.humans.result_cache import STANDS, cache_key, is_up_to_date, store
 from studiorecon.humans.surface_samples import (
     fill_unseen,
-    mirrored,
+    mirror_indices,
     neighbours,
 )
 from studiorecon.humans.train_settings import Settings
@@ -212,7 +212,7 @@ def _avatar(
     same = np.array_equal(source, np.arange(rest.start.count))
     seen, surface = rest.seen[source], samples if same else grown
     if settings.additions.unseen == "filled":
-        near, twin = neighbours(surface, NEIGHBOURS), mirrored(surface, 2 * samples.spacing_m)
+        near, twin = neighbours(surface, NEIGHBOURS), mirror_indices(surface, 2 * samples.spacing_m)
         trained = recolour_unseen(trained, seen, near, twin)
     moved_mm = 1000 * np.linalg.norm(trained.means_m - rest.start.means_m[source], axis=1)
     say(

@@ -10,13 +10,13 @@ from typing import Literal
 from studiorecon.configuration.setting import setting
 from studiorecon.humans.additions import Additions
 from studiorecon.humans.appearance import OverTime
-from studiorecon.humans.start_settings import Started
+from studiorecon.humans.start_settings import StartSettings
 from studiorecon.humans.training import GaussianLimits, Growing, Losses, Rates
 from studiorecon.scene.effects import TEMPORAL_APPEARANCE, thresholds
 
 
 @dataclass(frozen=True)
-class Trained(Started):
+class TrainSettings(StartSettings):
     """How a person is initialised and trained; ``checkpoint_every_s`` is as in ``TrainingSettings``."""
 
     sh_degree: int = setting(
@@ -58,8 +58,8 @@ class Trained(Started):
 
 
 @dataclass(frozen=True)
-class Settings(Trained):
-    """The same, and the threshold of the temporal network, which ``survey.effects.Decided`` declares."""
+class Settings(TrainSettings):
+    """The same, and the threshold of the temporal network, which ``survey.effects.EffectSettings`` declares."""
 
     thresholds: Mapping[Literal["temporal_appearance"], float] = thresholds([TEMPORAL_APPEARANCE])
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 
-def dilated(region: Bool[np.ndarray, "H W"], size_px: int) -> Bool[np.ndarray, "H W"]:
+def dilate(region: Bool[np.ndarray, "H W"], size_px: int) -> Bool[np.ndarray, "H W"]:
     """(H, W) bool: ``region`` grown by a square of ``size_px`` pixels (21 = radius 10, U24; 0 or 1 =
     unchanged).
 

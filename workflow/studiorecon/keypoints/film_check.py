@@ -15,7 +15,7 @@ from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.motion import Motion
 from studiorecon.keypoints.motion_agreement import Movers, Score, best, is_frozen, is_upside_down, movers, score
 from studiorecon.keypoints.numbering import Numbering, Numberings
-from studiorecon.scene.recorded import Recorded
+from studiorecon.scene.recorded_keypoints import RecordedKeypoints
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
@@ -50,7 +50,7 @@ class Verdict:
         lift: of the chosen reading; None where too little moves to decide.
     """
 
-    recorded: Recorded
+    recorded: RecordedKeypoints
     told: tuple[str, ...]
     refusal: str
     lift: float | None
@@ -98,10 +98,10 @@ def _clearly_better(one: Score, other: Score) -> bool:
     )
 
 
-Others = Callable[[], Mapping[str, Recorded]]
+Others = Callable[[], Mapping[str, RecordedKeypoints]]
 
 
-def check_against_film(recorded: Recorded, numbers: Numberings, film: Film, others: Others) -> Verdict:
+def check_against_film(recorded: RecordedKeypoints, numbers: Numberings, film: Film, others: Others) -> Verdict:
     """The verdict on ``recorded`` from its film.
 
     ``others`` returns the other cameras' keypoints by name, in frames of their own films; it is called only where
@@ -156,7 +156,7 @@ def check_against_film(recorded: Recorded, numbers: Numberings, film: Film, othe
 class _Judge:
     """Scores of one camera's keypoints under any reading."""
 
-    recorded: Recorded
+    recorded: RecordedKeypoints
     film: Film
     moving: Movers
     in_shares: bool
@@ -306,7 +306,7 @@ def _plain(keypoints: Num[np.ndarray, "D K 3"], as_read: Reading, film: Film) ->
 
 
 def _outside(keypoints: Num[np.ndarray, "D K 3"], reading: Reading, film: Film) -> str:
-    """A refusal where most keypoints are beyond the film's border under ``reading``; "" otherwise."""
+    """A refusal where most keypoints are beyond the film's border under ``detections``; "" otherwise."""
     points = _points(keypoints)
     shown = apply_reading(reading.film_from_recorded, points)
     outside = float(((shown < 0) | (shown > film.wh)).any(-1).mean()) if len(points) else 0.0
@@ -325,8 +325,9 @@ def _points(keypoints: Num[np.ndarray, "D K 3"]) -> Float[np.ndarray, "N 2"]:
     return keypoints[there][:, :2]
 
 
-def _in_film_pixels(recorded: Recorded, reading: Reading, as_read: Reading) -> Recorded:
-    """``recorded`` with its coordinates converted so that ``as_read`` gives the same pixels as ``reading`` before."""
+def _in_film_pixels(recorded: RecordedKeypoints, reading: Reading, as_read: Reading) -> RecordedKeypoints:
+    """``recorded`` with its coordinates converted so that ``as_read`` gives the same pixels as ``detections``
+    before."""
     if reading is as_read:
         return recorded
     inverse = np.linalg.inv(np.vstack([as_read.film_from_recorded, [0, 0, 1.0]]))[:2]
@@ -334,10 +335,12 @@ def _in_film_pixels(recorded: Recorded, reading: Reading, as_read: Reading) -> R
     points = apply_reading(inverse, apply_reading(reading.film_from_recorded, recorded.keypoints[..., :2]))
     points = np.where(missing[..., None], recorded.keypoints[..., :2], points)
     moved = np.concatenate([points, recorded.keypoints[..., 2:]], axis=-1)
-    return Recorded(recorded.program, recorded.pictures, recorded.frame, moved, recorded.counted, recorded.layout)
+    return RecordedKeypoints(
+        recorded.program, recorded.pictures, recorded.frame, moved, recorded.counted, recorded.layout
+    )
 
 
-def _of_heads(recorded: Recorded, camera: str) -> list[str]:
+def _of_heads(recorded: RecordedKeypoints, camera: str) -> list[str]:
     """A warning that everybody is upside down, where the film does not show whether they are."""
     lower = is_upside_down(recorded.keypoints, LAYOUTS[recorded.layout].keypoints if recorded.layout else ())
     if len(lower) < 10 or lower.mean() < _UPSIDE_DOWN:

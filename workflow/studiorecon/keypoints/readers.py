@@ -15,7 +15,7 @@ from studiorecon.keypoints.file_numbers import number_names
 from studiorecon.keypoints.picture_content import people_in
 from studiorecon.keypoints.result_files import Pictures, read_results
 from studiorecon.progress import warn
-from studiorecon.scene.recorded import Recorded
+from studiorecon.scene.recorded_keypoints import RecordedKeypoints
 from studiorecon.scene.user_files import read_json, read_npz
 from studiorecon.scene.user_values import numbers
 
@@ -49,7 +49,7 @@ _REFUSED = {
 _MAX_SCORE = 10.0
 
 
-def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> Recorded:
+def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> RecordedKeypoints:
     """All people of one camera; ``path`` is one of ``FORMATS``, ``picture_wh`` the size to which MediaPipe's shares
     refer.
 
@@ -74,7 +74,7 @@ def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> Recorded
     return _checked(found, path)
 
 
-def _checked(found: Pictures, path: Path) -> Recorded:
+def _checked(found: Pictures, path: Path) -> RecordedKeypoints:
     """``found`` as arrays, once numbers of people, keypoints and scores are checked."""
     pictures = sorted(found.people)
     everybody = [(number, points) for number in pictures for points in found.people[number]]
@@ -96,7 +96,7 @@ def _checked(found: Pictures, path: Path) -> Recorded:
     keypoints = keypoints.reshape(len(everybody), counts[0] if counts else 0, 3)
     _warn_of_scores(keypoints, path)
     frame = np.array([number for number, _ in everybody], dtype=np.int64)
-    return Recorded(found.program, np.array(pictures, dtype=np.int64), frame, keypoints, found.counted)
+    return RecordedKeypoints(found.program, np.array(pictures, dtype=np.int64), frame, keypoints, found.counted)
 
 
 def _warn_of_scores(keypoints: Num[np.ndarray, "D K 3"], path: Path) -> None:

@@ -3,5 +3,5 @@
 
 Labels: 0 background, k + 1 person k, 255 a person who is none of them. ``segment`` is the step. It combines
 ``log_odds`` (plate and body), ``detector_masks`` and, without a plate, ``grabcut``; pixels of ``loose_objects`` belong
-to no person. Alternatives: ``network`` with ``tracks``, or ``given``.
+to no person. Alternatives: ``network`` with ``tracks``, or ``user_masks``.
 """

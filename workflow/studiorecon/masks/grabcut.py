@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from studiorecon.configuration.setting import setting
-from studiorecon.images.regions import dilated
+from studiorecon.images.regions import dilate
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
@@ -50,7 +50,7 @@ def cut_unknown(
     candidates = unknown & np.isfinite(evidence)
     if settings.rounds <= 0 or not candidates.any():
         return evidence
-    near = dilated(candidates, _SURROUNDINGS_PX)
+    near = dilate(candidates, _SURROUNDINGS_PX)
     rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     inside = evidence[box]

@@ -53,7 +53,9 @@ class Settings:
     sam3: Sam3Settings = setting(Sam3Settings(), "How SAM 3 runs.")
 
 
-def in_bytes(maps: Iterable[Integer[np.ndarray, "H W"]], found: set[int]) -> Iterator[Integer[np.ndarray, "H W"]]:
+def to_uint8_labels(
+    maps: Iterable[Integer[np.ndarray, "H W"]], found: set[int]
+) -> Iterator[Integer[np.ndarray, "H W"]]:
     """Yields label maps (H, W) as uint8; numbers beyond 254 become background, and ``found`` collects all that
     occurred."""
     for labels in maps:
@@ -70,7 +72,7 @@ def run(
     title = card_of(settings.source).title
     found: set[int] = set()
     frames = progress(read_frames(video), f"frames of {camera}", total=about.frames)
-    write_lossless(tracks, in_bytes(network.segment(frames), found), about.fps)
+    write_lossless(tracks, to_uint8_labels(network.segment(frames), found), about.fps)
     if not found:
         say(f"camera {camera}: {title} sees no {settings.sam3.prompt} in any frame")
         return

@@ -29,7 +29,6 @@ from studiorecon.footage.video import read_frames, to_float, write_lossless
 from studiorecon.images.regions import signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import front_person, mesh_depth
 from studiorecon.masks.detector_masks import DetectorMasks, masks_by_frame
-from studiorecon.masks.given import label_given_masks, read_given
 from studiorecon.masks.grabcut import CutSettings, cut_unknown
 from studiorecon.masks.log_odds import (
     DifferenceSettings,
@@ -41,6 +40,7 @@ from studiorecon.masks.log_odds import (
 )
 from studiorecon.masks.loose_objects import subtract_objects
 from studiorecon.masks.tracks import UNASSIGNED, assign_people
+from studiorecon.masks.user_masks import label_given_masks, read_given
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_footage
@@ -300,8 +300,8 @@ def run(
     """Write masks of ``camera`` for the fitted people, ``fits``, from frames divided by ``brightness``, if there is
     any.
 
-    ``given`` (none or one path) are the user's masks, which are kept; ``tracks`` (none or one) is a network's film of
-    numbers. The pixels of ``objects`` (none or one path) are unassigned, except in given masks. ``seen`` (empty, or
+    ``user_masks`` (none or one path) are the user's masks, which are kept; ``tracks`` (none or one) is a network's film
+    of numbers. The pixels of ``objects`` (none or one path) are unassigned, except in given masks. ``seen`` (empty, or
     three files: the detector's, the camera's detections, identities.tsv) are the detector's own masks.
     """
     own = next((c for c in read_model(model.parent) if c.name == camera), None)

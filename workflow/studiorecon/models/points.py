@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Networks that estimate the keypoints of one person (``detect.network``).
 
-Their files run as they are, after the detector (``detector.second``), in ONNX Runtime on a CPU.
+Their files run as they are, after the detector (``detector.second_network``), in ONNX Runtime on a CPU.
 """
 
 from __future__ import annotations

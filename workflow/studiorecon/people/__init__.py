@@ -2,8 +2,8 @@
 """Identities across cameras, and every person's body over time; inputs are cameras, detections and plates.
 
 Outputs are ``people.tsv``, ``identities.tsv`` and one motion per person. Steps, in the order of the data:
-``second_look`` (detects again in pictures, at people predicted by ``expected`` from the other cameras, or with few
-cameras by the metric guess, ``monocular_guess``), ``lift`` (pelvises at the scene's depth, on request), ``associate``,
-``fit``; for viewing: ``review``, ``overlay``. Below them: ``association`` (tracks to persons), ``fitting`` (points for
-the body's fit). ``fit_settings``: settings of several steps.
+``second_look`` (detects again in pictures, at people predicted by ``expected_keypoints`` from the other cameras, or
+with few cameras by the metric guess, ``monocular_guess``), ``lift`` (pelvises at the scene's depth, on request),
+``associate``, ``fit``; for viewing: ``review``, ``overlay``. Below them: ``association`` (tracks to persons),
+``fitting`` (points for the body's fit). ``fit_settings``: settings of several steps.
 """

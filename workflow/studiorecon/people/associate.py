@@ -17,11 +17,11 @@ from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.people.association.acceptance import TrackVerdict, identities_from_keypoints
 from studiorecon.people.association.affinity import AssociationLimits
-from studiorecon.people.association.corrected import people_table_rows, read_corrected
+from studiorecon.people.association.corrected_identities import people_table_rows, read_corrected
 from studiorecon.people.association.image_evidence import CameraEvidence
 from studiorecon.people.association.picture_change import EvidenceLimits
 from studiorecon.people.association.rejected_people import RejectedPerson, report_rejected
-from studiorecon.people.fit_settings import Triangulated
+from studiorecon.people.fit_settings import TriangulationSettings
 from studiorecon.people.fitting.readouts import estimate_readouts
 from studiorecon.progress import say, warn
 from studiorecon.rig.body_points import tracks
@@ -37,7 +37,7 @@ _SURE = 0.3
 
 
 @dataclass(frozen=True)
-class Settings(Triangulated):
+class Settings(TriangulationSettings):
     """Limits of agreement, of association and of the pictures' evidence."""
 
     association: AssociationLimits = setting(

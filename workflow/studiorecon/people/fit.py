@@ -23,7 +23,7 @@ from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.resampling import correct_rolling_shutter
-from studiorecon.people.fit_settings import Smoothed, Triangulated
+from studiorecon.people.fit_settings import SmoothingSettings, TriangulationSettings
 from studiorecon.people.fitting.legs import bend_hidden_legs
 from studiorecon.people.fitting.limbs import body_scale, limb_ratio
 from studiorecon.people.fitting.points import Points, observations, off_m, triangulate_keypoints
@@ -119,7 +119,7 @@ class BodyFit:
 
 
 @dataclass(frozen=True)
-class Settings(Triangulated, Smoothed):
+class Settings(TriangulationSettings, SmoothingSettings):
     """How points are computed, fitted and smoothed."""
 
     fit: BodyFit = setting(BodyFit(), "Fit of the body to the triangulated keypoints.")

@@ -11,14 +11,14 @@ from studiorecon.people.fitting.points import Triangulation
 
 
 @dataclass(frozen=True)
-class Triangulated:
+class TriangulationSettings:
     """How keypoints are triangulated."""
 
     triangulation: Triangulation = setting(Triangulation(), "What counts as agreement of views.")
 
 
 @dataclass(frozen=True)
-class Smoothed:
+class SmoothingSettings:
     """How motion is smoothed."""
 
     smooth: Smoothing = setting(

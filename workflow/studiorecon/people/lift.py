@@ -97,7 +97,7 @@ def static_pixels(hw: tuple[int, int], people: Num[np.ndarray, "P K 3"]) -> Bool
     return out
 
 
-def aligned_to_first(
+def align_to_first(
     predicted: Mapping[int, Float[np.ndarray, "H W"]], first_m: Float[np.ndarray, "H W"], seen: Detections
 ) -> Alignment:
     """The one alignment of a monocular network's depth maps (H, W) by frame to the first moment's depth (H, W) in
@@ -199,7 +199,7 @@ def run(
     for t, picture in enumerate(progress(read_frames(video, 0, last), f"depth of {camera}", total=last)):
         if t in wanted:
             predicted.put(t, monocular.depth(picture, own.focal_px[0]))
-    title, alignment = card_of(network).title, aligned_to_first(predicted, first_m, seen)
+    title, alignment = card_of(network).title, align_to_first(predicted, first_m, seen)
     if alignment.model == "undetermined":
         raise UserError(
             f"nothing says how many metres a unit of {title} is in camera {camera}: in none of {len(predicted)} frames "

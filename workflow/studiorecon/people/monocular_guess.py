@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.people.expected import Expected
+from studiorecon.people.expected_keypoints import ExpectedKeypoints
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -99,7 +99,7 @@ def project_guess(
     detections: Sequence[Detections],
     identities: Mapping[tuple[str, int], str],
     frames: int,
-) -> Expected:
+) -> ExpectedKeypoints:
     """The other camera's guess of ``person``, in pixels of camera ``view``; NaN without one.
 
     Also NaN where no moment determines the person's size.
@@ -121,7 +121,7 @@ def project_guess(
             where, depth = cameras[view].project(camera.centre_m + factor * (points_m[d] - camera.centre_m))
             sure = found.keypoints[d, :, 2] >= _SURE
             pixels[frame] = np.where(((depth > 0) & sure)[:, None], where, np.nan)
-    return Expected(person, pixels, _NEAR_SHARE)
+    return ExpectedKeypoints(person, pixels, _NEAR_SHARE)
 
 
 def _best_detections(person: str, found: Detections, identities: Mapping[tuple[str, int], str]) -> dict[int, int]:

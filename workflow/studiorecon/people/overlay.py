@@ -44,7 +44,7 @@ def bones_px(
     return [(pixels[a], pixels[b]) for a, b in LAYOUTS["smpl24"].edges if min(depth[a], depth[b]) > _NEAR_M]
 
 
-def drawn(
+def draw_frame(
     picture: Integer[np.ndarray, "H W 3"],
     frame: int,
     camera: Camera,
@@ -108,7 +108,7 @@ def run(
     known = read_identities(identities)
     frames = progress(enumerate(read_frames(video)), f"skeletons in {camera}")
     written = write_watchable(
-        film, (drawn(picture, frame, own, people, seen, known) for frame, picture in frames), capture.fps
+        film, (draw_frame(picture, frame, own, people, seen, known) for frame, picture in frames), capture.fps
     )
     say(f"{film} shows {len(people)} people in {written} frames of camera {camera}")
 

@@ -21,7 +21,7 @@ from studiorecon.people.association.picture_change import sampled_frames
 from studiorecon.progress import progress
 from studiorecon.scene.files import write_text
 from studiorecon.scene.people import Detections, people_rows, read_detections, read_identities
-from studiorecon.scene.schema import Anything, Named
+from studiorecon.scene.schema import Anything, MappingOf
 from studiorecon.scene.step_files import read
 from studiorecon.signature import Written
 
@@ -103,20 +103,20 @@ confidence {{ row.confidence }}, {{ sources[row.source] }}; seen by {{ row.camer
 
 
 @dataclass(frozen=True)
-class Wanted:
+class PictureRequest:
     """One picture to cut out: detection number ``index`` of camera number ``view``."""
 
     view: int
     index: int
 
 
-def choose_pictures(found: Detections, view: int, tracks: Sequence[int], pictures: int) -> list[Wanted]:
+def choose_pictures(found: Detections, view: int, tracks: Sequence[int], pictures: int) -> list[PictureRequest]:
     """Evenly spread detections of ``tracks``, one per frame, the more confident one where two share a frame."""
     mine = np.flatnonzero(np.isin(found.track, tracks))
     chosen = []
     for t in sampled_frames(found.frame[mine], pictures):
         here = mine[found.frame[mine] == t]
-        chosen.append(Wanted(view, int(here[np.argmax(found.keypoints[here, :, 2].sum(1))])))
+        chosen.append(PictureRequest(view, int(here[np.argmax(found.keypoints[here, :, 2].sum(1))])))
     return chosen
 
 
@@ -153,7 +153,10 @@ def cut_out(
 
 
 def cut_out_pictures(
-    wanted: Sequence[tuple[Wanted, str]], detections: Sequence[Detections], videos: Sequence[Path], height_px: int
+    wanted: Sequence[tuple[PictureRequest, str]],
+    detections: Sequence[Detections],
+    videos: Sequence[Path],
+    height_px: int,
 ) -> list[str]:
     """Data addresses (JPEG) of all wanted pictures, each video decoded once."""
     out = [""] * len(wanted)
@@ -193,11 +196,11 @@ def run(
     page: Written,
 ) -> None:
     """Write ``page`` (html that needs no network) from the identities and reasons in ``association``."""
-    told, rows = read(association, Named(Anything())), people_rows(people)
+    told, rows = read(association, MappingOf(Anything())), people_rows(people)
     found = [read_detections(p) for p in detections]
     view = {d.camera: v for v, d in enumerate(found)}
     doubtful, rejected = order_by_doubt(told["tracks"])
-    strips: list[tuple[str, str, list[Wanted]]] = []  # where it belongs, colour, pictures
+    strips: list[tuple[str, str, list[PictureRequest]]] = []  # where it belongs, colour, pictures
     for row in rows:
         for v, d in enumerate(found):
             tracks = [t["track"] for t in told["tracks"] if t["camera"] == d.camera and t["person"] == row["person"]]

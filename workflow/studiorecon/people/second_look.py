@@ -22,23 +22,23 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.detector.blazepose import LAYOUT, MASK_PX, BlazePose, Landmarks
 from studiorecon.detector.following import keypoints_with_confidence
 from studiorecon.detector.looking import detect_in_region
-from studiorecon.detector.second import second_network
+from studiorecon.detector.second_network import second_network
 from studiorecon.detector.windows import region_of_body
 from studiorecon.footage.frames import stills
 from studiorecon.footage.source import open_source
 from studiorecon.geometry.lens import video_from_working, working_from_video
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.people.expected import (
+from studiorecon.people.expected_keypoints import (
     BELIEVED,
     BETTER,
-    Expected,
+    ExpectedKeypoints,
     Plan,
     agreement,
     plan_second_look,
     project_expected,
     swap_left_right,
 )
-from studiorecon.people.fit_settings import Triangulated
+from studiorecon.people.fit_settings import TriangulationSettings
 from studiorecon.people.monocular_guess import is_left_right_swapped, project_guess
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Settings(Triangulated):
+class Settings(TriangulationSettings):
     """Limits of agreement of views."""
 
 
@@ -74,7 +74,7 @@ def redetect(
     network: BlazePose,
     pictures: Iterable[Integer[np.ndarray, "H W 3"]],
     plan: Plan,
-    people: Sequence[Expected],
+    people: Sequence[ExpectedKeypoints],
     own: Detections,
     view: CameraPictures,
 ) -> list[SecondLook]:
@@ -146,7 +146,7 @@ def improve_detections(
     own: Detections,
     plan: Plan,
     looks: Sequence[SecondLook],
-    people: Sequence[Expected],
+    people: Sequence[ExpectedKeypoints],
     owners: Sequence[str],
     row: int,
 ) -> Detections:

@@ -8,8 +8,8 @@ from html import escape
 
 import numpy as np
 
-from studiorecon.placement.figures import Figures, Judge
-from studiorecon.placement.placing import Move
+from studiorecon.placement.camera_placement import Move
+from studiorecon.placement.rig_quality import RigEvaluator, RigQuality
 from studiorecon.placement.room import HEAD_M, HIPS_M, WIDTH_M, Room
 from studiorecon.scene.camera import Camera
 
@@ -26,7 +26,9 @@ _COUNTS = (("none", "#b9452f"), ("1", "#dd9a57"), ("2", "#efe0a0"), ("3", "#a3cf
 _ERRORS = ((10, "#2f6f9f"), (15, "#6ba3c4"), (20, "#a9cbd9"), (30, "#efe0a0"), (50, "#dd9a57"), (np.inf, "#b9452f"))
 
 
-def drawn(title: str, cameras: Sequence[Camera], judge: Judge, figures: Figures, moves: Sequence[Move] = ()) -> str:
+def draw_plan(
+    title: str, cameras: Sequence[Camera], judge: RigEvaluator, figures: RigQuality, moves: Sequence[Move] = ()
+) -> str:
     """The picture as SVG; ``moves`` are drawn as arrows and listed."""
     room = judge.room
     width, depth = room.size_m[:2]
@@ -66,7 +68,7 @@ def drawn(title: str, cameras: Sequence[Camera], judge: Judge, figures: Figures,
     return "\n".join([*parts, "</svg>", ""])
 
 
-def figure_lines(figures: Figures) -> list[str]:
+def figure_lines(figures: RigQuality) -> list[str]:
     """The figures as sentences."""
 
     def share(value: float) -> str:
@@ -114,7 +116,7 @@ def camera_position_text(camera: Camera, room: Room) -> str:
     )
 
 
-def _maps(cameras: Sequence[Camera], judge: Judge) -> tuple[list[list[str]], list[list[str]]]:
+def _maps(cameras: Sequence[Camera], judge: RigEvaluator) -> tuple[list[list[str]], list[list[str]]]:
     """Colours of the cells [row from the far side][column] of both maps."""
     room = judge.room
     step = max(room.size_m[:2]) / _CELLS
@@ -143,7 +145,9 @@ def _cells(colours: list[list[str]], wide: float, high: float) -> list[str]:
     return ['<g shape-rendering="crispEdges">', *drawn_cells, "</g>"]
 
 
-def _plan(cameras: Sequence[Camera], judge: Judge, scale: float, high: float, moves: Sequence[Move]) -> list[str]:
+def _plan(
+    cameras: Sequence[Camera], judge: RigEvaluator, scale: float, high: float, moves: Sequence[Move]
+) -> list[str]:
     room = judge.room
 
     def at(place: np.ndarray) -> tuple[float, float]:

@@ -27,7 +27,7 @@ _PACE = Path("timings") / "pace.json"
 
 
 @dataclass(frozen=True)
-class Stated:
+class UserChoices:
     """The user's own settings: ``said`` on the command line and in configuration files, and values of the configuration
     that differ from the defaults of ``schema``.
     """
@@ -124,14 +124,14 @@ def choose_preset(
         )
     prices = read_prices()
     footage = measure_footage(plan, config["capture"]["picture_fps"])
-    stated = Stated(said, schema)
+    stated = UserChoices(said, schema)
     return choose(config["budget_min"], config, stated, footage, plan, prices, cores, pace_here(prices, _PACE))
 
 
 def choose(
     minutes: float,
     config: Mapping[str, Any],
-    stated: Stated,
+    stated: UserChoices,
     footage: Footage,
     plan: Plan,
     prices: PriceList,
@@ -164,7 +164,7 @@ def preset(name: str) -> dict[str, Any]:
     return yaml.safe_load((PRESETS / f"{name}.yaml").read_text(encoding="utf-8")) if name else {}
 
 
-def overlay(config: Mapping[str, Any], stated: Stated, over: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+def overlay(config: Mapping[str, Any], stated: UserChoices, over: Mapping[str, Any], above: str = "") -> dict[str, Any]:
     """A copy of ``config`` with the values of ``over`` except where the user has ``stated`` one."""
     made = copy.deepcopy(dict(config))
     for name, value in over.items():

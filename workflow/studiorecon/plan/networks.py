@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from studiorecon.models.catalogue.registry import MODELS
-from studiorecon.models.catalogue.selection import check_licences, selected
+from studiorecon.models.catalogue.selection import check_licences, select_networks
 
 _LPIPS = ("lpips", "lpips_alex")
 
@@ -61,9 +61,9 @@ class Networks:
 def choose_networks(config: Mapping[str, Any], home: Path) -> Networks:
     """The networks that the configuration selects; raises UserError for a network whose licence it does not allow."""
     check_licences(config)
-    wanted = sorted({model for _, model in selected(config)})
+    wanted = sorted({model for _, model in select_networks(config)})
     weights = config["weights"] if Path(config["weights"]).is_dir() else str(home / config["weights"])
-    compared = sorted({where.partition(".")[0] for where, model in selected(config) if model in _LPIPS})
+    compared = sorted({where.partition(".")[0] for where, model in select_networks(config) if model in _LPIPS})
     enhancers = config["enhance"]["enhancer"], config["enhance"]["flow"]
     on_gpu = config["device"] == "cuda"
     return Networks(

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from studiorecon.calibration.formats import accepted
+from studiorecon.calibration.formats import accepted_formats
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.registry import MODELS, of_kind
 from studiorecon.plan.decisions import Plan
@@ -76,7 +76,7 @@ def _calibration(plan: Plan) -> None:
         )
     if not plan.from_people and not plan.networks.cameras and not plan.dataset.calibration:
         raise UserError(
-            f"dataset {plan.dataset.folder} has no calibration: put one there ({accepted()}), or name it in "
+            f"dataset {plan.dataset.folder} has no calibration: put one there ({accepted_formats()}), or name it in "
             "capture.yaml (calibration: FILE)"
         )
 

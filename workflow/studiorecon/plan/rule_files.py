@@ -11,7 +11,7 @@ from studiorecon.plan.decisions import Plan
 from studiorecon.plan.step_config import step_section
 from studiorecon.plan.user_inputs import UserInputs
 from studiorecon.scene.people import read_people
-from studiorecon.scene.schema import Anything, Named
+from studiorecon.scene.schema import Anything, MappingOf
 from studiorecon.scene.step_files import read
 
 
@@ -34,7 +34,7 @@ class Files(UserInputs):
         if not self.plan.from_people:
             return self.plan.cameras
         found = self.checkpoints.calibration_from_people.get(scene=self._scene(wildcards)).output.calibration
-        placed = read(Path(found), Named(Anything()), lambda held: {lens["name"] for lens in held["lenses"]})
+        placed = read(Path(found), MappingOf(Anything()), lambda held: {lens["name"] for lens in held["lenses"]})
         return [camera for camera in self.plan.cameras if camera in placed]
 
     def training(self, wildcards: Any) -> list[str]:
@@ -258,7 +258,9 @@ class Files(UserInputs):
 
     def _decided(self, effect: str, wildcards: Any) -> Mapping[str, Any]:
         decided = self.checkpoints.survey_decide.get(scene=self._scene(wildcards)).output.decisions
-        return read(Path(decided), Named(Anything()), lambda held: {d["effect"]: d for d in held["decisions"]}[effect])
+        return read(
+            Path(decided), MappingOf(Anything()), lambda held: {d["effect"]: d for d in held["decisions"]}[effect]
+        )
 
     def gains(self, wildcards: Any) -> list[str]:
         """The gains of the cameras: a file, where the survey turned exposure correction on."""

@@ -14,7 +14,7 @@ from studiorecon.models.catalogue.preflight import staged_weights
 from studiorecon.models.catalogue.registry import MODELS, model
 from studiorecon.plan.decisions import Plan
 from studiorecon.scene.dataset import colmap_files
-from studiorecon.scene.stand_ins import is_photo, strangers
+from studiorecon.scene.replacement_photos import is_photo, strangers
 
 
 class UserInputs:

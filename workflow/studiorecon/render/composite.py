@@ -24,7 +24,7 @@ TRUTH_LEVELS = np.array([255, 128, 0], np.uint8)
 _SOLID_GROUP = 10
 
 
-class Posed(Protocol):
+class PosedAvatar(Protocol):
     """An avatar in a composite: Gaussians and joints at a time, their classes (N,), and the measured frames (T,).
 
     An absent person has the same number of Gaussians, all invisible, and joints infinitely far away.
@@ -59,18 +59,18 @@ class Composite:
 
     background: Gaussians
     classes: Integer[np.ndarray, " N"]
-    people: Sequence[Posed]
+    people: Sequence[PosedAvatar]
     shading: Shading | None = None
-    objects: Sequence[Posed] = ()
-    absent: Sequence[Posed] = ()
+    objects: Sequence[PosedAvatar] = ()
+    absent: Sequence[PosedAvatar] = ()
 
     @property
-    def moving(self) -> list[Posed]:
+    def moving(self) -> list[PosedAvatar]:
         """People, then objects."""
         return [*self.people, *self.objects]
 
 
-def provenance_classes(person: Posed, frame: float) -> Integer[np.ndarray, " N"]:
+def provenance_classes(person: PosedAvatar, frame: float) -> Integer[np.ndarray, " N"]:
     """(N,) uint8 classes of a person or object at a frame.
 
     In a frame whose pose was interpolated no part of a body is measured.

@@ -18,7 +18,7 @@ from studiorecon.render.shading import dim
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.conventions import BLOCK_FLOATS, LANES
-from studiorecon.splatting.cpu.blocks import BlockedGaussians, aligned, fill_blocks, padded_count
+from studiorecon.splatting.cpu.blocks import BlockedGaussians, aligned_zeros, fill_blocks, padded_count
 from studiorecon.splatting.device import rasteriser
 from studiorecon.splatting.rendering import Rendering
 
@@ -52,7 +52,7 @@ class CompositeRenderer:
         posed = [person.posed(0.0) for person in scene.moving]
         counts = [scene.background.count, *(gaussians.count for gaussians in posed)]
         self._starts = np.cumsum([0, *(padded_count(count) for count in counts)])
-        parameters = aligned(int(self._starts[-1]) * _FLOATS_PER_GAUSSIAN)
+        parameters = aligned_zeros(int(self._starts[-1]) * _FLOATS_PER_GAUSSIAN)
         degree = max(gaussians.sh_degree for gaussians in (scene.background, *posed))
         self._blocked = BlockedGaussians(parameters, int(self._starts[-1]), degree)
         self._blocks = [

@@ -34,7 +34,7 @@ _FILMS = {
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawSettings:
     """The films, and the near limit of depth in metres for drawing Gaussians (G01)."""
 
     shots: dict[str, Any] = setting(

@@ -9,10 +9,10 @@ from typing import Any, Literal
 
 from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
-from studiorecon.render.given import GivenPath
 from studiorecon.render.keyframes import Spline
 from studiorecon.render.moves import DollyZoom, Follow, Oscillate
 from studiorecon.render.orbit import Orbit
+from studiorecon.render.path_file import GivenPath
 
 # Settings of any film except heldout: replacing people is independent of the path (``render/replacement.py``).
 BESIDES = ("replace", "reference")

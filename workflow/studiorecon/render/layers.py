@@ -19,7 +19,7 @@ import numpy as np
 from studiorecon.footage.exr import write_channels
 from studiorecon.progress import progress, say
 from studiorecon.render.composite_renderer import CompositeRenderer, Layers
-from studiorecon.render.draw_settings import Drawn
+from studiorecon.render.draw_settings import DrawSettings
 from studiorecon.render.shot import read_composite
 from studiorecon.scene.path import read_path
 from studiorecon.signature import Written
@@ -33,7 +33,7 @@ _CLASSES = ("measured", "inferred", "invented")
 
 
 @dataclass(frozen=True)
-class Settings(Drawn):
+class Settings(DrawSettings):
     """Settings of drawing."""
 
 

@@ -72,7 +72,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Observed:
+class FloorObservations:
     """P pixels of the floor in one camera: points (P, 3), and ratio (P, T) of pictures to the plate, NaN
     where unknown.
     """
@@ -135,7 +135,7 @@ def ratios(
 
 
 def estimate(
-    observed: Sequence[Observed],
+    observed: Sequence[FloorObservations],
     frames: Sequence[int],
     bodies: Sequence[Sequence[Float[np.ndarray, "C 7"]]],
     room_box: RoomBox,
@@ -233,7 +233,7 @@ def run(
             free = measured & (cv2.dilate((read_frame(mask, frame) > 0).astype(np.uint8), seam) == 0)
             places = standing_places(persons, frame)
             ratio[:, k] = ratios(read_frame(video, frame), plate, free, points, *places, chosen.reach_m).ravel()[pixels]
-        observed.append(Observed(points.reshape(-1, 3)[pixels], ratio))
+        observed.append(FloorObservations(points.reshape(-1, 3)[pixels], ratio))
     found = estimate(observed, frames.tolist(), bodies, box, chosen)
     say(f"light: {found.reason}")
     write_light(light, found)

@@ -13,12 +13,12 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.render.composite import blocked
-from studiorecon.render.given import GivenPath, path_steps
 from studiorecon.render.keyframes import Spline, from_camera_to_camera, read_keys, spline_steps
 from studiorecon.render.kinds import Heldout, film
 from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.moves import DollyZoom, Follow, Oscillate, dolly_zoom_steps, follow_steps, oscillate_steps
 from studiorecon.render.orbit import Orbit, orbit_steps
+from studiorecon.render.path_file import GivenPath, path_steps
 from studiorecon.render.shots import every_frame, picture_size
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians

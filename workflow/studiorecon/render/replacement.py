@@ -24,7 +24,7 @@ from studiorecon.progress import say
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.provenance import INVENTED
-from studiorecon.scene.stand_ins import is_photo, stranger
+from studiorecon.scene.replacement_photos import is_photo, stranger
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer

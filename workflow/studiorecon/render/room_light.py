@@ -21,7 +21,7 @@ import numpy as np
 
 from studiorecon.render.occlusion import Groups, hidden_light, nearness, sky_discs
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import Anything, Listed, Named, flag, metres, real, text
+from studiorecon.scene.schema import Anything, ListOf, MappingOf, flag, metres, real, text
 from studiorecon.scene.step_files import read
 
 if TYPE_CHECKING:
@@ -43,8 +43,8 @@ _LIGHT = {
     "contact": real(low=0),
     "contact_m": metres(low=0),
     "floor_m": metres(),
-    "figures": Named(Anything()),
-    "lamps": Listed(_LAMP),
+    "figures": MappingOf(Anything()),
+    "lamps": ListOf(_LAMP),
 }
 
 

@@ -21,7 +21,7 @@ from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.progress import progress, say
 from studiorecon.render.composite import Composite, millimetres, truth_levels
 from studiorecon.render.composite_renderer import CompositeRenderer
-from studiorecon.render.draw_settings import Drawn
+from studiorecon.render.draw_settings import DrawSettings
 from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.planning import plan
 from studiorecon.render.replacement import replace_people
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Settings(Drawn):
+class Settings(DrawSettings):
     """Settings of drawing films."""
 
     width: int = setting(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 from studiorecon.body.avatar.avatar_files import read_decision
 from studiorecon.progress import say
-from studiorecon.scene.decisions import Decision, forced, read_decisions, write_decisions
+from studiorecon.scene.decisions import Decision, apply_forced, read_decisions, write_decisions
 from studiorecon.scene.effects import FILMED, TEMPORAL_APPEARANCE, TRAINED, force, thresholds
 from studiorecon.signature import Written
 
@@ -28,7 +28,8 @@ else:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the effects that only a trained scene shows; ``survey.effects.Decided`` declares them for all."""
+    """Settings of the effects that only a trained scene shows; ``survey.effects.EffectSettings`` declares them for
+    all."""
 
     thresholds: Mapping[Named, float] = thresholds(TRAINED)
     force: Mapping[Acting, str] = force(TRAINED)
@@ -80,7 +81,7 @@ def run(
     """Write the decisions of human training and of all ``films``."""
     limit = {e.name: e.threshold for e in TRAINED} | dict(settings.thresholds)
     measured = appearance(appearance_decisions(avatars), limit["temporal_appearance"])
-    made = [*forced([measured], settings.force), *of_films(films)]
+    made = [*apply_forced([measured], settings.force), *of_films(films)]
     for decision in made:
         say(f"{decision.effect}: {decision.verdict}; {decision.reason}")
     write_decisions(decisions, made)

@@ -40,8 +40,8 @@ from studiorecon.report.metrics.measures import (
     SHARES,
     TEMPORAL,
     measure_sequence,
+    missing_measure,
     summaries,
-    unmeasured,
 )
 from studiorecon.report.metrics.overlap import overlap
 from studiorecon.report.metrics.truth import read_views, regions, true_joints
@@ -250,7 +250,7 @@ def run(
             if versions
             else {}
         )
-    nothing = {name: {measure: unmeasured(_NO_HELD_OUT) for measure in NAMES} for name in ("raw", "enhanced")}
+    nothing = {name: {measure: missing_measure(_NO_HELD_OUT) for measure in NAMES} for name in ("raw", "enhanced")}
     people = [read_person(path) for path in fits]
     bodies = score_bodies(people, exact, first)
     joints = {name: values[first:] for name, values in true_joints(exact).items()} if exact is not None else {}
@@ -317,7 +317,7 @@ def _identities(
 
 def _log_measures(pictures: Mapping[str, Any], bodies: Mapping[str, Any]) -> None:
     for name in ("raw", "enhanced"):
-        values = pictures.get(name, {}).get("psnr", unmeasured(_NO_HELD_OUT))
+        values = pictures.get(name, {}).get("psnr", missing_measure(_NO_HELD_OUT))
         if values["value"] is None:
             say(f"{name} pictures are not measured: {values['reason']}")
         else:

@@ -21,7 +21,7 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import read_frame
 from studiorecon.pages import html
-from studiorecon.pages.ending import read_warnings
+from studiorecon.pages.run_summary import read_warnings
 from studiorecon.progress import say, warn
 from studiorecon.report.sections import appendix, comparison_slider, timeline, verdicts
 from studiorecon.report.sections import licences as terms
@@ -284,9 +284,9 @@ def run(
         *room_section(made, width),
         *cameras_section(made, measured, decided),
         verdicts.decisions(decided, spent),
-        sections.reached(measured, spent, chosen),
+        sections.cost_and_quality(measured, spent, chosen),
         sections.costs(spent),
-        appendix.delivered(poster.parent, page),
+        appendix.delivery_links(poster.parent, page),
         appendix.warnings([*before, *of_films]),
         appendix.links(made.folder, page, files, ledgers),
         sections.settings(configuration),

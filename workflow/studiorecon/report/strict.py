@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from studiorecon.errors import UserError
-from studiorecon.pages.ending import read_warnings
+from studiorecon.pages.run_summary import read_warnings
 from studiorecon.scene.files import write_text
 from studiorecon.signature import Place, Written
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, remove_drift
+from studiorecon.geometry.bundle import BundleResult, BundleSettings, LensPrior, adjust_with_lenses, remove_drift
 from studiorecon.geometry.distortion import undistort
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
@@ -107,7 +107,7 @@ def fit_cameras(
     bundle: BundleSettings,
     lens: LensPrior = _POSES_ONLY,
     close: bool = False,
-) -> Adjusted | None:
+) -> BundleResult | None:
     """Cameras bundle-adjusted on ``seen`` without their common drift; None where people show too little.
 
     Loose limits first, so that a wrong camera can converge (unless all are ``close``), then the usual ones. A
@@ -115,7 +115,7 @@ def fit_cameras(
     counted fully, that bias would outvote the calibration in directions that people hardly determine, such as all
     cameras pitching together: observed as 10 px on marks of a real floor, for no gain on the keypoints.
     """
-    result: Adjusted | None = None
+    result: BundleResult | None = None
     current = list(cameras)
     for loose in (1.0,) if close else (_LOOSE, 1.0):
         wide = replace(limits, outlier_units=limits.outlier_units * loose)

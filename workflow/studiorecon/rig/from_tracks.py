@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, move_camera
+from studiorecon.geometry.bundle import BundleResult, BundleSettings, LensPrior, adjust_with_lenses, move_camera
 from studiorecon.geometry.relative_pose import (
     essential_matrix,
     in_front,
@@ -25,7 +25,7 @@ from studiorecon.geometry.relative_pose import (
     sampson,
 )
 from studiorecon.geometry.scale import scene_scale
-from studiorecon.geometry.triangulation import Limits, Triangulated, triangulate, unit_px
+from studiorecon.geometry.triangulation import Limits, TriangulatedPoints, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
 from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.floor_marks import FloorMarks
@@ -75,7 +75,7 @@ class Rig:
 
     cameras: Mapping[int, Camera]
     seen: Observations
-    points: Triangulated
+    points: TriangulatedPoints
     support: int
 
 
@@ -123,7 +123,7 @@ def adjust_rig(
     known_px: Mapping[int, float] | None = None,
     turns: Mapping[int, RoomTurn] | None = None,
     marks: FloorMarks | None = None,
-) -> tuple[Adjusted, Bool[np.ndarray, " N"]]:
+) -> tuple[BundleResult, Bool[np.ndarray, " N"]]:
     """The rig's cameras (ascending view) after bundle adjustment of poses and lenses, and which points it used.
 
     ``known_px``: view → the focal length that is the prior; by default the rig's own. ``turns``: view → its rotation by
@@ -166,7 +166,10 @@ def places_of_joints(rig: Rig, used: Num[np.ndarray, " N"]) -> int:
 
 
 def bone_factor(
-    points_m: Num[np.ndarray, "N 3"], rig_points: Triangulated, seen: Observations, template_m: Num[np.ndarray, "12 3"]
+    points_m: Num[np.ndarray, "N 3"],
+    rig_points: TriangulatedPoints,
+    seen: Observations,
+    template_m: Num[np.ndarray, "12 3"],
 ) -> float | None:
     """Factor on all lengths that makes people's bones (points, NaN unknown) as long as the template's.
 

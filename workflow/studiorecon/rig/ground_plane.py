@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.bundle import Adjusted, LensPrior
+from studiorecon.geometry.bundle import BundleResult, LensPrior
 from studiorecon.progress import say
 from studiorecon.rig.bundle import AgreementLimits
 from studiorecon.rig.floor_marks import FloorMarks, floor_marks
@@ -30,7 +30,7 @@ _KEPT_SUPPORT, _FLOOR_COSTS, _MAX_SIGMAS = 0.85, 1.35, 3.0
 
 def align_to_ground_plane(
     rig: Rig,
-    result: Adjusted,
+    result: BundleResult,
     seen: Sightings,
     template_m: Num[np.ndarray, "12 3"],
     lens: LensPrior,
@@ -38,7 +38,7 @@ def align_to_ground_plane(
     rooms: Sequence[RoomPicture | None],
     agreement: AgreementLimits,
     turns: Mapping[int, RoomTurn],
-) -> tuple[Rig, Adjusted, FloorMarks | None]:
+) -> tuple[Rig, BundleResult, FloorMarks | None]:
     """The rig refined on the floor too, with the floor's points; unchanged without a floor, or where people contradict
     it."""
     held, after, marks = rig, result, None
@@ -66,7 +66,7 @@ def align_to_ground_plane(
     return held, after, marks
 
 
-def _marks(rig: Rig, result: Adjusted, rooms: Sequence[RoomPicture | None], reach_m: float) -> FloorMarks | None:
+def _marks(rig: Rig, result: BundleResult, rooms: Sequence[RoomPicture | None], reach_m: float) -> FloorMarks | None:
     """The floor's points in the cameras, made upright by the people on it."""
     used = rig.points.verified if len(result.cameras) > 2 else rig.points.valid
     points_m = np.full_like(rig.points.points_m, np.nan)

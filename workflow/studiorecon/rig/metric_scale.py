@@ -14,7 +14,7 @@ import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.errors import UserError
-from studiorecon.geometry.triangulation import Triangulated
+from studiorecon.geometry.triangulation import TriangulatedPoints
 from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.from_tracks import bone_factor
 from studiorecon.scene.camera import Camera
@@ -61,7 +61,7 @@ def scale_from_lengths(
     given: GivenLengths,
     cameras: Sequence[Camera],
     points: Num[np.ndarray, "N 3"],
-    found: Triangulated,
+    found: TriangulatedPoints,
     seen: Observations,
     template_m: Num[np.ndarray, "12 3"],
     mean_stature_m: float,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, remove_drift
+from studiorecon.geometry.bundle import BundleResult, BundleSettings, LensPrior, adjust_with_lenses, remove_drift
 from studiorecon.geometry.rotations import log
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
@@ -245,7 +245,7 @@ def _agreeing(seen: Observations, cameras: Sequence[Camera], limits: Limits) -> 
 
 def _fit(
     used: _Used, start: Sequence[Camera], given: Sequence[Camera], limits: Limits, units: float, bundle: BundleSettings
-) -> Adjusted:
+) -> BundleResult:
     huber_px = units * unit_px(start, limits)
     return adjust_with_lenses(start, used.pixels, used.weights, used.points_m, huber_px, bundle, _POSES_ONLY, given)
 

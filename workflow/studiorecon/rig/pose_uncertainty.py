@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.bundle import Adjusted, LensPrior, remove_drift
+from studiorecon.geometry.bundle import BundleResult, LensPrior, remove_drift
 from studiorecon.geometry.rotations import angle
-from studiorecon.geometry.triangulation import Limits, Triangulated, triangulate
+from studiorecon.geometry.triangulation import Limits, TriangulatedPoints, triangulate
 from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.floor_marks import FloorMarks
 from studiorecon.rig.from_tracks import Rig, adjust_rig, places_of_joints
@@ -41,7 +41,7 @@ _FIELD_M = 0.5
 
 def pose_sigmas(
     rig: Rig,
-    result: Adjusted,
+    result: BundleResult,
     lens: LensPrior,
     limits: Limits,
     known_px: Mapping[int, float] | None = None,
@@ -137,7 +137,7 @@ def _fields(marks: FloorMarks) -> tuple[np.ndarray, ...]:
 
 
 def _off_by(
-    result: Adjusted,
+    result: BundleResult,
     parts: Sequence[tuple[Rig, FloorMarks | None]],
     lens: LensPrior,
     limits: Limits,
@@ -160,7 +160,7 @@ def _off_by(
 
 def _part(rig: Rig, chosen: np.ndarray) -> Rig:
     points = rig.points
-    some = Triangulated(
+    some = TriangulatedPoints(
         points.points_m[chosen],
         points.valid[chosen],
         points.verified[chosen],

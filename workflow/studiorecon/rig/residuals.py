@@ -40,7 +40,7 @@ _MIN_POINTS, _MIN_MOMENTS = 60, 8
 
 
 @dataclass(frozen=True)
-class Causes:
+class Readouts:
     """The estimates per camera; NaN everywhere, with a ``reason``, when there was too little evidence.
 
     Attributes:
@@ -56,7 +56,9 @@ class Causes:
     reason: str = ""
 
 
-def causes(pixels: Num[np.ndarray, "V P T J 2"], cameras: Sequence[Camera], moments: int, limits: Limits) -> Causes:
+def readouts_from_residuals(
+    pixels: Num[np.ndarray, "V P T J 2"], cameras: Sequence[Camera], moments: int, limits: Limits
+) -> Readouts:
     """Readout of every camera from tracks ``pixels`` of P people, NaN where not seen.
 
     Lag and lens are estimated with it, so that they do not appear as a readout. At most ``moments`` frames are used,
@@ -65,10 +67,10 @@ def causes(pixels: Num[np.ndarray, "V P T J 2"], cameras: Sequence[Camera], mome
     system = _system(pixels, cameras, moments, limits)
     if isinstance(system, str):
         nothing = np.full(len(cameras), np.nan)
-        return Causes(nothing, nothing, (np.nan, np.nan), np.nan, system)
+        return Readouts(nothing, nothing, (np.nan, np.nan), np.nan, system)
     solution, covariance = _solve(system)
     place = np.arange(len(cameras)) * len(_PRIOR) + _READOUT
-    return Causes(solution[place], np.sqrt(np.diag(covariance))[place], system.speed_px, system.rows)
+    return Readouts(solution[place], np.sqrt(np.diag(covariance))[place], system.speed_px, system.rows)
 
 
 @dataclass(frozen=True)

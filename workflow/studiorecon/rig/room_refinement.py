@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, move_camera
+from studiorecon.geometry.bundle import BundleResult, BundleSettings, LensPrior, adjust_with_lenses, move_camera
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.rig.bundle import error_medians
@@ -61,7 +61,7 @@ class RoomRefinement:
 
     cameras: list[Camera]
     marks: FloorMarks | None
-    adjusted: Adjusted
+    adjusted: BundleResult
     report: dict[str, Any]
     explained: bool
     believed: bool
@@ -182,7 +182,7 @@ def _fit(
     marks: FloorMarks | None,
     limits: Limits,
     prior: BundleSettings,
-) -> Adjusted:
+) -> BundleResult:
     """People, all frames of a joint as one observation, and the floor, adjusted with other cameras as prior."""
     pixels, weights, points_m = np.zeros((len(current), 0, 2)), np.zeros((len(current), 0)), np.zeros((0, 3))
     if len(seen.frame):

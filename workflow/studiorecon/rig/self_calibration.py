@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.bundle import Adjusted, LensPrior
+from studiorecon.geometry.bundle import BundleResult, LensPrior
 from studiorecon.progress import say
 from studiorecon.rig.bundle import AgreementLimits
 from studiorecon.rig.from_tracks import Rig, Sightings, adjust_rig, refine_rig
@@ -33,7 +33,7 @@ def self_calibrate(
     lens: LensPrior,
     known_px: Mapping[int, float],
     agreement: AgreementLimits,
-) -> tuple[Rig, Adjusted]:
+) -> tuple[Rig, BundleResult]:
     """The rig and its adjustment after poses and focal lengths are refined together, with new groups, until focal
     lengths converge."""
     result, _ = adjust_rig(rig, lens, agreement.limits, known_px)
@@ -52,14 +52,14 @@ def self_calibrate(
 
 def rotate_by_edges(
     rig: Rig,
-    result: Adjusted,
+    result: BundleResult,
     seen: Sightings,
     template_m: Num[np.ndarray, "12 3"],
     lens: LensPrior,
     known_px: Mapping[int, float],
     edges: Mapping[int, Num[np.ndarray, "N 4"]],
     agreement: AgreementLimits,
-) -> tuple[Rig, Adjusted, dict[int, RoomTurn]]:
+) -> tuple[Rig, BundleResult, dict[int, RoomTurn]]:
     """The rig refined on the rotations from the room's edges, its adjustment, and these rotations.
 
     Unchanged without sufficient edges, or where people contradict them.

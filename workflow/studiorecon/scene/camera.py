@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.scene.schema import INTRINSIC, RIGID, Maybe, Schema, metres, real, text, whole
+from studiorecon.scene.schema import INTRINSIC, RIGID, OptionalField, Schema, metres, real, text, whole
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
@@ -26,7 +26,7 @@ LENS: dict[str, Schema] = CAMERA | {
     "model": text("opencv", "fisheye"),
     "distortion": real("..."),
     "calibration_from_video": real("2 3"),
-    "placed": Maybe(text()),
+    "placed": OptionalField(text()),
 }
 """The schema of ``as_json`` of a camera and of a lens."""
 

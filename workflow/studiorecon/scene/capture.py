@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import ASCENDING, INTRINSIC, Listed, flag, frame_rate, real, seconds, text, whole
+from studiorecon.scene.schema import ASCENDING, INTRINSIC, ListOf, flag, frame_rate, real, seconds, text, whole
 from studiorecon.scene.step_files import expect, expect_named, read
 
 _FPS = frame_rate()
@@ -27,10 +27,10 @@ _FOOTAGE = {
     "source_wh": whole("2", low=1, unit="pixels"),
     "rotation_deg": whole(low=-360, high=360, unit="degrees"),
     "sync_offset_s": seconds(),
-    "changes": Listed(text()),
+    "changes": ListOf(text()),
     "source_frames": whole("F", low=0, such=ASCENDING),
 }
-_MANIFEST = {"scene": text(), "fps": _FPS, "frames": _FRAMES, "footage": Listed(_FOOTAGE)}
+_MANIFEST = {"scene": text(), "fps": _FPS, "frames": _FRAMES, "footage": ListOf(_FOOTAGE)}
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import ASCENDING, Listed, frame_rate, real, seconds, text, whole
+from studiorecon.scene.schema import ASCENDING, ListOf, frame_rate, real, seconds, text, whole
 from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _CLOCK = {
     "drift_ppm": real(above=-1e6, high=1e6, unit="ppm"),
     "readout_s": seconds(low=-1, high=1),
 }
-_CLOCKS = {"fps": _FPS, "start_s": seconds(), "frames": whole(low=0), "refusal": text(), "cameras": Listed(_CLOCK)}
+_CLOCKS = {"fps": _FPS, "start_s": seconds(), "frames": whole(low=0), "refusal": text(), "cameras": ListOf(_CLOCK)}
 
 
 @dataclass(frozen=True)

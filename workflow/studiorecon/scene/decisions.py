@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 from studiorecon.errors import UserError
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import ASCENDING, Anything, Listed, Maybe, check, flag, real, seconds, text
+from studiorecon.scene.schema import ASCENDING, Anything, ListOf, OptionalField, check, flag, real, seconds, text
 from studiorecon.scene.step_files import expect, read
 
 Verdict = Literal["on", "off", "undetermined"]
@@ -20,20 +20,20 @@ UNCALIBRATED = "uncalibrated"
 _DECISION = {
     "effect": text(),
     "statistic": text(),
-    "value": Maybe(real()),
-    "interval": Maybe(real("2", such=ASCENDING, gaps=True)),
-    "threshold": Maybe(real()),
+    "value": OptionalField(real()),
+    "interval": OptionalField(real("2", such=ASCENDING, gaps=True)),
+    "threshold": OptionalField(real()),
     "verdict": text(*get_args(Verdict)),
     "reason": text(),
     "unit": text(),
     "on_above": flag(),
-    "cost_saved_estimate_s": Maybe(seconds()),
+    "cost_saved_estimate_s": OptionalField(seconds()),
     "calibration": text(),
     "forced": flag(),
     "obeyed_by": text(),
     "detail": Anything(),
 }
-_DECISIONS = {"order": Listed(text()), "decisions": Listed(_DECISION)}
+_DECISIONS = {"order": ListOf(text()), "decisions": ListOf(_DECISION)}
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Decision:
         return self.verdict == "on"
 
 
-def forced(decisions: Sequence[Decision], verdicts: Mapping[str, str]) -> list[Decision]:
+def apply_forced(decisions: Sequence[Decision], verdicts: Mapping[str, str]) -> list[Decision]:
     """The decisions with the user's verdicts (effect → ``on`` or ``off``) applied; raises UserError for an effect that
     is not among them.
     """

@@ -145,7 +145,7 @@ def force(effects: Iterable[Effect]) -> Any:
     )
 
 
-def settled(effect: Effect, on: bool, reason: str) -> Decision:
+def certain_decision(effect: Effect, on: bool, reason: str) -> Decision:
     """A verdict that needs no measurement."""
     return replace(effect.decide(None, None, reason), verdict="on" if on else "off")
 

@@ -18,14 +18,14 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import Named, real
+from studiorecon.scene.schema import MappingOf, real
 from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
 
 
-_FACTORS = {"factors": Named(real("F 3", above=0))}
+_FACTORS = {"factors": MappingOf(real("F 3", above=0))}
 
 
 @dataclass(frozen=True)

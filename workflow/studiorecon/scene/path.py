@@ -8,12 +8,12 @@ from pathlib import Path
 
 from studiorecon.scene.camera import CAMERA, Camera
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import Listed, frame_rate, real, text
+from studiorecon.scene.schema import ListOf, frame_rate, real, text
 from studiorecon.scene.step_files import read
 
 _PATH = {
     "fps": frame_rate(),
-    "steps": Listed({"camera": CAMERA, "frame": real(low=0), "segment": text()}),
+    "steps": ListOf({"camera": CAMERA, "frame": real(low=0), "segment": text()}),
 }
 
 

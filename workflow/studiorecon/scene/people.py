@@ -12,7 +12,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.scene.files import write_npz, write_table
-from studiorecon.scene.schema import CONFIDENT, Listed, Maybe, metres, radians, real, text, whole
+from studiorecon.scene.schema import CONFIDENT, ListOf, OptionalField, metres, radians, real, text, whole
 from studiorecon.scene.step_files import expect, expect_named, read
 from studiorecon.scene.user_files import read_rows
 from studiorecon.scene.user_values import short_text
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PEOPLE_COLUMNS = ("person", "frames", "cameras", "confidence", "source", "status", "reason")
 IDENTITY_COLUMNS = ("camera", "track", "person")
-_PEOPLE = Listed(
+_PEOPLE = ListOf(
     {
         "person": text(),
         "frames": whole(low=0),
@@ -33,19 +33,19 @@ _PEOPLE = Listed(
         "reason": text(),
     }
 )
-_IDENTITIES = Listed({"camera": text(), "track": whole(), "person": text()})
+_IDENTITIES = ListOf({"camera": text(), "track": whole(), "person": text()})
 _DETECTIONS = {
     "camera": text(),
     "layout": text(),
     "frame": whole("D", low=0),
     "track": whole("D"),
     "keypoints": real("D K 3", gaps=True, such=CONFIDENT),
-    "body_pose": Maybe(radians("D 23 3")),
-    "pelvis": Maybe(real("D 3", gaps=True)),
-    "body_root": Maybe(radians("D 3")),
-    "body_shape": Maybe(real("D 10")),
-    "points_m": Maybe(metres("D K 3", gaps=True)),
-    "row": Maybe(whole("D", low=-1)),
+    "body_pose": OptionalField(radians("D 23 3")),
+    "pelvis": OptionalField(real("D 3", gaps=True)),
+    "body_root": OptionalField(radians("D 3")),
+    "body_shape": OptionalField(real("D 10")),
+    "points_m": OptionalField(metres("D K 3", gaps=True)),
+    "row": OptionalField(whole("D", low=-1)),
 }
 
 

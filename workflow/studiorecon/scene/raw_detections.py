@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.schema import CONFIDENT, Maybe, metres, real, text, whole
+from studiorecon.scene.schema import CONFIDENT, OptionalField, metres, real, text, whole
 from studiorecon.scene.step_files import read
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _FOUND = {
     "keypoints": real("D K 3", gaps=True, such=CONFIDENT),
     "presence": real("D", low=0, high=1),
     "points_m": metres("D K 3", gaps=True),
-    "mask": Maybe(whole("D M M", low=0, high=255)),
+    "mask": OptionalField(whole("D M M", low=0, high=255)),
     "mask_from_picture": real("D 2 3"),
     "looked": whole("2", low=0),
     "note": text(),

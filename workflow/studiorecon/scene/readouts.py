@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import Named, seconds
+from studiorecon.scene.schema import MappingOf, seconds
 from studiorecon.scene.step_files import read
 
 # Digits of a readout in seconds: a smaller change moves no keypoint by a tenth of a pixel.
 _DIGITS = 4
-_READOUTS = Named(seconds(low=-1, high=1))
+_READOUTS = MappingOf(seconds(low=-1, high=1))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import UNIT_NORMALS, Maybe, Named, flag, metres, radians, real
+from studiorecon.scene.schema import UNIT_NORMALS, MappingOf, OptionalField, flag, metres, radians, real
 from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
@@ -26,10 +26,10 @@ _ROOM = {
     "yaw_rad": radians(),
     "low_m": metres("3"),
     "high_m": metres("3"),
-    "gains": Named(_GAIN),
+    "gains": MappingOf(_GAIN),
     "planes": metres("K 4", such=UNIT_NORMALS),
     "faces": dict.fromkeys(FACES, _FACE),
-    "platform": Maybe({"low_m": metres("2"), "high_m": metres("2"), "top_m": metres()}),
+    "platform": OptionalField({"low_m": metres("2"), "high_m": metres("2"), "top_m": metres()}),
 }
 
 

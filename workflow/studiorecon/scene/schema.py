@@ -71,21 +71,21 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Maybe:
+class OptionalField:
     """A value that may be missing or null."""
 
     inner: Schema
 
 
 @dataclass(frozen=True)
-class Listed:
+class ListOf:
     """A list of values of one kind, or a row of texts in an npz."""
 
     inner: Schema
 
 
 @dataclass(frozen=True)
-class Named:
+class MappingOf:
     """A mapping from arbitrary names to values of one kind."""
 
     inner: Schema
@@ -96,7 +96,7 @@ class Anything:
     """A value that no step computes with."""
 
 
-Schema = Numbers | Text | Maybe | Listed | Named | Anything | Mapping[str, Any]
+Schema = Numbers | Text | OptionalField | ListOf | MappingOf | Anything | Mapping[str, Any]
 
 
 def real(shape: str = "", **limits: Any) -> Numbers:
@@ -181,7 +181,7 @@ def check(value: Any, schema: Schema, name: str = "", sizes: Mapping[str, int] |
 
 def _check(value: Any, schema: Schema, name: str, sizes: dict[str, int]) -> None:
     match schema:
-        case Maybe(inner):
+        case OptionalField(inner):
             if value is not None:
                 _check(value, inner, name, sizes)
         case Text(choices):
@@ -192,12 +192,12 @@ def _check(value: Any, schema: Schema, name: str, sizes: dict[str, int]) -> None
                 raise ValueError(f"{_at(name)}{short_text(plain)}, expected {' or '.join(choices) or 'text'}")
         case Numbers():
             sizes |= _numbers(value, schema, name or "it", sizes)
-        case Listed(inner):
+        case ListOf(inner):
             if not (isinstance(value, list) or (isinstance(value, np.ndarray) and value.ndim == 1)):
                 raise ValueError(f"{_at(name)}{short_text(value)}, expected a list")
             for index, each in enumerate(value):
                 _check(each, inner, f"{name}[{index}]", dict(sizes))
-        case Named(inner):
+        case MappingOf(inner):
             for key, each in _mapping(value, name).items():
                 _check(each, inner, f"{name}.{key}".lstrip("."), dict(sizes))
         case Mapping():
@@ -208,7 +208,7 @@ def _check(value: Any, schema: Schema, name: str, sizes: dict[str, int]) -> None
             for key, inner in schema.items():
                 if key in held:
                     _check(held[key], inner, f"{name}.{key}".lstrip("."), own)
-                elif not isinstance(inner, Maybe):
+                elif not isinstance(inner, OptionalField):
                     raise ValueError(f"{name or 'it'} has no {key!r}")
 
 

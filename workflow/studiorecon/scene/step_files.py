@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from studiorecon.errors import UserError
 from studiorecon.scene import user_files
-from studiorecon.scene.schema import Listed, Numbers, Schema, check
+from studiorecon.scene.schema import ListOf, Numbers, Schema, check
 
 if TYPE_CHECKING:
     import numpy as np
@@ -74,7 +74,7 @@ def read(
 
 def _rows(path: Path, schema: Schema) -> list[dict[str, Any]]:
     """The rows of a table whose columns are ``schema``'s, with numeric columns converted from text."""
-    assert isinstance(schema, Listed)
+    assert isinstance(schema, ListOf)
     assert isinstance(schema.inner, Mapping)
     text = user_files.read_text(path, CURE)
     header, *rows = csv.reader(io.StringIO(text, newline=""), delimiter="\t", strict=True)

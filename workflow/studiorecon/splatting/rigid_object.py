@@ -17,7 +17,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.provenance import provenance_schema
-from studiorecon.scene.schema import ROTATION, Listed, Schema, flag, metres, real, text, whole
+from studiorecon.scene.schema import ROTATION, ListOf, Schema, flag, metres, real, text, whole
 from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
@@ -192,8 +192,8 @@ def write_objects(path: Path, objects: Sequence[RigidObject], frames: int) -> No
 
 def read_objects(path: Path) -> list[RigidObject]:
     """The objects of a scene; raises UserError as ``step_files.read`` does."""
-    names = [str(name) for name in read(path, {"names": Listed(text())}, names=("names",))["names"]]
-    schema: dict[str, Schema] = {"names": Listed(text()), "frames": whole(low=1)}
+    names = [str(name) for name in read(path, {"names": ListOf(text())}, names=("names",))["names"]]
+    schema: dict[str, Schema] = {"names": ListOf(text()), "frames": whole(low=1)}
     for name in names:
         schema |= {f"{name}.{field}": kind for field, kind in _object_schema(name).items()}
 

@@ -45,7 +45,7 @@ class Mesh:
     vertex_normals: Float[np.ndarray, "V 3"] | None = None
 
 
-def placed(position_m: tuple[float, float, float], yaw_rad: float = 0.0) -> Float[np.ndarray, "4 4"]:
+def pose_on_floor(position_m: tuple[float, float, float], yaw_rad: float = 0.0) -> Float[np.ndarray, "4 4"]:
     """(4, 4) world_from_solid of an upright solid at a position."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     world_from_solid = np.eye(4)
@@ -54,7 +54,9 @@ def placed(position_m: tuple[float, float, float], yaw_rad: float = 0.0) -> Floa
     return world_from_solid
 
 
-def transformed(points: Float[np.ndarray, "... 3"], matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "... 3"]:
+def transform_points(
+    points: Float[np.ndarray, "... 3"], matrix: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "... 3"]:
     """(..., 3) points through a (4, 4) rigid transform."""
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
@@ -85,7 +87,7 @@ def box(name: str, size_m: tuple[float, float, float], where: Float[np.ndarray, 
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0, 1)]) * size_m
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
-    return Mesh(name, transformed(corners, where), faces, texture, where)
+    return Mesh(name, transform_points(corners, where), faces, texture, where)
 
 
 def lathe(
@@ -101,7 +103,7 @@ def lathe(
         low, high = ring * segments, (ring + 1) * segments
         faces.append(np.stack([low + k, low + following, high + following], axis=1))
         faces.append(np.stack([low + k, high + following, high + k], axis=1))
-    return Mesh(name, transformed(rings.reshape(-1, 3), where), np.concatenate(faces), texture, where)
+    return Mesh(name, transform_points(rings.reshape(-1, 3), where), np.concatenate(faces), texture, where)
 
 
 def quad(name: str, corners_m: list[list[float]], texture: Texture) -> Mesh:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from studiorecon.studio import textures
-from studiorecon.studio.meshes import Mesh, Texture, box, box_texture, lathe, placed, plain, quad
+from studiorecon.studio.meshes import Mesh, Texture, box, box_texture, lathe, plain, pose_on_floor, quad
 
 HALF_X_M, HALF_Y_M, HEIGHT_M = 4.2, 3.6, 3.0
 # Centre and half-size of the two luminous panels in the ceiling; tracing.py samples the same rectangles.
@@ -47,7 +47,7 @@ def _shell(seed: int, glossy_floor: float) -> list[Mesh]:
         quad("tiled wall", [[-x, y, 0], [x, y, 0], [x, y, z], [-x, y, z]], _wall(_half_tiled, seed + 6, 0, pictures=4)),
     ]
     for k, (cx, cy, hx, hy) in enumerate(LAMPS_M):
-        where = placed((cx, cy, HEIGHT_M - LAMP_BELOW_CEILING_M))
+        where = pose_on_floor((cx, cy, HEIGHT_M - LAMP_BELOW_CEILING_M))
         lamp = box(f"lamp {k}", (2 * hx, 2 * hy, LAMP_BELOW_CEILING_M - 0.001), where, plain((0.9, 0.9, 0.88)))
         solids.append(
             Mesh(lamp.name, lamp.vertices_m, lamp.faces, lamp.texture, lamp.world_from_solid, emission=LAMP_RADIANCE)
@@ -64,11 +64,11 @@ def _furniture(seed: int, rng: np.random.Generator) -> list[Mesh]:
     )
     light_wood = box_texture(textures.planks, seed + 20)
     cloth = [box_texture(textures.fabric, seed + 40 + k) for k in range(4)]
-    table = placed((-1.95 + shift(), 1.15 + shift(), 0))
+    table = pose_on_floor((-1.95 + shift(), 1.15 + shift(), 0))
     tx, ty = table[0, 3], table[1, 3]
-    solids = [box("table top", (1.5, 0.85, 0.05), placed((tx, ty, 0.70)), light_wood)]
+    solids = [box("table top", (1.5, 0.85, 0.05), pose_on_floor((tx, ty, 0.70)), light_wood)]
     solids += [
-        box("table leg", (0.07, 0.07, 0.70), placed((tx + a, ty + b, 0)), light_wood)
+        box("table leg", (0.07, 0.07, 0.70), pose_on_floor((tx + a, ty + b, 0)), light_wood)
         for a in (-0.67, 0.67)
         for b in (-0.35, 0.35)
     ]
@@ -84,49 +84,64 @@ def _furniture(seed: int, rng: np.random.Generator) -> list[Mesh]:
         (0.0, 0.25),
     ]
     solids += [
-        lathe("vase", vase, placed((tx - 0.42, ty + 0.1, 0.75)), _ringed((0.05, 0.16, 0.30), (0.55, 0.45, 0.30))),
+        lathe(
+            "vase", vase, pose_on_floor((tx - 0.42, ty + 0.1, 0.75)), _ringed((0.05, 0.16, 0.30), (0.55, 0.45, 0.30))
+        ),
         box(
             "book pile",
             (0.30, 0.22, 0.16),
-            placed((tx + 0.25, ty - 0.05, 0.75), 0.5),
+            pose_on_floor((tx + 0.25, ty - 0.05, 0.75), 0.5),
             box_texture(textures.fabric, seed + 47),
         ),
     ]
     sofa_y = 0.3 + shift()
     solids += [
-        box("sofa seat", (0.80, 2.0, 0.42), placed((-3.72, sofa_y - 1.0, 0)), cloth[0]),
-        box("sofa back", (0.28, 2.0, 0.44), placed((-4.02, sofa_y - 1.0, 0.42)), cloth[0]),
-        *(box("sofa arm", (0.80, 0.20, 0.60), placed((-3.72, sofa_y - 1.0 + b, 0)), cloth[0]) for b in (-1.1, 1.1)),
-        box("cushion", (0.16, 0.45, 0.40), placed((-3.78, sofa_y - 0.5, 0.42), 0.3), cloth[1]),
+        box("sofa seat", (0.80, 2.0, 0.42), pose_on_floor((-3.72, sofa_y - 1.0, 0)), cloth[0]),
+        box("sofa back", (0.28, 2.0, 0.44), pose_on_floor((-4.02, sofa_y - 1.0, 0.42)), cloth[0]),
+        *(
+            box("sofa arm", (0.80, 0.20, 0.60), pose_on_floor((-3.72, sofa_y - 1.0 + b, 0)), cloth[0])
+            for b in (-1.1, 1.1)
+        ),
+        box("cushion", (0.16, 0.45, 0.40), pose_on_floor((-3.78, sofa_y - 0.5, 0.42), 0.3), cloth[1]),
     ]
     shelf_x = 1.9 + shift()
     solids += [
-        box("bookshelf", (1.7, 0.34, 1.98), placed((shelf_x, -3.42, 0)), box_texture(textures.books, seed + 25)),
-        box("bookshelf side", (0.04, 0.38, 2.02), placed((shelf_x - 0.87, -3.40, 0)), dark_wood),
-        box("bookshelf side", (0.04, 0.38, 2.02), placed((shelf_x + 0.87, -3.40, 0)), dark_wood),
-        box("low shelf", (1.5, 0.36, 0.66), placed((1.2 + shift(), 3.41, 0)), box_texture(textures.books, seed + 29)),
+        box("bookshelf", (1.7, 0.34, 1.98), pose_on_floor((shelf_x, -3.42, 0)), box_texture(textures.books, seed + 25)),
+        box("bookshelf side", (0.04, 0.38, 2.02), pose_on_floor((shelf_x - 0.87, -3.40, 0)), dark_wood),
+        box("bookshelf side", (0.04, 0.38, 2.02), pose_on_floor((shelf_x + 0.87, -3.40, 0)), dark_wood),
+        box(
+            "low shelf",
+            (1.5, 0.36, 0.66),
+            pose_on_floor((1.2 + shift(), 3.41, 0)),
+            box_texture(textures.books, seed + 29),
+        ),
     ]
     sideboard_y = -0.7 + shift()
     solids += [
-        box("sideboard", (0.48, 1.7, 0.74), placed((3.95, sideboard_y, 0.10)), dark_wood),
+        box("sideboard", (0.48, 1.7, 0.74), pose_on_floor((3.95, sideboard_y, 0.10)), dark_wood),
         *(
-            box("foot", (0.06, 0.06, 0.1), placed((3.95 + a, sideboard_y + b, 0)), dark_wood)
+            box("foot", (0.06, 0.06, 0.1), pose_on_floor((3.95 + a, sideboard_y + b, 0)), dark_wood)
             for a in (-0.18, 0.18)
             for b in (-0.8, 0.8)
         ),
         lathe(
             "bowl",
             [(0.0, 0.0), (0.08, 0.0), (0.19, 0.10), (0.17, 0.10), (0.07, 0.03), (0.0, 0.03)],
-            placed((3.92, sideboard_y + 0.3, 0.84)),
+            pose_on_floor((3.92, sideboard_y + 0.3, 0.84)),
             _ringed((0.45, 0.13, 0.04), (0.60, 0.40, 0.12)),
         ),
         box(
             "crate",
             (0.55, 0.55, 0.48),
-            placed((2.55 + shift(), -1.05 + shift(), 0), 0.6),
+            pose_on_floor((2.55 + shift(), -1.05 + shift(), 0), 0.6),
             box_texture(textures.planks, seed + 26),
         ),
-        box("parcel", (0.34, 0.26, 0.22), placed((2.55, -1.05, 0.48), 0.2), box_texture(textures.picture, seed + 27)),
+        box(
+            "parcel",
+            (0.34, 0.26, 0.22),
+            pose_on_floor((2.55, -1.05, 0.48), 0.2),
+            box_texture(textures.picture, seed + 27),
+        ),
         lathe(
             "stool",
             [
@@ -139,21 +154,27 @@ def _furniture(seed: int, rng: np.random.Generator) -> list[Mesh]:
                 (0.20, 0.47),
                 (0.0, 0.47),
             ],
-            placed((-0.2 + shift(), -2.75 + shift(), 0)),
+            pose_on_floor((-0.2 + shift(), -2.75 + shift(), 0)),
             _ringed((0.35, 0.06, 0.05), (0.45, 0.30, 0.14)),
         ),
-        box("pouf", (0.55, 0.55, 0.40), placed((-1.75 + shift(), -2.65 + shift(), 0), 0.25), cloth[2]),
-        box("plant box", (0.40, 0.40, 0.45), placed((3.7, 3.2, 0)), box_texture(textures.tiles, seed + 33)),
+        box("pouf", (0.55, 0.55, 0.40), pose_on_floor((-1.75 + shift(), -2.65 + shift(), 0), 0.25), cloth[2]),
+        box("plant box", (0.40, 0.40, 0.45), pose_on_floor((3.7, 3.2, 0)), box_texture(textures.tiles, seed + 33)),
         lathe(
             "plant",
             [(0.04, 0.0), (0.30, 0.25), (0.34, 0.60), (0.22, 0.95), (0.0, 1.15)],
-            placed((3.7, 3.2, 0.45)),
+            pose_on_floor((3.7, 3.2, 0.45)),
             _leaves(seed + 34),
         ),
     ]
     pillar = [(0.27, 0.0), (0.27, 0.15), (0.20, 0.20), (0.20, 2.82), (0.27, 2.88), (0.27, HEIGHT_M)]
     solids.append(
-        lathe("pillar", pillar, placed((-3.25 + shift(0.05), -2.55 + shift(0.05), 0)), _pillar(seed + 31), segments=64)
+        lathe(
+            "pillar",
+            pillar,
+            pose_on_floor((-3.25 + shift(0.05), -2.55 + shift(0.05), 0)),
+            _pillar(seed + 31),
+            segments=64,
+        )
     )
     return solids
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Colour = tuple[float, float, float]
 
 
-def hashed(column: Num[np.ndarray, " N"], row: Num[np.ndarray, " N"], seed: int) -> Float[np.ndarray, " N"]:
+def hash_values(column: Num[np.ndarray, " N"], row: Num[np.ndarray, " N"], seed: int) -> Float[np.ndarray, " N"]:
     """(N,) values in [0, 1) that depend on two integers and the seed only (an integer hash with two mixing rounds)."""
     x = column.astype(np.int64) * 374761393 + row.astype(np.int64) * 668265263 + seed * 1442695041
     x &= 0xFFFFFFFF
@@ -29,8 +29,8 @@ def noise(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -> 
     i, j = np.floor(u), np.floor(v)
     a, b = u - i, v - j
     a, b = a * a * (3 - 2 * a), b * b * (3 - 2 * b)
-    low = hashed(i, j, seed) * (1 - a) + hashed(i + 1, j, seed) * a
-    high = hashed(i, j + 1, seed) * (1 - a) + hashed(i + 1, j + 1, seed) * a
+    low = hash_values(i, j, seed) * (1 - a) + hash_values(i + 1, j, seed) * a
+    high = hash_values(i, j + 1, seed) * (1 - a) + hash_values(i + 1, j + 1, seed) * a
     return low * (1 - b) + high * b
 
 
@@ -64,11 +64,11 @@ def planks(
     """Oak boards 14 cm wide and 1.4 m long, with grain and gaps."""
     width, length = 0.14, 1.4
     row = np.floor(v / width)
-    shifted = u + hashed(row, row * 0, seed) * length
+    shifted = u + hash_values(row, row * 0, seed) * length
     board = np.floor(shifted / length)
-    colour = mix(dark, light, 0.15 + 0.85 * hashed(row, board, seed + 1))
+    colour = mix(dark, light, 0.15 + 0.85 * hash_values(row, board, seed + 1))
     grain = (
-        noise(u * 2.5 + 9 * hashed(row, board, seed + 3), v * 38, seed + 2) * 0.6
+        noise(u * 2.5 + 9 * hash_values(row, board, seed + 3), v * 38, seed + 2) * 0.6
         + noise(u * 14, v * 90, seed + 4) * 0.4
     )
     colour = colour * (0.74 + 0.52 * grain)[:, None]
@@ -82,8 +82,8 @@ def bricks(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) ->
     row = np.floor(v / height)
     shifted = u + 0.5 * length * (row % 2)
     column = np.floor(shifted / length)
-    colour = mix((0.27, 0.075, 0.045), (0.52, 0.22, 0.13), hashed(row, column, seed))
-    colour = mix(colour, (0.16, 0.08, 0.07), (hashed(row, column, seed + 9) > 0.86) * 0.6)
+    colour = mix((0.27, 0.075, 0.045), (0.52, 0.22, 0.13), hash_values(row, column, seed))
+    colour = mix(colour, (0.16, 0.08, 0.07), (hash_values(row, column, seed + 9) > 0.86) * 0.6)
     colour = colour * (0.72 + 0.55 * clouds(u * 16, v * 16, seed + 3))[:, None]
     joint = near_line(v, height, 0.0075) | near_line(shifted, length, 0.0075)
     return np.where(
@@ -95,10 +95,10 @@ def tiles(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -> 
     """Glazed 20 cm tiles, blue-green and cream, some with an ornament."""
     side = 0.2
     column, row = np.floor(u / side), np.floor(v / side)
-    kind = hashed(column, row, seed)
+    kind = hash_values(column, row, seed)
     colour = mix((0.055, 0.19, 0.23), (0.62, 0.63, 0.55), (kind > 0.42) * 0.85 + 0.15 * kind)
     distance = np.hypot(u - (column + 0.5) * side, v - (row + 0.5) * side)
-    ornament = (distance < 0.06) & (distance > 0.03) & (hashed(column, row, seed + 5) > 0.5)
+    ornament = (distance < 0.06) & (distance > 0.03) & (hash_values(column, row, seed + 5) > 0.5)
     colour = np.where(ornament[:, None], np.asarray((0.60, 0.28, 0.07)), colour)
     joint = near_line(u, side, 0.004) | near_line(v, side, 0.004)
     return np.where(joint[:, None], 0.30, colour) * (0.88 + 0.24 * noise(u * 9, v * 9, seed + 7))[:, None]
@@ -127,18 +127,18 @@ def picture(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -
     """An abstract painting: flat shapes of a few strong colours with brushwork, different for every seed."""
     warp = 0.12 * clouds(u * 4, v * 4, seed + 20, 2)
     level = np.floor(clouds(u * 3.1 + warp, v * 3.1 - warp, seed, 2) * 7)
-    colour = np.stack([hashed(level, level * 0 + k, seed + 31) for k in range(3)], axis=1) ** 1.4
+    colour = np.stack([hash_values(level, level * 0 + k, seed + 31) for k in range(3)], axis=1) ** 1.4
     colour = 0.55 * colour + 0.45 * colour.mean(axis=1, keepdims=True)
     colour = colour * np.asarray((0.72, 0.62, 0.50)) + 0.035
     disc = np.hypot(u * 1.0 - np.floor(u) - 0.5, v - np.floor(v) - 0.45) < 0.18 + 0.08 * (seed % 3)
-    accent = np.asarray([0.75, 0.35, 0.10]) * (0.4 + 0.6 * hashed(np.array([seed]), np.array([1]), 77)[0])
+    accent = np.asarray([0.75, 0.35, 0.10]) * (0.4 + 0.6 * hash_values(np.array([seed]), np.array([1]), 77)[0])
     colour = np.where((disc & (level % 2 == 0))[:, None], accent, colour)
     return colour * (0.82 + 0.36 * noise(u * 18, v * 70, seed + 8))[:, None]
 
 
 def fabric(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -> Float[np.ndarray, "N 3"]:
     """Woven upholstery: a checked weave over a mottled base of one seeded hue."""
-    base = np.asarray([hashed(np.array([k]), np.array([seed]), 5)[0] for k in range(3)]) ** 1.5
+    base = np.asarray([hash_values(np.array([k]), np.array([seed]), 5)[0] for k in range(3)]) ** 1.5
     base = (0.5 * base + 0.5 * base.mean()) * 0.40 + 0.05
     check = ((np.floor(u / 0.07) + np.floor(v / 0.07)) % 2) * 0.35 + near_line(u + v, 0.14, 0.012) * 0.5
     thread = noise(u * 120, v * 20, seed + 1) * 0.5 + noise(u * 20, v * 120, seed + 2) * 0.5
@@ -149,16 +149,18 @@ def books(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -> 
     """Shelves 33 cm apart with book backs of uneven height, gaps and title labels."""
     shelf = np.floor(v / 0.33)
     height = v - shelf * 0.33
-    shifted = u + hashed(shelf, shelf * 0, seed) * 3
+    shifted = u + hash_values(shelf, shelf * 0, seed) * 3
     column = np.floor(shifted / 0.045)
-    colour = np.stack([hashed(column, shelf, seed + k) for k in range(3)], axis=1) ** 1.8
+    colour = np.stack([hash_values(column, shelf, seed + k) for k in range(3)], axis=1) ** 1.8
     colour = (0.6 * colour + 0.4 * colour.mean(axis=1, keepdims=True)) * np.asarray((0.7, 0.55, 0.45)) + 0.03
-    label = (np.abs(height - 0.17) < 0.02) & (hashed(column, shelf, seed + 8) > 0.4)
+    label = (np.abs(height - 0.17) < 0.02) & (hash_values(column, shelf, seed + 8) > 0.4)
     colour = np.where(label[:, None], np.asarray((0.62, 0.52, 0.30)), colour)
     colour = np.where((near_line(shifted, 0.045, 0.002))[:, None], colour * 0.3, colour)
-    top = 0.2 + 0.09 * hashed(column, shelf, seed + 6)
+    top = 0.2 + 0.09 * hash_values(column, shelf, seed + 6)
     colour = np.where(
-        ((height > top) | (hashed(column, shelf, seed + 7) > 0.93))[:, None], np.asarray((0.035, 0.022, 0.013)), colour
+        ((height > top) | (hash_values(column, shelf, seed + 7) > 0.93))[:, None],
+        np.asarray((0.035, 0.022, 0.013)),
+        colour,
     )
     board = (height < 0.022) | (height > 0.325)
     return np.where(board[:, None], planks(u, v, seed + 9) * 0.8, colour)

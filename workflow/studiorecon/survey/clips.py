@@ -82,11 +82,11 @@ def read_film(
     step = max(1, round(fps / _RUN_FPS))
     starts = run_starts(-(-frames // step), pictures, run)
     wanted = step * np.unique(np.concatenate([np.arange(s, min(s + run, -(-frames // step))) for s in starts]))
-    held, free, scale = read_pictures(path, camera, wanted, found, longest_px, step)
+    held, free, scale = read_clip_pictures(path, camera, wanted, found, longest_px, step)
     return Film(camera, wanted, held, free, scale, step)
 
 
-def read_pictures(
+def read_clip_pictures(
     path: Path,
     camera: Camera,
     wanted: Integer[np.ndarray, " T"],

@@ -19,7 +19,7 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.progress import say
 from studiorecon.rig.body_points import tracks
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.decisions import forced, write_decisions
+from studiorecon.scene.decisions import apply_forced, write_decisions
 from studiorecon.scene.files import one_each
 from studiorecon.scene.people import Detections, read_detections, read_identities, read_people
 from studiorecon.scene.room import read_room
@@ -77,7 +77,7 @@ def run(
     evidence = Evidence(material, settings)
     early = {d.effect: d for d in judge(evidence, settings.thresholds, settings.force)}
     measured = [early.get(effect.name) or effect.left_to("report/audit.json") for effect in EFFECTS]
-    made = {d.effect: d for d in forced(measured, settings.force)}
+    made = {d.effect: d for d in apply_forced(measured, settings.force)}
     recordings = Recordings(videos, found or [None] * len(cameras), capture.frames)
     for effect in EARLY:
         decision = made[effect.name]

@@ -23,7 +23,7 @@ else:
 
 @dataclass(frozen=True)
 class Settings(Sampling):
-    """Settings of the effects that show before training (``effects.Decided``), and the sampling."""
+    """Settings of the effects that show before training (``effects.EffectSettings``), and the sampling."""
 
     thresholds: Mapping[Tunable, float] = thresholds(EARLY)
     force: Mapping[Named, str] = force(EARLY)

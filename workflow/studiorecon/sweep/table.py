@@ -74,7 +74,7 @@ def row_configuration(given: Mapping[str, Any], base: Row, row: Row, presets: Pa
         if not path.is_file():
             raise UserError(f"sweep row {row.name} names the preset {row.preset}, which {presets} does not have")
         below = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    return merged(merged(given, below), nested(row.settings))
+    return merge(merge(given, below), nested(row.settings))
 
 
 def nested(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -89,10 +89,10 @@ def nested(settings: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+def merge(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     """``below`` with the entries of ``above``, section by section, as Snakemake merges configuration files."""
     both = {
-        key: merged(below[key], value) if isinstance(value, Mapping) and isinstance(below.get(key), Mapping) else value
+        key: merge(below[key], value) if isinstance(value, Mapping) and isinstance(below.get(key), Mapping) else value
         for key, value in above.items()
     }
     return {**below, **both}

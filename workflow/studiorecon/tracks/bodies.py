@@ -17,8 +17,8 @@ import numpy as np
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frames
+from studiorecon.keypoints.detections import DetectionLimits
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.reading import Detected
 from studiorecon.keypoints.resampling import at_working_moments
 from studiorecon.machine.libraries import remedy
 from studiorecon.models.catalogue.selection import CHOICES
@@ -34,7 +34,7 @@ from studiorecon.signature import Place, Written
 
 
 @dataclass(frozen=True)
-class Settings(Detected):
+class Settings(DetectionLimits):
     """The source of bodies, and the smallest number of points."""
 
     source: DetectionSource = setting(

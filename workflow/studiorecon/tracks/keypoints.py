@@ -11,14 +11,14 @@ import numpy as np
 
 from studiorecon.camera_files.calibration import find_lens
 from studiorecon.errors import UserError
-from studiorecon.keypoints.reading import Settings, detections_from_detector, detections_from_recorded
+from studiorecon.keypoints.detections import Settings, detections_from_detector, detections_from_recorded
 from studiorecon.keypoints.resampling import at_working_frames, part_used
 from studiorecon.progress import say, warn
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.people import Detections, write_detections
 from studiorecon.scene.raw_detections import is_detector_file, read_raw_detections
-from studiorecon.scene.recorded import read_recorded
+from studiorecon.scene.recorded_keypoints import read_recorded
 from studiorecon.signature import Written
 
 

@@ -2,7 +2,7 @@
 """Synthesises views between the training cameras, for the training of the background. In: plates, depth and cameras;
 out: pictures and their support by photos.
 
-``path`` (the poses) → ``synthesize`` (``forward``: photos warped by their depth). With a network instead: ``request``,
-``generate``, ``fitted``, with ``frame`` for its picture size, ``first_moment`` for the people in its input, and
-``people`` for another network that detects them in its views. ``warp_settings``: settings of several steps.
+``path`` (the poses) → ``synthesize`` (``forward_warp``: photos warped by their depth). With a network instead:
+``request``, ``generate``, ``fitted``, with ``frame`` for its picture size, ``first_moment`` for the people in its
+input, and ``people`` for another network that detects them in its views. ``warp_settings``: settings of several steps.
 """

@@ -26,7 +26,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors
 from studiorecon.scene.files import one_each
 from studiorecon.scene.people import Person
-from studiorecon.views.forward import WarpSource, source
+from studiorecon.views.forward_warp import WarpSource, source
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -86,13 +86,13 @@ def first_pictures(
         theirs, fitted = labels > 0, (labels > 0) & (labels <= len(standing.people))
         depth = photo.depth_m
         if not measured:
-            bodies = nearest_known(standing.depth_m(photo.camera))
+            bodies = fill_with_nearest(standing.depth_m(photo.camera))
             depth = np.where(theirs, np.where(fitted, bodies, 0.0), photo.depth_m)
         seen.append(source(photo.camera, picture, np.ones(photo.camera.hw, bool), depth, depth_jump))
     return [replace(s, usable=s.usable & (s.depth_m > 0)) for s in seen]
 
 
-def nearest_known(depth_m: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
+def fill_with_nearest(depth_m: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
     """(H, W) depth whose unknown pixels (0) take the value of the nearest known one; all 0 when none is known."""
     if not (depth_m > 0).any():
         return depth_m

@@ -16,7 +16,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frames, to_bytes, to_float, write_lossless
-from studiorecon.images.regions import dilated
+from studiorecon.images.regions import dilate
 from studiorecon.models.catalogue.selection import CHOICES
 from studiorecon.models.choices import Synthesizer
 from studiorecon.models.loading import adapter
@@ -25,17 +25,17 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.support import SOMEBODY, support_levels
 from studiorecon.signature import Written
 from studiorecon.views.first_moment import FirstMomentPeople
-from studiorecon.views.forward import WarpSource, blend
+from studiorecon.views.forward_warp import WarpSource, blend
 from studiorecon.views.frame import fit_network_frame
 from studiorecon.views.synthesize import paint_holes, read_photos, read_segment
-from studiorecon.views.warp_settings import Made, Shown, Warping
+from studiorecon.views.warp_settings import PeopleInViews, ViewSource, Warping
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer
 
 
 @dataclass(frozen=True)
-class Settings(Made, Shown, Warping):
+class Settings(ViewSource, PeopleInViews, Warping):
     """Source of the film, and settings of the support.
 
     ``dilation_px``, with first_frames: side of the square by which people in the views are dilated (U24).
@@ -87,7 +87,7 @@ def fit_views(
         _, support, _ = blend(
             camera, photos, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg)
         )
-        somebody = dilated(people(camera, picture.shape[:2]), settings.dilation_px) if people else None
+        somebody = dilate(people(camera, picture.shape[:2]), settings.dilation_px) if people else None
         yield own, support_levels(np.where(inside, support, 0), somebody)
 
 

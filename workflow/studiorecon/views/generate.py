@@ -18,10 +18,10 @@ from studiorecon.footage.video import write_lossless
 from studiorecon.models.loading import adapter, load
 from studiorecon.models.protocols import ViewSynthesizer
 from studiorecon.progress import say
-from studiorecon.scene.schema import Named, real
+from studiorecon.scene.schema import MappingOf, real
 from studiorecon.scene.step_files import read
 from studiorecon.signature import Place, Written
-from studiorecon.views.warp_settings import Made
+from studiorecon.views.warp_settings import ViewSource
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Shaped
@@ -47,7 +47,7 @@ class Gen3cSettings:
 
 
 @dataclass(frozen=True)
-class Settings(Made):
+class Settings(ViewSource):
     """The network and its settings."""
 
     gen3c: Gen3cSettings = setting(Gen3cSettings(), "How GEN3C runs.")
@@ -55,7 +55,7 @@ class Settings(Made):
 
 def read_request(path: Path) -> dict[str, Shaped[np.ndarray, " ..."]]:
     """The arrays of a request (npz), which its network checks; raises UserError as ``step_files.read`` does."""
-    return read(path, Named(real("...")))
+    return read(path, MappingOf(real("...")))
 
 
 def request_frames(

@@ -22,14 +22,14 @@ from studiorecon.scene.factors import read_factors
 from studiorecon.scene.files import write_npz
 from studiorecon.signature import Written
 from studiorecon.views.first_moment import FirstMomentPeople, first_pictures
-from studiorecon.views.forward import WarpSource
+from studiorecon.views.forward_warp import WarpSource
 from studiorecon.views.frame import NetworkFrame, fit_network_frame
 from studiorecon.views.synthesize import paint_holes, read_photos, read_segment
-from studiorecon.views.warp_settings import Made, Warping
+from studiorecon.views.warp_settings import ViewSource, Warping
 
 
 @dataclass(frozen=True)
-class Settings(Made, Warping):
+class Settings(ViewSource, Warping):
     """The network, and the photos in its input."""
 
 

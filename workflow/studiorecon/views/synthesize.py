@@ -27,7 +27,7 @@ from studiorecon.scene.files import one_each
 from studiorecon.scene.path import read_path
 from studiorecon.scene.support import support_levels
 from studiorecon.signature import Written
-from studiorecon.views.forward import WarpSource, blend, source
+from studiorecon.views.forward_warp import WarpSource, blend, source
 from studiorecon.views.warp_settings import Warping
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from studiorecon.models.choices import Synthesizer
 
 
 @dataclass(frozen=True)
-class Made:
+class ViewSource:
     """The source of the views."""
 
     synthesizer: Synthesizer = setting(
@@ -30,7 +30,7 @@ class Made:
 
 
 @dataclass(frozen=True)
-class Shown:
+class PeopleInViews:
     """The people in the views."""
 
     people: Literal["bodies", "network"] = setting(

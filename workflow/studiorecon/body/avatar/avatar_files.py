@@ -26,7 +26,7 @@ from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.provenance import MEASURED, provenance_schema
-from studiorecon.scene.schema import Maybe, Schema, flag, frame_rate, metres, radians, real, text, whole
+from studiorecon.scene.schema import OptionalField, Schema, flag, frame_rate, metres, radians, real, text, whole
 from studiorecon.scene.step_files import expect, expect_named, read
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ _AVATAR: dict[str, Schema] = {
     "seen_share": real(low=0, high=1),
     "mark": text(),
     "gaussians_sha256": text(),
-    **{f"{_NETWORK}{name}": Maybe(field) for name, field in NETWORK.items()},
+    **{f"{_NETWORK}{name}": OptionalField(field) for name, field in NETWORK.items()},
 }
 _ARRAYS = ("bones", "weights", "provenance", "poses", "trans", "betas", "valid", "present")
 

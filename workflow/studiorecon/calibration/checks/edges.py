@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from studiorecon.calibration.checks.refined import Refined, move_by_camera
+from studiorecon.calibration.checks.refined import RefinedCameras, move_by_camera
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.correspondences import Observations
@@ -21,7 +21,7 @@ _FAR_DEG = 4.0
 
 def compare_edges(
     given: Sequence[Camera],
-    people: Refined | None,
+    people: RefinedCameras | None,
     seen: Observations,
     rooms: Sequence[RoomPicture | None],
     limits: Limits,

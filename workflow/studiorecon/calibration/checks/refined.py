@@ -27,7 +27,7 @@ _WORTH_REFINING = 0.1
 
 
 @dataclass(frozen=True)
-class Refined:
+class RefinedCameras:
     """Cameras after refinement on people.
 
     Attributes:
@@ -78,7 +78,7 @@ def refined_on_people(
     limits: Limits,
     bundle: BundleSettings,
     rooms: Sequence[RoomPicture | None] = (),
-) -> Refined | None:
+) -> RefinedCameras | None:
     """The refinement of ``cameras`` on people in ``frames`` frames; None where it would change nothing.
 
     ``watched`` are the indices of the cameras that see them. ``median_px``: their median error at the given poses, None
@@ -102,4 +102,4 @@ def refined_on_people(
     )
     disagreement_deg, between_deg = (None, None) if told is None else told
     better = median_px is None or px < (1 - _WORTH_REFINING) * median_px
-    return Refined(held.cameras, seen, px, anew is not None, better, disagreement_deg, between_deg)
+    return RefinedCameras(held.cameras, seen, px, anew is not None, better, disagreement_deg, between_deg)

@@ -21,7 +21,7 @@ _HEIGHT_M = (-0.5, 12.0)
 _PARALLEL = 1e-3
 
 
-def facts(cameras: Sequence[Camera]) -> dict[str, dict[str, float]]:
+def camera_facts(cameras: Sequence[Camera]) -> dict[str, dict[str, float]]:
     """Per camera: horizontal field of view (degrees), height above z = 0 (m), principal point off the middle (share of
     the size)."""
     return {
@@ -36,10 +36,10 @@ def facts(cameras: Sequence[Camera]) -> dict[str, dict[str, float]]:
     }
 
 
-def oddities(cameras: Sequence[Camera]) -> list[str]:
+def calibration_notes(cameras: Sequence[Camera]) -> list[str]:
     """Sentences about properties that no capture of people in a room has; empty for a plausible calibration."""
     found = []
-    for name, fact in facts(cameras).items():
+    for name, fact in camera_facts(cameras).items():
         if not _FIELD_DEG[0] <= fact["field_deg"] <= _FIELD_DEG[1]:
             found.append(
                 f"camera {name}: its focal length means a view {fact['field_deg']:.0f}° wide; "

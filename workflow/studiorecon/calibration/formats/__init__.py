@@ -51,7 +51,7 @@ _LISTED = (
 FORMATS: dict[str, CalibrationFormat] = {form.name: form for form in _LISTED}
 
 
-def accepted() -> str:
+def accepted_formats() -> str:
     """All accepted files, as one phrase for a sentence."""
     return ", ".join(f"{form.files_in_words.replace('`', '')} ({form.made_by})" for form in FORMATS.values())
 

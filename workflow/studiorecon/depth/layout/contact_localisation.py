@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.depth.stereo.plates import Picture
-from studiorecon.images.regions import dilated
+from studiorecon.images.regions import dilate
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
 
@@ -45,7 +45,7 @@ def localise_by_contact(
     """
     camera, (x, y), low_m, high_m = picture.camera, cylinder[1:3], cylinder[6], cylinder[7]
     # Between pixels a colour is known where all neighbours are.
-    known = ~dilated(~picture.known, 3)
+    known = ~dilate(~picture.known, 3)
     centre_m, pixel_rad = camera.centre_m, 1 / camera.focal_px[0]
     apart_m, azimuth = float(np.hypot(x - centre_m[0], y - centre_m[1])), np.arctan2(y - centre_m[1], x - centre_m[0])
     above_m = centre_m[2] - low_m

@@ -68,7 +68,7 @@ class _HeightVotes:
 
 
 @dataclass(frozen=True)
-class Raised:
+class RaisedFloor:
     """People are on a platform.
 
     Attributes:
@@ -85,7 +85,7 @@ class Raised:
 
 def fit_platform(
     pictures: Sequence[Picture], axes: Float[np.ndarray, "3 3"], standing_m: float, how: Matching
-) -> Raised | None:
+) -> RaisedFloor | None:
     """The platform under people at ``standing_m``, or None where that is the floor; ``axes`` (3, 3) are the room box's.
 
     A tenth of a second for four pictures 240 pixels wide where photos agree on the floor, 3 s where they do not.
@@ -122,7 +122,7 @@ def fit_platform(
         if around[k] >= _MIN_CELLS and count[k] == count[k - 1 : k + 2].max()
     ]
     score = float(told.score[outside & (np.abs(told.step + peak) <= 1)].mean())
-    return Raised(Platform(corner, upper, standing_m), floor_m, score, mats)
+    return RaisedFloor(Platform(corner, upper, standing_m), floor_m, score, mats)
 
 
 def _disagreeing(pictures: Sequence[Picture], standing_m: float, how: Matching) -> float:

@@ -14,7 +14,7 @@ from numba import njit
 
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import Listed, metres, radians, real, text
+from studiorecon.scene.schema import ListOf, metres, radians, real, text
 from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def write_primitives(path: Path, primitives: Sequence[Primitive]) -> None:
 
 def read_primitives(path: Path) -> list[Primitive]:
     """The primitives in ``depth/primitives.json``; raises UserError as ``step_files.read`` does."""
-    return read(path, {"primitives": Listed(_PRIMITIVE)}, lambda value: [_primitive(v) for v in value["primitives"]])
+    return read(path, {"primitives": ListOf(_PRIMITIVE)}, lambda value: [_primitive(v) for v in value["primitives"]])
 
 
 def _primitive(value: dict[str, Any]) -> Primitive:

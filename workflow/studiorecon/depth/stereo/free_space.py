@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.depth.stereo.passes import Labelled
+from studiorecon.depth.stereo.passes import PlaneLabelling
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
 
@@ -46,8 +46,11 @@ def is_looked_through(
 
 
 def snap_to_room_box(
-    labelled: Labelled, camera: Camera, room_box: RoomBox, others: Sequence[tuple[Camera, Float[np.ndarray, "h w"]]]
-) -> tuple[Labelled, float]:
+    labelled: PlaneLabelling,
+    camera: Camera,
+    room_box: RoomBox,
+    others: Sequence[tuple[Camera, Float[np.ndarray, "h w"]]],
+) -> tuple[PlaneLabelling, float]:
     """The labelling with floating surfaces put on the room box, unjudged, and the share of pixels concerned.
 
     A surface floats if other cameras see through it and none confirms it, or if no other camera judges it, or matches

@@ -48,7 +48,7 @@ class PassSettings(Matching):
 
 
 @dataclass(frozen=True)
-class Labelled:
+class PlaneLabelling:
     """The labelling of one picture: plane index (H, W), depth (H, W), cost (H, W), and (H, W) bool: another camera
     judged it."""
 
@@ -102,7 +102,7 @@ def explain(
     scores: Sequence[Float[np.ndarray, "L H W"]],
     others: Sequence[tuple[Camera, Float[np.ndarray, "h w"]]],
     settings: PassSettings,
-) -> Labelled:
+) -> PlaneLabelling:
     """The labelling of one picture from its scores against every other camera, given those cameras and their latest
     depth (H', W').
 
@@ -132,7 +132,7 @@ def explain(
     chosen = label(cost, picture.rgb, settings.refine_penalty)
     pick = chosen[..., None]
     depth_m = np.take_along_axis(np.moveaxis(depths, 0, -1), pick, axis=-1)[..., 0]
-    return Labelled(
+    return PlaneLabelling(
         chosen,
         depth_m,
         np.take_along_axis(cost, pick, axis=-1)[..., 0],

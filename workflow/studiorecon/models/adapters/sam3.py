@@ -108,7 +108,7 @@ def postprocess(
     return labels
 
 
-def linked(known: Integer[np.ndarray, "H W"], again: Integer[np.ndarray, "H W"]) -> dict[int, int]:
+def match_labels(known: Integer[np.ndarray, "H W"], again: Integer[np.ndarray, "H W"]) -> dict[int, int]:
     """label in ``again`` → label in ``known`` for people of one frame in two chunks, best agreement first,
     one to one.
     """
@@ -130,7 +130,7 @@ def joined(chunks: Iterable[list[Integer[np.ndarray, "H W"]]]) -> Iterator[Integ
     """
     last, numbered = None, 0
     for chunk in chunks:
-        names = linked(last, chunk[0]) if last is not None else {}
+        names = match_labels(last, chunk[0]) if last is not None else {}
         for index, labels in enumerate(chunk):
             table = np.zeros(int(labels.max()) + 1, np.uint16)
             for label in np.unique(labels[labels > 0]).tolist():

@@ -17,7 +17,7 @@ from studiorecon.errors import UserError
 from studiorecon.machine.libraries import remedy
 from studiorecon.models.catalogue.card import WeightFile
 from studiorecon.models.catalogue.checksums import blob
-from studiorecon.models.catalogue.confined import may_fetch
+from studiorecon.models.catalogue.sandbox import may_fetch
 from studiorecon.progress import warn
 
 _PATIENCE_S = 60.0

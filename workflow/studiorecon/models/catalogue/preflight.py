@@ -18,7 +18,7 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import Card
 from studiorecon.models.catalogue.checksums import PINS, code_in, read_pins, verify, write_pins
-from studiorecon.models.catalogue.confined import confine
+from studiorecon.models.catalogue.sandbox import confine
 from studiorecon.progress import say, warn
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def staged_weights(card: Card, folder: Path) -> Path:
     first wrong file.
 
     A file is hashed only when it has changed since the last check; a file added by hand is compared with its published
-    checksum and then pinned. Also confines this process (``confined``).
+    checksum and then pinned. Also confines this process (``sandbox``).
     """
     known = read_pins(folder)
     pins = dict(known)
@@ -88,7 +88,7 @@ def attribute(card: Card, module: Any, wanted: str) -> Any:
 
 @contextmanager
 def arrays_alone(card: Card) -> Iterator[None]:
-    """Context for upstream's loading: a checkpoint with more than arrays, which is refused (``confined``), gives a
+    """Context for upstream's loading: a checkpoint with more than arrays, which is refused (``sandbox``), gives a
     UserError.
     """
     try:

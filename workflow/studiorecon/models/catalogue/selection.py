@@ -12,7 +12,7 @@ from typing import Any
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import Kind
 from studiorecon.models.catalogue.registry import MODELS, adapter_module, of_kind
-from studiorecon.scene.stand_ins import is_photo
+from studiorecon.scene.replacement_photos import is_photo
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ _MEASURED, _NETS = "report.lpips", {"alex": "lpips_alex", "vgg": "lpips"}
 _PERCEPTUAL = ("background.training.lpips.weight", "humans.losses.lpips.weight")
 
 
-def selected(config: Mapping[str, Any]) -> list[tuple[str, str]]:
+def select_networks(config: Mapping[str, Any]) -> list[tuple[str, str]]:
     """(setting, model) for every setting of a whole configuration that selects an upstream network, in the order data
     flows.
     """
@@ -88,7 +88,7 @@ def adapter_modules(step: str, config: Mapping[str, Any]) -> list[str]:
     Adapters are loaded by name, so no import of the step leads to them.
     """
     if step == "report.page":  # shows every card
-        return sorted({adapter_module(name) for _, name in selected(config)})
+        return sorted({adapter_module(name) for _, name in select_networks(config)})
     names = [str(at(config, where)) for where, choice in CHOICES.items() if step in choice.steps]
     # Networks of another stage's setting, which the rule passes on.
     names += [str(at(config, "depth.source"))] if step == "people.lift" else []
@@ -112,7 +112,7 @@ def check_licences(config: Mapping[str, Any]) -> None:
     """
     if config.get("licences") != "commercial":
         return
-    for where, name in selected(config):
+    for where, name in select_networks(config):
         terms = MODELS[name].terms
         if terms.commercial == "no":
             instead = terms.alternative or "the stage's own method"
@@ -128,7 +128,7 @@ def licence_rows(config: Mapping[str, Any]) -> list[dict[str, str]]:
     alternative.
     """
     rows = []
-    for where, name in selected(config):
+    for where, name in select_networks(config):
         entry = MODELS[name]
         rows.append(
             {

@@ -4,5 +4,5 @@
 ``track_pairs`` (distances of pairs, in position and by ``postures``) → ``grouping`` (groups chosen whole) →
 ``picture_change``, ``image_evidence``, ``proportions``, ``false_positives`` and ``acceptance`` (which groups are
 people) → ``rejected_people`` (the other groups). The paper's way instead: ``affinity`` and ``reference_view``.
-``corrected``: identities as the user has them.
+``corrected_identities``: identities as the user has them.
 """

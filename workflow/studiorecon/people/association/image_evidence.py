@@ -23,8 +23,8 @@ from studiorecon.images.channels import channel_max
 from studiorecon.people.association.grouping import Group
 from studiorecon.people.association.picture_change import (
     EvidenceLimits,
+    count_changed_places,
     normalise_picture,
-    places_changed,
     sampled_frames,
     view_shares,
 )
@@ -128,7 +128,7 @@ def _by_plate(group: Group, camera: Camera, video: Path, witness: CameraEvidence
     for t, picture in enumerate(read_frames(video, 0, max(chosen, default=-1) + 1)):
         if t in chosen:
             apart = np.where(measured, channel_max(np.abs(normalise_picture(picture) - empty)), np.nan)
-            counts += places_changed(apart, group.points_m[t], camera, limits).sum(0)
+            counts += count_changed_places(apart, group.points_m[t], camera, limits).sum(0)
     return float(view_shares(counts))
 
 

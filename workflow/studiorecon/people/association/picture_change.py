@@ -168,7 +168,7 @@ def change_threshold(apart: Float[np.ndarray, "H W"], limits: EvidenceLimits) ->
     return float(np.clip(_NOISES * 1.4826 * usual, _FAINTEST, limits.difference))
 
 
-def places_changed(
+def count_changed_places(
     apart: Float[np.ndarray, "H W"], points_m: Float[np.ndarray, "N 3"], camera: Camera, limits: EvidenceLimits
 ) -> Num[np.ndarray, "N 2"]:
     """(N, 2) per point (N, 3): whether the difference of two pictures shows a change there, and whether it is known, as

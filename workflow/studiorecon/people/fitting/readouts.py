@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.geometry.triangulation import Limits
-from studiorecon.rig.residuals import Causes, causes
+from studiorecon.rig.residuals import Readouts, readouts_from_residuals
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.readouts import Readout
 
@@ -50,11 +50,11 @@ def _known(value: float) -> float | None:
     return round(float(value), 6) if np.isfinite(value) else None
 
 
-def _told(pixels: np.ndarray, cameras: Sequence[Camera]) -> Causes:
-    return causes(pixels, cameras, _MOMENTS, _LIMITS)
+def _told(pixels: np.ndarray, cameras: Sequence[Camera]) -> Readouts:
+    return readouts_from_residuals(pixels, cameras, _MOMENTS, _LIMITS)
 
 
-def _doubt(view: int, camera: Camera, fps: float, whole: Causes, halves: Sequence[Causes]) -> str:
+def _doubt(view: int, camera: Camera, fps: float, whole: Readouts, halves: Sequence[Readouts]) -> str:
     """Why the readout of a camera is not used; "" where it is."""
     to_width = _AT_WIDTH / max(camera.wh)
     speed_px_s = whole.speed_px[0] * to_width * fps

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _SAME_PERSON_M = 0.5
 
 
-def similarity_aligned(points: Float[np.ndarray, "J 3"], onto: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
+def align_by_similarity(points: Float[np.ndarray, "J 3"], onto: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
     """``points`` (J, 3) after the similarity that brings them closest to ``onto``, without mirroring (R19)."""
     mean, target = points.mean(axis=0), onto.mean(axis=0)
     centred, wanted = points - mean, onto - target
@@ -33,7 +33,7 @@ def joint_errors_mm(fitted: Float[np.ndarray, "T 24 3"], true: Float[np.ndarray,
     They are taken in world coordinates, relative to the pelvis, and after a similarity fitted to each frame.
     """
     at_pelvis = (fitted - fitted[:, :1]) - (true - true[:, :1])
-    aligned = np.stack([similarity_aligned(f, t) for f, t in zip(fitted, true)])
+    aligned = np.stack([align_by_similarity(f, t) for f, t in zip(fitted, true)])
     errors = {"mpjpe_world_mm": fitted - true, "mpjpe_pelvis_mm": at_pelvis, "mpjpe_similarity_mm": aligned - true}
     return {name: float(1000 * np.linalg.norm(error, axis=-1).mean()) for name, error in errors.items()}
 

@@ -246,6 +246,6 @@ def summaries(
     return result
 
 
-def unmeasured(reason: str) -> dict[str, Any]:
+def missing_measure(reason: str) -> dict[str, Any]:
     """The entry of a measure that could not be taken."""
     return {"value": None, "interval": None, "reason": reason, "cameras": {}}

@@ -20,10 +20,10 @@ import numpy as np
 from studiorecon.body.person_files import read_person
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import read_frames
-from studiorecon.images.regions import dilated
+from studiorecon.images.regions import dilate
 from studiorecon.images.warp import nearest_pixels, sample
 from studiorecon.scene.camera import CAMERA, Camera
-from studiorecon.scene.schema import Listed
+from studiorecon.scene.schema import ListOf
 from studiorecon.scene.step_files import read
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class TrueView:
 
 def read_views(folder: Path) -> dict[str, TrueView]:
     """camera → truth, of every camera of the studio."""
-    cameras = [Camera.from_json(value) for value in read(folder / "cameras.json", Listed(CAMERA))]
+    cameras = [Camera.from_json(value) for value in read(folder / "cameras.json", ListOf(CAMERA))]
     return {
         c.name: TrueView(c, read_depth(folder / "depth" / f"{c.name}.exr")[0], folder / "masks" / f"{c.name}.mkv")
         for c in cameras
@@ -129,7 +129,7 @@ def regions(
             for total, each in zip(seen, visible):
                 total |= each & clear
         people = (labels > 0) & (labels < _PROPS)
-        found = {"people": people, "people_wide": dilated(people, WIDE_PX), "background": background}
+        found = {"people": people, "people_wide": dilate(people, WIDE_PX), "background": background}
         for suffix, each in zip(("", "_strict", "_loose"), seen):
             found |= {f"seen{suffix}": background & each, f"unseen{suffix}": background & ~each}
         if moving is not None:

@@ -81,7 +81,7 @@ def versions(provenance: Mapping[str, Any], machine: Mapping[str, str]) -> str:
     return html.heading("Versions") + html.table(["what", "which"], [[k, str(v)] for k, v in told.items()])
 
 
-def delivered(folder: Path, page: Path) -> str:
+def delivery_links(folder: Path, page: Path) -> str:
     """Links to the files in ``deliver/``, one line per folder; keypoints and pictures, which are many, as a count."""
     manifest = folder / "manifest.json"
     if not manifest.is_file():

@@ -258,7 +258,7 @@ def overlap(rig: Mapping[str, Any]) -> str:
     return html.table(["angle", "here", "the paper's captures", "its prior work's"], rows, numeric=(1, 2, 3))
 
 
-def reached(metrics: Mapping[str, Any], spent: Mapping[str, Any], budget: Mapping[str, Any]) -> str:
+def cost_and_quality(metrics: Mapping[str, Any], spent: Mapping[str, Any], budget: Mapping[str, Any]) -> str:
     """The cost and scores of this run in one sentence and three numbers.
 
     A prediction is included where a ``budget`` chose the preset (``plan.budget.Choice.as_json``).

@@ -42,7 +42,7 @@ class BlockedGaussians:
         return len(self.parameters) // BLOCK_FLOATS * LANES
 
 
-def aligned(count: int, dtype: type = np.float32) -> Shaped[np.ndarray, " C"]:
+def aligned_zeros(count: int, dtype: type = np.float32) -> Shaped[np.ndarray, " C"]:
     """Zeros that start at a cache line."""
     size = count * np.dtype(dtype).itemsize
     raw = np.zeros(size + 64, np.uint8)
@@ -62,7 +62,7 @@ def block(
     ``within`` where that has their size."""
     order = np.arange(gaussians.count) if order is None else order
     size = padded_count(gaussians.count) * (BLOCK_FLOATS // LANES)
-    parameters = within if within is not None and len(within) == size else aligned(size)
+    parameters = within if within is not None and len(within) == size else aligned_zeros(size)
     blocked = BlockedGaussians(parameters, gaussians.count, gaussians.sh_degree)
     arrays = (gaussians.means_m, gaussians.quaternions, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh)
     fill_blocks(*arrays, np.ascontiguousarray(order, np.int64), parameters)

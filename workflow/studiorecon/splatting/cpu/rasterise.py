@@ -30,7 +30,7 @@ from studiorecon.splatting.conventions import (
     TILE_PX,
 )
 from studiorecon.splatting.cpu import blocks, tiles
-from studiorecon.splatting.cpu.blocks import BlockedGaussians, aligned
+from studiorecon.splatting.cpu.blocks import BlockedGaussians, aligned_zeros
 from studiorecon.splatting.cpu.camera_vector import camera_vector
 from studiorecon.splatting.cpu.channels import collect, in_threes, paint
 from studiorecon.splatting.cpu.forward import LANE_OFFSETS, blend, blend_more
@@ -300,8 +300,8 @@ class Rasteriser:
         assert blocked is not None, "gather needs a draw first"
         padded = blocked.padded
         if len(self._moments) != self.threads * padded * RECORD:
-            self._moments = aligned(self.threads * padded * RECORD)
-            self.gradient, self.screen = aligned(padded // LANES * BLOCK_FLOATS), aligned(2 * padded)
+            self._moments = aligned_zeros(self.threads * padded * RECORD)
+            self.gradient, self.screen = aligned_zeros(padded // LANES * BLOCK_FLOATS), aligned_zeros(2 * padded)
         lists = (self._starts, self._pairs, self._touched, self._ends)
         gather(
             self.threads, *self._grid, self._splats, *lists, LANE_OFFSETS, self.planes, plane_gradients, self._moments
@@ -315,7 +315,7 @@ class Rasteriser:
     def _resize(self, padded: int, hw: tuple[int, int]) -> None:
         before, hw_before = self._sized_for
         if padded != before:
-            self._splats, self._depth_m = aligned(padded * RECORD), aligned(padded)
+            self._splats, self._depth_m = aligned_zeros(padded * RECORD), aligned_zeros(padded)
             self.visible, self._refused = np.zeros(padded, np.uint8), np.zeros(padded // LANES, np.uint8)
             self._sorting = tuple(np.zeros(padded, np.uint32) for _ in range(4))
             self._rectangles = np.zeros(4 * padded, np.int16)
@@ -325,5 +325,5 @@ class Rasteriser:
             count = self._grid[0] * self._grid[1]
             self._cursor, self._starts = np.zeros(self.threads * count, np.uint32), np.zeros(count + 1, np.uint32)
             self._ends = np.zeros(count, np.uint32)
-            self.planes = aligned(5 * hw[0] * hw[1]).reshape(5, *hw)
+            self.planes = aligned_zeros(5 * hw[0] * hw[1]).reshape(5, *hw)
         self._sized_for = (padded, hw)

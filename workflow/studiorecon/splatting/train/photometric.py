@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.splatting.cpu import ssim as similarity
-from studiorecon.splatting.cpu.blocks import aligned
+from studiorecon.splatting.cpu.blocks import aligned_zeros
 from studiorecon.splatting.cpu.ssim import PAD, RADIUS
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Memory:
     def zeros(self, name: str, count: int) -> Float[np.ndarray, " C"]:
         """``count`` zeros that start at a cache line; the next call with this name overwrites them."""
         if name not in self._held or len(self._held[name]) < count:
-            self._held[name] = aligned(count)
+            self._held[name] = aligned_zeros(count)
         zeros = self._held[name][:count]
         zeros[:] = 0
         return zeros
@@ -55,7 +55,7 @@ class Memory:
 
 class _Fresh(Memory):
     def zeros(self, name: str, count: int) -> np.ndarray:
-        return aligned(count)
+        return aligned_zeros(count)
 
 
 class Photometric:
@@ -96,7 +96,7 @@ class Photometric:
         used = similarity.pad_target(*pictures, self._wide, padded, wide_weight)
         mean = square = None
         if keep_statistics:
-            mean, square = aligned(3 * self._plane), aligned(3 * self._plane)
+            mean, square = aligned_zeros(3 * self._plane), aligned_zeros(3 * self._plane)
             similarity.target_statistics(padded, height, self._wide, self._taps, mean, square)
         return PreparedTarget(padded, wide_weight, int(used), mean, square)
 

@@ -13,7 +13,7 @@ from numba import float32, njit, prange
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.conventions import BLOCK_FLOATS, KERNEL, LANES, MEAN, QUATERNION, ROWS, SH
 from studiorecon.splatting.cpu.adam import RAW_ROWS
-from studiorecon.splatting.cpu.blocks import BlockedGaussians, aligned, block, morton_order
+from studiorecon.splatting.cpu.blocks import BlockedGaussians, aligned_zeros, block, morton_order
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Shaped
@@ -65,11 +65,11 @@ def _laid_out(
     order = morton_order(gaussians.means_m)
     blocked = block(gaussians, order)
     size = len(blocked.parameters)
-    raw = aligned(blocked.padded * RAW_ROWS)
+    raw = aligned_zeros(blocked.padded * RAW_ROWS)
     fill_raw(gaussians.log_scales, gaussians.logit_opacities, order, raw)
     lanes = np.full(blocked.padded, -1)
     lanes[: len(order)] = moments_of[order]
-    moments = (aligned(size), aligned(size))
+    moments = (aligned_zeros(size), aligned_zeros(size))
     move_lanes(first, lanes, moments[0])
     move_lanes(second, lanes, moments[1])
     sums = (np.zeros(blocked.padded, np.float32), np.zeros(blocked.padded, np.float32))
@@ -89,7 +89,7 @@ def state_arrays(state: TrainingState) -> dict[str, Shaped[np.ndarray, " ..."]]:
 def restore_state(arrays: Mapping[str, Shaped[np.ndarray, " ..."]]) -> TrainingState:
     """The state of ``state_arrays``, bit for bit."""
     count, degree = arrays["shape"].tolist()
-    laid = {name: aligned(len(arrays[name])) for name in ("parameters", "raw", "first", "second")}
+    laid = {name: aligned_zeros(len(arrays[name])) for name in ("parameters", "raw", "first", "second")}
     for name, place in laid.items():
         place[:] = arrays[name]
     blocked = BlockedGaussians(laid["parameters"], count, degree)

@@ -53,7 +53,7 @@ EARLY = tuple(effect for effect in EFFECTS if isinstance(effect, SurveyedEffect)
 
 
 @dataclass(frozen=True)
-class Decided:
+class EffectSettings:
     """The configuration of all effects; a step gets the settings of those that it decides."""
 
     thresholds: Mapping[str, float] = thresholds(EFFECTS)

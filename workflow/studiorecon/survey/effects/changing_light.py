@@ -16,8 +16,8 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import Decision
 from studiorecon.scene.factors import write_factors
 from studiorecon.scene.people import Detections
-from studiorecon.survey.clips import read_pictures
-from studiorecon.survey.effects.surveyed import Artefact, Measured, SurveyedEffect
+from studiorecon.survey.clips import read_clip_pictures
+from studiorecon.survey.effects.surveyed import Artefact, Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence, Recordings
 from studiorecon.survey.exposures import ExposureView
 from studiorecon.survey.stillness import light
@@ -32,7 +32,7 @@ _TOGETHER = 64
 _FRAME_S, _MEGAPIXEL_S = 0.008, 0.013
 
 
-def measure(evidence: Evidence, threshold: float) -> Measured:
+def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The largest change in any camera; the reason says that light changes in all cameras at once."""
     names, worst = evidence.names, [largest(value[1:], error[1:]) for value, error in evidence.light]
     estimate = largest([w.value if w.value is not None else np.nan for w in worst], [_error(w) for w in worst])
@@ -45,7 +45,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
         reason = f"brightness changes by up to {estimate.value:.1%} in {names[estimate.which]}" + (
             f"; {whose}" if every else ""
         )
-    return Measured(estimate.value, estimate.interval, reason)
+    return Measurement(estimate.value, estimate.interval, reason)
 
 
 def _error(estimate: Estimate) -> float:
@@ -98,7 +98,7 @@ def _levels(
     for first in range(0, frames, _TOGETHER):
         wanted = np.arange(first, min(first + _TOGETHER, frames))
         # Light varies over more than a few pixels: half of the survey's size suffices.
-        pictures, free, _ = read_pictures(path, camera, wanted, found, longest_px // 2)
+        pictures, free, _ = read_clip_pictures(path, camera, wanted, found, longest_px // 2)
         wh = (pictures.shape[2], pictures.shape[1])
         rgb, measured = shrink(view.rgb, view.measured, wh)
         plate = np.rint(np.clip(rgb, 0, 1) * 255).astype(np.uint8)

@@ -10,11 +10,11 @@ import numpy as np
 from studiorecon.geometry.camera_path import gaps_around
 from studiorecon.scene.names import segment_name
 from studiorecon.survey.coverage import mean_pair_deg
-from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
+from studiorecon.survey.effects.surveyed import Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
 
 
-def measure(evidence: Evidence, threshold: float) -> Measured:
+def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The widest gap between neighbours, as an angle about the centre that they look at.
 
     Views in the middle of a wide gap would show surfaces that no camera sees (U18).
@@ -27,7 +27,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
         f"the cameras {around}: the widest gap is {gap:.0f} degrees, and any two are "
         f"{mean_pair_deg(cameras):.0f} degrees apart on average"
     )
-    return Measured(gap, (gap, gap), reason, {"widest": segment_name(int(gaps.argmax()))})
+    return Measurement(gap, (gap, gap), reason, {"widest": segment_name(int(gaps.argmax()))})
 
 
 EFFECT = SurveyedEffect(

@@ -14,7 +14,7 @@ import numpy as np
 from studiorecon.arrays import require
 from studiorecon.geometry.statistics import NOTHING, SIGMA_OF_MAD, Estimate, median
 from studiorecon.images.channels import channel_sum
-from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
+from studiorecon.survey.effects.surveyed import Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ _TOGETHER = 8
 _APART, _MANY = 0.1, 6
 
 
-def measure(evidence: Evidence, threshold: float) -> Measured:
+def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The blur of each clean plate's edges beyond that of the median camera, the largest of them.
 
     Blurs add in squares: ``extra² = blur² - median²``. Plates are medians of many pictures, so they contain neither
@@ -53,7 +53,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
     )
     known = np.flatnonzero(np.isfinite(blur)).tolist()
     if len(known) < 2:
-        return Measured(None, None, "fewer than two cameras see enough sharp edges to compare their focus")
+        return Measurement(None, None, "fewer than two cameras see enough sharp edges to compare their focus")
     usual = float(np.median(blur[known]))
     worst = max(known, key=lambda k: blur[k] - error[k])
     # Some camera always sees softer things than the others: its blur must exceed that usual spread.
@@ -65,7 +65,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
         f"camera's {usual:.1f}; focus it or clean its lens before the next take"
     )
     detail = {views[k].camera.name: round(float(blur[k]), 3) for k in known}
-    return Measured(extra.value, extra.interval, reason, {"blur_px": detail})
+    return Measurement(extra.value, extra.interval, reason, {"blur_px": detail})
 
 
 def _beyond(blur: float, error: float, of_what_it_sees: float, usual: float) -> Estimate:

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
+from studiorecon.survey.effects.surveyed import Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
 from studiorecon.survey.scene_change import largest_estimate, moving_share
 
 
-def measure(evidence: Evidence, threshold: float) -> Measured:
+def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The area of the largest object that travels through the room, in the camera that shows most of it."""
     found = [
         moving_share(small.ratio, small.free, small.plate.mean(axis=-1) * 255, small.noise, small.film.runs)
@@ -23,7 +23,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
         )
     else:
         reason = "only people and shadows move"
-    return Measured(value, interval, reason)
+    return Measurement(value, interval, reason)
 
 
 EFFECT = SurveyedEffect(

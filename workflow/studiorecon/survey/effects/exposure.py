@@ -14,7 +14,7 @@ import numpy as np
 from studiorecon.progress import say
 from studiorecon.scene.decisions import Decision
 from studiorecon.scene.factors import write_factors
-from studiorecon.survey.effects.surveyed import Artefact, Measured, SurveyedEffect
+from studiorecon.survey.effects.surveyed import Artefact, Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence, Recordings
 from studiorecon.survey.exposures import CERTAIN, INTERVAL
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-def measure(evidence: Evidence, threshold: float) -> Measured:
+def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The gains of all cameras; ``detail`` names those that share too little with the others to be compared."""
     views, (found, _) = evidence.material.views, evidence.overlaps
     if not found:
-        return Measured(None, None, "no two cameras share enough surface to compare their colours")
+        return Measurement(None, None, "no two cameras share enough surface to compare their colours")
     value, error, gains = evidence.gains
     worst = int(np.abs(gains - 1).max(axis=1).argmax())
     told = " ".join(f"{g:.3f}" for g in gains[worst])
@@ -40,7 +40,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
         "gains": {v.camera.name: [round(float(g), 4) for g in own] for v, own in zip(views, gains)},
         "alone": alone,
     }
-    return Measured(value, (low, value + INTERVAL * error), reason, detail)
+    return Measurement(value, (low, value + INTERVAL * error), reason, detail)
 
 
 def write(path: Path, decision: Decision, evidence: Evidence, recordings: Recordings) -> None:

@@ -6,12 +6,12 @@ from __future__ import annotations
 import numpy as np
 
 from studiorecon.geometry.statistics import largest
-from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
+from studiorecon.survey.effects.surveyed import Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
 from studiorecon.survey.stillness import block_shifts, worst_shift
 
 
-def measure(evidence: Evidence, threshold: float) -> Measured:
+def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The shift of the room between the first picture of each run and the last of all, camera by camera."""
     films = evidence.material.films
     values, errors = [], []
@@ -30,7 +30,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
             f"{films[estimate.which].camera.name}'s room shifts by up to {estimate.value:.2f} px against its first "
             "picture; all later steps assume that cameras do not move"
         )
-    return Measured(estimate.value, estimate.interval, reason)
+    return Measurement(estimate.value, estimate.interval, reason)
 
 
 EFFECT = SurveyedEffect(

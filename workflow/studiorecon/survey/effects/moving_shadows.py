@@ -5,14 +5,14 @@ from __future__ import annotations
 
 from studiorecon.geometry.statistics import NOTHING
 from studiorecon.rig.body_points import in_world
-from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
+from studiorecon.survey.effects.surveyed import Measurement, SurveyedEffect
 from studiorecon.survey.evidence import LIMITS, Evidence
 from studiorecon.survey.scene_change import floor_ring, largest_estimate, shadow_share
 
 _ANKLES = ("left_ankle", "right_ankle")
 
 
-def measure(evidence: Evidence, threshold: float) -> Measured:
+def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The share of the floor near feet that darkens, in the camera that shows most of it."""
     material = evidence.material
     feet = in_world(material.tracks, _ANKLES, material.cameras, LIMITS)[0]
@@ -31,7 +31,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
             "cast new ones"
         )
     )
-    return Measured(value, interval, reason)
+    return Measurement(value, interval, reason)
 
 
 EFFECT = SurveyedEffect(

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
+from studiorecon.survey.effects.surveyed import Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
 
 
-def measure(evidence: Evidence, threshold: float) -> Measured:
+def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The number of people that association found; none where the dataset says that the room is empty."""
     found = evidence.material.people
     count = len(found or ())
@@ -17,7 +17,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
         reason = "no person was seen by enough cameras; the film shows the empty room"
     else:
         reason = f"{', '.join(found)} will be reconstructed, one at a time"
-    return Measured(float(count), (float(count),) * 2, reason)
+    return Measurement(float(count), (float(count),) * 2, reason)
 
 
 EFFECT = SurveyedEffect(

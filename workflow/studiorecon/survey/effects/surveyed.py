@@ -15,7 +15,7 @@ from studiorecon.survey.evidence import Evidence, Recordings
 
 
 @dataclass(frozen=True)
-class Measured:
+class Measurement:
     """The value of a statistic before the decision.
 
     Attributes:
@@ -56,5 +56,5 @@ class SurveyedEffect(Effect):
         artefact: the file for the steps that obey the effect.
     """
 
-    measure: Callable[[Evidence, float], Measured]
+    measure: Callable[[Evidence, float], Measurement]
     artefact: Artefact | None = None

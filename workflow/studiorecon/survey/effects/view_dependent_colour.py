@@ -12,7 +12,7 @@ from studiorecon.scene.decisions import Decision
 from studiorecon.scene.files import write_json
 from studiorecon.splatting.cpu.harmonics import degree_supported
 from studiorecon.survey.coverage import stage
-from studiorecon.survey.effects.surveyed import Artefact, Measured, SurveyedEffect
+from studiorecon.survey.effects.surveyed import Artefact, Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence, Recordings
 from studiorecon.survey.specularity import covisible, varying_share
 
@@ -20,7 +20,7 @@ from studiorecon.survey.specularity import covisible, varying_share
 _PLATE_PICTURES = 16
 
 
-def measure(evidence: Evidence, threshold: float) -> Measured:
+def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The share of surface points whose colour differs between directions of view, after division by the cameras'
     gains.
 
@@ -38,7 +38,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
             f"{estimate.value:.1%} of the surface that cameras share changes colour with direction; the real views "
             f"support harmonics of degree {degree} at most"
         )
-    return Measured(estimate.value, estimate.interval, reason, {"degree": degree})
+    return Measurement(estimate.value, estimate.interval, reason, {"degree": degree})
 
 
 def write(path: Path, decision: Decision, evidence: Evidence, recordings: Recordings) -> None:

@@ -11,11 +11,11 @@ from studiorecon.geometry.camera_path import gaps_around
 from studiorecon.scene.effects import COVERED_DEG
 from studiorecon.scene.names import segment_name
 from studiorecon.survey.coverage import PARALLAX_DEG, from_two_sides, stage_points, visible_points
-from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
+from studiorecon.survey.effects.surveyed import Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
 
 
-def measure(evidence: Evidence, threshold: float) -> Measured:
+def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The share of the stage that is not covered, of the part that either of two neighbours sees; the largest of all
     pairs.
 
@@ -26,7 +26,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
     points = stage_points(cameras, sampling.grid_m, sampling.height_m)
     if not len(points):
         reason = "the cameras are at the point they face, so there is no space between them"
-        return Measured(None, None, reason)
+        return Measurement(None, None, reason)
     depths_m = [view.depth_m for view in evidence.material.views]
     seen = visible_points(points, cameras, depths_m, sampling.depth_tolerance)
     sides = from_two_sides(points, cameras, seen, PARALLAX_DEG)
@@ -48,7 +48,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
     )
     counts = seen.sum(axis=0)
     shares = [float((counts >= least).mean()) for least in range(1, len(cameras) + 1)]
-    return Measured(*max(parts.values()), reason, {"seen_by": shares}, parts)
+    return Measurement(*max(parts.values()), reason, {"seen_by": shares}, parts)
 
 
 EFFECT = SurveyedEffect(

@@ -34,7 +34,7 @@ _UNSEEN_WORTH_M = 0.0005
 
 
 @dataclass(frozen=True)
-class Figures:
+class RigQuality:
     """Quality of a rig. Shares are of the stage's positions or of the room's surface; errors are root mean square
     distances, metres.
 
@@ -102,7 +102,7 @@ def errors_m(told: Float[np.ndarray, "V N 3 3"], sees: Bool[np.ndarray, "... V N
     return np.where(sees.sum(axis=-2) >= 2, np.sqrt(np.trace(np.linalg.inv(safe), axis1=-2, axis2=-1)), np.inf)
 
 
-class Judge:
+class RigEvaluator:
     """Evaluates rigs for one room; values that do not depend on the cameras are computed once."""
 
     def __init__(self, room: Room) -> None:
@@ -126,7 +126,7 @@ class Judge:
         eyes = np.array([camera.centre_m for camera in cameras])
         return found & ~is_blocked(eyes, points_m, stands_m, self.room.low_m[2])
 
-    def figures(self, cameras: Sequence[Camera]) -> Figures:
+    def figures(self, cameras: Sequence[Camera]) -> RigQuality:
         """The quality of the room's cameras."""
         free = self.sees(cameras, self.points_m, None).sum(axis=0)
         hidden = np.array([self.sees(cameras, self.points_m, place) for place in self.bystanders_m])
@@ -144,7 +144,7 @@ class Judge:
         counted = np.where(counts[self.possible] == 2, np.hypot(known, _UNVERIFIED_M), known)
         middle_m, worst_m = (float(np.quantile(known, q, method="nearest")) for q in (0.5, 0.9))
         unseen = self._unseen(cameras)
-        return Figures(
+        return RigQuality(
             {name: float((free[where[name]] >= 2).mean()) for name in shown},
             {name: float((free[where[name]] >= 3).mean()) for name in shown},
             {name: share(2, name) for name in shown},

@@ -34,18 +34,19 @@ def quarter_turns(network: BlazePose, pictures: Sequence[Integer[np.ndarray, "H 
     shown = [sum(_upright(network, picture) for picture in pictures)]
     if shown[0] >= _TRUSTED * len(pictures):
         return 0
-    shown += [sum(_upright(network, turned(picture, turns)) for picture in pictures) for turns in (1, 2, 3)]
+    shown += [sum(_upright(network, rotate_picture(picture, turns)) for picture in pictures) for turns in (1, 2, 3)]
     best = int(np.argmax(shown))
     return best if shown[best] > _CLEARER * shown[0] else 0
 
 
-def turned(picture: Integer[np.ndarray, "H W 3"], turns: int) -> Integer[np.ndarray, "h w 3"]:
+def rotate_picture(picture: Integer[np.ndarray, "H W 3"], turns: int) -> Integer[np.ndarray, "h w 3"]:
     """The picture turned counter-clockwise by so many quarters."""
     return np.ascontiguousarray(np.rot90(picture, turns)) if turns else picture
 
 
 def film_from_turned(wh: tuple[int, int], turns: int) -> Float[np.ndarray, "2 3"]:
-    """(2, 3) map of pixels of a ``turned`` picture to those of the film of ``wh``, centres at +0.5 on both sides."""
+    """(2, 3) map of pixels of a ``rotate_picture`` picture to those of the film of ``wh``, centres at +0.5 on both
+    sides."""
     angle = turns * np.pi / 2
     c, s = round(np.cos(angle)), round(np.sin(angle))
     linear = np.array([[c, -s], [s, c]], dtype=np.float64)

@@ -29,7 +29,7 @@ _RECORDED = {
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedKeypoints:
     """2D keypoints of all people in the pictures of one camera, as in their file; D people over P pictures.
 
     Attributes:
@@ -50,11 +50,11 @@ class Recorded:
     layout: str = ""
     refusal: str = ""
 
-    def only(self, which: Bool[np.ndarray, " D"]) -> Recorded:
+    def only(self, which: Bool[np.ndarray, " D"]) -> RecordedKeypoints:
         """The people selected by ``which``; the pictures stay."""
         return replace(self, frame=self.frame[which], keypoints=self.keypoints[which])
 
-    def renumbered(self, frame_of: Num[np.ndarray, " P"], frames: int) -> Recorded:
+    def renumbered(self, frame_of: Num[np.ndarray, " P"], frames: int) -> RecordedKeypoints:
         """The same with the film's frames, 0 … ``frames`` - 1, as numbers: picture p shows frame ``frame_of[p]``.
 
         People in pictures beyond the film are left out.
@@ -73,16 +73,16 @@ class Recorded:
         )
 
 
-def write_recorded(path: Path, recorded: Recorded) -> None:
-    write_npz(path, {name: getattr(recorded, name) for name in Recorded.__dataclass_fields__})
+def write_recorded(path: Path, recorded: RecordedKeypoints) -> None:
+    write_npz(path, {name: getattr(recorded, name) for name in RecordedKeypoints.__dataclass_fields__})
 
 
-def read_recorded(path: Path) -> Recorded:
+def read_recorded(path: Path) -> RecordedKeypoints:
     """The output of ``detect.keypoints``; raises UserError with the file's name where it is missing or damaged."""
 
-    def made(data: dict[str, Any]) -> Recorded:
+    def made(data: dict[str, Any]) -> RecordedKeypoints:
         expect(np.isin(data["frame"], data["pictures"]).all(), "frame names a picture that is not among pictures")
         words = {name: str(data[name]) for name in ("program", "layout", "refusal")}
-        return Recorded(**{**data, **words, "counted": bool(data["counted"])})
+        return RecordedKeypoints(**{**data, **words, "counted": bool(data["counted"])})
 
     return read(path, _RECORDED, made)

@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.clocks.timeline import common_moments
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
-from studiorecon.keypoints.reading import to_pinhole
+from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.keypoints.resampling import resample_keypoints
 from studiorecon.rig.bundle import AgreementLimits, CalibrationPrior, fit_cameras
 from studiorecon.rig.correspondences import Observations, make_observations

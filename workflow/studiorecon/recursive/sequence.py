@@ -57,7 +57,7 @@ def blend(
     return inject(render, [warped for warped, _ in found], [trust for _, trust in found], injection)
 
 
-def enhanced(
+def enhance_sequence(
     steps: Sequence[PathStep],
     pictures: Iterable[Integer[np.ndarray, "H W 3"]],
     depths_mm: Iterable[Num[np.ndarray, "H W"]],

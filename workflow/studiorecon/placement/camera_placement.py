@@ -12,7 +12,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import look_at
-from studiorecon.placement.figures import Judge
+from studiorecon.placement.rig_quality import RigEvaluator
 from studiorecon.placement.room import Room
 from studiorecon.scene.camera import Camera
 
@@ -69,7 +69,7 @@ def place_cameras(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
     """
     if len(lenses) < 2:
         raise UserError(f"{len(lenses)} camera cannot measure distance; plan for two or more")
-    judge = Judge(room)
+    judge = RigEvaluator(room)
     top = room.size_m[2] - _FROM_CEILING_M
     heights = [height for height in _HEIGHTS_M if height < top] + [top]
     rings = [
@@ -100,18 +100,20 @@ def ring(room: Room, lenses: Sequence[Camera], phase: float, height_m: float, ai
 
 def advice(cameras: Sequence[Camera], room: Room) -> list[Move]:
     """For every camera the best pose near its own, the others staying; those with at least 3 % gain, best first."""
-    judge = Judge(room)
+    judge = RigEvaluator(room)
     before = judge.cost_m(cameras)
     found = []
     for index, camera in enumerate(cameras):
         better, cost = _improved(index, cameras, room, judge, before)
         gain = 1 - cost / before
         if gain >= _MIN_GAIN:
-            found.append(Move(camera.name, in_words(camera, better), better, float(gain)))
+            found.append(Move(camera.name, move_text(camera, better), better, float(gain)))
     return sorted(found, key=lambda move: -move.gain)
 
 
-def _improved(index: int, cameras: Sequence[Camera], room: Room, judge: Judge, cost: float) -> tuple[Camera, float]:
+def _improved(
+    index: int, cameras: Sequence[Camera], room: Room, judge: RigEvaluator, cost: float
+) -> tuple[Camera, float]:
     best, start = cameras[index], cameras[index].centre_m
     others = list(cameras)
     # A camera outside the assumed box of the room may stay there, but not move further out.
@@ -174,7 +176,7 @@ def _rotation(axis: np.ndarray, angle_rad: float) -> np.ndarray:
     return np.eye(3) + np.sin(angle_rad) * cross + (1 - np.cos(angle_rad)) * cross @ cross
 
 
-def in_words(before: Camera, after: Camera) -> str:
+def move_text(before: Camera, after: Camera) -> str:
     """The way from one placement to the other in words, as seen from behind the camera."""
     right, ahead, up = _axes(before)
     way = after.centre_m - before.centre_m

@@ -17,14 +17,14 @@ from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections
 from studiorecon.scene.raw_detections import RawDetections
-from studiorecon.scene.recorded import Recorded
+from studiorecon.scene.recorded_keypoints import RecordedKeypoints
 
 if TYPE_CHECKING:
     from jaxtyping import Num
 
 
 @dataclass(frozen=True)
-class Detected:
+class DetectionLimits:
     """Thresholds of a detection; with fewer than ``min_keypoints`` keypoints left it is dropped."""
 
     min_confidence: float = setting(0.1, "Keypoints below this confidence are dropped.", minimum=0, maximum=1)
@@ -32,7 +32,7 @@ class Detected:
 
 
 @dataclass(frozen=True)
-class Settings(Detected):
+class Settings(DetectionLimits):
     """How recorded keypoints are read, and when two detections are the same person.
 
     Attributes:
@@ -83,7 +83,9 @@ def count_unusable(keypoints: Num[np.ndarray, "D K 3"]) -> int:
     return int((broken | ~np.isfinite(keypoints[..., 2])).sum())
 
 
-def detections_from_recorded(recorded: Recorded, lens: Lens, footage: Footage, settings: Settings) -> Detections:
+def detections_from_recorded(
+    recorded: RecordedKeypoints, lens: Lens, footage: Footage, settings: Settings
+) -> Detections:
     """Detections of one camera with track ids; ``recorded`` in its film's frames, with a layout."""
     frame = recorded.frame - footage.first_source_frame
     inside = (frame >= 0) & (frame < footage.frames)

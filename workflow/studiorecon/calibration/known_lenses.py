@@ -12,10 +12,10 @@ import numpy as np
 
 from studiorecon.calibration.formats.lenses import read_lenses
 from studiorecon.calibration.names import pairings
-from studiorecon.camera_files.raw_camera import checked_camera
+from studiorecon.camera_files.raw_camera import check_camera
 from studiorecon.geometry.crop_hypotheses import crop_hypotheses
 from studiorecon.geometry.lens import apply_pixel_map
-from studiorecon.keypoints.reading import to_pinhole
+from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.people import Detections
@@ -39,7 +39,7 @@ def lenses_of_cameras(
             say(pairing.sentence(source))
     found = {}
     for camera, name in of_camera.items():
-        checked, notes = checked_camera(camera, raw[name], source)
+        checked, notes = check_camera(camera, raw[name], source)
         about = checked.wh, checked.intrinsics, checked.model, checked.distortion
         lens = Lens(camera, *about, np.eye(4), np.eye(2, 3))
         place = crop_hypotheses(apply_pixel_map(lens, maps.get(camera)), sizes[camera])[0]

@@ -36,7 +36,7 @@ _MIN = 8
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedKeypoints:
     """One person's predicted pixels (T, K, 2) from the other cameras, NaN where unknown, in the camera's layout.
 
     A landmark agrees within ``near_share`` of the person's extent.
@@ -71,7 +71,7 @@ def project_expected(
     body: BodyModel,
     frames: int,
     limits: Triangulation,
-) -> Expected:
+) -> ExpectedKeypoints:
     """The joints of ``person`` from all cameras but ``view``, projected into that camera."""
     names, keypoints = observations(person, list(detections), identities, body, frames)
     others = [v for v in range(len(cameras)) if v != view]
@@ -83,7 +83,7 @@ def project_expected(
         if name in names:
             column = names.index(name)
             out[:, k] = np.where((depth[:, column] > 0)[:, None], pixels[:, column], np.nan)
-    return Expected(person, out)
+    return ExpectedKeypoints(person, out)
 
 
 def agreement(
@@ -148,7 +148,7 @@ class Plan:
 
 
 def plan_second_look(
-    found: Detections, people: Sequence[Expected], identities: dict[tuple[str, int], str], frames: int
+    found: Detections, people: Sequence[ExpectedKeypoints], identities: dict[tuple[str, int], str], frames: int
 ) -> Plan:
     """Which detections of a camera stay, change sides, or go, and where to detect again."""
     count = len(found.frame)

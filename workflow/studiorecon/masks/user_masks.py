@@ -33,7 +33,7 @@ _MAX_LABELS = 32
 
 
 @dataclass(frozen=True)
-class Given:
+class UserMasks:
     """Masks that the user provides, frame by frame in working pixels, read again at every pass.
 
     Attributes:
@@ -60,7 +60,7 @@ class Given:
                 at = next(wanted, None)
 
 
-def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> Given:
+def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> UserMasks:
     """The masks of a camera, sampled at the nearest source pixel.
 
     They must have the size of the source frames (or their shape: then they are scaled), and cover the frames in
@@ -82,7 +82,7 @@ def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> Giv
             f"{about.camera} are in use; bring one mask for each"
         )
     values = np.any([occur[k] for k in chosen], axis=0)
-    return Given(path, chosen, columns, rows, int(values.sum()) <= _MAX_LABELS)
+    return UserMasks(path, chosen, columns, rows, int(values.sum()) <= _MAX_LABELS)
 
 
 def label_given_masks(
