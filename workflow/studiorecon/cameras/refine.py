@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cameras.refine``: checks the calibration on people, improves it where that clearly helps, writes the camera
-models."""
+"""``cameras.refine``: checks the calibration on people, refines it if that clearly helps, writes camera models."""
 
 from __future__ import annotations
 
@@ -115,9 +114,7 @@ def decide(
     rooms: Sequence[RoomPicture | None] = (),
 ) -> Refinement:
     """The cameras to use, with the reasons; raises UserError when people show that the calibration is of other cameras.
-
-    ``rooms``: the room in each training camera, where there are pictures of it.
-    """
+    ``rooms``: the room in each training camera, where there are pictures of it."""
     report: dict[str, Any] = {
         "cameras": [c.name for c in training],
         "held_out": [c.name for c in held_out],
@@ -217,8 +214,7 @@ def decide(
 
 
 def _lenses_instead(given: list[Camera], seen: Observations, moved_px: float, settings: Settings) -> bool:
-    """Whether other lenses at nearly the given poses explain people about as well as other poses, because zoom rings
-    move easily."""
+    """Whether other lenses at nearly the given poses explain people about as well as other poses: zoom rings move."""
     order = np.unique(seen.frame, return_inverse=True)[1]
     fit_on, judge_on = seen.of(order % 2 == 0), seen.of(order % 2 == 1)
     trial = fit_cameras(given, fit_on, settings.limits, settings.bundle)
@@ -253,8 +249,7 @@ def _nothing_agrees(
 def _try_refinement(
     training: list[Camera], seen: Observations, report: dict[str, Any], settings: Settings
 ) -> tuple[list[Camera], Observations, dict[str, Any]]:
-    """The refined cameras if they clearly help, and the observations without their radial term, for the reported
-    errors.
+    """The refined cameras if they clearly help, and the observations without their radial term, for the report.
 
     Fitted on every other frame and judged on the rest; then fitted again on all frames.
     """
@@ -347,11 +342,8 @@ def run(
     refinement: Written,
     sheet: Written,
 ) -> None:
-    """Write the COLMAP models ``model`` and ``heldout_model`` (their images.txt), ``refinement`` (JSON) and ``sheet``
-    (PNG).
-
-    ``plates`` are the training cameras'.
-    """
+    """Write ``model`` and ``heldout_model`` (COLMAP's images.txt), ``refinement`` (JSON) and ``sheet`` (PNG);
+    ``plates`` are the training cameras'."""
 
     found = read_manifest(manifest)
     given = read_calibration(calibration)

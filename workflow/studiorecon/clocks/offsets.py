@@ -163,8 +163,7 @@ def estimate_clocks(
     sightings: Sequence[Path],
     lenses: Mapping[str, Lens],
 ) -> tuple[list[ClockVerdict], list[dict[str, Any]], int]:
-    """A verdict with its evidence for every camera, and the index of the reference; ``lenses`` of a given calibration,
-    if any."""
+    """A verdict with its evidence for every camera, and the index of the reference; ``lenses`` may be given."""
     clocks = [clock_as_filmed(c, line) for c, line in zip(cameras, lines)]
     rate = float(np.median([c.fps for c in clocks]))
     count = len(cameras)
@@ -233,10 +232,7 @@ def joint_refinement(
     owns: Sequence[list[Proposal]], reference: int, clocks: Sequence[Clock], seen: Sequence[Detections], lenses: Lenses
 ) -> list[list[Proposal]]:
     """The proposals of every camera; all cameras of ``lenses`` together replace people's and motion's pairs where they
-    are sharper.
-
-    ``clocks`` as filmed.
-    """
+    are sharper. ``clocks`` are as filmed."""
     best = [min(own, key=lambda p: p.half_s, default=None) for own in owns]
     unsure = [c for c, p in enumerate(best) if c != reference and clocks[c].camera in lenses]
     if all((p := best[c]) is not None and p.half_s <= _SHARP_S for c in unsure):
@@ -350,8 +346,7 @@ def run(
 
 
 def _opened(sources: Sequence[Path], picture_fps: float) -> tuple[list[FootageSource | None], list[Timeline]]:
-    """Every camera's footage as far as readable; unreadable footage gets a message and the others' timeline until it is
-    decoded."""
+    """Every camera's footage as far as readable; otherwise a message, and the others' timeline until it is decoded."""
     opened: list[FootageSource | None] = []
     lines: list[Timeline | None] = []
     for path in sources:

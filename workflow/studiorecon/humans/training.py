@@ -42,10 +42,8 @@ _GREY = np.full(3, 0.5)
 
 @dataclass(frozen=True)
 class Losses:
-    """Weights of the terms of a person's loss (``splatting/train/terms``).
-
-    ``surface`` ties the Gaussians to the body, ``pose`` the poses to their neighbours in time.
-    """
+    """Weights of the terms of a person's loss (``splatting/train/terms``); ``surface`` ties the Gaussians to the body,
+    ``pose`` the poses to their neighbours in time."""
 
     l1: float = 0.8
     ssim: float = 0.2
@@ -132,8 +130,7 @@ class Growing:
     )
 
     def watched(self, done: int, iterations: int) -> bool:
-        """Whether densification continues after ``done`` steps; Gaussians added after the last one would stay
-        untrained."""
+        """Whether densification continues after ``done`` steps; later Gaussians would stay untrained."""
         return self.use != "none" and done <= self.until and done < iterations
 
 

@@ -80,8 +80,7 @@ class FloorMarks:
         cameras: Sequence[Camera],
         limits: Limits,
     ) -> tuple[Num[np.ndarray, "V M 2"], Num[np.ndarray, "V M"], Num[np.ndarray, "M 3"]]:
-        """The inputs of bundle adjustment of ``cameras``: ``pixels``, ``weights`` and ``points_m``, with the floor's
-        points appended.
+        """``pixels``, ``weights`` and ``points_m`` for bundle adjustment, with the floor's points appended.
 
         Residuals are in error units. Only points on which the cameras agree are appended; any world will do.
         """
@@ -104,10 +103,8 @@ class FloorMarks:
 
 @dataclass(frozen=True)
 class _Laid:
-    """A picture projected onto the floor: (H, W, 2) directions of edges, and (H, W) where the floor is known.
-
-    Directions are doubled, so that both sides of an edge are one, with their strength up to 1.
-    """
+    """A picture projected onto the floor: (H, W, 2) doubled directions of edges (both sides of an edge are one), with
+    their strength up to 1, and (H, W) where the floor is known."""
 
     edges: Float[np.ndarray, "H W 2"]
     known: Bool[np.ndarray, "H W"]
@@ -120,8 +117,7 @@ def floor_marks(
     height_m: float,
     reach_m: float,
 ) -> FloorMarks | None:
-    """Points on the floor around ``middle_m``, near the height ``height_m``, that cameras with a picture share; None
-    without.
+    """Points on the floor around ``middle_m``, near ``height_m``, that cameras with a picture share; None without.
 
     ``cameras`` are right up to shifts of ``reach_m`` on the floor. Raises ValueError for pictures of another size.
     """
@@ -246,10 +242,7 @@ def _coarse(
 
 
 def _spectra(laid: _Laid) -> np.ndarray:
-    """(4, H', W') Fourier transforms of the edges' two parts, of their squared strength and of the known cells.
-
-    Padded against wrapping round.
-    """
+    """(4, H', W') padded Fourier transforms of the edges' two parts, of their squared strength and of known cells."""
     shape = [fft.next_fast_len(2 * n, real=True) for n in laid.known.shape]
     across, down = np.moveaxis(laid.edges, -1, 0)
     spectra: np.ndarray = fft.rfft2(np.stack([across, down, across**2 + down**2, laid.known.astype(np.float32)]), shape)
@@ -257,10 +250,7 @@ def _spectra(laid: _Laid) -> np.ndarray:
 
 
 def _correlate(first: np.ndarray, second: np.ndarray, shape: Sequence[int], reach: int) -> np.ndarray:
-    """(2 reach + 1, 2 reach + 1) correlation of two floors of ``shape`` by the second one's shift, at most 1.
-
-    -1 where they overlap too little.
-    """
+    """(2 reach + 1, 2 reach + 1) correlation of floors of ``shape`` by the second's shift; -1 with little overlap."""
     padded, at = [fft.next_fast_len(2 * n, real=True) for n in shape], np.arange(-reach, reach + 1)
     (across, down, strength, known), (other_across, other_down, other_strength, other_known) = np.conj(first), second
     products = across * other_across + down * other_down, strength * other_known, known * other_strength
