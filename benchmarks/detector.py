@@ -26,6 +26,7 @@ import yaml
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.detect import people as detect
+from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.source import open_source
 from studiorecon.people import second_look
 from studiorecon.report.metrics.identities import score_identities
@@ -75,19 +76,21 @@ def cost(detector: str, folder: Path) -> dict[str, Any]:
     second_look.run(
         loaded(second_look.Settings),
         camera,
-        video,
-        scene / "clocks/clocks.json",
-        30.0,
-        networks(detector),
-        [],
-        "auto",
+        second_look.CameraFiles(
+            video,
+            30.0,
+            scene / "capture/manifest.json",
+            scene / "calibration/calibration.json",
+            scene / "clocks/clocks.json",
+        ),
+        second_look.FirstFiles(
+            found,
+            [scene / f"tracks/{c.name}.npz" for c in read_model(scene / "cameras")],
+            scene / "people/first/identities.tsv",
+        ),
+        DetectorFiles(networks(detector), [], "auto"),
         scene / "cameras/images.txt",
-        scene / "capture/manifest.json",
-        scene / "calibration/calibration.json",
         ROOT / "resources/body.npz",
-        [scene / f"tracks/{c.name}.npz" for c in read_model(scene / "cameras")],
-        scene / "people/first/identities.tsv",
-        found,
         *(folder / f"cost.{name}" for name in ("detections.npz", "seen.npz", "report.json")),
     )
     spent_s = time.process_time() - began

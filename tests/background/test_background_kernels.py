@@ -14,6 +14,7 @@ from studiorecon.humans import train
 from studiorecon.humans.train_settings import Settings
 
 from tests.made.humans import Made, body, made  # noqa: F401
+from tests.made.steps import call
 
 
 def compiled() -> set[tuple[str, str]]:
@@ -36,6 +37,6 @@ def test_a_person_is_trained_with_the_kernels_that_were_compiled_ahead(
     section["temporal"] = {**section["temporal"], "use": "always", "start": 1}
     settings = load(Settings, section, "humans")
     files = {"gaussians": tmp_path / "p3.ply", "avatar": tmp_path / "p3.npz", "working": tmp_path / "working"}
-    train.run(settings, **made.options, **files)
+    call(train.run, settings, **made.options, **files)
     assert before
     assert compiled() - before == set()

@@ -18,6 +18,7 @@ from studiorecon.cameras.held_out import Bodies, describe
 from studiorecon.capture import frames, manifest
 from studiorecon.clocks.timeline import clock_as_filmed, common_moments, read_timeline
 from studiorecon.configuration import settings as settings_module
+from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.source import open_source
 from studiorecon.geometry.bundle import BundleSettings, move_camera
 from studiorecon.geometry.rotations import exp
@@ -144,7 +145,7 @@ def test_a_real_held_out_camera_is_put_right_by_a_real_man(
         out = tmp_path / "heldout/images.txt", tmp_path / "poses.json"
         seen, films = [tmp_path / f"{n}.npz" for n in names[:3]], [tmp_path / f"{names[3]}.mkv"]
         scene = manifests, tmp_path / "clocks.json", tmp_path / "training/images.txt", tmp_path / "given/images.txt"
-        held_out.run(settings, *scene, seen, films, networks, [], "", *out)
+        held_out.run(settings, *scene, seen, films, DetectorFiles(networks, [], ""), *out)
         (about,) = read_json(out[1])["cameras"]
         assert about["checked"]
         left[degrees] = pose_changes(read_model(tmp_path / "heldout"), cameras[3:])[0][0], about["after_px"]

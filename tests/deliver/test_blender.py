@@ -51,7 +51,7 @@ print("TOLD" + json.dumps(told))
 def test_blender_opens_the_scene_as_it_is(tmp_path: Path, root: Path) -> None:
     write_scene(tmp_path, root, people=2, filmed=False)
     chosen = options(tmp_path, 2)
-    export.run(**chosen)
+    call(export.run, **chosen)
     folder = chosen["contents"].parent
     names = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
     render = render_options(tmp_path, "orbit", 2)

@@ -24,11 +24,12 @@ from studiorecon.scene.people import Detections, write_detections, write_identit
 
 from tests.made.delivered import options
 from tests.made.scene import FPS, FRAMES, avatar, ring, room, write_scene
+from tests.made.steps import call
 
 
 def test_everything_delivered_can_be_read_and_matches_its_digest(tmp_path: Path, root: Path) -> None:
     cameras = write_scene(tmp_path, root, people=2, filmed=False)
-    export.run(**options(tmp_path, 2))
+    call(export.run, **options(tmp_path, 2))
     folder = tmp_path / "deliver"
     files = read_json(folder / "manifest.json")["files"]
     on_disk = {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()} - {"manifest.json"}
@@ -55,7 +56,7 @@ def test_the_pictures_that_the_cameras_files_name_are_there(tmp_path: Path, root
     }
     for name, frames in films.items():
         write_lossless(tmp_path / f"capture/{name}.mkv", frames, FPS)
-    export.run(**{**options(tmp_path, 0), "settings": export.Settings(pictures=chosen)})
+    call(export.run, **{**options(tmp_path, 0), "settings": export.Settings(pictures=chosen)})
     folder = tmp_path / "deliver/cameras"
     named = json.loads((folder / "nerfstudio/transforms.json").read_text())["frames"]
     lines = (folder / "colmap/images.txt").read_text().splitlines()[1::2]
@@ -128,11 +129,11 @@ def test_exported_keypoints_come_back_the_same(tmp_path: Path, form: str, place:
 def test_what_an_earlier_export_left_is_removed(tmp_path: Path, root: Path) -> None:
     write_scene(tmp_path, root, people=1, filmed=False)
     chosen = options(tmp_path, 1)
-    export.run(**chosen)
+    call(export.run, **chosen)
     others = ("player.html", "player.jpg", "room.glb", "scene.glb", "scene.usdc", ".partial-7-player.html")
     for name in (*others, "old.txt"):
         (tmp_path / "deliver" / name).touch()
-    export.run(**{**chosen, "gaussians": [], "avatars": [], "fits": [], "body": None})
+    call(export.run, **{**chosen, "gaussians": [], "avatars": [], "fits": [], "body": None})
     folder = tmp_path / "deliver"
     assert not list(folder.rglob("p0.*"))
     assert not (folder / "old.txt").exists()
@@ -149,7 +150,7 @@ def test_keypoints_of_the_capture_are_delivered_with_identities(tmp_path: Path, 
     points = np.concatenate([np.full((1, 17, 2), 20.0), np.full((1, 17, 1), 0.9)], axis=-1)
     write_detections(tmp_path / "cam0.npz", Detections("cam0", "coco17", np.array([1]), np.array([4]), points))
     write_identities(tmp_path / "identities.tsv", {("cam0", 4): "p0"})
-    export.run(**{**chosen, "detections": [tmp_path / "cam0.npz"], "identities": [tmp_path / "identities.tsv"]})
+    call(export.run, **{**chosen, "detections": [tmp_path / "cam0.npz"], "identities": [tmp_path / "identities.tsv"]})
     written = [read_json(f)["annots"] for f in sorted((tmp_path / "deliver/keypoints/easymocap/annots/cam0").iterdir())]
     assert [(t, one["personID"]) for t, annots in enumerate(written) for one in annots] == [(1, 0)]
     assert "coco17" in (tmp_path / "deliver/README.txt").read_text()
@@ -160,7 +161,7 @@ def test_a_missing_film_is_named(tmp_path: Path, root: Path) -> None:
     chosen = options(tmp_path, 0)
     chosen["films"][0].unlink()
     with pytest.raises(UserError, match=r"orbit\.mp4"):
-        export.run(**chosen)
+        call(export.run, **chosen)
 
 
 def test_who_comes_later_is_not_in_the_still_picture_and_alone_as_they_came(root: Path) -> None:

@@ -71,7 +71,7 @@ def test_residual_transfer_repairs_what_every_training_camera_sees_wrong(
     scene: Path, settings: enhance_shot.Settings
 ) -> None:
     options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
-    enhance_shot.run(replace(settings, strength=1.0), **options)
+    call(enhance_shot.run, replace(settings, strength=1.0), **options)
     raw, enhanced = score(scene, scene / "render/heldout.mkv"), score(scene, options["video"])
     assert enhanced > raw + 1.0
     assert read_path(scene / "render/heldout.json")[0][0].segment == "view0"
@@ -83,7 +83,7 @@ def test_the_same_inputs_give_the_same_bytes(scene: Path, settings: enhance_shot
     options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
     contents = []
     for _ in range(2):
-        enhance_shot.run(settings, **options)
+        call(enhance_shot.run, settings, **options)
         contents.append((options["video"].read_bytes(), options["film"].read_bytes()))
     assert contents[0] == contents[1]
 
@@ -91,7 +91,7 @@ def test_the_same_inputs_give_the_same_bytes(scene: Path, settings: enhance_shot
 def test_without_enhancer_and_history_the_render_comes_out(scene: Path, settings: enhance_shot.Settings) -> None:
     plain = replace(settings, enhancer="none", injection=replace(settings.injection, history=0))
     options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
-    enhance_shot.run(plain, **options)
+    call(enhance_shot.run, plain, **options)
     np.testing.assert_array_equal(read_stack(options["video"]), read_stack(options["render"]))
 
 
@@ -101,7 +101,7 @@ def test_a_film_that_was_made_elsewhere_stands_as_it_is(
     options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
     theirs = 255 - read_stack(options["render"])
     write_lossless(tmp_path / "heldout.mkv", theirs, 24.0)
-    enhance_shot.run(replace(settings, enhancer="precomputed"), **options, made=[tmp_path / "heldout.mkv"])
+    call(enhance_shot.run, replace(settings, enhancer="precomputed"), **options, made=[tmp_path / "heldout.mkv"])
     np.testing.assert_array_equal(read_stack(options["video"]), theirs)
     assert options["film"].read_bytes()[4:8] == b"ftyp"
 
@@ -122,7 +122,7 @@ def test_a_film_of_another_length_or_size_is_refused(
     options |= {"video": tmp_path / "out.mkv", "film": tmp_path / "out.mp4"}
     write_lossless(tmp_path / "heldout.mkv", np.ascontiguousarray(change(read_stack(options["render"]))), 24.0)
     with pytest.raises(UserError, match=words):
-        enhance_shot.run(replace(settings, enhancer="precomputed"), **options, made=[tmp_path / "heldout.mkv"])
+        call(enhance_shot.run, replace(settings, enhancer="precomputed"), **options, made=[tmp_path / "heldout.mkv"])
     assert not (tmp_path / "out.mkv").exists()
 
 
@@ -130,7 +130,7 @@ def test_training_renders_of_other_cameras_are_refused(scene: Path, settings: en
     options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
     film, _, depth = options["train"]
     with pytest.raises(UserError, match="render the shot train again"):
-        enhance_shot.run(settings, **{**options, "train": [film, scene / "render/heldout.json", depth]})
+        call(enhance_shot.run, settings, **{**options, "train": [film, scene / "render/heldout.json", depth]})
 
 
 def test_a_film_that_stays_as_it_is_drawn_needs_no_photos(
@@ -140,7 +140,7 @@ def test_a_film_that_stays_as_it_is_drawn_needs_no_photos(
     options |= {"train": [], "video": tmp_path / "out.mkv", "film": tmp_path / "out.mp4"}
     options["decisions"] = tmp_path / "decisions.json"
     plain = replace(settings, enhancer="none", injection=replace(settings.injection, history=0))
-    enhance_shot.run(plain, **options)
+    call(enhance_shot.run, plain, **options)
     assert (read_stack(options["video"]) == read_stack(options["render"])).all()
     assert {d.verdict for d in read_decisions(options["decisions"]).values()} == {"off"}
 
@@ -488,9 +488,9 @@ def test_a_stand_in_is_not_corrected_by_photos_of_the_person_replaced(
         tmp_path / "truth.mkv", np.where(person, 0, 255)[None].repeat(len(measured), 0).astype(np.uint8), 15.0
     )
     still = replace(settings, strength=1.0, injection=replace(settings.injection, history=0))
-    enhance_shot.run(still, **options)
+    call(enhance_shot.run, still, **options)
     plain = read_stack(tmp_path / "a.mkv").astype(int)
-    enhance_shot.run(still, **options, truth=[tmp_path / "truth.mkv"])
+    call(enhance_shot.run, still, **options, truth=[tmp_path / "truth.mkv"])
     kept = read_stack(tmp_path / "a.mkv").astype(int)
     assert np.abs(plain - renders)[:, person].max() > 3, "photos would have changed the person"
     assert np.abs(kept - renders)[:, person].max() <= 1
@@ -514,11 +514,11 @@ def test_an_edited_picture_is_the_reference_of_the_whole_film(
         "film": tmp_path / "a.mp4",
     }
     looking = replace(settings, enhancer="none", force={"injection": "on"})
-    enhance_shot.run(looking, **options, edited=[tmp_path / "edited.png"])
+    call(enhance_shot.run, looking, **options, edited=[tmp_path / "edited.png"])
     assert seen
     assert all(np.allclose(one, np.array([200, 20, 10]) / 255, atol=1e-3) for one in seen)
     with pytest.raises(UserError, match=r"nowhere\.png is missing"):
-        enhance_shot.run(looking, **options, edited=[tmp_path / "nowhere.png"])
+        call(enhance_shot.run, looking, **options, edited=[tmp_path / "nowhere.png"])
 
 
 def test_residuals_carry_no_steps_of_exposure_into_the_film(
@@ -537,7 +537,7 @@ def test_residuals_carry_no_steps_of_exposure_into_the_film(
         ("divided", {"videos": videos, "exposure": [tmp_path / "gains.json"]}),
         ("left", {"videos": videos}),
     ):
-        enhance_shot.run(still, **(options | changes))
+        call(enhance_shot.run, still, **(options | changes))
         films[name] = read_stack(tmp_path / "a.mkv").astype(float)
     assert np.abs(films["divided"] - films["plain"]).mean() < 1
     assert np.abs(films["left"] - films["plain"]).mean() > 4

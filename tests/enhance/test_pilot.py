@@ -149,7 +149,7 @@ def test_a_film_is_enhanced_where_photos_show_more(
 ) -> None:
     section = default_settings("survey") | default_settings("enhance")
     settings, options = settings_module.load(enhance_shot.Settings, section, "enhance"), shot_of(scene, which)
-    enhance_shot.run(settings, **options)
+    call(enhance_shot.run, settings, **options)
     made = read_decisions(options["decisions"])
     assert made["enhancement"].verdict == verdict, made["enhancement"].reason
     assert made["injection"].verdict == "off", made["injection"].reason
@@ -158,7 +158,7 @@ def test_a_film_is_enhanced_where_photos_show_more(
     # Overruled beforehand; where photos show nothing more, only a strength of the user's own adds anything.
     other = "off" if verdict == "on" else "on"
     overruled = replace(settings, force={"enhancement": other, "injection": "on"}, strength=0.5)
-    enhance_shot.run(overruled, **options)
+    call(enhance_shot.run, overruled, **options)
     made = read_decisions(options["decisions"])
     assert [(made[e].verdict, made[e].forced) for e in ("enhancement", "injection")] == [(other, True), ("on", True)]
 
@@ -170,7 +170,7 @@ def test_what_is_forced_on_and_adds_nothing_is_off_and_says_so(
     section = default_settings("survey") | default_settings("enhance")
     settings, options = settings_module.load(enhance_shot.Settings, section, "enhance"), shot_of(scene, "dark")
     for changes in ({"enhancer": "none"}, {"strength": 0.0}):
-        enhance_shot.run(replace(settings, force={"enhancement": "on"}, **changes), **options)
+        call(enhance_shot.run, replace(settings, force={"enhancement": "on"}, **changes), **options)
         made = read_decisions(options["decisions"])["enhancement"]
         assert (made.verdict, made.forced) == ("off", True)
         assert "nothing to add" in made.reason

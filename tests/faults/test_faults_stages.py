@@ -34,6 +34,7 @@ from tests.made.humans import WH as VIEW_WH
 from tests.made.humans import Made, body, made, score
 from tests.made.masks import Scene, scene, segmented
 from tests.made.scene import ring as view_ring
+from tests.made.steps import call
 
 __all__ = ["body", "made", "scene"]
 
@@ -220,7 +221,7 @@ def test_a_person_is_trained_on_the_rest(
     for name, given in (("clean", made.options), ("broken", {**options, "fit": tmp_path / "p3.npz"})):
         (tmp_path / name).mkdir()
         out = {"gaussians": tmp_path / name / "p3.ply", "avatar": tmp_path / name / "p3.npz"}
-        train.run(settings, **given, **out, working=tmp_path / name)
+        call(train.run, settings, **given, **out, working=tmp_path / name)
         scores.append(score(made, body, tmp_path / name, between))
     assert ("1 frames hold numbers that are not finite" in capsys.readouterr().out) == (not np.isfinite(fault))
     written = read_avatar(tmp_path / "broken/p3.ply", tmp_path / "broken/p3.npz", body)

@@ -55,6 +55,7 @@ from studiorecon.scene.user_files import read_npz
 from tests.made.gaussians import rasterise
 from tests.made.humans import FRAMES, WH, Made, body, made, motion_of, score  # noqa: F401
 from tests.made.scene import GAINS, refilmed, ring
+from tests.made.steps import call
 
 
 @pytest.fixture
@@ -71,7 +72,8 @@ def test_a_person_is_recognisable_from_where_no_camera_stood(
     made: Made, body: BodyModel, settings: Callable, tmp_path: Path
 ) -> None:
     between = ring([45, 200], "view", wh=WH)
-    train.run(
+    call(
+        train.run,
         settings(iterations=300),
         **made.options,
         gaussians=tmp_path / "p3.ply",
@@ -80,7 +82,8 @@ def test_a_person_is_recognisable_from_where_no_camera_stood(
     )
     trained = score(made, body, tmp_path, between)
     (tmp_path / "start").mkdir()
-    train.run(
+    call(
+        train.run,
         settings(iterations=1),
         **made.options,
         gaussians=tmp_path / "start/p3.ply",
@@ -100,7 +103,8 @@ def test_a_person_is_recognisable_from_where_no_camera_stood(
 
 def test_the_background_leaves_no_halo(made: Made, body: BodyModel, settings: Callable, tmp_path: Path) -> None:
     """The wall is yellow-green; nothing of the person is, and the picture outside the silhouette stays empty."""
-    train.run(
+    call(
+        train.run,
         settings(),
         **made.options,
         gaussians=tmp_path / "p3.ply",
@@ -125,7 +129,8 @@ def test_refinement_on_pictures_brings_wrong_poses_nearer(
     person = Person(**{**made.person.__dict__, "poses": wrong})
     write_person(tmp_path / "wrong/p3.npz", person)
     options = made.options | {"fit": tmp_path / "wrong/p3.npz"}
-    train.run(
+    call(
+        train.run,
         settings(pose_rad=2e-3, iterations=500, pose_from=100),
         **options,
         gaussians=tmp_path / "p3.ply",
@@ -148,13 +153,13 @@ def test_refinement_on_pictures_brings_wrong_poses_nearer(
 def test_refusals_name_the_person_and_the_remedy(made: Made, settings: Callable, tmp_path: Path) -> None:
     out = {"gaussians": tmp_path / "x.ply", "avatar": tmp_path / "x.npz", "working": tmp_path / "working"}
     with pytest.raises(UserError, match="p7 is not among the people"):
-        train.run(settings(), **(made.options | {"person": "p7"}), **out)
+        call(train.run, settings(), **(made.options | {"person": "p7"}), **out)
     with pytest.raises(UserError, match="no training camera shows 60 pixels of p0"):
-        train.run(settings(), **(made.options | {"person": "p0"}), **out)
+        call(train.run, settings(), **(made.options | {"person": "p0"}), **out)
     with pytest.raises(UserError, match="degree 2 only"):
-        train.run(settings(sh_degree=3), **made.options, **out)
+        call(train.run, settings(sh_degree=3), **made.options, **out)
     with pytest.raises(UserError, match="3 masks for 4 training cameras"):
-        train.run(settings(), **(made.options | {"masks": made.options["masks"][:3]}), **out)
+        call(train.run, settings(), **(made.options | {"masks": made.options["masks"][:3]}), **out)
 
 
 def test_verdicts() -> None:
@@ -359,7 +364,8 @@ def test_people_are_trained_in_one_exposure_and_light(
     divided = {"videos": videos, "exposure": [tmp_path / "factors.json"]}
     for name, changes in (("plain", {}), ("divided", divided), ("left", {"videos": videos})):
         (tmp_path / name).mkdir()
-        train.run(
+        call(
+            train.run,
             settings(),
             **(made.options | changes),
             gaussians=tmp_path / name / "p3.ply",
@@ -384,7 +390,8 @@ def test_the_threshold_of_the_settings_decides_on_the_network(
         folder = tmp_path / name
         folder.mkdir()
         temporal = {"use": "auto", "start": 2, "width": 8, "points": 64}
-        train.run(
+        call(
+            train.run,
             replace(settings(iterations=4, gaussians=400, temporal=temporal), thresholds=thresholds),
             **made.options,
             gaussians=folder / "p3.ply",

@@ -19,6 +19,7 @@ from studiorecon.splatting.train.optimiser import Adam
 
 from tests.made.humans import WH, Made, body, made, score
 from tests.made.scene import ring
+from tests.made.steps import call
 
 __all__ = ["body", "made"]
 
@@ -36,7 +37,7 @@ def trained(made: Made, body: BodyModel, default_settings: Callable, tmp_path: P
         folder = tmp_path / name
         folder.mkdir()
         written = {"gaussians": folder / "p3.ply", "avatar": folder / "p3.npz", "working": folder / "working"}
-        train.run(settings, **made.options, **written)
+        call(train.run, settings, **made.options, **written)
         return read_avatar(folder / "p3.ply", folder / "p3.npz", body)
 
     return run

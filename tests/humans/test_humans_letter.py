@@ -20,6 +20,7 @@ from studiorecon.humans.refined_motion import HELD, RefinedMotion
 from studiorecon.scene.provenance import INFERRED
 
 from tests.made.humans import Made, body, made  # noqa: F401
+from tests.made.steps import call
 
 LETTER = {"behind": "black", "unseen": "trained", "pose_joints": "all", "edge_px": 0, "scales_held": False}
 
@@ -32,7 +33,7 @@ def trained(made: Made, body: BodyModel, default_settings: Callable, tmp_path: P
         settings, folder = settings_module.load(train.Settings, section, "humans"), tmp_path / "out"
         folder.mkdir(exist_ok=True)
         files = folder / "p3.ply", folder / "p3.npz"
-        train.run(settings, **made.options, gaussians=files[0], avatar=files[1], working=folder / "working")
+        call(train.run, settings, **made.options, gaussians=files[0], avatar=files[1], working=folder / "working")
         return settings, read_avatar(*files, body)
 
     return run

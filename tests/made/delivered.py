@@ -38,8 +38,8 @@ def options(folder: Path, people: int) -> dict:
     write_watchable(folder / "enhance/orbit.mp4", [np.zeros((32, 32, 3), np.uint8)] * 2, FPS)
     render = render_options(folder, "orbit", people)
     return {
-        **{name: render[name] for name in ("manifest", "model", "background", "gaussians", "avatars", "body")},
-        "scene": "made",
+        **{name: render[name] for name in ("manifest", "model", "background", "provenance")},
+        **{name: render[name] for name in ("gaussians", "avatars", "body")},
         "fits": fits,
         "settings": Settings(),
         "videos": sorted((folder / "capture").glob("cam*.mkv")),

@@ -12,6 +12,7 @@ import pytest
 from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.configuration.settings import load
 from studiorecon.images.silhouette import front_person
+from studiorecon.masks import labelling
 from studiorecon.masks import segment as step
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Person
@@ -70,7 +71,7 @@ def scene(root: Path) -> Scene:
     ]
     rng = np.random.default_rng(0)
     plate = cv2.resize(rng.integers(70, 200, (10, 12, 3), np.uint8), WH, interpolation=cv2.INTER_CUBIC)
-    truth = np.stack([front_person(step.body_depths(people, body, camera, t)) for t in range(5)])
+    truth = np.stack([front_person(labelling.body_depths(people, body, camera, t)) for t in range(5)])
     frames = np.repeat(plate[None], 5, axis=0).astype(np.float64)
     for k, shirt in enumerate(SHIRTS):
         frames[truth == k + 1] = shirt
@@ -91,10 +92,5 @@ def segmented(scene: Scene, settings: step.Settings, **changes) -> np.ndarray:
         "people": scene.people,
     } | changes
     plate_rgb = given["plate"].astype(np.float32) / 255
-    return np.stack(
-        list(
-            step.segment(
-                given["frames"], plate_rgb, given["measured"], given["people"], scene.body, scene.camera, settings
-            )
-        )
-    )
+    bodies = labelling.Bodies(given["people"], scene.body, scene.camera, len(given["frames"]))
+    return np.stack(list(labelling.segment(given["frames"], plate_rgb, given["measured"], bodies, settings)))

@@ -19,6 +19,7 @@ from studiorecon.scene.files import write_json, write_table, write_text
 from studiorecon.scene.path import PathStep, write_path
 
 from tests.made.scene import FPS, FRAMES, WH, write_scene
+from tests.made.steps import call
 
 
 def nobody_recognised(folder: Path) -> Path:
@@ -83,9 +84,10 @@ def report_scene(folder: Path, root: Path, default_settings: Callable, lpips: Pa
     cv2.imwrite(str(folder / "cameras/refinement.png"), np.full((60, 90, 3), 128, np.uint8))
     write_json(folder / "people/association.json", {"left_out": [LEFT_OUT]})
     section = default_settings("report")
-    common = {"scene": "made", "manifest": folder / "capture/manifest.json", "model": folder / "cameras/images.txt"}
+    common = {"manifest": folder / "capture/manifest.json", "model": folder / "cameras/images.txt"}
     shot = {"render": [folder / "render/heldout.mkv"], "render_path": [folder / "render/heldout.json"]}
-    evaluate.run(
+    call(
+        evaluate.run,
         settings_module.load(evaluate.Settings, section, "report"),
         **common,
         **shot,
@@ -94,10 +96,6 @@ def report_scene(folder: Path, root: Path, default_settings: Callable, lpips: Pa
         videos=[folder / f"capture/{c.name}.mkv" for c in reversed(held_out)],
         enhanced=[folder / "enhance/heldout.mkv"],
         truth_maps=[folder / "render/heldout.truth.mkv"],
-        fits=[],
-        detections=[],
-        identities=[],
-        by_itself=[],
         metrics=folder / "report/metrics.json",
         lpips=lpips,
     )
@@ -105,17 +103,14 @@ def report_scene(folder: Path, root: Path, default_settings: Callable, lpips: Pa
     cv2.imwrite(str(folder / "deliver/player.jpg"), np.full((54, 96, 3), 90, np.uint8))
     write_text(folder / "deliver/player.html", "<!doctype html><title>player</title>")
     write_text(folder / "logs/render/shot/orbit.log", "drawn\nwarning: the path passes through <p0>\n")
-    page.run(
+    call(
+        page.run,
         settings_module.load(page.Settings, section, "report"),
         **common,
         metrics=folder / "report/metrics.json",
         recognition=[nobody_recognised(folder / "report")],
         decisions=[folder / "survey/decisions.json", folder / "report/audit.json"],
-        masks=[],
         films=[folder / "enhance/heldout.mp4"],
-        fits=[],
-        detections=[],
-        identities=[],
         association=[folder / "people/association.json"],
         linked=[],
         benchmarks=folder / "none",

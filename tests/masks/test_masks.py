@@ -17,8 +17,10 @@ from studiorecon.footage.video import read_stack, write_lossless
 from studiorecon.images.plate import write_plate
 from studiorecon.images.regions import dilate, signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import front_person, mesh_depth
+from studiorecon.masks import labelling
 from studiorecon.masks import segment as step
 from studiorecon.masks.log_odds import colour_difference
+from studiorecon.masks.tracks import UNASSIGNED
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, write_footage
 from studiorecon.scene.factors import write_factors
@@ -26,6 +28,7 @@ from studiorecon.scene.files import write_json
 
 from tests.made.masks import SHIRTS, WH, Scene, scene, segmented, settings, standing, watching_camera  # noqa: F401
 from tests.made.scene import refilmed
+from tests.made.steps import call
 
 
 def agreement(labels: np.ndarray, truth: np.ndarray) -> list[float]:
@@ -38,7 +41,7 @@ def test_known_bodies_are_cut_out_and_the_nearer_hides_the_other(scene: Scene, s
     assert (scene.truth[2] == 2).sum() > (scene.truth[2] == 1).sum()  # p1 walks in front
     labels = segmented(scene, settings)
     assert min(agreement(labels, scene.truth)) > 0.93
-    assert not (labels == step.UNASSIGNED).any()
+    assert not (labels == UNASSIGNED).any()
 
 
 def test_the_order_of_the_fits_is_the_order_of_the_labels(scene: Scene, settings: step.Settings) -> None:
@@ -51,7 +54,7 @@ def test_a_fit_that_is_three_centimetres_off_still_gives_the_picture_s_outline(
 ) -> None:
     off = [replace(p, trans=p.trans + np.array([0.03, 0, 0.02])) for p in scene.people]
     labels = segmented(scene, settings, people=off)
-    shifted = np.stack([front_person(step.body_depths(off, scene.body, scene.camera, t)) for t in range(5)])
+    shifted = np.stack([front_person(labelling.body_depths(off, scene.body, scene.camera, t)) for t in range(5)])
     assert min(agreement(labels, scene.truth)) > 0.86
     assert np.mean(agreement(labels, scene.truth)) > np.mean(agreement(shifted, scene.truth)) + 0.03
 
@@ -82,8 +85,8 @@ def test_what_no_body_explains_is_unassigned(scene: Scene, settings: step.Settin
     frames = scene.frames.copy()
     frames[2:, 20:35, 170:190] = (250, 240, 20)
     labels = segmented(scene, settings, frames=frames)
-    assert (labels[2:, 22:33, 172:188] == step.UNASSIGNED).all()
-    assert not (labels[:2] == step.UNASSIGNED).any()
+    assert (labels[2:, 22:33, 172:188] == UNASSIGNED).all()
+    assert not (labels[:2] == UNASSIGNED).any()
 
 
 def test_an_empty_list_of_people_is_background(scene: Scene, settings: step.Settings) -> None:
@@ -122,10 +125,10 @@ class TestStep:
     def test_files_in_files_out_and_the_same_bytes_again(
         self, scene: Scene, settings: step.Settings, files: dict, tmp_path: Path
     ) -> None:
-        step.run(settings, **files)
+        call(step.run, settings, **files)
         assert min(agreement(read_stack(tmp_path / "masks.mkv"), scene.truth)) > 0.93
         first = (tmp_path / "masks.mkv").read_bytes()
-        step.run(settings, **files)
+        call(step.run, settings, **files)
         assert (tmp_path / "masks.mkv").read_bytes() == first
 
     def test_lamps_that_brighten_are_nobody(
@@ -136,9 +139,9 @@ class TestStep:
         (bright,) = refilmed([files["video"]], tmp_path / "filmed", [course])
         found = {}
         for light in ([tmp_path / "course.json"], []):
-            step.run(settings, **(files | {"video": bright, "brightness": light}))
+            call(step.run, settings, **(files | {"video": bright, "brightness": light}))
             labels = read_stack(tmp_path / "masks.mkv")
-            found[bool(light)] = min(agreement(labels, scene.truth)), float((labels == step.UNASSIGNED).mean())
+            found[bool(light)] = min(agreement(labels, scene.truth)), float((labels == UNASSIGNED).mean())
         assert found[True][0] > 0.93
         assert found[True][1] < 0.01
         assert found[False][1] > 0.05, "without it the room itself differs from its plate"
@@ -147,7 +150,7 @@ class TestStep:
         self, scene: Scene, settings: step.Settings, files: dict, tmp_path: Path
     ) -> None:
         write_lossless(tmp_path / "given.mkv", iter(np.array([0, 90, 40], np.uint8)[scene.truth]), 30)
-        step.run(settings, **{**files, "given": [tmp_path / "given.mkv"]})
+        call(step.run, settings, **{**files, "given": [tmp_path / "given.mkv"]})
         np.testing.assert_array_equal(read_stack(tmp_path / "masks.mkv"), scene.truth)
 
     def test_binary_masks_are_divided_by_the_bodies(
@@ -159,31 +162,31 @@ class TestStep:
             picture = np.where(truth > 0, 255, 0).astype(np.uint8)
             picture[5:9, 5:9] = 255  # somebody else
             cv2.imwrite(str(folder / f"{t:03d}.png"), picture)
-        step.run(settings, **{**files, "given": [folder]})
+        call(step.run, settings, **{**files, "given": [folder]})
         labels = read_stack(tmp_path / "masks.mkv")
-        assert (labels[:, 5:9, 5:9] == step.UNASSIGNED).all()
-        np.testing.assert_array_equal(np.where(labels == step.UNASSIGNED, 0, labels), scene.truth)
+        assert (labels[:, 5:9, 5:9] == UNASSIGNED).all()
+        np.testing.assert_array_equal(np.where(labels == UNASSIGNED, 0, labels), scene.truth)
 
     def test_masks_that_do_not_fit_are_refused(
         self, scene: Scene, settings: step.Settings, files: dict, tmp_path: Path
     ) -> None:
         write_lossless(tmp_path / "given.mkv", iter(scene.truth[:3]), 30)
         with pytest.raises(UserError, match=r"given\.mkv hold 3 pictures, but 5 frames of camera a"):
-            step.run(settings, **{**files, "given": [tmp_path / "given.mkv"]})
+            call(step.run, settings, **{**files, "given": [tmp_path / "given.mkv"]})
         write_lossless(tmp_path / "given.mkv", iter(scene.truth[:, :100]), 30)
         with pytest.raises(UserError, match=r"given\.mkv are 200×100, another shape than the footage"):
-            step.run(settings, **{**files, "given": [tmp_path / "given.mkv"]})
+            call(step.run, settings, **{**files, "given": [tmp_path / "given.mkv"]})
 
     def test_a_fit_of_other_frames_is_refused(
         self, scene: Scene, settings: step.Settings, files: dict, tmp_path: Path
     ) -> None:
         write_person(tmp_path / "p1.npz", standing("p1", scene.body.identity, np.zeros((3, 2))))
         with pytest.raises(UserError, match=r"p1\.npz holds 3 frames.*run people\.fit again"):
-            step.run(settings, **files)
+            call(step.run, settings, **files)
 
     def test_a_camera_outside_the_model_is_refused(self, settings: step.Settings, files: dict) -> None:
         with pytest.raises(UserError, match="has no camera z"):
-            step.run(settings, **{**files, "camera": "z"})
+            call(step.run, settings, **{**files, "camera": "z"})
 
 
 class TestSilhouette:
@@ -258,7 +261,7 @@ def test_a_shadow_counts_less_than_paint_of_the_same_strength(settings: step.Set
 
 def test_who_is_away_is_expected_nowhere(scene: Scene, settings: step.Settings) -> None:
     left = replace(scene.people[0], present=np.arange(5) < 2, valid=np.arange(5) < 2)
-    depths_m = step.body_depths([left, scene.people[1]], scene.body, scene.camera, 3)
+    depths_m = labelling.body_depths([left, scene.people[1]], scene.body, scene.camera, 3)
     assert not depths_m[0].any()
     assert depths_m[1].any()
     labels = segmented(scene, settings, people=[left, scene.people[1]])
@@ -266,7 +269,7 @@ def test_who_is_away_is_expected_nowhere(scene: Scene, settings: step.Settings) 
     assert (labels[:2] == here[:2]).mean() > 0.999
     assert not (labels[2:] == 1).any()
     # Somebody whom no fit explains is nobody's, and still no room.
-    assert (labels[4][scene.truth[4] == 1] == step.UNASSIGNED).mean() > 0.8
+    assert (labels[4][scene.truth[4] == 1] == UNASSIGNED).mean() > 0.8
     assert (labels[2:] == 2).sum() > 0.9 * (here[2:] == 2).sum()
     outlines = [dilated_silhouettes([left], scene.body, scene.camera, frame, 0.05) for frame in (1, 3)]
     assert outlines[0].any()

@@ -17,7 +17,7 @@ from studiorecon.images import metrics
 from studiorecon.images.blur import gaussian_blur
 from studiorecon.images.plate import temporal_modes
 from studiorecon.images.warp import warp
-from studiorecon.masks.segment import edge_aware_average
+from studiorecon.masks.labelling import edge_aware_average
 from studiorecon.recursive.injection import Injection, confidence, inject
 from studiorecon.scene.camera import Lens
 
@@ -44,7 +44,7 @@ def test_a_warp_keeps_constants_even_where_it_leaves_the_picture(level: float, s
 
 @FEW
 @given(LEVELS, st.integers(0, 1000), st.integers(0, 8), st.sampled_from([(23, 17), (46, 34), (11, 9)]))
-def test_what_resizes_straightens_or_smooths_along_edges_keeps_constants(
+def test_what_resizes_straightens_or_smooths_edge_aware_average_keeps_constants(
     level: float, seed: int, radius: int, wh: tuple[int, int]
 ) -> None:
     rng = np.random.default_rng(seed)

@@ -21,7 +21,7 @@ from studiorecon.report import compare, evaluate, score
 from studiorecon.report.metrics import films
 from studiorecon.report.metrics.bodies import align_by_similarity, compare_bodies, match
 from studiorecon.report.metrics.measures import Flicker, measure_picture, measure_sequence, summary
-from studiorecon.report.metrics.truth import TrueView, regions
+from studiorecon.report.metrics.truth import TrueView, regions, true_joints
 from studiorecon.report.sections import paper
 from studiorecon.report.sections import tables as sections
 from studiorecon.report.sections.cost import cost, read_benchmark
@@ -33,6 +33,7 @@ from studiorecon.scene.people import Person
 
 from tests.made.report import poses_of_nobody, report_scene
 from tests.made.scene import FPS, FRAMES, WH, ring
+from tests.made.steps import call
 from tests.made.vgg import random_weights
 
 MISSING = "not measured"
@@ -346,22 +347,14 @@ def test_a_network_that_saw_the_held_out_cameras_is_declared(
     """Held-out poses come only from the network here, so the protocol lists the pictures that it saw."""
     told = {}
     for calibrator in ("none", "pi3"):
-        evaluate.run(
+        call(
+            evaluate.run,
             settings_module.load(evaluate.Settings, default_settings("report"), "report"),
-            scene="made",
             manifest=reported / "capture/manifest.json",
             model=reported / "cameras/images.txt",
             heldout_model=reported / "cameras/heldout/images.txt",
             poses=poses_of_nobody(tmp_path),
-            videos=[],
-            render=[],
-            render_path=[],
-            enhanced=[],
             truth_maps=[],
-            fits=[],
-            detections=[],
-            identities=[],
-            by_itself=[],
             metrics=tmp_path / "metrics.json",
             calibrator=calibrator,
         )
@@ -376,22 +369,14 @@ def test_without_held_out_cameras_nothing_is_scored_and_the_reason_is_told(
     write_json(tmp_path / "unused.json", {})
     for name in ("cameras", "images"):
         (tmp_path / f"{name}.txt").write_text("# none\n")
-    evaluate.run(
+    call(
+        evaluate.run,
         settings_module.load(evaluate.Settings, default_settings("report"), "report"),
-        scene="made",
         manifest=reported / "capture/manifest.json",
         model=reported / "cameras/images.txt",
         heldout_model=tmp_path / "images.txt",
         poses=poses_of_nobody(tmp_path),
-        videos=[],
-        render=[],
-        render_path=[],
-        enhanced=[],
         truth_maps=[],
-        fits=[],
-        detections=[],
-        identities=[],
-        by_itself=[],
         metrics=tmp_path / "metrics.json",
     )
     values = read_json(tmp_path / "metrics.json")["pictures"]["raw"]["psnr"]
@@ -415,9 +400,9 @@ def test_bodies_are_scored_from_the_files(tmp_path: Path) -> None:
             True,
         )
         write_person(tmp_path / folder / "p0.npz", person)
-    result = evaluate.score_bodies([read_person(tmp_path / "people/p0.npz")], tmp_path / "truth", 0)
+    result = evaluate.score_bodies([read_person(tmp_path / "people/p0.npz")], true_joints(tmp_path / "truth"))
     assert result["mpjpe_world_mm"] == pytest.approx(20)
-    assert evaluate.score_bodies([], None, 0)["reason"]
+    assert evaluate.score_bodies([], None)["reason"]
 
 
 def write_folders(folder: Path, shift: int = 10, frames: int = 30, cameras: str = "ab") -> None:
@@ -570,9 +555,9 @@ def test_without_held_out_cameras_the_training_cameras_are_compared_apart(
     pictures = [read_frame(reported / f"capture/{c.name}.mkv", f) for c in training for f in range(FRAMES)]
     write_lossless(tmp_path / "train.mkv", pictures, FPS)
     write_path(tmp_path / "train.json", [PathStep(c, float(f), c.name) for c in training for f in range(FRAMES)], FPS)
-    evaluate.run(
+    call(
+        evaluate.run,
         settings_module.load(evaluate.Settings, default_settings("report"), "report"),
-        scene="made",
         manifest=reported / "capture/manifest.json",
         model=reported / "cameras/images.txt",
         heldout_model=tmp_path / "images.txt",
@@ -580,12 +565,7 @@ def test_without_held_out_cameras_the_training_cameras_are_compared_apart(
         videos=[reported / f"capture/{c.name}.mkv" for c in training],
         render=[tmp_path / "train.mkv"],
         render_path=[tmp_path / "train.json"],
-        enhanced=[],
         truth_maps=[],
-        fits=[],
-        detections=[],
-        identities=[],
-        by_itself=[],
         metrics=tmp_path / "metrics.json",
     )
     metrics = read_json(tmp_path / "metrics.json")

@@ -22,6 +22,7 @@ from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
 from tests.made.gsplat_stand_in import rasterization
 from tests.made.humans import WH, Made, body, made, score
 from tests.made.scene import avatar, ring, room
+from tests.made.steps import call
 
 __all__ = ["body", "made"]
 
@@ -66,7 +67,7 @@ def test_a_person_learns_the_same(
         folder.mkdir()
         monkeypatch.setattr(training, "rasteriser_on", rasteriser)
         written = {"gaussians": folder / "p3.ply", "avatar": folder / "p3.npz", "working": folder / "working"}
-        train.run(settings, **made.options, **written)
+        call(train.run, settings, **made.options, **written)
     by_cpu, by_gsplat = (
         read_avatar(tmp_path / name / "p3.ply", tmp_path / name / "p3.npz", body) for name in ("cpu", "gsplat")
     )

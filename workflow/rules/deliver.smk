@@ -5,11 +5,8 @@ rule deliver_export:
     input:
         manifest="results/{scene}/capture/manifest.json",
         model=[*MODEL, "results/{scene}/cameras/points3D.txt"],
-        background="results/{scene}/background/scene.ply",
-        gaussians=files.human_gaussians,
-        avatars=files.human_avatars,
+        **TRAINED,
         fits=files.fits,
-        body=files.body,
         detections=files.detections,
         identities=files.identities,
         films=collect("results/{scene}/enhance/{shot}.mp4", shot=files.films, allow_missing=True),

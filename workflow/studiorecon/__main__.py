@@ -206,7 +206,8 @@ def options_of(run: Callable) -> Iterator[tuple[str, Any, Any]]:
 def gathered(run: Callable, options: Mapping[str, Any]) -> dict[str, Any]:
     """The keywords of ``run`` from its options; options that are fields of a dataclass are combined."""
     keywords = dict(options)
-    for name, kind in typing.get_type_hints(run).items():
+    hints: dict[str, Any] = typing.get_type_hints(run)
+    for name, kind in hints.items():
         if name not in ("settings", "return") and dataclasses.is_dataclass(kind):
             own = [field.name for field in dataclasses.fields(kind) if field.name in keywords]
             keywords[name] = kind(**{field: keywords.pop(field) for field in own})

@@ -22,7 +22,7 @@ from studiorecon.cameras import refine
 from studiorecon.detector.blazepose import LAYOUT, BlazePose
 from studiorecon.detector.following import keypoints_with_confidence
 from studiorecon.detector.looking import detect_in_region
-from studiorecon.detector.second_network import second_network
+from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.detector.windows import region_of_body
 from studiorecon.footage.video import read_frame
 from studiorecon.geometry.triangulation import triangulate
@@ -34,7 +34,7 @@ from studiorecon.rig.held_out_pose import HeldOutPose, ObservedJoints, estimate_
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.clocks import read_clocks
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.files import write_json
 from studiorecon.scene.people import Detections, read_detections, usable
 from studiorecon.signature import Written
 
@@ -149,16 +149,14 @@ def run(
     given_model: Path,
     detections: list[Path],
     videos: list[Path],
-    networks: list[Path],
-    second: list[Path],
-    layout: str,
+    detector: DetectorFiles,
     heldout_model: Written,
     poses: Written,
 ) -> None:
     """Write the COLMAP model ``heldout_model`` (its images.txt) and ``poses`` (JSON: the result for every camera).
 
     ``given_model``: images.txt of the held-out cameras as calibrated; ``videos``: theirs; ``detections``: those of the
-    training cameras, ``model``. ``networks``, ``second`` and ``layout`` as in ``detect.people``.
+    training cameras, ``model``.
     """
     cameras, training = read_model(given_model.parent), read_model(model.parent)
     common, frames = read_clocks(clocks), read_manifest(manifest).frames
@@ -167,7 +165,7 @@ def run(
     used: list[Camera] = []
     film = {path.stem: path for path in videos}
     look = settings.refine and bool(film) and any(len(d.frame) for d in seen)
-    network = BlazePose(networks[0], networks[1], second_network(second, layout)) if look else None
+    network = detector.open() if look else None
     chosen = evenly_spread(frames, _LOOKS)
     bodies = triangulate_bodies(chosen, training, seen, settings) if look else None
     for camera in progress(cameras, "held-out cameras"):
@@ -176,7 +174,7 @@ def run(
             continue
         pictures = [read_frame(film[camera.name], int(frame)) for frame in chosen]
         late = common.late_frames(camera.name)
-        sighted, places = redetect(network, read_json(networks[2]), camera, chosen.tolist(), pictures, bodies, late)
+        sighted, places = redetect(network, detector.worth(), camera, chosen.tolist(), pictures, bodies, late)
         answer = estimate_held_out_pose(camera, sighted, settings.limits, settings.bundle, settings.min_gain)
         sentence = describe(camera.name, answer, places)
         (warn if answer.turned_deg or not answer.checked else say)(sentence)

@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model, read_points
@@ -23,12 +23,14 @@ from studiorecon.deliver.body_colours import BodyColours, body_colours
 from studiorecon.deliver.gltf import write_glb
 from studiorecon.errors import UserError
 from studiorecon.progress import say
+from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.files import complete, write_json, write_text
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.people import Person, read_detections, read_identities
 from studiorecon.signature import Written
+from studiorecon.splatting.scene_files import SceneFiles
 
 
 @dataclass(frozen=True)
@@ -173,14 +175,10 @@ def motion(
 
 def run(
     settings: Settings,
-    scene: str,
     manifest: Path,
     model: Path,
-    background: Path,
-    gaussians: list[Path],
-    avatars: list[Path],
+    files: SceneFiles,
     fits: list[Path],
-    body: Path | None,
     films: list[Path],
     videos: list[Path],
     detections: list[Path],
@@ -192,74 +190,69 @@ def run(
     one.
     """
     capture, folder = read_manifest(manifest), contents.parent
-    people: list[Avatar] = []
-    motions: list[Path] = []
-    if avatars or fits:
-        if body is None:
-            raise UserError(f"{len(avatars)} avatars and {len(fits)} fits are given without a body model; add --body")
-        body_model = BodyModel.load(body)
-        people = [read_avatar(ply, npz, body_model) for ply, npz in zip(gaussians, avatars, strict=True)]
-        colours = {one.person: body_colours(one) for one in people}
-        for fit in fits:
-            person = read_person(fit)
-            if colours.get(person.name) is None:
-                say(f"{person.name} has no Gaussians, so bodies/{person.name}.glb is grey")
-            motions += motion(folder / "bodies", person, body_model, colours.get(person.name), settings.bvh_unit)
-    written = gaussian_files(read_ply(background), people, _STILL_FRAME)
+    cameras, people = read_model(model.parent), files.people()
+    written = gaussian_files(read_ply(files.background), people, _STILL_FRAME)
     for name, one in written.items():
         write_ply(folder / name, one)
-    cameras, seen = read_model(model.parent), [read_detections(p) for p in detections]
-    points_m = read_points(model.parent)
     frames = list(range(capture.frames)) if settings.pictures == "all" else [None]
-    other = []
+    points_m, other = read_points(model.parent), list[Path]()
     for form, write in camera_files.WRITERS.items():
         named = {"frames": frames} if form in camera_files.PICTURES else {}
         other += write(folder / "cameras" / form, cameras, points_m, **named)
     if settings.pictures != "none":
         filmed = {video.stem: video for video in videos}
         other += camera_files.write_pictures(folder / "cameras", filmed, frames)
-    by_name, names = {c.name: c for c in cameras}, [p.person for p in people]
+    seen, names = [read_detections(path) for path in detections], [p.person for p in people]
     known = {k: v for path in identities for k, v in read_identities(path).items()}
+    by_name = {c.name: c for c in cameras}
     for form, write in keypoint_files.WRITERS.items():
         for d in seen:
             numbers = keypoint_files.track_numbers(d.camera, known, names)
             other += write(folder / "keypoints" / form, d, by_name[d.camera], capture.frames, numbers)
-    other += motions
+    other += _motions(folder / "bodies", fits, files.body, people, settings)
     copies = {film: folder / "films" / film.name for film in films}
     copies |= {fit: folder / "bodies" / fit.name for fit in fits}
     copies[blender] = folder / blender.name
     copy_files(copies)
-    layouts = sorted({d.layout for d in seen})
-    text = readme(scene, names, [f.stem for f in films], _STILL_FRAME, capture.frames, capture.fps, layouts, settings)
-    write_text(folder / "README.txt", text)
-    delivered = sorted(
-        ["README.txt", *written, *(str(path.relative_to(folder)) for path in [*copies.values(), *other])]
-    )
-    for stale in [
-        p
-        for p in folder.rglob("*")
-        if p.is_file() and str(p.relative_to(folder)) not in delivered and not p.name.endswith(OF_OTHER_STEPS)
-    ]:
-        stale.unlink()
-    listed = [
-        {
-            "name": camera.name,
-            "wh": camera.wh,
-            "focal_px": camera.focal_px,
-            "principal_px": camera.principal_px,
-            "film": f"../capture/{camera.name}.mkv",
-        }
-        for camera in cameras
-    ]
-    told = {
-        "scene": scene,
-        "still_frame": _STILL_FRAME,
-        "fps": capture.fps,
-        "frames": capture.frames,
-        "cameras": listed,
+    layouts, shots = sorted({d.layout for d in seen}), [film.stem for film in films]
+    about = _STILL_FRAME, capture.frames, capture.fps, layouts, settings
+    write_text(folder / "README.txt", readme(capture.scene, names, shots, *about))
+    paths = [*copies.values(), *other]
+    delivered = sorted(["README.txt", *written, *(str(path.relative_to(folder)) for path in paths)])
+    there = {path: str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    for path, name in there.items():
+        if name not in delivered and not name.endswith(OF_OTHER_STEPS):
+            path.unlink()
+    told = {"scene": capture.scene, "still_frame": _STILL_FRAME, "fps": capture.fps, "frames": capture.frames}
+    listed = {"cameras": [_as_listed(camera) for camera in cameras]}
+    write_json(contents, told | listed | {"files": {name: digest(folder / name) for name in delivered}})
+    size_mb = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 1e6
+    say(f"{len(delivered)} files are in {folder}, {size_mb:.1f} MB")
+
+
+def _motions(
+    folder: Path, fits: Sequence[Path], body: Path | None, people: Sequence[Avatar], settings: Settings
+) -> list[Path]:
+    """Everybody's motion in every format."""
+    if not fits:
+        return []
+    if body is None:
+        raise UserError(f"{len(fits)} fits are given without a body model; add --body")
+    model, written = BodyModel.load(body), list[Path]()
+    colours = {one.person: body_colours(one) for one in people}
+    for person in map(read_person, fits):
+        if colours.get(person.name) is None:
+            say(f"{person.name} has no Gaussians, so bodies/{person.name}.glb is grey")
+        written += motion(folder, person, model, colours.get(person.name), settings.bvh_unit)
+    return written
+
+
+def _as_listed(camera: Camera) -> dict[str, Any]:
+    """A camera as blender.py reads it, with its film."""
+    return {
+        "name": camera.name,
+        "wh": camera.wh,
+        "focal_px": camera.focal_px,
+        "principal_px": camera.principal_px,
+        "film": f"../capture/{camera.name}.mkv",
     }
-    write_json(contents, told | {"files": {name: digest(folder / name) for name in delivered}})
-    say(
-        f"{len(delivered)} files are in {folder}, "
-        f"{sum(p.stat().st_size for p in folder.rglob('*') if p.is_file()) / 1e6:.1f} MB"
-    )

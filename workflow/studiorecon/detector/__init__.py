@@ -4,8 +4,8 @@ landmarks, masks and a track.
 
 ``windows`` says where in a picture somebody is looked for, ``crops`` cuts that out, ``blazepose`` runs the two
 networks there, ``second_network`` a network of the user's own behind them (``top_down``: of one person, ``one_stage``:
-of everybody), ``looking`` finds everybody in one picture, ``film_rotation`` says how a film is turned, ``following``
-goes through a camera's frames.
+of everybody), ``network_files`` opens both, ``looking`` finds everybody in one picture, ``film_rotation`` says how a
+film is turned, ``following`` goes through a camera's frames.
 """
 
 import os

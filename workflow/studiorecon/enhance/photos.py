@@ -4,18 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
 from studiorecon.footage.video import Playback
 from studiorecon.images.transfer import ResidualSource, Transfer, source
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.factors import NONE, Factors
-from studiorecon.scene.path import PathStep
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.factors import NONE, Factors, read_factors
+from studiorecon.scene.path import PathStep, read_path
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
@@ -60,6 +62,29 @@ class Training:
         (U09)."""
         cosines = [float(one.forward @ camera.forward) for one in self.cameras]
         return self.photo(int(np.argmax(cosines)), frame)
+
+
+@dataclass(frozen=True)
+class TrainingFiles:
+    """``Training`` as files: ``videos`` are the footage in the order of the model's cameras, ``train`` is their render
+    (film, path and depth), or nothing.
+
+    Photos are divided by the gains and the light in ``exposure``, as the training pictures were: otherwise a residual
+    would carry steps of exposure from camera to camera into the film.
+    """
+
+    model: Path
+    manifest: Path
+    videos: list[Path]
+    train: list[Path]
+    exposure: list[Path] = field(default_factory=list)
+
+    def read(self) -> Training:
+        """Raises UserError as ``open_training`` does."""
+        frames, (renders, path, depths) = read_manifest(self.manifest).frames, self.train
+        cameras, (steps, _) = read_model(self.model.parent), read_path(path)
+        training = open_training(cameras, steps, self.videos, renders, depths, frames)
+        return replace(training, exposure=read_factors(self.exposure, frames))
 
 
 def open_training(

@@ -5,32 +5,29 @@ needs either (``trial``).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from studiorecon.camera_files.colmap import read_model
 from studiorecon.enhance.backends import ResidualTransfer, Unchanged, network
 from studiorecon.enhance.injection_settings import Carrying, Enhancing, Injecting
-from studiorecon.enhance.photos import Training, open_training
+from studiorecon.enhance.photos import Training, TrainingFiles
 from studiorecon.enhance.trial import decide_injection, flicker, transfer_strength
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate
-from studiorecon.footage.streams import Writer, writing
+from studiorecon.footage.streams import writing
 from studiorecon.footage.video import read_frames, to_bytes, write_lossless, write_watchable
 from studiorecon.models.protocols import Enhancer, Flow
 from studiorecon.progress import progress, say, warn
 from studiorecon.recursive.flows import load_flow
 from studiorecon.recursive.injection import Injection
 from studiorecon.recursive.sequence import adapt_injection, enhance_sequence, is_still
-from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import Decision, apply_forced, write_decisions
 from studiorecon.scene.effects import ENHANCEMENT, FILMED, INJECTION, certain_decision, force, thresholds
-from studiorecon.scene.factors import read_factors
 from studiorecon.scene.path import PathStep, read_path
 from studiorecon.signature import Place, Written
 
@@ -55,93 +52,12 @@ class Settings(Enhancing, Carrying, Injecting):
         return self.thresholds.get(effect) or next(one.threshold for one in FILMED if one.name == effect)
 
 
-def run(
-    settings: Settings,
-    shot: str,
-    render: Path,
-    render_path: Path,
-    render_depth: Path,
-    train: list[Path],
-    model: Path,
-    manifest: Path,
-    videos: list[Path],
-    video: Written,
-    film: Written,
-    decisions: Written,
-    truth: list[Path] | None = None,
-    edited: list[Path] | None = None,
-    made: list[Path] | None = None,
-    weights: Place = Path("resources/weights"),
-    device: str = "cpu",
-    exposure: list[Path] | None = None,
-) -> None:
-    """Enhance one shot.
-
-    ``videos`` is the training footage in the order of the model's cameras, ``train`` its render: film, path and depth,
-    or nothing if the film stays as rendered.
-
-    Photos are divided by the gains and the light in ``exposure``, as the training pictures were: otherwise a residual
-    would carry steps of exposure from camera to camera into the film. Decisions and reasons are written to
-    ``decisions``.
-
-    A shot with a replaced person has a ``truth`` film: its invented parts were never photographed, so no photo corrects
-    them. An ``edited`` picture, if given, is a network's reference instead of the photos (paper: one edited reference).
-    A film ``made`` of this shot by another tool stays as it is.
-    """
-    capture = read_manifest(manifest)
-    steps, fps = read_path(render_path)
-    writers = (
-        lambda frames: write_lossless(video, frames, fps),
-        lambda frames: write_watchable(film, frames, fps),
-    )
-    if made:
-        _write(writers, read_external_film(made[0], render, len(steps)), shot, len(steps))
-        say(f"shot {shot}: the pictures come from {made[0]}")
-        write_decisions(decisions, [])
-        return
-    drawn = RenderedFilm(steps, render, render_depth, truth[0] if truth else None)
-    if not train:
-        _write(writers, drawn.pictures(), shot, len(steps))
-        say(f"shot {shot}: the film is the render; enhance.enhancer is none and nothing is injected")
-        left_out = [certain_decision(ENHANCEMENT, False, "enhance.enhancer is none")]
-        left_out.append(certain_decision(INJECTION, False, "enhance.injection.history is 0"))
-        write_decisions(decisions, apply_forced(left_out, settings.force))
-        return
-    photographed, photographed_path, photographed_depth = train
-    training = open_training(
-        read_model(model.parent),
-        read_path(photographed_path)[0],
-        videos,
-        photographed,
-        photographed_depth,
-        capture.frames,
-    )
-    training = replace(training, exposure=read_factors(exposure or [], capture.frames))
-    enhancer, enhancement = choose_enhancer(settings, training, weights, device)
-    say(f"shot {shot}: enhancement is {enhancement.verdict}; {enhancement.reason}")
-
-    instead = to_bytes(read_plate(edited[0])[0]) if edited else None
-
-    def reference(step: PathStep) -> np.ndarray:
-        return training.reference(step.camera, training.nearest_frame(step.frame)) if instead is None else instead
-
-    search = load_flow(settings.flow, settings.flow_preset, weights, device)
-    injection, called = choose_injection(settings, drawn, reference, enhancer, search)
-    say(f"shot {shot}: injection is {called.verdict}; {called.reason}")
-    write_decisions(decisions, [enhancement, called])
-    if isinstance(enhancer, Unchanged) and not injection.history:
-        say(f"shot {shot}: the film is the render")
-        outputs = drawn.pictures()
-    else:
-        outputs = enhance_sequence(steps, drawn.pictures(), drawn.depths_mm(), reference, enhancer, injection, search)
-    _write(writers, outputs, shot, len(steps))
-
-
 @dataclass(frozen=True)
 class RenderedFilm:
     """A rendered film; depth is unknown where ``truth`` says that pixels were never photographed."""
 
     steps: Sequence[PathStep]
+    fps: float
     render: Path
     depth: Path
     truth: Path | None = None
@@ -157,6 +73,91 @@ class RenderedFilm:
             return depths
         levels = read_frames(self.truth, 0, len(self.steps))
         return (np.where(level > 0, depth, 0) for depth, level in zip(depths, levels, strict=True))
+
+
+@dataclass(frozen=True)
+class RenderFiles:
+    """A film with its path and depth. A shot with a replaced person has a ``truth`` film: its invented parts were never
+    photographed, so no photo corrects them."""
+
+    render: Path
+    render_path: Path
+    render_depth: Path
+    truth: list[Path] = field(default_factory=list)
+
+    def read(self) -> RenderedFilm:
+        """The film, whose pictures are read when they are asked for."""
+        steps, fps = read_path(self.render_path)
+        return RenderedFilm(steps, fps, self.render, self.render_depth, self.truth[0] if self.truth else None)
+
+
+def run(
+    settings: Settings,
+    shot: str,
+    drawn: RenderFiles,
+    photos: TrainingFiles,
+    video: Written,
+    film: Written,
+    decisions: Written,
+    edited: list[Path] | None = None,
+    made: list[Path] | None = None,
+    weights: Place = Path("resources/weights"),
+    device: str = "cpu",
+) -> None:
+    """Enhance one shot. Decisions and reasons are written to ``decisions``. Without ``train`` files among the
+    ``photos`` the film stays as rendered.
+
+    An ``edited`` picture, if given, is a network's reference instead of the photos (paper: one edited reference). A
+    film ``made`` of this shot by another tool stays as it is.
+    """
+    source = drawn.read()
+    decided: list[Decision] = []
+    if made:
+        say(f"shot {shot}: the pictures come from {made[0]}")
+        outputs = read_external_film(made[0], source.render, len(source.steps))
+    elif not photos.train:
+        say(f"shot {shot}: the film is the render; enhance.enhancer is none and nothing is injected")
+        left_out = [certain_decision(ENHANCEMENT, False, "enhance.enhancer is none")]
+        left_out.append(certain_decision(INJECTION, False, "enhance.injection.history is 0"))
+        outputs, decided = source.pictures(), apply_forced(left_out, settings.force)
+    else:
+        instead = to_bytes(read_plate(edited[0])[0]) if edited else None
+        outputs, decided = enhanced_film(settings, shot, source, photos.read(), instead, weights, device)
+    write_decisions(decisions, decided)
+    writers = (
+        lambda frames: write_lossless(video, frames, source.fps),
+        lambda frames: write_watchable(film, frames, source.fps),
+    )
+    with writing(writers) as put:
+        for output in progress(outputs, f"pictures of {shot}", total=len(source.steps)):
+            put(output, output)
+
+
+def enhanced_film(
+    settings: Settings,
+    shot: str,
+    drawn: RenderedFilm,
+    training: Training,
+    instead: Integer[np.ndarray, "h w 3"] | None,
+    weights: Path,
+    device: str,
+) -> tuple[Iterator[Integer[np.ndarray, "h w 3"]], list[Decision]]:
+    """(h, w, 3) uint8 pictures of the film with what was decided about it; a network looks at ``instead``, or at the
+    photos."""
+    enhancer, enhancement = choose_enhancer(settings, training, weights, device)
+    say(f"shot {shot}: enhancement is {enhancement.verdict}; {enhancement.reason}")
+
+    def reference(step: PathStep) -> np.ndarray:
+        return training.reference(step.camera, training.nearest_frame(step.frame)) if instead is None else instead
+
+    search = load_flow(settings.flow, settings.flow_preset, weights, device)
+    injection, called = choose_injection(settings, drawn, reference, enhancer, search)
+    say(f"shot {shot}: injection is {called.verdict}; {called.reason}")
+    if isinstance(enhancer, Unchanged) and not injection.history:
+        say(f"shot {shot}: the film is the render")
+        return drawn.pictures(), [enhancement, called]
+    outputs = enhance_sequence(drawn.steps, drawn.pictures(), drawn.depths_mm(), reference, enhancer, injection, search)
+    return outputs, [enhancement, called]
 
 
 def choose_enhancer(settings: Settings, training: Training, weights: Path, device: str) -> tuple[Enhancer, Decision]:
@@ -199,7 +200,7 @@ def choose_injection(
     enhancer: Enhancer,
     search: Flow,
 ) -> tuple[Injection, Decision]:
-    """The injection settings of the film, and the decision: on if enhanced pictures flicker more than renders."""
+    """How earlier outputs enter later ones, and why: where enhanced pictures flicker more than renders do."""
     injection = adapt_injection(settings.injection, drawn.steps)
     if not injection.history:
         decision = certain_decision(INJECTION, False, "enhance.injection.history is 0")
@@ -240,9 +241,3 @@ def read_external_film(film: Path, render: Path, count: int) -> Iterator[Integer
         raise UserError(
             f"{film} has {number + 1} pictures and {render} has {count}; enhance every picture of the shot as it is now"
         )
-
-
-def _write(writers: Sequence[Writer], outputs: Iterable[np.ndarray], shot: str, count: int) -> None:
-    with writing(writers) as put:
-        for output in progress(outputs, f"pictures of {shot}", total=count):
-            put(output, output)

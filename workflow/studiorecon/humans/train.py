@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,52 +69,55 @@ def recolour_unseen(
     return replace(trained, sh=sh)
 
 
+@dataclass(frozen=True)
+class Sources:
+    """What a person is trained on: films and masks of the training cameras, the person's fit and its body model;
+    pictures are divided by the gains and the light of ``exposure``, if any."""
+
+    model: Path
+    manifest: Path
+    people: Path
+    videos: list[Path]
+    masks: list[Path]
+    fit: Path
+    body: Path
+    exposure: list[Path] = field(default_factory=list)
+
+    def files(self) -> list[Path]:
+        """All of them, in an order that does not change."""
+        cameras = [self.model.parent / "cameras.txt", self.model]
+        return [*cameras, self.manifest, self.people, *self.videos, *self.masks, self.fit, self.body, *self.exposure]
+
+
 def run(
     settings: Settings,
     person: str,
-    model: Path,
-    manifest: Path,
-    people: Path,
-    videos: list[Path],
-    masks: list[Path],
-    fit: Path,
-    body: Path,
+    sources: Sources,
     threads: int,
     gaussians: Written,
     avatar: Written,
     working: Place,
     device: str = "cpu",
-    exposure: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
 ) -> None:
-    """Train one person and write the avatar; pictures are divided by the gains and light of ``exposure``, if any.
+    """Train one person and write the avatar.
 
     Files stay if nothing near the person has changed since (``result_cache``). A killed run resumes
     at its checkpoint. ``working`` is a folder of its own: the checkpoint, preview pictures, and the last result;
     ``lpips`` holds the weights of the perceptual term.
     """
     device = resolve(device)
-    cameras, footage, fitted, body_model = read_model(model.parent), read_manifest(manifest), *_fitted(fit, body)
-    one_each(cameras, videos=videos, masks=masks)
-    index = _checked(settings, person, people)
-    even = read_factors(exposure or [], footage.frames)
-    crops = read_crops(settings, cameras, videos, masks, fitted, body_model, index + 1, footage.frames, working, even)
-    if not crops:
-        raise UserError(
-            f"no training camera shows {settings.smallest_px} pixels of {person} in any frame "
-            "with a fitted body; check the masks, or "
-            "remove the person in people/identities.tsv"
-        )
+    fitted, body_model = _fitted(sources.fit, sources.body)
+    crops = _crops(settings, person, sources, fitted, body_model, working)
     about = code.digest("humans.train"), threads, person, device
     # The interval of checkpoints changes no byte of the result.
-    trained_from = cache_key(replace(settings, checkpoint_every_s=0.0), crops, [fit, body], *about)
+    trained_from = cache_key(replace(settings, checkpoint_every_s=0.0), crops, [sources.fit, sources.body], *about)
     if is_up_to_date(trained_from, gaussians, avatar, working):
         say(f"{person}: its {len(crops)} crops, fit and settings have not changed; {STANDS}")
         return
     rng = np.random.default_rng(settings.seed)
     rest = build_rest_pose(settings, person, fitted, body_model, crops, rng)
-    inputs = [model.parent / "cameras.txt", model, manifest, people, *videos, *masks, fit, body, *(exposure or [])]
-    mark = fingerprint(settings, inputs, *about)
+    mark = fingerprint(settings, sources.files(), *about)
     checkpoint = Checkpoint(working / "checkpoint.npz", mark, settings.checkpoint_every_s)
     appearance = _appearance(settings, rest, fitted, crops)
     # Smoothness limits a joint's speed: between frames further apart in time the joint turns further.
@@ -127,6 +130,25 @@ def run(
     write_avatar(gaussians, avatar, _avatar(settings, fitted, body_model, rest, subject, appearance), trained_from)
     store(gaussians, avatar, working)
     checkpoint.remove()
+
+
+def _crops(
+    settings: Settings, person: str, sources: Sources, fitted: Person, body_model: BodyModel, working: Path
+) -> list[Crop]:
+    """Crops around the person, as the training cameras saw them; UserError where there are none."""
+    cameras, frames = read_model(sources.model.parent), read_manifest(sources.manifest).frames
+    one_each(cameras, videos=sources.videos, masks=sources.masks)
+    label = _checked(settings, person, sources.people) + 1
+    even = read_factors(sources.exposure, frames)
+    about = fitted, body_model, label, frames, working, even
+    crops = read_crops(settings, cameras, sources.videos, sources.masks, *about)
+    if not crops:
+        raise UserError(
+            f"no training camera shows {settings.smallest_px} pixels of {person} in any frame "
+            "with a fitted body; check the masks, or "
+            "remove the person in people/identities.tsv"
+        )
+    return crops
 
 
 def _checked(settings: Settings, person: str, people: Path) -> int:

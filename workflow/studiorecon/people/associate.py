@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,60 @@ class Settings(TriangulationSettings):
     evidence: EvidenceLimits = EvidenceLimits()
 
 
+@dataclass(frozen=True)
+class WitnessFiles:
+    """What a camera has beside its film, <camera>.npz or .png of those that have one: the detector's files ``found``
+    with their masks, and clean ``plates``; ``calibration`` says where in the footage people are."""
+
+    calibration: Path | None = None
+    found: list[Path] = field(default_factory=list)
+    plates: list[Path] = field(default_factory=list)
+
+    def of(self, cameras: Sequence[Camera], footage: Manifest) -> list[CameraEvidence | None]:
+        """Of every camera; None where there is nothing."""
+        masks, pictures = ({path.stem: path for path in paths} for paths in (self.found, self.plates))
+        return [
+            CameraEvidence(
+                find_lens(self.calibration, c.name), footage.of(c.name), masks.get(c.name), pictures.get(c.name)
+            )
+            if self.calibration and (c.name in masks or c.name in pictures)
+            else None
+            for c in cameras
+        ]
+
+
+@dataclass(frozen=True)
+class Associated:
+    """Who is who.
+
+    Attributes:
+        verdicts: (camera, track) → whose it is, and why.
+        rows: of people.tsv.
+        missed: people who were left out.
+    """
+
+    verdicts: dict[tuple[str, int], TrackVerdict]
+    rows: list[tuple]
+    missed: list[RejectedPerson]
+
+    @property
+    def table(self) -> dict[tuple[str, int], str]:
+        """(camera, track) → person; empty = rejected."""
+        return {key: verdict.person for key, verdict in self.verdicts.items()}
+
+
+def as_corrected(path: Path, given: Sequence[Detections]) -> Associated:
+    """Who is who by the user's own table, which is taken as it stands."""
+    table = read_corrected(path, given)
+    rows = people_table_rows(table, given)
+    say(f"{len(rows)} people as corrected in {path}")
+    verdicts = {
+        key: TrackVerdict(person, float("nan"), float("nan"), "" if person else "left out by hand")
+        for key, person in table.items()
+    }
+    return Associated(verdicts, rows, [])
+
+
 def run(
     settings: Settings,
     model: Path,
@@ -57,9 +111,7 @@ def run(
     identities: Written,
     association: Written,
     who: Written,
-    calibration: Path | None = None,
-    found: list[Path] | None = None,
-    plates: list[Path] | None = None,
+    witnesses: WitnessFiles = WitnessFiles(),
 ) -> None:
     """Write ``people`` (people.tsv, in order of appearance) and ``identities`` (camera, track → person, empty =
     rejected).
@@ -67,89 +119,67 @@ def run(
     ``association`` (json) holds the reasons per track, for the identity page. The folder ``who`` has a file per person,
     so that a change of one person's tracks does not affect another's: <person>.tsv, that person's lines of
     ``identities``; and readouts.json, every camera's readout. ``corrected`` is the user's own identities.tsv, or
-    nothing: it is used unchanged. The detector's files ``found`` with their masks, and the user's clean ``plates``,
-    each <camera>.npz or .png of the cameras that have one, confirm people who change no picture; ``calibration``
-    locates them in the footage.
+    nothing: it is used unchanged. ``witnesses`` confirm people who change no picture.
     """
     cameras, footage = read_model(model.parent), read_manifest(manifest)
-    given: Sequence[Detections] = [read_detections(p) for p in detections]
-    given, unusable = zip(*(usable(d) for d in given))
-    if sum(unusable):
-        say(f"{sum(unusable)} keypoints are not finite or at exactly (0, 0), and were left out")
+    given, unusable = _read_usable(detections, cameras)
+    if corrected:
+        found = as_corrected(corrected[0], given)
+    else:
+        evidence = witnesses.of(cameras, footage)
+        limits = settings.association, settings.triangulation, settings.evidence
+        about = footage.frames, footage.fps, evidence
+        found = Associated(*identities_from_keypoints(*limits, cameras, given, videos, *about))
+    _warn_of_nobody(found, given, footage)
+    rows_look = _readouts(given, found.table, cameras, footage)
+    newcomer = f"p{max((int(row[0][1:]) for row in found.rows), default=-1) + 1}"
+    write_people(people, found.rows, [one.row() for one in found.missed])
+    write_identities(identities, found.table)
+    why = _as_json(found.verdicts, given, bool(corrected)) | {
+        "unusable_keypoints": unusable,
+        "left_out": [one.as_json(newcomer) for one in found.missed],
+        "readouts": [asdict(one) for one in rows_look],
+    }
+    write_json(association, why)
+    # Also without people.
+    who.mkdir(parents=True, exist_ok=True)
+    for name, *_ in found.rows:
+        write_identities(who / f"{name}.tsv", {key: person for key, person in found.table.items() if person == name})
+    write_readouts(who / "readouts.json", rows_look)
+    report_rejected(found.missed, newcomer)
+
+
+def _read_usable(paths: Sequence[Path], cameras: Sequence[Camera]) -> tuple[list[Detections], int]:
+    """Detections of every camera, without keypoints that are none, and how many these were."""
+    given, counts = zip(*(usable(read_detections(path)) for path in paths))
     if [d.camera for d in given] != [c.name for c in cameras]:
         raise UserError(
             f"detections are of {[d.camera for d in given]}, the model has "
             f"{[c.name for c in cameras]}; delete results and run again"
         )
-    missed: list[RejectedPerson] = []
-    if corrected:
-        table = read_corrected(corrected[0], given)
-        rows = people_table_rows(table, given)
-        verdicts = {
-            key: TrackVerdict(person, float("nan"), float("nan"), "" if person else "left out by hand")
-            for key, person in table.items()
-        }
-        say(f"{len(rows)} people as corrected in {corrected[0]}")
-    else:
-        limits = settings.association, settings.triangulation, settings.evidence
-        witnesses = _witnesses(cameras, footage, calibration, found or [], plates or [])
-        verdicts, rows, missed = identities_from_keypoints(
-            *limits, cameras, given, videos, footage.frames, footage.fps, witnesses
-        )
-        table = {key: verdict.person for key, verdict in verdicts.items()}
-    if not rows and not any(len(d.frame) for d in given):
+    if sum(counts):
+        say(f"{sum(counts)} keypoints are not finite or at exactly (0, 0), and were left out")
+    return list(given), sum(counts)
+
+
+def _warn_of_nobody(found: Associated, given: Sequence[Detections], footage: Manifest) -> None:
+    if found.rows:
+        return
+    cameras, detections = ", ".join(d.camera for d in given), sum(len(d.frame) for d in given)
+    if not detections:
         warn(
-            f"nobody was found in any camera: {footage.frames} frames each of "
-            f"{', '.join(d.camera for d in given)} were looked at; if "
+            f"nobody was found in any camera: {footage.frames} frames each of {cameras} were looked at; if "
             "somebody is there, bring keypoints of another detector; write people: 0 "
             "into capture.yaml if the room is empty"
         )
-    elif not rows and not missed:
-        # Rejected people with a name are reported below.
-        reasons = Counter(verdict.reason for verdict in verdicts.values())
+    elif not found.missed:  # who was left out with a name is told by ``report_rejected``
+        reasons = Counter(verdict.reason for verdict in found.verdicts.values())
         warn(
-            f"nobody of this scene was found: {sum(len(d.frame) for d in given)} detections in {len(verdicts)} "
-            f"tracks of {', '.join(d.camera for d in given)} belong to no person, most because "
+            f"nobody of this scene was found: {detections} detections in {len(found.verdicts)} "
+            f"tracks of {cameras} belong to no person, most because "
             f"{reasons.most_common(1)[0][0]}; let somebody walk where two cameras look, bring a longer clip, or "
             "keypoints of all its frames"
         )
-    write_people(people, rows, [one.row() for one in missed])
-    write_identities(identities, table)
-    newcomer = f"p{max((int(row[0][1:]) for row in rows), default=-1) + 1}"
-    told = [
-        {"name": one.name, "seconds": one.seconds, "cameras": one.cameras, "reason": one.reason}
-        | {"tracks": one.tracks, "lines": one.lines(newcomer)}
-        for one in missed
-    ]
-    rows_look = _readouts(given, table, cameras, footage)
-    write_json(
-        association,
-        _as_json(verdicts, given, bool(corrected))
-        | {
-            "unusable_keypoints": sum(unusable),
-            "left_out": told,
-            "readouts": [asdict(one) for one in rows_look],
-        },
-    )
-    # Also without people.
-    who.mkdir(parents=True, exist_ok=True)
-    for name, *_ in rows:
-        write_identities(who / f"{name}.tsv", {key: person for key, person in table.items() if person == name})
-    write_readouts(who / "readouts.json", rows_look)
-    report_rejected(missed, newcomer)
-
-
-def _witnesses(
-    cameras: Sequence[Camera], footage: Manifest, calibration: Path | None, found: list[Path], plates: list[Path]
-) -> list[CameraEvidence | None]:
-    """Every camera's evidence other than its film; None without any."""
-    masks, pictures = ({path.stem: path for path in paths} for paths in (found, plates))
-    return [
-        CameraEvidence(find_lens(calibration, c.name), footage.of(c.name), masks.get(c.name), pictures.get(c.name))
-        if calibration and (c.name in masks or c.name in pictures)
-        else None
-        for c in cameras
-    ]
 
 
 def _readouts(

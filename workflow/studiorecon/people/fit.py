@@ -8,6 +8,7 @@ as a check (U36).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -30,8 +31,9 @@ from studiorecon.people.fitting.points import Points, observations, off_m, trian
 from studiorecon.people.fitting.presence import fill_gaps, presence, runs
 from studiorecon.people.fitting.surface_points import triangulate_surface
 from studiorecon.progress import say
+from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.people import Person, read_detections, read_identities
+from studiorecon.scene.people import Detections, Person, read_detections, read_identities
 from studiorecon.scene.readouts import read_readouts
 from studiorecon.signature import Written
 
@@ -258,39 +260,15 @@ def run(
 
     ``identities`` holds the person's tracks, ``readouts`` the cameras' readouts, if any.
     """
-    cameras = {c.name: c for c in read_model(model.parent)}
-    footage = read_manifest(manifest)
-    seen = [read_detections(path) for path in detections]
-    missing = [d.camera for d in seen if d.camera not in cameras]
-    if missing:
-        raise UserError(f"camera {missing[0]} has detections but is not in the camera model {model.parent}")
-    if readouts:
-        took_s = read_readouts(readouts[0], [d.camera for d in seen])
-        seen = [correct_rolling_shutter(d, took_s[d.camera], cameras[d.camera].wh[1], footage.fps) for d in seen]
-    body_model = BodyModel.load(body)
-    whose = read_identities(identities[0])
+    footage, body_model, whose = read_manifest(manifest), BodyModel.load(body), read_identities(identities[0])
+    seen, cameras = _read_observed(detections, model, readouts, footage.fps)
     names, keypoints = observations(person, seen, whose, body_model, footage.frames)
-    points = triangulate_keypoints(
-        names,
-        keypoints,
-        [cameras[d.camera] for d in seen],
-        settings.triangulation,
-        settings.fit.unverified_sigma_m,
-        off_m(names, seen),
-    )
+    limits, sigma_m = settings.triangulation, settings.fit.unverified_sigma_m
+    points = triangulate_keypoints(names, keypoints, cameras, limits, sigma_m, off_m(names, seen))
     surface = None
     if settings.fit.vertex_weight > 0:
-        surface = triangulate_surface(
-            person,
-            seen,
-            whose,
-            [cameras[d.camera] for d in seen],
-            body_model,
-            footage.frames,
-            settings.triangulation,
-            settings.fit.unverified_sigma_m,
-            settings.fit.vertices,
-        )
+        about = footage.frames, limits, sigma_m, settings.fit.vertices
+        surface = triangulate_surface(person, seen, whose, cameras, body_model, *about)
     fitted, result = fit_person(person, points, body_model, footage.fps, settings, surface)
     residual_mm, sigma_mm = 1000 * np.nanmedian(result.residual_m), 1000 * np.median(fitted.sigma[fitted.valid])
     say(
@@ -309,3 +287,17 @@ def run(
             "not be metric, or the shape is unusual"
         )
     write_person(fit, fitted)
+
+
+def _read_observed(
+    detections: Sequence[Path], model: Path, readouts: Sequence[Path], fps: float
+) -> tuple[list[Detections], list[Camera]]:
+    """Detections, as if all rows of a picture were read at once, and the camera of each."""
+    cameras = {c.name: c for c in read_model(model.parent)}
+    seen = [read_detections(path) for path in detections]
+    if missing := [d.camera for d in seen if d.camera not in cameras]:
+        raise UserError(f"camera {missing[0]} has detections but is not in the camera model {model.parent}")
+    if readouts:
+        took_s = read_readouts(readouts[0], [d.camera for d in seen])
+        seen = [correct_rolling_shutter(d, took_s[d.camera], cameras[d.camera].wh[1], fps) for d in seen]
+    return seen, [cameras[d.camera] for d in seen]

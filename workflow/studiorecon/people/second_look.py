@@ -22,7 +22,7 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.detector.blazepose import LAYOUT, MASK_PX, BlazePose, Landmarks
 from studiorecon.detector.following import keypoints_with_confidence
 from studiorecon.detector.looking import detect_in_region
-from studiorecon.detector.second_network import second_network
+from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.detector.windows import region_of_body
 from studiorecon.footage.frames import stills
 from studiorecon.footage.source import open_source
@@ -44,7 +44,7 @@ from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, read_manifest
 from studiorecon.scene.clocks import Clocks, read_clocks
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.files import write_json
 from studiorecon.scene.people import Detections, read_detections, read_identities, write_detections
 from studiorecon.scene.raw_detections import read_raw_detections, write_raw_detections
 from studiorecon.signature import Written
@@ -141,6 +141,12 @@ class CameraPictures:
         there &= valid
         return np.column_stack([np.where(there[:, None], pixels, np.nan), np.where(there, keypoints[:, 2], 0.0)])
 
+    def raw(self, look: SecondLook) -> tuple:
+        """The row of the detector's file for somebody found by looking again."""
+        seen, keypoints = look.seen, keypoints_with_confidence(look.seen, self.footage.source_wh, self.worth)
+        crop = seen.region.crop_from_picture(MASK_PX)
+        return self.footage.used[look.frame], keypoints, seen.presence, seen.points_m, seen.mask, crop
+
 
 def improve_detections(
     own: Detections,
@@ -185,69 +191,79 @@ def improve_detections(
     return whole.only(np.argsort(whole.frame, kind="stable"))
 
 
+@dataclass(frozen=True)
+class CameraFiles:
+    """A camera's footage, and what is known of its lens and clock."""
+
+    source: Path
+    picture_fps: float
+    manifest: Path
+    calibration: Path
+    clocks: Path
+
+
+@dataclass(frozen=True)
+class FirstFiles:
+    """What was found before: the camera's ``found`` file of the detector, detections of all training cameras
+    (``first``), and who is who in them."""
+
+    found: Path
+    first: list[Path]
+    identities: Path
+
+
 def run(
     settings: Settings,
     camera: str,
-    source: Path,
-    clocks: Path,
-    picture_fps: float,
-    networks: list[Path],
-    second: list[Path],
-    layout: str,
+    footage: CameraFiles,
+    before: FirstFiles,
+    detector: DetectorFiles,
     model: Path,
-    manifest: Path,
-    calibration: Path,
     body: Path,
-    first: list[Path],
-    identities: Path,
-    found: Path,
     detections: Written,
     seen: Written,
     report: Written,
 ) -> None:
-    """Write ``detections`` (the camera's, improved), ``seen`` (the detector's file with additions) and ``report``
-    (JSON, counts).
-
-    ``first`` are the detections of all training cameras before, ``identities`` the persons of their tracks;
-    ``networks``, ``second`` and ``layout`` as in detect.people.
-    """
-    cameras, footage, who = read_model(model.parent), read_manifest(manifest).of(camera), read_identities(identities)
-    given = [read_detections(p) for p in first]
+    """Write ``detections`` (the camera's, improved), ``seen`` (the detector's file and what was added) and ``report``
+    (JSON, how many)."""
+    cameras, who = read_model(model.parent), read_identities(before.identities)
+    given = [read_detections(path) for path in before.first]
     at = [c.name for c in cameras].index(camera)
-    own, whole = given[at], read_raw_detections(found, masks=True)
-    lens = find_lens(calibration, camera)
+    own, whole = given[at], read_raw_detections(before.found, masks=True)
+    filmed = read_manifest(footage.manifest).of(camera)
+    view = CameraPictures(filmed, find_lens(footage.calibration, camera), detector.worth(), read_clocks(footage.clocks))
     names = sorted({p for p in who.values() if p})
     if len(cameras) > 2:
-        about = BodyModel.load(body), footage.frames, settings.triangulation
+        about = BodyModel.load(body), filmed.frames, settings.triangulation
         people = [project_expected(p, at, cameras, given, who, *about) for p in names]
     else:
-        people = [project_guess(p, at, cameras, given, who, footage.frames) for p in names]
-    plan = plan_second_look(own, people, who, footage.frames)
+        people = [project_guess(p, at, cameras, given, who, filmed.frames) for p in names]
+    plan = plan_second_look(own, people, who, filmed.frames)
     owners = [who.get((camera, int(t)), "") for t in own.track]
     if len(cameras) == 2:
-        # Which of two cameras that disagree has left and right exchanged: the one that contradicts itself.
-        plan = replace(plan, swapped=plan.swapped & is_left_right_swapped(own, cameras[at], owners, footage.fps))
-    view = CameraPictures(footage, lens, read_json(networks[2]), read_clocks(clocks))
-    wanted = [footage.used[frame] for frame in sorted({look[0] for look in plan.looks})]
-    pictures = progress(stills(open_source(source, picture_fps), wanted), f"frames of {camera}", len(wanted))
-    network = BlazePose(networks[0], networks[1], second_network(second, layout))
-    looks = redetect(network, pictures, plan, people, own, view)
+        # Which of two cameras that disagree has left and right swap_left_right: the one that contradicts itself.
+        plan = replace(plan, swapped=plan.swapped & is_left_right_swapped(own, cameras[at], owners, filmed.fps))
+    wanted = [filmed.used[frame] for frame in sorted({look[0] for look in plan.looks})]
+    source = open_source(footage.source, footage.picture_fps)
+    pictures = progress(stills(source, wanted), f"frames of {camera}", len(wanted))
+    looks = redetect(detector.open(), pictures, plan, people, own, view)
     result = improve_detections(own, plan, looks, people, owners, len(whole.frame))
-    rows = [
-        (
-            footage.used[look.frame],
-            keypoints_with_confidence(look.seen, footage.source_wh, view.worth),
-            look.seen.presence,
-            look.seen.points_m,
-            look.seen.mask,
-            look.seen.region.crop_from_picture(MASK_PX),
-        )
-        for look in looks
-    ]
     write_detections(detections, result)
-    write_raw_detections(seen, whole.grown(rows))
+    write_raw_detections(seen, whole.grown([view.raw(look) for look in looks]))
+    counts = _counts(own, plan, looks, result)
+    write_json(report, {"camera": camera, **counts})
+    say(
+        f"camera {camera}: {counts['detections']} detections; looked again at "
+        f"{counts['looked']} places: {counts['added']} were added, "
+        f"{counts['replaced']} replaced, {counts['removed']} removed; {counts['sides_exchanged']} had "
+        f"left and right swap_left_right, {counts['adopted']} "
+        "were given to the person they agree with"
+    )
+
+
+def _counts(own: Detections, plan: Plan, looks: Sequence[SecondLook], result: Detections) -> dict[str, int]:
     replaced = sum(look.replaces >= 0 for look in looks)
-    counts = {
+    return {
         "detections": len(own.frame),
         "looked": len(plan.looks),
         "added": len(looks) - replaced,
@@ -256,11 +272,3 @@ def run(
         "adopted": int((plan.track != own.track).sum()),
         "removed": len(own.frame) + len(looks) - replaced - len(result.frame),
     }
-    write_json(report, {"camera": camera, **counts})
-    say(
-        f"camera {camera}: {counts['detections']} detections; looked again at "
-        f"{counts['looked']} places: {counts['added']} were added, "
-        f"{replaced} replaced, {counts['removed']} removed; {counts['sides_exchanged']} had "
-        f"left and right exchanged, {counts['adopted']} "
-        "were given to the person they agree with"
-    )

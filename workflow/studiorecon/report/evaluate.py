@@ -9,8 +9,8 @@ not be measured is null with the reason. Without a held-out camera the training 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,9 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from studiorecon.body.person_files import read_person
-from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
-from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frames, read_frames_from
 from studiorecon.images.flow import one_thread
 from studiorecon.models.protocols import PerceptualDistance
@@ -29,7 +27,7 @@ from studiorecon.report.metrics.bodies import compare_bodies
 from studiorecon.report.metrics.bootstrap import Bootstrap
 from studiorecon.report.metrics.definitions import NO_LPIPS, PROTOCOL, SEEN_BY, definitions, provenance
 from studiorecon.report.metrics.distance import TOO_SMALL, Net, no_flip, opened
-from studiorecon.report.metrics.films import first_frames
+from studiorecon.report.metrics.films import Judged, JudgedFiles
 from studiorecon.report.metrics.folders import digest
 from studiorecon.report.metrics.identities import score_against, score_bodies_in_pictures, score_identities
 from studiorecon.report.metrics.jitter import jitter
@@ -44,10 +42,10 @@ from studiorecon.report.metrics.measures import (
     summaries,
 )
 from studiorecon.report.metrics.overlap import overlap
-from studiorecon.report.metrics.truth import read_views, regions, true_joints
+from studiorecon.report.metrics.truth import Truth, read_truth, regions
 from studiorecon.report.sections.pictures import truth_shares
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.capture import common_start, read_manifest
+from studiorecon.scene.capture import common_start
 from studiorecon.scene.files import write_json
 from studiorecon.scene.people import Person, read_detections, read_identities
 from studiorecon.scene.schema import Anything
@@ -61,10 +59,6 @@ if TYPE_CHECKING:
 _NO_HELD_OUT = "no camera is held out: name some under held_out in capture.yaml"
 _NO_TRUTH = "there is no exact truth (only a synthetic studio has it)"
 _NO_DEPTH = "the studio kept no depth of the people: truth: {depth_frames: true} in its description"
-
-# version → film and the index in it of each camera's first frame.
-Versions = Mapping[str, tuple[Path, Mapping[str, int]]]
-RegionsOf = Callable[[Camera], Iterator[Mapping[str, np.ndarray]]]
 
 
 @dataclass(frozen=True)
@@ -106,22 +100,18 @@ def missing_reasons(have_truth: bool, net: str) -> dict[str, str]:
 
 
 def measure_camera(
+    judged: Judged,
     camera: str,
-    photos: Path,
-    versions: Versions,
-    frames: int,
     regions_of_frames: Iterator[Mapping[str, Bool[np.ndarray, "H W"]]],
     flow_preset: str,
     distance: PerceptualDistance | None,
 ) -> dict[str, list[dict[str, float | None]]]:
     """Measures per frame of each version of one camera, and the flicker of the photos themselves."""
-    streams = {
-        name: read_frames_from(path, starts[camera], starts[camera] + frames)
-        for name, (path, starts) in versions.items()
-    }
+    first, frames = judged.starts[camera], judged.capture.frames
+    streams = {name: read_frames_from(path, first, first + frames) for name, path in judged.films.items()}
 
     def together() -> Iterator[tuple[np.ndarray, dict[str, np.ndarray], Mapping[str, np.ndarray]]]:
-        for photo, masks in zip(read_frames(photos, 0, frames), regions_of_frames):
+        for photo, masks in zip(read_frames(judged.footage[camera], 0, frames), regions_of_frames):
             # A film of cameras of different sizes has one size; a camera's own picture is its top left part.
             yield (
                 photo,
@@ -133,40 +123,32 @@ def measure_camera(
 
 
 def score_pictures(
-    frames: int,
-    cameras: Sequence[Camera],
-    videos: Mapping[str, Path],
-    versions: Versions,
-    regions_of: RegionsOf | None,
-    settings: Settings,
-    lpips: Path,
-    threads: int,
-    device: str = "cpu",
+    judged: Judged, truth: Truth | None, settings: Settings, distance: PerceptualDistance | None
 ) -> dict[str, Any]:
-    """Measures of every version against the photos of ``cameras``; LPIPS on ``device``."""
-    distance = opened(settings.lpips, lpips, threads, "set report.lpips to none", device)
+    """Measures of every version against the photos; by regions where there is truth of held-out cameras."""
+    views = truth.views if truth is not None and judged.held_out else {}
+    training, frames = [camera.name for camera in judged.training], judged.capture.frames
+    tolerances = settings.seen_tolerance, settings.seen_sensitivity
     measured: dict[str, dict[str, list]] = {}
-    for camera in progress(cameras, "cameras"):
-        masks = regions_of(camera) if regions_of is not None else repeat({})
-        about = videos[camera.name], versions, frames, masks, settings.flow_preset, distance
-        for name, values in measure_camera(camera.name, *about).items():
+    for camera in progress(judged.cameras if judged.films else [], "cameras"):
+        masks: Iterator[Mapping[str, np.ndarray]] = repeat({})
+        if truth is not None and views:
+            masks = regions(views, camera, training, truth.first_frame, frames, *tolerances)
+        for name, values in measure_camera(judged, camera.name, masks, settings.flow_preset, distance).items():
             measured.setdefault(name, {})[camera.name] = values
-    reasons, bootstrap = (
-        missing_reasons(regions_of is not None, settings.lpips),
-        Bootstrap(settings.bootstrap_samples, settings.seed),
-    )
+    reasons = missing_reasons(bool(views), settings.lpips)
+    bootstrap = Bootstrap(settings.bootstrap_samples, settings.seed)
     return {
         name: summaries(found, TEMPORAL if name == "photo" else NAMES, reasons, bootstrap)
         for name, found in measured.items()
     }
 
 
-def score_bodies(people: Sequence[Person], truth: Path | None, first_frame: int) -> dict[str, Any]:
-    """Joint errors of the fits against the true bodies, or the reason there are none."""
+def score_bodies(people: Sequence[Person], true: Mapping[str, np.ndarray] | None) -> dict[str, Any]:
+    """Joint errors of the fits against the ``true`` joints of everybody, or the reason there are none."""
     nothing = {f"mpjpe_{kind}_mm": None for kind in ("world", "pelvis", "similarity")}
-    if truth is None:
+    if true is None:
         return {**nothing, "people": {}, "missed": [], "invented": [], "reason": _NO_TRUTH}
-    true = {name: joints[first_frame:] for name, joints in true_joints(truth).items()}
     fitted = {person.name: (person.joints, person.valid) for person in people}
     if not true:
         return {
@@ -193,22 +175,22 @@ def coverage(truth_maps: Sequence[Path]) -> dict[str, Any]:
     return result
 
 
+@dataclass(frozen=True)
+class PeopleFiles:
+    """What was found of people; where ``identities`` is the user's table, ``by_itself`` is association's own."""
+
+    fits: list[Path] = field(default_factory=list)
+    detections: list[Path] = field(default_factory=list)
+    identities: list[Path] = field(default_factory=list)
+    by_itself: list[Path] = field(default_factory=list)
+
+
 def run(
     settings: Settings,
-    scene: str,
-    manifest: Path,
-    model: Path,
-    heldout_model: Path,
+    films: JudgedFiles,
+    people: PeopleFiles,
     poses: Path,
-    videos: list[Path],
-    render: list[Path],
-    render_path: list[Path],
-    enhanced: list[Path],
     truth_maps: list[Path],
-    fits: list[Path],
-    detections: list[Path],
-    identities: list[Path],
-    by_itself: list[Path],
     metrics: Written,
     truth: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
@@ -218,101 +200,63 @@ def run(
 ) -> None:
     """Measure the result and write ``metrics``.
 
-    ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the training cameras.
-    ``poses`` says whether the held-out cameras are still where they were calibrated. ``by_itself`` is association's own
-    table where ``identities`` is the user's. ``lpips`` is the folder of LPIPS' weights; LPIPS runs on ``device``.
-    ``calibrator`` is the network that calibrated the cameras, including held-out ones, from a picture of each.
+    ``poses`` says whether the held-out cameras are still where they were calibrated. ``lpips`` is the folder of LPIPS'
+    weights; LPIPS runs on ``device``. ``calibrator`` is the network that calibrated the cameras, including held-out
+    ones, from a picture of each.
     """
     where = "cpu" if settings.lpips == "none" else resolve(device, "Pictures are compared by LPIPS")
-    capture = read_manifest(manifest)
-    training, held_out = read_model(model.parent), read_model(heldout_model.parent)
-    exact = truth[0] if truth else None
-    if exact is not None and not exact.is_dir():
-        raise UserError(f"{exact} is not a folder of exact truth; make the studio again, or leave --truth out")
-    cameras, first = held_out or training, common_start(capture.footage)
-    starts = first_frames(render_path[0], cameras, capture) if render_path else {}
-    versions = {
-        name: (files[0], starts) for name, files in (("raw", render), ("enhanced", enhanced)) if files and render_path
-    }
-    views, regions_of = read_views(exact) if exact is not None else {}, None
-    if views and held_out:
-        names = [camera.name for camera in training]
-
-        def regions_of(camera: Camera) -> Iterator[dict[str, np.ndarray]]:
-            return regions(
-                views, camera, names, first, capture.frames, settings.seen_tolerance, settings.seen_sensitivity
-            )
-
+    judged = films.read()
+    exact = read_truth(truth[0], common_start(judged.capture.footage)) if truth else None
     with one_thread():
-        footage = {video.stem: video for video in videos}
-        found = (
-            score_pictures(capture.frames, cameras, footage, versions, regions_of, settings, lpips, threads, where)
-            if versions
-            else {}
-        )
+        distance = opened(settings.lpips, lpips, threads, "set report.lpips to none", where) if judged.films else None
+        found = score_pictures(judged, exact, settings, distance)
     nothing = {name: {measure: missing_measure(_NO_HELD_OUT) for measure in NAMES} for name in ("raw", "enhanced")}
-    people = [read_person(path) for path in fits]
-    bodies = score_bodies(people, exact, first)
-    joints = {name: values[first:] for name, values in true_joints(exact).items()} if exact is not None else {}
+    pictures = found if judged.held_out and found else nothing
+    fitted = [read_person(path) for path in people.fits]
+    bodies = score_bodies(fitted, None if exact is None else exact.joints)
+    compared = [*films.render, *films.enhanced]
     write_json(
         metrics,
         {
-            "scene": scene,
-            "pictures": found if held_out and found else nothing,
-            "training": found if not held_out and found else None,
+            "scene": judged.capture.scene,
+            "pictures": pictures,
+            "training": found if not judged.held_out and found else None,
             "held_out_cameras": read(poses, {"cameras": Anything()})["cameras"],
             "bodies": bodies,
-            "jitter": {person.name: jitter(person.joints, person.poses, person.valid, person.fps) for person in people},
-            "pck_bodies": _bodies_in_pictures(views, held_out, people, joints, first, capture.frames),
-            "identities": _identities(detections, identities, by_itself, training, joints),
-            "rig": overlap(training),
+            "jitter": {person.name: jitter(person.joints, person.poses, person.valid, person.fps) for person in fitted},
+            "pck_bodies": _bodies_in_pictures(exact, judged, fitted),
+            "identities": _identities(people, judged.training, {} if exact is None else exact.joints),
+            "rig": overlap(judged.training),
             "coverage": coverage(truth_maps),
             "definitions": definitions(settings.lpips),
             "provenance": provenance(asdict(settings), "exact truth" if exact is not None else "none"),
-            "inputs": {path.name: digest(path) for path in (*videos, *fits)}
-            | {f"{path.parent.name}/{path.name}": digest(path) for path in (*render, *enhanced)},
-            "protocol": PROTOCOL + (SEEN_BY.format(calibrator) if held_out and calibrator != "none" else ""),
+            "inputs": {path.name: digest(path) for path in (*films.videos, *people.fits)}
+            | {f"{path.parent.name}/{path.name}": digest(path) for path in compared},
+            "protocol": PROTOCOL + (SEEN_BY.format(calibrator) if judged.held_out and calibrator != "none" else ""),
         },
     )
-    _log_measures(found if held_out and found else nothing, bodies)
+    _log_measures(pictures, bodies)
 
 
-def _bodies_in_pictures(
-    views: Mapping,
-    cameras: Sequence[Camera],
-    people: Sequence[Person],
-    joints: Mapping[str, np.ndarray],
-    first: int,
-    frames: int,
-) -> dict[str, Any]:
-    empty = {"pck_0.05": None, "pck_0.1": None, "detection_rate": None}
-    if not views or not cameras:
-        return {**empty, "reason": _NO_HELD_OUT if views else _NO_TRUTH}
+def _bodies_in_pictures(truth: Truth | None, judged: Judged, people: Sequence[Person]) -> dict[str, Any]:
+    if truth is None or not truth.views or not judged.held_out:
+        empty = {"pck_0.05": None, "pck_0.1": None, "detection_rate": None}
+        return {**empty, "reason": _NO_HELD_OUT if truth is not None and truth.views else _NO_TRUTH}
     fitted = {person.name: (person.joints, person.valid) for person in people}
-    found = score_bodies_in_pictures(views, cameras, fitted, joints, first, frames)
+    about = truth.joints, truth.first_frame, judged.capture.frames
+    found = score_bodies_in_pictures(truth.views, judged.held_out, fitted, *about)
     return found | {"reason": None if found["people"] else "no person is in the held-out pictures"}
 
 
-def _identities(
-    detections: Sequence[Path],
-    identities: Sequence[Path],
-    by_itself: Sequence[Path],
-    training: Sequence[Camera],
-    joints: Mapping[str, np.ndarray],
-) -> dict[str, Any]:
+def _identities(people: PeopleFiles, training: Sequence[Camera], joints: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Scores of the identities against the studio's truth, else of association's own table against the user's."""
-    if not joints and detections and identities and by_itself:
-        seen = [read_detections(path) for path in detections]
-        return score_against(seen, read_identities(identities[0]), read_identities(by_itself[0]))
-    if not joints or not detections or not identities:
-        return {
-            "accuracy": None,
-            "precision": None,
-            "idf1": None,
-            "reason": "no person was detected" if joints else _NO_TRUTH,
-        }
-    found = [read_detections(path) for path in detections]
-    return score_identities(found, read_identities(identities[0]), {camera.name: camera for camera in training}, joints)
+    if people.detections and people.identities and (joints or people.by_itself):
+        seen, whose = [read_detections(path) for path in people.detections], read_identities(people.identities[0])
+        if joints:
+            return score_identities(seen, whose, {camera.name: camera for camera in training}, joints)
+        return score_against(seen, whose, read_identities(people.by_itself[0]))
+    reason = "no person was detected" if joints else _NO_TRUTH
+    return {"accuracy": None, "precision": None, "idf1": None, "reason": reason}
 
 
 def _log_measures(pictures: Mapping[str, Any], bodies: Mapping[str, Any]) -> None:

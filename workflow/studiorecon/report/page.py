@@ -9,7 +9,7 @@ import json
 import os
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +65,38 @@ class Made:
     def each(self, pattern: str, names: Sequence[str]) -> list[Path]:
         """The file of every camera or film; ``{}`` in ``pattern`` is its name."""
         return [self.folder / pattern.format(name) for name in names]
+
+
+@dataclass(frozen=True)
+class PeopleFiles:
+    """Everybody's body, detections, identities, who was left out by association, and masks."""
+
+    fits: list[Path] = field(default_factory=list)
+    detections: list[Path] = field(default_factory=list)
+    identities: list[Path] = field(default_factory=list)
+    association: list[Path] = field(default_factory=list)
+    masks: list[Path] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class MeasuredFiles:
+    """What was measured and decided, and what the paper measured."""
+
+    metrics: Path
+    recognition: list[Path]
+    decisions: list[Path]
+    paper: Path
+
+
+@dataclass(frozen=True)
+class RunFiles:
+    """How the run went: its times, logs, settings and budget (both JSON), and the licences of what it used."""
+
+    benchmarks: Place
+    logs: Place
+    configuration: str
+    budget: str
+    licences: Place
 
 
 def strips(made: Made, frames: int, enhanced: bool, settings: Settings) -> tuple[str, list[str]]:
@@ -136,12 +168,11 @@ def mask_pictures(videos: Sequence[Path], masks: Sequence[Path], frame: int, wid
     ]
 
 
-def truth_pictures(
-    renders: Sequence[Path], paths: Sequence[Path], maps: Sequence[Path], metrics: dict, width: int
-) -> list[str]:
+def truth_section(made: Made, metrics: Mapping[str, Any], width: int) -> list[str]:
     """Three pictures of every film, tinted by provenance."""
     rows = []
-    for render, path, truth in zip(renders, paths, maps, strict=True):
+    for shot in made.shots:
+        render, path, truth = (made.folder / f"render/{shot}.{kind}" for kind in ("mkv", "json", "truth.mkv"))
         shares = metrics["coverage"].get(render.stem, {})
         caption = ", ".join(
             f"{100 * shares[name]:.0f} % {name}" for name in ("measured", "inferred", "invented") if name in shares
@@ -152,7 +183,8 @@ def truth_pictures(
             for i in spread(steps, 3)
         ]
         rows.append(f"<p>Shot <b>{html.text(render.stem)}</b>: {html.text(caption)}</p>" + html.row(figures))
-    return rows
+    lead = "Blue: seen by a camera. Yellow: inferred from its surroundings. Red: invented, seen by no camera."
+    return [html.heading("Measured, inferred, invented", lead), *rows]
 
 
 def run_cost(benchmarks: Path) -> dict[str, Any]:
@@ -183,24 +215,20 @@ def people_section(
     made: Made,
     frames: int,
     measured: Mapping[str, Any],
-    fits: Sequence[Path],
-    detections: Sequence[Path],
-    identities: Sequence[Path],
-    left_out: Sequence[Path],
-    masks: Sequence[Path],
+    people: PeopleFiles,
     width: int,
 ) -> list[str]:
     """The section on people: joint errors, presence over time, people left out by association, and masks."""
-    bodies = [read_person(path) for path in fits]
+    bodies = [read_person(path) for path in people.fits]
     parts = [sections.people(measured), timeline.surety(bodies, measured["jitter"])]
-    if identities:
-        names, whose = [person.name for person in bodies], read_identities(identities[0])
-        found = [read_detections(path) for path in detections]
-        parts.append(timeline.strip(timeline.frames_with_detections(found, whose, names, frames), names))
-    parts += [sections.left_out(read_json(path)["left_out"]) for path in left_out]
-    if masks:
-        videos = [made.folder / "capture" / f"{mask.stem}.mkv" for mask in masks]
-        parts.append(html.row(mask_pictures(videos, masks, frames // 2, width), min(len(masks), 4)))
+    if people.identities:
+        names, whose = [person.name for person in bodies], read_identities(people.identities[0])
+        found = [read_detections(path) for path in people.detections]
+        parts.append(timeline.strip(timeline.frames_seen(found, whose, names, frames), names))
+    parts += [sections.left_out(read_json(path)["left_out"]) for path in people.association]
+    if people.masks:
+        videos = [made.folder / "capture" / f"{mask.stem}.mkv" for mask in people.masks]
+        parts.append(html.row(mask_pictures(videos, people.masks, frames // 2, width), min(len(videos), 4)))
     return parts
 
 
@@ -226,25 +254,13 @@ def cameras_section(made: Made, measured: Mapping[str, Any], decided: Sequence[M
 
 def run(
     settings: Settings,
-    scene: str,
     manifest: Path,
     model: Path,
-    metrics: Path,
-    recognition: list[Path],
-    decisions: list[Path],
-    masks: list[Path],
+    measures: MeasuredFiles,
+    people: PeopleFiles,
+    ran: RunFiles,
     films: list[Path],
-    fits: list[Path],
-    detections: list[Path],
-    identities: list[Path],
-    association: list[Path],
     linked: list[Path],
-    benchmarks: Place,
-    logs: Place,
-    configuration: str,
-    budget: str,
-    licences: Place,
-    paper: Path,
     poster: Path,
     costs: Written,
     page: Written,
@@ -253,48 +269,43 @@ def run(
 
     Files that are not arguments have the names that the rules give them in ``results/<scene>``.
     """
-    capture, measured, chosen = read_manifest(manifest), read_json(metrics), json.loads(budget)
-    spent = run_cost(benchmarks)
+    capture, measured, chosen = read_manifest(manifest), read_json(measures.metrics), json.loads(ran.budget)
+    spent = run_cost(ran.benchmarks)
     write_json(costs, spent)
     names = tuple(camera.name for camera in read_model(model.parent)), tuple(f.camera for f in capture.held_out)
     made = Made(manifest.parents[1], *names, tuple(film.stem for film in films))
-    width, decided = settings.picture_width, [read_decisions(path) for path in decisions]
+    width, decided = settings.picture_width, [read_decisions(path) for path in measures.decisions]
+    recognised = read_json(measures.recognition[0]) if measures.recognition else {}
     ledgers = made.each("render/{}.tsv", made.shots)
-    enhanced = len(sections.version_names(measured)) > 1
-    shown, rows = films_section(made, capture.frames, enhanced, settings)
-    what = "Blue: seen by a camera. Yellow: inferred from its surroundings. Red: invented, seen by no camera."
-    renders, paths, maps = (made.each(f"render/{{}}.{ending}", made.shots) for ending in ("mkv", "json", "truth.mkv"))
-    truth = truth_pictures(renders, paths, maps, measured, width)
-    before, of_films = (
-        read_warnings(logs),
-        appendix.film_warnings(ledgers, settings.min_measured, settings.max_angle_deg),
-    )
+    shown, rows = films_section(made, capture.frames, len(sections.versions_of(measured)) > 1, settings)
+    of_films = appendix.film_warnings(ledgers, settings.min_measured, settings.max_angle_deg)
+    refinement = made.folder / "cameras/refinement.json"
+    files = [measures.metrics, costs, *measures.decisions, refinement, *people.identities, *linked]
     lead = "Cameras that no stage but this report has looked at. Differences are amplified."
-    files = [metrics, costs, *decisions, made.folder / "cameras/refinement.json", *identities, *linked]
     body = [
         *shown,
         html.heading("Against the held-out cameras", lead),
         *rows,
         sections.numbers(measured, spent),
         sections.measures(measured),
-        sections.paper(measured, read_json(recognition[0]) if recognition else {}, paper),
-        *people_section(made, capture.frames, measured, fits, detections, identities, association, masks, width),
-        html.heading("Measured, inferred, invented", what),
-        *truth,
+        sections.paper(measured, recognised, measures.paper),
+        *people_section(made, capture.frames, measured, people, width),
+        *truth_section(made, measured, width),
         *room_section(made, width),
         *cameras_section(made, measured, decided),
         verdicts.decisions(decided, spent),
         sections.cost_and_quality(measured, spent, chosen),
         sections.costs(spent),
-        appendix.delivery_links(poster.parent, page),
-        appendix.warnings([*before, *of_films]),
+        appendix.delivered(poster.parent, page),
+        appendix.warnings([*read_warnings(ran.logs), *of_films]),
         appendix.links(made.folder, page, files, ledgers),
-        sections.settings(configuration),
-        terms.licences(json.loads(configuration), licences),
+        sections.settings(ran.configuration),
+        terms.licences(json.loads(ran.configuration), ran.licences),
         appendix.versions(measured["provenance"], spent["machine"]),
     ]
-    first = [sections.head(scene, capture, len(made.cameras), measured), player(poster, page), html.contents(body)]
-    write_text(page, html.page(f"{scene}: 4D scene", [*first, *body], comparison_slider.STYLE))
+    first = [sections.head(capture.scene, capture, len(made.cameras), measured), player(poster, page)]
+    content = [*first, html.contents(body), *body]
+    write_text(page, html.page(f"{capture.scene}: 4D scene", content, comparison_slider.STYLE))
     say(f"the page is {page.stat().st_size / 1e6:.1f} MB and needs no network: {page}")
     for _, sentence in of_films:
         warn(sentence)

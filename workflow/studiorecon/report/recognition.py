@@ -15,16 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.arrays import evenly_spread
-from studiorecon.camera_files.colmap import read_model
 from studiorecon.detector.blazepose import BlazePose
 from studiorecon.detector.following import keypoints_with_confidence
 from studiorecon.detector.looking import detect_new_people
 from studiorecon.detector.windows import grid
 from studiorecon.footage.video import read_frames_from
 from studiorecon.progress import progress, say
-from studiorecon.report.metrics.films import first_frames
+from studiorecon.report.metrics.films import JudgedFiles
 from studiorecon.report.metrics.pck import TruePerson, score
-from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.signature import Written
 
@@ -37,41 +35,27 @@ _MOMENTS = 4
 _SEEN, _MIN = 0.5, 6
 
 
-def run(
-    manifest: Path,
-    model: Path,
-    heldout_model: Path,
-    videos: list[Path],
-    render: list[Path],
-    render_path: list[Path],
-    enhanced: list[Path],
-    networks: list[Path],
-    recognition: Written,
-) -> None:
-    """Write the scores of the film as rendered (``raw``) and as ``enhanced``; None for a version that does not exist.
+def run(files: JudgedFiles, networks: list[Path], recognition: Written) -> None:
+    """Write the scores of the film as rendered (``raw``) and as ``enhanced``; None for a version that is not there.
 
-    ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the training cameras;
     ``networks``: the detector's file, the landmarks', and the table of the confidence by their visibility.
     """
     detection, landmarks, table = networks
     network, worth = BlazePose(detection, landmarks), read_json(table)
-    capture, footage = read_manifest(manifest), {video.stem: video for video in videos}
-    cameras = read_model(heldout_model.parent) or read_model(model.parent)
-    films = {name: files[0] for name, files in (("raw", render), ("enhanced", enhanced)) if files and render_path}
-    starts = first_frames(render_path[0], cameras, capture) if films else {}
-    found: dict[str, list[tuple[list[np.ndarray], list[TruePerson]]]] = {name: [] for name in films}
-    for camera in progress(cameras if films else [], "cameras"):
-        for frame in evenly_spread(capture.frames, _MOMENTS):
-            photo = _picture(footage[camera.name], int(frame))
+    judged = files.read()
+    found: dict[str, list[tuple[list[np.ndarray], list[TruePerson]]]] = {name: [] for name in judged.films}
+    for camera in progress(judged.cameras if judged.films else [], "cameras"):
+        for frame in evenly_spread(judged.capture.frames, _MOMENTS):
+            photo = _picture(judged.footage[camera.name], int(frame))
             people = [
                 person
                 for one in detect_keypoints(network, photo, worth)
                 if (person := reference_person(one)) is not None
             ]
             told: list[tuple[np.ndarray, list[np.ndarray]]] = []
-            for name, film in films.items():
-                drawn = _picture(film, starts[camera.name] + int(frame))[: photo.shape[0], : photo.shape[1]]
-                # Without enhancement the two films are identical, so one search is enough.
+            for name, film in judged.films.items():
+                drawn = _picture(film, judged.starts[camera.name] + int(frame))[: photo.shape[0], : photo.shape[1]]
+                # Where nothing was enhanced, the two films are one.
                 points = next((points for other, points in told if np.array_equal(other, drawn)), None)
                 if points is None:
                     points = [one[:, :2] for one in detect_keypoints(network, drawn, worth)]

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +46,11 @@ class RejectedPerson:
     def lines(self, person: str) -> list[str]:
         """The lines of identities.tsv that make it ``person``."""
         return [f"{camera}\t{track}\t{person}" for camera, track in self.tracks]
+
+    def as_json(self, person: str) -> dict[str, Any]:
+        """What the identity page shows of it, with the lines that make it ``person``."""
+        told = {"name": self.name, "seconds": self.seconds, "cameras": self.cameras, "reason": self.reason}
+        return told | {"tracks": self.tracks, "lines": self.lines(person)}
 
 
 def list_rejected(

@@ -1,15 +1,63 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The index in a film at which each camera's own view begins."""
+"""Films beside the photos that they are compared with, and where in a film each camera's own view begins."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.capture import Manifest
+from studiorecon.scene.capture import Manifest, read_manifest
 from studiorecon.scene.path import read_path
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Films, and the photos that they are compared with.
+
+    Attributes:
+        capture: whose frames the films show.
+        training, held_out: cameras. Films are those of the held-out ones or, without any, of the training ones.
+        footage: camera → its photos.
+        films: version ("raw", "enhanced") → film; starts: camera → index of its first picture in every film.
+    """
+
+    capture: Manifest
+    training: Sequence[Camera]
+    held_out: Sequence[Camera]
+    footage: Mapping[str, Path]
+    films: Mapping[str, Path]
+    starts: Mapping[str, int]
+
+    @property
+    def cameras(self) -> Sequence[Camera]:
+        """Those that are compared."""
+        return self.held_out or self.training
+
+
+@dataclass(frozen=True)
+class JudgedFiles:
+    """``Judged`` as files: ``videos``, ``render`` and ``enhanced`` are of the cameras that are compared."""
+
+    manifest: Path
+    model: Path
+    heldout_model: Path
+    videos: list[Path] = field(default_factory=list)
+    render: list[Path] = field(default_factory=list)
+    render_path: list[Path] = field(default_factory=list)
+    enhanced: list[Path] = field(default_factory=list)
+
+    def read(self) -> Judged:
+        """Raises UserError as ``first_frames`` does."""
+        capture = read_manifest(self.manifest)
+        training, held_out = read_model(self.model.parent), read_model(self.heldout_model.parent)
+        versions = (("raw", self.render), ("enhanced", self.enhanced)) if self.render_path else ()
+        films = {name: files[0] for name, files in versions if files}
+        starts = first_frames(self.render_path[0], held_out or training, capture) if self.render_path else {}
+        return Judged(capture, training, held_out, {video.stem: video for video in self.videos}, films, starts)
 
 
 def first_frames(path: Path, cameras: Sequence[Camera], capture: Manifest) -> dict[str, int]:

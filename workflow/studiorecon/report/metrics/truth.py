@@ -9,7 +9,7 @@ room, k + 1 person k, 255 props), ``bodies/<person>.npz`` and, if the studio's s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from studiorecon.body.person_files import read_person
+from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import read_frames
 from studiorecon.images.regions import dilate
@@ -57,6 +58,29 @@ def read_views(folder: Path) -> dict[str, TrueView]:
 def true_joints(folder: Path) -> dict[str, Float[np.ndarray, "T 24 3"]]:
     """person → (T, 24, 3) world joints of every source frame, metres."""
     return {path.stem: read_person(path).joints for path in sorted((folder / "bodies").glob("*.npz"))}
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Exact truth of a capture.
+
+    Attributes:
+        views: camera → what it sees.
+        joints: person → (T, 24, 3) world joints from the capture's first frame on, metres.
+        first_frame: of the studio's films, where the capture begins.
+    """
+
+    views: dict[str, TrueView]
+    joints: Mapping[str, Float[np.ndarray, "T 24 3"]]
+    first_frame: int
+
+
+def read_truth(folder: Path, first_frame: int) -> Truth:
+    """The truth of a capture that begins at ``first_frame``; raises UserError where the folder is missing."""
+    if not folder.is_dir():
+        raise UserError(f"{folder} is not a folder of exact truth; make the studio again, or leave --truth out")
+    joints = {name: values[first_frame:] for name, values in true_joints(folder).items()}
+    return Truth(read_views(folder), joints, first_frame)
 
 
 def true_pixels(working: Camera, true: Camera) -> Float[np.ndarray, "H W 2"]:
