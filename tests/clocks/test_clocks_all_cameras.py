@@ -91,14 +91,14 @@ def test_it_stands_in_place_of_what_people_told_two_by_two_but_not_of_sound_nor_
 def test_clocks_that_are_known_are_not_asked_about_again(monkeypatch: pytest.MonkeyPatch) -> None:
     take = rough(1)
     sharp = [[]] + [[Proposal("sound", 0.1, 0.004, 0.0, np.inf)]] * 3
-    monkeypatch.setattr("studiorecon.clocks.offsets.late_against_others", lambda *_: pytest.fail("asked"))
+    monkeypatch.setattr("studiorecon.clocks.offsets.offsets_vs_rig", lambda *_: pytest.fail("asked"))
     assert joint_refinement(sharp, 0, take.clocks, take.seen, take.lenses) == sharp
 
 
 def test_the_step_asks_all_cameras(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     take = rough(2)
     monkeypatch.setattr(offsets, "read_sound", lambda _: None)
-    monkeypatch.setattr(offsets.sync, "energy_of", lambda _: np.zeros(0))
+    monkeypatch.setattr(offsets.sync, "read_motion_energy", lambda _: np.zeros(0))
     # What two by two cannot tell.
     monkeypatch.setattr(offsets, "people_pair", lambda *_: ([], {}))
     names = [clock.camera for clock in take.clocks]

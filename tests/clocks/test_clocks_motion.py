@@ -34,7 +34,7 @@ def verdicts(monkeypatch: pytest.MonkeyPatch, late_s: Mapping[int, float], told_
     energies = iter(circling(late_s))
     in_step = [Pair(0, c, late_s.get(c, 0.0), 0.001) for c in range(1, told_by_people)]
     monkeypatch.setattr(offsets, "people_pair", lambda *_: (in_step, {}))
-    monkeypatch.setattr(offsets.sync, "energy_of", lambda _: next(energies))
+    monkeypatch.setattr(offsets.sync, "read_motion_energy", lambda _: next(energies))
     monkeypatch.setattr(offsets, "read_sound", lambda _: None)
     source = type("Source", (), {"wh": (640, 360)})()
     lines = [Timeline(FPS, round(SECONDS * FPS), 0.0)] * CAMERAS

@@ -89,12 +89,12 @@ def test_black_or_another_colour_at_every_step_stands_behind(
     trained: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen, grey = [], [0.5, 0.5, 0.5]
-    target_of = train.PersonInTraining.draw.__globals__["target_of"]
+    original = train.PersonInTraining.draw.__globals__["training_target"]
     monkeypatch.setitem(
         train.PersonInTraining.draw.__globals__,
-        "target_of",
+        "training_target",
         # Previews are over grey.
-        lambda crop, behind: seen.append(behind.tolist()) or target_of(crop, behind),
+        lambda crop, behind: seen.append(behind.tolist()) or original(crop, behind),
     )
     trained(additions=LETTER, iterations=5)
     assert [behind for behind in seen if behind != grey] == [[0.0, 0.0, 0.0]] * 5

@@ -240,9 +240,8 @@ def _nothing_agrees(
         return _unchecked(training, held_out, report)
     raise UserError(
         f"no person of any two cameras fits the calibration: their rays pass {measured.min():.2f} m apart at best, "
-        f"{settings.gate_m} m are allowed; check that the calibration is for these "
-        "cameras, that its lengths are metres and "
-        "that the videos are synchronised"
+        f"{settings.gate_m} m are allowed; check that the calibration is for these cameras, that its lengths are "
+        "metres and that the videos are synchronised"
     )
 
 
@@ -304,14 +303,13 @@ def _log_changes(report: dict[str, Any], focal: bool, radial: bool) -> None:
     )
     if focal:
         say(
-            "the people call for other focal lengths: "
+            "keypoints show other focal lengths: "
             + ", ".join(f"{c['camera']} {c['focal_longer']:+.1%}" for c in changes)
         )
     if radial:
         found = ", ".join(f"{c['camera']}: {c['radial_k1']:.3f}" for c in changes)
         say(
-            "the people call for other lens distortion than the calibration's, by "
-            "which the pictures were straightened: set "
+            "keypoints show another lens distortion than the calibration that undistorted the pictures: set "
             f"calibration.radial: {{{found}}} and run again"
         )
 
@@ -354,27 +352,12 @@ def run(
     if unusable:
         warn(f"{unusable} keypoints are not finite or at exactly (0, 0), and were left out")
     looks = {path.stem: make_room_picture(path) for path in plates}
-    outcome = decide(
-        training,
-        held_out,
-        [d for d, _ in seen],
-        found.frames,
-        found.fps,
-        given.floor_known,
-        settings,
-        [looks.get(c.name) for c in training],
-    )
+    kept, rooms = [d for d, _ in seen], [looks.get(c.name) for c in training]
+    outcome = decide(training, held_out, kept, found.frames, found.fps, given.floor_known, settings, rooms)
     by_name = {p.stem: p for p in videos}
     pictures = [read_frame(by_name[c.name], found.frames // 2) if c.name in by_name else None for c in outcome.training]
     picture = contact_sheet(outcome.training, outcome.held_out, pictures, outcome.points_m, outcome.report)
     write_model(model.parent, outcome.training, outcome.points_m)
     write_model(heldout_model.parent, outcome.held_out)
-    write_json(
-        refinement,
-        {
-            **outcome.report,
-            "unusable_keypoints": unusable,
-            "calibration": given.about,
-        },
-    )
+    write_json(refinement, {**outcome.report, "unusable_keypoints": unusable, "calibration": given.about})
     write_png(sheet, picture)

@@ -18,17 +18,9 @@ import numpy as np
 
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.clocks import motion_clock as sync
+from studiorecon.clocks import offset_consensus as consensus
 from studiorecon.clocks import sound
-from studiorecon.clocks.offset_consensus import (
-    HALF,
-    ClockVerdict,
-    Pair,
-    Proposal,
-    choose_reference,
-    combine_proposals,
-    count_contradictions,
-    solve_offsets,
-)
+from studiorecon.clocks.offset_consensus import HALF, ClockVerdict, Pair, Proposal
 from studiorecon.clocks.people_clock import Lenses, people_pair
 from studiorecon.clocks.rig_offsets import offsets_vs_rig
 from studiorecon.clocks.timeline import Timeline, clock_as_filmed, common_moments, read_timeline
@@ -181,13 +173,15 @@ def estimate_clocks(
     reference, proposed = _proposed(pairs, count)
     # Motion in a picture depends on the viewpoint: a person who walks in a circle is nearest to one camera after the
     # other. Where people or sound disprove motion in most cameras, it is distrusted in the others.
-    wrong, both = count_contradictions(proposed.get("motion", []), [p for m, p in proposed.items() if m != "motion"])
+    others = [p for m, p in proposed.items() if m != "motion"]
+    wrong, both = consensus.count_contradictions(proposed.get("motion", []), others)
     if wrong >= _PROOFS and 2 * wrong > both:
         told_wrong = f"it contradicts people or sound in {wrong} of {both} cameras, so it counts in none"
         pairs["motion"], why["motion"] = [], dict.fromkeys(range(count), told_wrong)
         reference, proposed = _proposed(pairs, count)
     # Where one method covers part of the chain and another the rest.
-    together = solve_offsets("several", [p for found in pairs.values() for p in found], count, reference, _TRAVEL_S)
+    every = [p for found in pairs.values() for p in found]
+    together = consensus.solve_offsets("several", every, count, reference, _TRAVEL_S)
     verdicts, findings = [], []
     owns = [
         [p for p in (proposed[m][c] for m in pairs) if p is not None] or [p for p in (together[c],) if p is not None]
@@ -196,7 +190,7 @@ def estimate_clocks(
     owns = joint_refinement(owns, reference, clocks, seen, sized)
     # A camera that was clearly not started with the others: there was no common trigger.
     triggered = not any(
-        combine_proposals(own, rate, clocks[c].own_s[-1]).kind == "found"
+        consensus.combine_proposals(own, rate, clocks[c].own_s[-1]).kind == "found"
         for c, own in enumerate(owns)
         if c != reference
     )
@@ -205,7 +199,7 @@ def estimate_clocks(
         verdict = (
             ClockVerdict("reference", 0.0, 0.0)
             if c == reference
-            else combine_proposals(own, rate, clocks[c].own_s[-1], triggered)
+            else consensus.combine_proposals(own, rate, clocks[c].own_s[-1], triggered)
         )
         reasons = {
             m: why[m].get(c, "nothing links it with the reference camera") for m in pairs if proposed[m][c] is None
@@ -255,10 +249,10 @@ def joint_refinement(
 
 def _proposed(pairs: Mapping[str, Sequence[Pair]], count: int) -> tuple[int, dict[str, list[Proposal | None]]]:
     """The reference camera, and every method's proposals for every camera."""
-    reference = choose_reference(pairs, count)
+    reference = consensus.choose_reference(pairs, count)
     systematic_s = {"sound": _TRAVEL_S}
     return reference, {
-        m: solve_offsets(m, found, count, reference, systematic_s.get(m, 0.0)) for m, found in pairs.items()
+        m: consensus.solve_offsets(m, found, count, reference, systematic_s.get(m, 0.0)) for m, found in pairs.items()
     }
 
 

@@ -41,8 +41,7 @@ _SELF_ALIKE, _ALIKE, _SECOND = 0.75, 0.35, 0.85
 # Share of a patch with edges in it.
 _MIN_EDGES = 0.04
 # One homography: within so many cells, for so many patches and such a share of them, spread over so much of the floor.
-# On unrelated floors chance matches 9 to 19 patches, 32 to 65 % of all matches; on the same floor it is hundreds and 75
-# % or more.
+# Unrelated floors: 9 to 19 patches match, 32 to 65 % of all matches. The same floor: hundreds, 75 % or more.
 _SAME_PLACES, _MIN_PATCHES, _MIN_SHARE, _MIN_SPREAD_M = 2.0, 20, 0.7, 0.25
 # Sigma of a match, as a share of a cell; error of unmodelled lenses, as a share of the longer side; weight of one
 # patch, because patches overlap and are matched from several cameras.
@@ -293,8 +292,7 @@ def _alone(laid: _Laid, place: np.ndarray, place_m: float, reach_m: float) -> bo
 
 def _edged(edges: np.ndarray) -> np.ndarray:
     """(H, W) where there is any edge."""
-    found: np.ndarray = channel_sum(np.abs(edges)) > 0
-    return found
+    return np.asarray(channel_sum(np.abs(edges)) > 0)
 
 
 def _window(edges: np.ndarray, row: int, column: int, half: int) -> np.ndarray:
@@ -307,22 +305,16 @@ def _window(edges: np.ndarray, row: int, column: int, half: int) -> np.ndarray:
         (min(max(0, -left), 2 * half + 1), min(max(0, right - width), 2 * half + 1)),
         (0, 0),
     ]
-    padded = np.pad(inside, rim)[: 2 * half + 1, : 2 * half + 1]
-    return np.ascontiguousarray(padded)
+    return np.ascontiguousarray(np.pad(inside, rim)[: 2 * half + 1, : 2 * half + 1])
 
 
 def _disc(shape: tuple[int, ...], row: int, column: int, radius: int) -> np.ndarray:
     rows, columns = np.ogrid[: shape[0], : shape[1]]
-    inside: np.ndarray = (rows - row) ** 2 + (columns - column) ** 2 <= radius**2
-    return inside
+    return np.asarray((rows - row) ** 2 + (columns - column) ** 2 <= radius**2)
 
 
 def _match_back(
-    patches: Sequence[np.ndarray],
-    at: np.ndarray,
-    laid: _Laid,
-    shift_m: np.ndarray,
-    place_m: float,
+    patches: Sequence[np.ndarray], at: np.ndarray, laid: _Laid, shift_m: np.ndarray, place_m: float
 ) -> np.ndarray:
     """(K, 2) column and row of each patch's match in another camera's floor near ``shift_m``, NaN without one."""
     found = np.full((len(patches), 2), np.nan)
