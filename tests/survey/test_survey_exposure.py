@@ -64,7 +64,6 @@ def test_off_measured_or_forced_writes_no_factor_and_the_same_bytes(
         write_plate(path, np.rint(view.rgb * 255).astype(np.uint8), view.measured)
     step.run(settings, **files)
     assert read_decisions(files["decisions"])["exposure"].verdict == "off"
-    assert read_decisions(files["decisions"])["changing_light"].cost_saved_estimate_s > 0
     assert (artefact(files, "gains").read_bytes(), artefact(files, "brightness").read_bytes()) == forced
 
 
@@ -144,7 +143,7 @@ def test_changing_light_turns_on_and_its_course_is_written(files: dict, settings
         write_lossless(path, frames, 30.0)
     step.run(settings, **files)
     decision = read_decisions(files["decisions"])["changing_light"]
-    assert (decision.verdict, decision.cost_saved_estimate_s) == ("on", None)
+    assert decision.verdict == "on"
     assert written(artefact(files, "gains")) == {}
     found = written(artefact(files, "brightness"))
     assert set(found) == {"c0", "c1", "c2"}

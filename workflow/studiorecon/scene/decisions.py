@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 from studiorecon.errors import UserError
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import ASCENDING, Anything, ListOf, OptionalField, check, flag, real, seconds, text
+from studiorecon.scene.schema import ASCENDING, Anything, ListOf, OptionalField, check, flag, real, text
 from studiorecon.scene.step_files import expect, read
 
 Verdict = Literal["on", "off", "undetermined"]
@@ -27,7 +27,6 @@ _DECISION = {
     "reason": text(),
     "unit": text(),
     "on_above": flag(),
-    "cost_saved_estimate_s": OptionalField(seconds()),
     "calibration": text(),
     "forced": flag(),
     "obeyed_by": text(),
@@ -51,8 +50,6 @@ class Decision:
         reason: one sentence.
         unit: of value, interval and threshold; empty for a pure number.
         on_above: the effect is on above the threshold; False when it is on below.
-        cost_saved_estimate_s: seconds saved when the effect is left out; None when nothing is left out or the cost was
-            not measured.
         calibration: the basis of the threshold.
         forced: the verdict comes from the user and not from the measurement.
         obeyed_by: the step or plan that acts on the verdict; empty when the verdict only informs.
@@ -68,7 +65,6 @@ class Decision:
     reason: str
     unit: str = ""
     on_above: bool = True
-    cost_saved_estimate_s: float | None = None
     calibration: str = UNCALIBRATED
     forced: bool = False
     obeyed_by: str = ""

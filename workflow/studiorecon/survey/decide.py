@@ -10,7 +10,6 @@ pictures are written by the effects themselves, next to the decisions; the file 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from studiorecon.camera_files.colmap import read_model
@@ -79,11 +78,6 @@ def run(
     measured = [early.get(effect.name) or effect.left_to("report/audit.json") for effect in EFFECTS]
     made = {d.effect: d for d in apply_forced(measured, settings.force)}
     recordings = Recordings(videos, found or [None] * len(cameras), capture.frames)
-    for effect in EARLY:
-        decision = made[effect.name]
-        if effect.artefact and effect.artefact.cost_s and not decision.called_for:
-            saved_s = effect.artefact.cost_s(cameras, capture.frames)
-            made[effect.name] = replace(decision, cost_saved_estimate_s=saved_s)
     for decision in made.values():
         say(f"{decision.effect}: {decision.verdict}; {decision.reason}")
     say(f"{len(cameras)} cameras surveyed, {sum(len(f.times) for f in films)} pictures")

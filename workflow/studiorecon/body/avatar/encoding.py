@@ -3,7 +3,7 @@
 inputs).
 
 The identity is part of the code (3 + 3·2·10 = 63, 1 + 2·10 = 21). Frequencies are 2^k without π, as the predecessor's
-code has them (U47); ``half_turns`` puts the π of the formula back.
+code has them (U47).
 """
 
 from __future__ import annotations
@@ -31,40 +31,38 @@ def in_body_box(
     return (np.asarray(points_m, np.float64) - (low + high) / 2) / half
 
 
-def encode_position(normalised: Num[np.ndarray, "N 3"], half_turns: bool = False) -> Float[np.ndarray, "N 63"]:
+def encode_position(normalised: Num[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 63"]:
     """Normalised points → float32: the point, then sine and cosine of every band. No float16 anywhere (O01)."""
-    return _encoded(np.asarray(normalised, np.float64), BANDS, half_turns)
+    return _encoded(np.asarray(normalised, np.float64), BANDS)
 
 
-def encode_time(
-    frame: float, frames: int, half_turns: bool = False, every_band: bool = False
-) -> Float[np.ndarray, " 21"]:
+def encode_time(frame: float, frames: int, every_band: bool = False) -> Float[np.ndarray, " 21"]:
     """(21,) float32 code of 0-based ``frame`` of ``frames``; it may be fractional, and time runs from 0 to 1.
 
     With a single frame time is 0 (O03). Bands above half a cycle per frame are 0, because they would be aliased to
     noise in the frame number (O02); the inputs stay 21. ``every_band`` keeps all bands, as the paper's network has
     them.
     """
-    code = _encoded(np.array([[frame / max(frames - 1, 1)]]), BANDS, half_turns)[0]
+    code = _encoded(np.array([[frame / max(frames - 1, 1)]]), BANDS)[0]
     if not every_band:
-        code[1:].reshape(BANDS, 2)[time_bands(frames, half_turns) :] = 0
+        code[1:].reshape(BANDS, 2)[time_bands(frames) :] = 0
     return code
 
 
-def time_bands(frames: int, half_turns: bool = False) -> int:
+def time_bands(frames: int) -> int:
     """Number of bands, from the slowest, that turn by at most half a cycle between two of ``frames`` frames."""
-    per_frame = 2.0 ** np.arange(BANDS) * (np.pi if half_turns else 1.0) / max(frames - 1, 1) / (2 * np.pi)
+    per_frame = 2.0 ** np.arange(BANDS) / max(frames - 1, 1) / (2 * np.pi)
     return int(np.count_nonzero(per_frame <= 0.5))
 
 
-def _encoded(values: np.ndarray, bands: int, half_turns: bool) -> np.ndarray:
+def _encoded(values: np.ndarray, bands: int) -> np.ndarray:
     """(N, D) float64 → (N, D (1 + 2 bands)) float32; the sines' argument is float64, to keep its rounding out of them.
 
     Each band is twice the one before it, by the double-angle formulas: sines are slow, and nine doublings lose three
     digits of sixteen. Points run along the last axis: three at a time would cost five times as much.
     """
     waves = np.empty((bands, 2, values.shape[1], len(values)))
-    angle = np.ascontiguousarray(values.T) * (np.pi if half_turns else 1.0)
+    angle = np.ascontiguousarray(values.T)
     np.sin(angle, out=waves[0, 0])
     np.cos(angle, out=waves[0, 1])
     for k in range(1, bands):

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 
 # Frames in memory at a time.
 _TOGETHER = 64
-# Seconds of one core per frame, and per million pixels of it: comparing, decoding and shrinking (measured at 240×136
-# and 1280×704).
-_FRAME_S, _MEGAPIXEL_S = 0.008, 0.013
 
 
 def measure(evidence: Evidence, threshold: float) -> Measurement:
@@ -71,11 +68,6 @@ def write(path: Path, decision: Decision, evidence: Evidence, recordings: Record
     write_factors(path, changes)
 
 
-def cost_s(cameras: Sequence[Camera], frames: int) -> float:
-    """Approximate seconds of one core to measure the light of all cameras."""
-    return round(frames * sum(_FRAME_S + _MEGAPIXEL_S * c.wh[0] * c.wh[1] / 1e6 for c in cameras), 2)
-
-
 def brightness_over_time(
     path: Path, camera: Camera, frames: int, found: Detections | None, view: ExposureView, longest_px: int
 ) -> Float[np.ndarray, "frames 3"] | None:
@@ -113,5 +105,5 @@ EFFECT = SurveyedEffect(
     obeyed_by="masks.segment, humans.train and enhance.shot: when on they divide every frame by its brightness against "
     "the plate; films are in the plates' constant light",
     measure=measure,
-    artefact=Artefact("brightness.json", write, cost_s),
+    artefact=Artefact("brightness.json", write),
 )

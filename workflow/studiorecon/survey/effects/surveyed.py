@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import Decision
 from studiorecon.scene.effects import Effect
 from studiorecon.survey.evidence import Evidence, Recordings
@@ -39,12 +38,10 @@ class Artefact:
     Attributes:
         file: its name in the results of the survey.
         write: writes it from path, decision, evidence, recordings; an empty file unless the effect is on.
-        cost_s: seconds of one core that writing it takes when the effect is on: cameras, frames. None: negligible.
     """
 
     file: str
     write: Callable[[Path, Decision, Evidence, Recordings], None]
-    cost_s: Callable[[Sequence[Camera], int], float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
