@@ -224,7 +224,7 @@ def people_section(
     if people.identities:
         names, whose = [person.name for person in bodies], read_identities(people.identities[0])
         found = [read_detections(path) for path in people.detections]
-        parts.append(timeline.strip(timeline.frames_seen(found, whose, names, frames), names))
+        parts.append(timeline.strip(timeline.frames_with_detections(found, whose, names, frames), names))
     parts += [sections.left_out(read_json(path)["left_out"]) for path in people.association]
     if people.masks:
         videos = [made.folder / "capture" / f"{mask.stem}.mkv" for mask in people.masks]
@@ -296,7 +296,7 @@ def run(
         verdicts.decisions(decided, spent),
         sections.cost_and_quality(measured, spent, chosen),
         sections.costs(spent),
-        appendix.delivered(poster.parent, page),
+        appendix.delivery_links(poster.parent, page),
         appendix.warnings([*read_warnings(ran.logs), *of_films]),
         appendix.links(made.folder, page, files, ledgers),
         sections.settings(ran.configuration),
