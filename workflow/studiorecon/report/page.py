@@ -277,7 +277,7 @@ def run(
     width, decided = settings.picture_width, [read_decisions(path) for path in measures.decisions]
     recognised = read_json(measures.recognition[0]) if measures.recognition else {}
     ledgers = made.each("render/{}.tsv", made.shots)
-    shown, rows = films_section(made, capture.frames, len(sections.versions_of(measured)) > 1, settings)
+    shown, rows = films_section(made, capture.frames, len(sections.version_names(measured)) > 1, settings)
     of_films = appendix.film_warnings(ledgers, settings.min_measured, settings.max_angle_deg)
     refinement = made.folder / "cameras/refinement.json"
     files = [measures.metrics, costs, *measures.decisions, refinement, *people.identities, *linked]
