@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -28,8 +28,10 @@ from studiorecon.scene.people import Person
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
-_FLOAT, _UBYTE, _USHORT, _UINT = 5126, 5121, 5123, 5125
-_ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
+# glTF's numbers of component types and of what a view is bound as, and its names by components per element.
+_COMPONENT_TYPES = {"float32": 5126, "uint8": 5121, "uint16": 5123, "uint32": 5125}
+_TARGETS = {"vertices": 34962, "indices": 34963, "": None}
+_KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 _BONES = 4
 _MAX_BYTES = 2**32 - 1  # lengths in a GLB are 32 bits
 
@@ -42,18 +44,20 @@ class Buffer:
         self.views: list[dict[str, Any]] = []
         self.accessors: list[dict[str, Any]] = []
 
-    def add(self, values: Num[np.ndarray, "N ..."], kind: str, component: int, target: int | None = None) -> int:
-        """Index of a new accessor over ``values`` (count, …), with the minima and maxima that positions and times
-        require.
-        """
+    def add(self, values: Num[np.ndarray, "N C"], bound_as: Literal["vertices", "indices", ""] = "") -> int:
+        """Index of a new accessor over ``values`` (N, C), with minima and maxima, which positions and times require."""
         raw = np.ascontiguousarray(values).tobytes()
         view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw)}
-        self.views.append(view | ({"target": target} if target else {}))
+        self.views.append(view | ({"target": target} if (target := _TARGETS[bound_as]) else {}))
         self.data += raw + b"\0" * (-len(raw) % 4)
-        flat = values.reshape(len(values), -1)
-        accessor = {"bufferView": len(self.views) - 1, "componentType": component, "count": len(values), "type": kind}
-        if component == _FLOAT and kind in ("SCALAR", "VEC3"):
-            accessor |= {"min": flat.min(0).tolist(), "max": flat.max(0).tolist()}
+        accessor: dict[str, Any] = {
+            "bufferView": len(self.views) - 1,
+            "componentType": _COMPONENT_TYPES[values.dtype.name],
+            "count": len(values),
+            "type": _KINDS[values.shape[1]],
+        }
+        if values.dtype == np.float32 and values.shape[1] in (1, 3):
+            accessor |= {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
         self.accessors.append(accessor)
         return len(self.accessors) - 1
 
@@ -98,9 +102,9 @@ def add_colours(
     colours[:, :3] = np.rint(srgb_to_linear(rgb) * 65535)
     if opacities is not None:
         colours[:, 3] = np.rint(opacities * 65535)
-    held = buffer.add(colours, "VEC4", _USHORT, _ARRAY_BUFFER)
+    held = buffer.add(colours, "vertices")
     buffer.accessors[held]["normalized"] = True
-    marks = buffer.add(provenance.astype(np.float32)[:, None], "SCALAR", _FLOAT, _ARRAY_BUFFER)
+    marks = buffer.add(provenance.astype(np.float32)[:, None], "vertices")
     return {"COLOR_0": held, "_PROVENANCE": marks}
 
 
@@ -115,16 +119,16 @@ def add_body(
     rest, joints = body.rest_vertices(betas), body.rest_joints(betas)
     bones, weights = strongest_bones(body.weights)
     attributes = {
-        "POSITION": buffer.add(rest.astype(np.float32), "VEC3", _FLOAT, _ARRAY_BUFFER),
-        "NORMAL": buffer.add(vertex_normals(rest, body.faces), "VEC3", _FLOAT, _ARRAY_BUFFER),
-        "JOINTS_0": buffer.add(bones, "VEC4", _UBYTE, _ARRAY_BUFFER),
-        "WEIGHTS_0": buffer.add(weights, "VEC4", _FLOAT, _ARRAY_BUFFER),
+        "POSITION": buffer.add(rest.astype(np.float32), "vertices"),
+        "NORMAL": buffer.add(vertex_normals(rest, body.faces), "vertices"),
+        "JOINTS_0": buffer.add(bones, "vertices"),
+        "WEIGHTS_0": buffer.add(weights, "vertices"),
     }
     attributes |= add_colours(buffer, colours.rgb, colours.provenance) if colours else {}
-    indices = buffer.add(body.faces.reshape(-1, 1).astype(np.uint32), "SCALAR", _UINT, _ELEMENT_BUFFER)
+    indices = buffer.add(body.faces.reshape(-1, 1).astype(np.uint32), "indices")
     inverse_bind = np.tile(np.eye(4, dtype=np.float32), (24, 1, 1))
     inverse_bind[:, 3, :3] = -joints  # column-major: the translation is the last row here
-    bind = buffer.add(inverse_bind.reshape(24, 16), "MAT4", _FLOAT)
+    bind = buffer.add(inverse_bind.reshape(24, 16))
     nodes = []
     for j, (name, parent) in enumerate(zip(JOINT_NAMES, body.parents)):
         offset = joints[j] - (joints[parent] if parent >= 0 else 0)
@@ -187,17 +191,17 @@ def motion_channels(buffer: Buffer, person: Person | Avatar, first: int = 0) -> 
     While a person is away the root is scaled to zero, which the specification names as the way to animate visibility; a
     person who is always present has no such channel.
     """
-    times = buffer.add((np.arange(len(person.poses)) / person.fps).astype(np.float32).reshape(-1, 1), "SCALAR", _FLOAT)
+    times = buffer.add((np.arange(len(person.poses)) / person.fps).astype(np.float32).reshape(-1, 1))
     turned = rotations.exp(person.poses.reshape(-1, 24, 3))
     turned[:, 0] = Y_UP_FROM_Z_UP @ turned[:, 0]
     quaternions = continuous_quaternions(rotations.to_quaternion(turned))[..., [1, 2, 3, 0]].astype(np.float32)
     places = (person.trans @ Y_UP_FROM_Z_UP.T).astype(np.float32)
-    outputs = [buffer.add(places, "VEC3", _FLOAT), *(buffer.add(quaternions[:, j], "VEC4", _FLOAT) for j in range(24))]
+    outputs = [buffer.add(places), *(buffer.add(quaternions[:, j]) for j in range(24))]
     samplers = [{"input": times, "output": output, "interpolation": "LINEAR"} for output in outputs]
     paths = [(0, "translation"), *((j, "rotation") for j in range(24))]
     if not person.present.all():
         sizes = np.repeat(person.present.astype(np.float32)[:, None], 3, axis=1)
-        samplers.append({"input": times, "output": buffer.add(sizes, "VEC3", _FLOAT), "interpolation": "STEP"})
+        samplers.append({"input": times, "output": buffer.add(sizes), "interpolation": "STEP"})
         paths.append((0, "scale"))
     channels = [{"sampler": i, "target": {"node": first + node, "path": what}} for i, (node, what) in enumerate(paths)]
     return {"samplers": samplers, "channels": channels}

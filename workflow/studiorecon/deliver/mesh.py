@@ -34,8 +34,6 @@ TRIANGLES = 60_000
 PLANE_STEP_M, PLANE_VERTICES = 0.05, 40_000
 # Surface this near a plane of the mesh is a noisy copy of that plane.
 _OF_PLANE_M = 0.06
-_FLOAT, _UINT = 5126, 5125
-_ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
 
 
 def write_room(path: Path, surfaces: list[Plane], standing: FusedSurface, left_out: list[str]) -> None:
@@ -50,10 +48,10 @@ def write_room(path: Path, surfaces: list[Plane], standing: FusedSurface, left_o
     for name, vertices_m, triangles, rgb, provenance in parts:
         places = (vertices_m @ Y_UP_FROM_Z_UP.T).astype(np.float32)
         attributes = {
-            "POSITION": buffer.add(places, "VEC3", _FLOAT, _ARRAY_BUFFER),
-            "NORMAL": buffer.add(vertex_normals(places.astype(np.float64), triangles), "VEC3", _FLOAT, _ARRAY_BUFFER),
+            "POSITION": buffer.add(places, "vertices"),
+            "NORMAL": buffer.add(vertex_normals(places.astype(np.float64), triangles), "vertices"),
         } | add_colours(buffer, rgb, provenance)
-        indices = buffer.add(triangles.astype(np.uint32).reshape(-1, 1), "SCALAR", _UINT, _ELEMENT_BUFFER)
+        indices = buffer.add(triangles.astype(np.uint32).reshape(-1, 1), "indices")
         meshes.append({"name": name, "primitives": [{"attributes": attributes, "indices": indices, "material": 0}]})
     document: dict[str, Any] = {
         "asset": {

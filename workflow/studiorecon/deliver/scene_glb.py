@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from jaxtyping import Integer
 
 SPLATS, NAMES = "KHR_gaussian_splatting", "KHR_gaussian_splatting:"
-_FLOAT, _ARRAY_BUFFER, _POINTS = 5126, 34962, 0
+_POINTS = 0  # glTF's mode of primitives that are points
 _NEAR_M = 0.05
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
@@ -51,15 +51,15 @@ def splats(buffer: Buffer, own: Gaussians, provenance: Integer[np.ndarray, " N"]
     """
     opacities = own.opacities
     values = {
-        "POSITION": (own.means_m, "VEC3"),
-        f"{NAMES}ROTATION": (np.ascontiguousarray(own.unit_quaternions[:, [1, 2, 3, 0]], np.float32), "VEC4"),
-        f"{NAMES}SCALE": (np.exp(own.log_scales), "VEC3"),
-        f"{NAMES}OPACITY": (opacities[:, None], "SCALAR"),
+        "POSITION": own.means_m,
+        f"{NAMES}ROTATION": np.ascontiguousarray(own.unit_quaternions[:, [1, 2, 3, 0]], np.float32),
+        f"{NAMES}SCALE": np.exp(own.log_scales),
+        f"{NAMES}OPACITY": opacities[:, None],
     }
     for degree in range(own.sh_degree + 1):
         for k in range(2 * degree + 1):
-            values[f"{NAMES}SH_DEGREE_{degree}_COEF_{k}"] = own.sh[:, degree**2 + k], "VEC3"
-    attributes = {name: buffer.add(array, kind, _FLOAT, _ARRAY_BUFFER) for name, (array, kind) in values.items()}
+            values[f"{NAMES}SH_DEGREE_{degree}_COEF_{k}"] = own.sh[:, degree**2 + k]
+    attributes = {name: buffer.add(array, "vertices") for name, array in values.items()}
     attributes |= add_colours(buffer, 0.5 + SH_C0 * own.sh[:, 0], provenance, opacities)
     looks = {
         "kernel": "ellipse",
@@ -94,12 +94,12 @@ def thing_motion(buffer: Buffer, thing: RigidObject, fps: float, node: int) -> d
     if not len(known):
         return None
     poses = np.stack([thing.pose_at(float(frame)) for frame in known])
-    times = buffer.add((known / fps).astype(np.float32)[:, None], "SCALAR", _FLOAT)
+    times = buffer.add((known / fps).astype(np.float32)[:, None])
     turns = continuous_quaternions(rotations.to_quaternion(Y_UP_FROM_Z_UP @ poses[:, :3, :3]))[:, [1, 2, 3, 0]]
     places = (poses[:, :3, 3] @ Y_UP_FROM_Z_UP.T).astype(np.float32)
     outputs = {
-        "translation": buffer.add(places, "VEC3", _FLOAT),
-        "rotation": buffer.add(turns.astype(np.float32), "VEC4", _FLOAT),
+        "translation": buffer.add(places),
+        "rotation": buffer.add(turns.astype(np.float32)),
     }
     return {
         "samplers": [{"input": times, "output": output, "interpolation": "LINEAR"} for output in outputs.values()],
