@@ -60,18 +60,20 @@ BARS = {
 
 def networks(detector: str) -> list[Path]:
     """The detector's files."""
-    return [ROOT / "resources/detector" / name for name in ("pose_detection.onnx", FILES[detector], "confidence.json")]
+    return [
+        ROOT / "resources/detector" / name for name in ("movenet_multipose.onnx", FILES[detector], "confidence.json")
+    ]
 
 
 def cost(detector: str, folder: Path) -> dict[str, Any]:
-    """Processor milliseconds per person and picture of a whole film with two people, all told: decoding, windows,
+    """Processor milliseconds per person and picture of a whole film with two people, all told: decoding, finding,
     following, and the second look. Two cores halve it. Runs ``multi`` first where DIR has none."""
     scene, camera = folder / "results/multi", "cam03"
     if not (scene / "people/first/identities.tsv").exists():
         multi(detector, folder)
     video, found = DATA / f"pose2sim_balancing/multi/videos/{camera}.mp4", folder / "cost.npz"
     began = time.process_time()
-    detect.run(camera, video, [], 30.0, [], networks(detector), [], "auto", found)
+    detect.run(camera, video, [], 30.0, networks(detector), [], "auto", found)
     first_s = time.process_time() - began
     second_look.run(
         loaded(second_look.Settings),
@@ -115,7 +117,7 @@ def people_in_pictures(detector: str, folder: Path) -> dict[str, Any]:
         one.mkdir(exist_ok=True, parents=True)
         if not (one / path.name).exists():
             (one / path.name).symlink_to(path)
-        detect.run(path.stem, one, [], 30.0, [], networks(detector), [], "auto", folder / f"{path.stem}.npz")
+        detect.run(path.stem, one, [], 30.0, networks(detector), [], "auto", folder / f"{path.stem}.npz")
         boxes = [box_of(keypoints) for keypoints in read_raw_detections(folder / f"{path.stem}.npz").keypoints]
         share = open_source(one, 30.0).wh[0] / 728
         overlaps = np.array([[overlap(np.array(m) * share, box) for box in boxes] for m in marked])

@@ -76,7 +76,7 @@ def found_in(camera: str, video: Path, folder: Path) -> Path:
     found = folder / "found" / f"{camera}.npz"
     if not found.exists():
         found.parent.mkdir(parents=True, exist_ok=True)
-        detect.run(camera, video, [], 30.0, [], networks("blazepose_heavy"), [], "auto", found)
+        detect.run(camera, video, [], 30.0, networks("blazepose_heavy"), [], "auto", found)
     return found
 
 

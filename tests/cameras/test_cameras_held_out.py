@@ -115,7 +115,7 @@ def test_a_real_held_out_camera_is_put_right_by_a_real_man(
     place the man, and the detector finds him in its pictures."""
     data = open_dataset(real_data / "pose2sim_balancing/single", root / "tests/captures/pose2sim_single.yaml")
     names, folder = list(data.cameras), root / "resources/detector"
-    networks = [folder / n for n in ("pose_detection.onnx", "pose_landmark_full.onnx", "confidence.json")]
+    networks = [folder / n for n in ("movenet_multipose.onnx", "pose_landmark_full.onnx", "confidence.json")]
     lenses, manifests = tmp_path / "calibration.json", tmp_path / "manifest.json"
     calibrated = settings_module.load(files.Settings, default_settings("calibration"), "calibration")
     files.run(calibrated, list(data.calibration), names, tmp_path / "read.json")

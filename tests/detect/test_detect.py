@@ -6,23 +6,22 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose, Landmarks, anchors
+from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, Landmarks
 from studiorecon.detector.crops import Region, sampled
 from studiorecon.detector.following import Walker, detect_people
-from studiorecon.detector.looking import detect_exhaustively, detect_new_people
-from studiorecon.detector.windows import changed, grid, small, usual
+from studiorecon.detector.looking import Detector
+from studiorecon.detector.movenet import MoveNet, Sighting
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import stills
 from studiorecon.footage.source import open_source
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.scene.raw_detections import RawDetections, is_detector_file, read_raw_detections, write_raw_detections
 
-FILES = ("pose_detection.onnx", "pose_landmark_full.onnx")
+FILES = ("movenet_multipose.onnx", "pose_landmark_full.onnx")
 
 
 def test_the_networks_are_those_that_were_baked(root: Path) -> None:
@@ -36,9 +35,10 @@ def test_the_networks_are_those_that_were_baked(root: Path) -> None:
 def test_a_missing_network_and_another_one_are_refused(root: Path, tmp_path: Path) -> None:
     folder = root / "resources/detector"
     with pytest.raises(UserError, match=r"nowhere\.onnx is missing"):
-        BlazePose(tmp_path / "nowhere.onnx", folder / FILES[1])
-    with pytest.raises(UserError, match="another network"):
-        BlazePose(folder / FILES[1], folder / FILES[1])
+        Detector.of(tmp_path / "nowhere.onnx", folder / FILES[1])
+    for finder, placer in ((FILES[1], FILES[1]), (FILES[0], FILES[0])):
+        with pytest.raises(UserError, match="another network"):
+            Detector.of(folder / finder, folder / placer)
 
 
 def test_the_layout_names_what_the_landmarks_are() -> None:
@@ -55,13 +55,6 @@ def test_the_layout_names_what_the_landmarks_are() -> None:
         "left_big_toe",
     ]
     assert len(LAYOUTS[LAYOUT].pairs) == 16
-
-
-def test_anchors_are_cell_middles_in_the_networks_order() -> None:
-    found = anchors()
-    assert found.shape == (2254, 2)
-    np.testing.assert_allclose(found[[0, 2, 56]], [[0.5 / 28, 0.5 / 28], [1.5 / 28, 0.5 / 28], [0.5 / 28, 1.5 / 28]])
-    np.testing.assert_allclose(found[-1], 6.5 / 7)
 
 
 @pytest.mark.parametrize(("side", "turn_rad"), [(50.0, 0.0), (300.0, 0.7), (900.0, -2.0)])
@@ -95,58 +88,52 @@ def test_a_region_puts_the_circles_point_on_top() -> None:
     assert top[1] == pytest.approx(128 - 128 / 1.25)
 
 
-def test_windows_cover_every_place_at_every_scale() -> None:
-    for wh in ((480, 272), (1088, 1920), (3840, 2160)):
-        sides = sorted({side for _, side in grid(wh)})
-        assert len(sides) == (4 if max(wh) > 3000 else 3)
-        for side in sides:
-            covered = np.zeros((wh[1] // 16, wh[0] // 16), bool)
-            for corner, own in grid(wh):
-                if own == side:
-                    x, y = np.maximum(corner, 0)
-                    covered[
-                        int(y / 16) : int((corner[1] + own) / 16) + 1, int(x / 16) : int((corner[0] + own) / 16) + 1
-                    ] = True
-            assert covered.all(), (wh, side)
+# COCO's points of somebody upright, from the hips, in pixels.
+UPRIGHT = np.array(
+    [
+        *([0, -50], [2, -52], [-2, -52], [4, -50], [-4, -50], [8, -40], [-8, -40], [12, -20], [-12, -20]),
+        *([14, 0], [-14, 0], [5, 0], [-5, 0], [6, 20], [-6, 20], [6, 40], [-6, 40]),
+    ]
+)
 
 
-def test_what_came_into_the_picture_gets_a_window() -> None:
-    rng = np.random.default_rng(0)
-    empty = [rng.integers(90, 110, (272, 480, 3), dtype=np.uint8) for _ in range(5)]
-    somebody = empty[0].copy()
-    somebody[60:200, 300:350] = 220
-    ((corner, side),) = changed(somebody, usual([small(p) for p in empty]))
-    assert (corner < [300, 60]).all()
-    assert (corner + side > [350, 200]).all()
-    assert changed(empty[1], usual([small(p) for p in empty])) == []
-
-
-class MadeNetwork:
-    """Sees a bright square as a person: exactly, but only with its region near it."""
+class MadeFinder:
+    """Sees a bright dot as the hips of somebody, a faint one only from near."""
 
     def __init__(self) -> None:
-        self.looks = self.windows = 0
+        self.passes = self.close = 0
 
-    def detect(self, picture: np.ndarray, corner: np.ndarray, side: float, least: float) -> list[tuple[float, Region]]:
-        self.windows += 1
-        places = [np.array(c[::-1]) + 0.5 for c in np.argwhere(picture[..., 0] == 255)]
+    def find(self, picture: np.ndarray, longer_px: int, least: float) -> list[Sighting]:
+        near = longer_px > 1000
+        self.passes += 1
+        self.close += near
         return [
-            (0.9, Region(p, 60.0, 0.0))
-            for p in places
-            if (p > corner).all() and (p < corner + side).all() and side < 250
+            Sighting(0.5, np.column_stack([place + UPRIGHT / (1 + near), np.full(len(UPRIGHT), 0.5)]))
+            for place in np.argwhere(picture[..., 0] >= (99 if near else 255))[:, ::-1] + 0.5
         ]
+
+
+class MadePlacer:
+    """Places the person of a dot exactly, but only with a region near it."""
+
+    def __init__(self) -> None:
+        self.looks = 0
 
     def look(self, picture: np.ndarray, region: Region) -> Landmarks:
         self.looks += 1
-        places = np.argwhere(picture[..., 0] == 255)[:, ::-1] + 0.5
+        places = np.argwhere(picture[..., 0] > 0)[:, ::-1] + 0.5
         gaps = np.linalg.norm(places - region.centre, axis=1) if len(places) else np.array([np.inf])
         own = places[gaps.argmin()] if gaps.min() < region.side / 3 else region.centre
-        keypoints = np.column_stack(
-            [own + np.random.default_rng(1).uniform(-20, 20, (LANDMARKS, 2)), np.full(LANDMARKS, 0.9)]
-        )
+        keypoints = np.column_stack([np.tile(own, (LANDMARKS, 1)), np.full(LANDMARKS, 0.9)])
+        keypoints[[LAYOUTS[LAYOUT].keypoints.index(name) for name in LAYOUTS["coco17"].keypoints], :2] += UPRIGHT
         presence = 1.0 if gaps.min() < region.side / 3 else 0.0
         guess, mask = np.zeros((LANDMARKS, 3)), np.zeros((MASK_PX, MASK_PX), np.uint8)
         return Landmarks(keypoints, presence, guess, mask, region, replace(region, centre=own))
+
+
+def made() -> tuple[Detector, MadeFinder, MadePlacer]:
+    finder, placer = MadeFinder(), MadePlacer()
+    return Detector(finder, placer), finder, placer  # type: ignore[arg-type]
 
 
 def walk(frames: int, *walkers: tuple[int, int, float]) -> list[np.ndarray]:
@@ -160,19 +147,34 @@ def walk(frames: int, *walkers: tuple[int, int, float]) -> list[np.ndarray]:
 
 def test_people_are_followed_forwards_and_back_through_all_pictures() -> None:
     pictures = walk(40, (0, 39, 4.0), (7, 33, -1.0))
-    network = MadeNetwork()
-    seen = list(detect_people(pictures, network, [], fps=30.0))  # type: ignore[arg-type]
+    detector, finder, placer = made()
+    seen = list(detect_people(pictures, detector, fps=30.0))
     assert [len(s) for s in seen] == [1 + (7 <= t <= 33) for t in range(40)]
     # Looked for twice a second only, and one look per person and picture beside.
-    assert network.windows <= 4 * len(grid((400, 200)))
-    assert network.looks < 2.2 * sum(map(len, seen))
+    assert finder.passes <= 4 * 3
+    assert placer.looks < 2.2 * sum(map(len, seen))
 
 
 def test_how_often_is_looked_follows_the_clock_and_not_the_frame_count() -> None:
-    slow, fast = MadeNetwork(), MadeNetwork()
-    assert all(len(s) == 1 for s in detect_people(walk(20, (0, 19, 12.0)), slow, [], fps=10.0))  # type: ignore[arg-type]
-    assert all(len(s) == 1 for s in detect_people(walk(120, (0, 119, 2.0)), fast, [], fps=60.0))  # type: ignore[arg-type]
-    assert fast.windows <= slow.windows
+    (slow, ten, _), (fast, sixty, _) = made(), made()
+    assert all(len(s) == 1 for s in detect_people(walk(20, (0, 19, 12.0)), slow, fps=10.0))
+    assert all(len(s) == 1 for s in detect_people(walk(120, (0, 119, 2.0)), fast, fps=60.0))
+    assert sixty.passes <= ten.passes
+
+
+def test_whom_only_a_close_look_finds_is_looked_for_closely_as_long_as_that_finds_more() -> None:
+    """Close looks are dear: every five seconds, and at every look while they add people."""
+    empty, nobody, _ = made()
+    assert not any(detect_people(walk(100), empty, fps=10.0))
+    assert nobody.close == 2
+    pictures = walk(100, (0, 99, 1.0))
+    for t, picture in enumerate(pictures):
+        picture[picture > 0] = 99
+        if t > 3:
+            picture[170, 30] = 99
+    detector, finder, _ = made()
+    assert [len(s) for s in detect_people(pictures, detector, fps=10.0)] == [1] + [1] * 3 + [2] * 96
+    assert finder.close == 4
 
 
 def test_found_people_survive_the_file(tmp_path: Path) -> None:
@@ -193,8 +195,7 @@ def test_a_real_man_and_a_bystander_are_found_where_openpose_found_them(root: Pa
     folder = root / "resources/detector"
     source = open_source(real_data / "pose2sim_balancing/single/videos/cam03.mp4", 30.0)
     (picture,) = stills(source, [0])
-    network = BlazePose(folder / FILES[0], folder / FILES[1])
-    seen = detect_new_people(network, picture, grid(source.wh), [])
+    seen = Detector.of(folder / FILES[0], folder / FILES[1]).detect_new_people(picture)
     assert len(seen) == 1
     names = LAYOUTS[LAYOUT].keypoints
     there = {n: seen[0].keypoints[names.index(n)] for n in names}
@@ -209,30 +210,53 @@ def test_a_real_man_and_a_bystander_are_found_where_openpose_found_them(root: Pa
 def test_a_region_follows_a_speed_and_not_a_number_of_pictures() -> None:
     """Somebody at 120 pixels per second: a twelfth of a second later they are expected at nearly the same place, seen
     once in that time or ten times."""
-    seen = MadeNetwork().look(np.zeros((10, 10, 3), np.uint8), Region(np.zeros(2), 60.0, 0.0))
+    seen = MadePlacer().look(np.zeros((10, 10, 3), np.uint8), Region(np.zeros(2), 60.0, 0.0))
     slow = Walker(seen, np.array([10.0, 0.0])).region(12.0).centre
     fast = Walker(seen, np.array([1.0, 0.0])).region(120.0).centre
     assert slow[0] == pytest.approx(8.1, abs=0.1)
     assert fast[0] == pytest.approx(0.98, abs=0.01)
 
 
-def test_a_picture_without_neighbours_is_looked_at_in_turned_windows_and_the_surest_look_counts() -> None:
-    class Bent(MadeNetwork):
-        """Sees somebody only in turned windows, and is sure of them at the second look."""
+def test_who_is_known_or_seen_at_two_sizes_is_placed_once() -> None:
+    picture = walk(1, (0, 0, 0.0), (0, 0, 0.0))[0]
+    detector, _, placer = made()
+    both = detector.detect_new_people(picture)
+    assert len(both) == 2
+    assert placer.looks == 4
+    assert len(detector.detect_new_people(picture, both[:1])) == 1
+    assert placer.looks == 6
+    assert detector.detect_new_people(picture, both) == []
+    assert placer.looks == 6
 
-        def detect(self, *window: Any) -> list[tuple[float, Region]]:
-            upright = window[4] == 0
-            return [] if upright else [(0.5, region) for _, region in super().detect(*window[:4])]
 
-        def look(self, picture: np.ndarray, region: Region) -> Landmarks:
-            seen = super().look(picture, region)
-            first = abs(region.side - 60) < 1e-6
-            full = np.full((MASK_PX, MASK_PX), 255, np.uint8)
-            surer = replace(seen.next_region, side=61.0)
-            return replace(seen, presence=seen.presence * (0.6 if first else 1.0), mask=full, next_region=surer)
+def test_the_finder_reads_the_maps_as_the_original_graph_does(root: Path) -> None:
+    """Six people that TensorFlow made of the whole graph (``resources/bake_finder.py``), among them some of low
+    score."""
+    with np.load(Path(__file__).with_name("movenet_original.npz")) as file:
+        picture, theirs = file["picture"], file["people"]
+    wh = np.array([picture.shape[1], picture.shape[0]])
+    ours = MoveNet(root / "resources/detector" / FILES[0]).find(picture, max(wh), 0.05)
+    theirs = theirs[theirs[:, -1] > 0.05]
+    assert len(ours) == len(theirs) >= 2
+    for own, other in zip(ours, theirs[np.argsort(-theirs[:, -1])]):
+        assert own.score == pytest.approx(other[-1], abs=1e-3)
+        points = other[:51].reshape(17, 3)
+        np.testing.assert_allclose(own.keypoints[:, 2], points[:, 2], atol=2e-3)
+        np.testing.assert_allclose(own.keypoints[:, :2] / wh, points[:, 1::-1], atol=2e-3)
 
-    picture = walk(1, (0, 0, 4.0))[0]
-    assert detect_new_people(MadeNetwork(), picture, grid((400, 200)), []) != []  # type: ignore[arg-type]
-    (found,) = detect_exhaustively(Bent(), picture)  # type: ignore[arg-type]
-    assert found.presence == 1.0
-    assert detect_exhaustively(Bent(), np.zeros_like(picture)) == []  # type: ignore[arg-type]
+
+def test_people_of_forty_pixels_are_found_closely(root: Path) -> None:
+    """Two made people, shrunk, in a large picture: the usual look misses one."""
+    with np.load(Path(__file__).with_name("movenet_original.npz")) as file:
+        whole, people = file["picture"], file["people"]
+    tallest = max(people[:2, 53] - people[:2, 51]) * whole.shape[0]
+    small = cv2.resize(whole, None, fx=40 / tallest, fy=40 / tallest, interpolation=cv2.INTER_AREA)
+    picture = np.full((720, 1280, 3), 110, np.uint8)
+    top, left = 500, 640
+    picture[top : top + small.shape[0], left : left + small.shape[1]] = small
+    network = MoveNet(root / "resources/detector" / FILES[0])
+    assert len(network.find(picture, 640, 0.1)) < 2
+    found = network.find(picture, 1280, 0.1)
+    for person in people[:2]:
+        hips = np.array([left, top]) + person[:51].reshape(17, 3)[11:13, 1::-1].mean(0) * small.shape[1::-1]
+        assert min(np.linalg.norm(one.keypoints[11:13, :2].mean(0) - hips) for one in found) < 6

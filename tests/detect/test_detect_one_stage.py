@@ -166,7 +166,7 @@ def test_agreement_is_a_share_of_the_body() -> None:
 def test_it_stands_behind_the_detector_like_any_other(root: Path, tmp_path: Path) -> None:
     folder = root / "resources/detector"
     second = second_network([written(tmp_path / "stand_in.onnx")], "coco17")
-    looked = BlazePose(folder / "pose_detection.onnx", folder / "pose_landmark_full.onnx", second)
+    looked = BlazePose(folder / "pose_landmark_full.onnx", second)
     assert {LANDMARKS[own] for own, _ in looked._shared} == set(COCO)
 
 

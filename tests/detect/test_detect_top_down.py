@@ -149,7 +149,7 @@ def test_where_both_know_a_point_the_better_network_says_where_it_is(root: Path,
     folder = root / "resources/detector"
     second = second_network([written(tmp_path / "stand_in.onnx", 17, True)], "coco17")
     assert second is not None
-    looked = BlazePose(folder / "pose_detection.onnx", folder / "pose_landmark_full.onnx", second)
+    looked = BlazePose(folder / "pose_landmark_full.onnx", second)
     assert second_network([], "auto") is None
     names = LAYOUTS["blazepose33"].keypoints
     assert {names[own] for own, _ in looked._shared} == set(COCO)

@@ -13,8 +13,8 @@ ROOT = Path(__file__).resolve().parents[2]
 LOOK = """
 import os, sys, time
 from pathlib import Path
-from studiorecon.detector.blazepose import open_network
-open_network(Path("resources/detector/pose_landmark_full.onnx"), (1, 256, 256, 3))
+from studiorecon.detector.blazepose import BlazePose
+BlazePose(Path("resources/detector/pose_landmark_full.onnx"))
 time.sleep(1)
 print(len(os.listdir("/proc/self/task")) if os.path.isdir("/proc/self/task") else 1)
 """

@@ -25,7 +25,7 @@ from studiorecon.scene.replacement_photos import strangers
 from tests.made.scene import render_options, write_scene
 from tests.made.steps import call
 
-NETWORKS = ("pose_detection.onnx", "pose_landmark_heavy.onnx")
+NETWORKS = ("movenet_multipose.onnx", "pose_landmark_heavy.onnx")
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 from studiorecon.body.model import BodyModel
-from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose
+from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX
 from studiorecon.detector.following import detect_people, keypoints_with_confidence
-from studiorecon.detector.windows import small, usual
+from studiorecon.detector.looking import Detector
 from studiorecon.footage.video import write_lossless
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.keypoints.detections import detections_from_detector
@@ -95,13 +95,12 @@ def looked_at(
     lenses = rig.true_lenses(about, cameras)
     troupe = Actors(about, BodyModel.load(RESOURCES / "body.npz"), np.arange(about.frames) / about.fps)
     changed(troupe)
-    files = [root / "resources/detector" / name for name in ("pose_detection.onnx", "pose_landmark_full.onnx")]
-    network, found, witnesses, videos = BlazePose(*files), [], [], []
+    files = [root / "resources/detector" / name for name in ("movenet_multipose.onnx", "pose_landmark_full.onnx")]
+    detector, found, witnesses, videos = Detector.of(*files), [], [], []
     for camera, lens in zip(cameras, lenses):
         pictures = filmed(about, lens, troupe, extra, still)
         videos.append(folder / f"{camera.name}.mkv")
         write_lossless(videos[-1], pictures, FPS)
-        background = usual([small(p) for p in pictures])
         rows = [
             (
                 t,
@@ -111,7 +110,7 @@ def looked_at(
                 one.mask,
                 one.region.crop_from_picture(MASK_PX),
             )
-            for t, seen in enumerate(detect_people(pictures, network, [background], FPS))
+            for t, seen in enumerate(detect_people(pictures, detector, FPS))
             for one in seen
         ]
         raw = RawDetections.of(camera.name, LAYOUT, LANDMARKS, rows, (0, about.frames), "made")

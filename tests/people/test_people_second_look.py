@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from studiorecon.detector.blazepose import LAYOUT, MASK_PX, Landmarks, Region
-from studiorecon.detector.windows import region_of_body
+from studiorecon.detector.crops import region_of_body
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people import second_look
 from studiorecon.people.expected_keypoints import ExpectedKeypoints, agreement, plan_second_look, swap_left_right

@@ -44,7 +44,7 @@ def picture(shift_px: float | None) -> np.ndarray:
 def recognised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict]:
     """Scores of a film whose people are shifted by so many pixels from those of the photos (None: are missing)."""
     monkeypatch.setattr(recognition, "detect_keypoints", found_in)
-    monkeypatch.setattr(recognition, "BlazePose", lambda *_: None)
+    monkeypatch.setattr(recognition.Detector, "of", lambda *_: None)
     cameras = ring([45, 135], "view")
     write_model(tmp_path / "heldout", cameras)
     lens = np.eye(3).tolist()
@@ -68,7 +68,7 @@ def recognised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[...,
                 [tmp_path / "film.json"],
                 [tmp_path / "better.mkv"],
             ),
-            [tmp_path / "detection.onnx", tmp_path / "landmarks.onnx", tmp_path / "confidence.json"],
+            [tmp_path / "finder.onnx", tmp_path / "landmarks.onnx", tmp_path / "confidence.json"],
             tmp_path / "recognition.json",
         )
         return read_json(tmp_path / "recognition.json")
@@ -108,7 +108,7 @@ def test_without_a_film_of_a_cameras_own_view_nothing_is_measured(tmp_path: Path
     write_model(tmp_path, ring([45], "view"))
     write_manifest(tmp_path / "manifest.json", Manifest("made", 30.0, FRAMES, ()))
     folder = root / "resources/detector"
-    networks = [folder / "pose_detection.onnx", folder / "pose_landmark_full.onnx", folder / "confidence.json"]
+    networks = [folder / "movenet_multipose.onnx", folder / "pose_landmark_full.onnx", folder / "confidence.json"]
     images = tmp_path / "images.txt"
     recognition.run(JudgedFiles(tmp_path / "manifest.json", images, images), networks, tmp_path / "found.json")
     found = read_json(tmp_path / "found.json")

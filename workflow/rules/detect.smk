@@ -29,7 +29,6 @@ if PLAN.person_sources.measured or not PLAN.person_sources.bodies:
         input:
             source=files.footage,
             clocks=branch(PLAN.person_sources.part_used, then="results/{scene}/clocks/clocks.json"),
-            plate=files.given_plate,
             networks=files.detector,
             second=files.second_network,
         output:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The embedded detector of people: BlazePose on full pictures. In come a camera's frames; out come people with 33
-landmarks, masks and a track.
+"""The embedded detector: MoveNet finds people, BlazePose places them. In come a camera's frames; out come people with
+33 landmarks, masks and a track.
 
-``windows`` says where in a picture somebody is looked for, ``crops`` cuts that out, ``blazepose`` runs the two
-networks there, ``second_network`` a network of the user's own behind them (``top_down``: of one person, ``one_stage``:
-of everybody), ``network_files`` opens both, ``looking`` finds everybody in one picture, ``film_rotation`` says how a
-film is turned, ``following`` goes through a camera's frames.
+``movenet`` finds everybody in a picture, ``crops`` cuts each one out, ``blazepose`` places them, ``second_network`` is a
+network of the user's own behind it (``top_down``: of one person, ``one_stage``: of everybody), ``network_files`` opens
+both, ``looking`` is all of that for one picture, ``film_rotation`` says how a film is turned, ``following`` goes
+through a camera's frames.
 """
 
 import os

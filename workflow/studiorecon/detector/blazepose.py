@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""BlazePose: people in a square window of a picture, and 33 landmarks, a mask and a metric guess of somebody in a
-region of it.
+"""BlazePose: 33 landmarks, a mask and a metric guess of somebody in a region of a picture.
 
 Networks: Bazarevsky et al., "BlazePose: On-device Real-time Body Pose tracking" (2020) and the model card "BlazePose
 GHUM 3D" (Google, Apache-2.0), as ONNX files under resources/detector. What goes in and comes out is described there and
@@ -15,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import onnxruntime
 
 from studiorecon.detector.crops import Region, opened, sampled
 from studiorecon.detector.second_network import SecondNetwork
@@ -23,17 +21,15 @@ from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Integer, Num, Shaped
+    from jaxtyping import Integer, Num
 
 LAYOUT = "blazepose33"
 LANDMARKS = 33
-_WINDOW_PX, _CROP_PX, _HEAT_PX = 224, 256, 64
+_CROP_PX, _HEAT_PX = 256, 64
 PRESENT = 0.5
 """How sure the landmark network must be that somebody is in a region."""
 MASK_PX = 128
 """Edge of the masks that are kept: the network's own 256 hold no more than that."""
-# Cells across the window and anchors per cell, in the order of the detector's 2,254 rows.
-_CELLS = ((28, 2), (14, 2), (7, 6))
 # Two points beside the 33 say where the body is: the middle of the hips, and a point on the circle around it.
 _HIPS, _CIRCLE = 33, 34
 _HEAT_REACH = 3
@@ -66,15 +62,13 @@ class Landmarks:
 
 
 class BlazePose:
-    """The two networks, on one core: cameras are looked at side by side, and the same picture gives the same
-    numbers."""
+    """The network, on one core: cameras are looked at side by side, and the same picture gives the same numbers."""
 
-    def __init__(self, detection: Path, landmarks: Path, second: SecondNetwork | None = None) -> None:
-        """``second_network`` has the say where points are; raises UserError when a file is missing or not what it
-        should be."""
-        self._detection = open_network(detection, (1, _WINDOW_PX, _WINDOW_PX, 3))
-        self._landmarks = open_network(landmarks, (1, _CROP_PX, _CROP_PX, 3))
-        self._anchors = anchors()
+    def __init__(self, landmarks: Path, second: SecondNetwork | None = None) -> None:
+        """``second`` has the say where points are; raises UserError when a file is missing or not what it should be."""
+        self._landmarks = opened(landmarks, "take it from a fresh copy of resources/detector")
+        if (given := tuple(self._landmarks.get_inputs()[0].shape)) != (1, _CROP_PX, _CROP_PX, 3):
+            raise UserError(f"{landmarks} takes an array of {given}, not BlazePose's; it is another network")
         self._second = second
         own = LAYOUTS[LAYOUT].keypoints
         theirs = LAYOUTS[second.layout].keypoints if second else ()
@@ -82,32 +76,12 @@ class BlazePose:
         if second and not self._shared:
             raise UserError(f"detect.network gives {second.layout}, of which BlazePose knows none; take another one")
 
-    def detect(
-        self,
-        picture: Integer[np.ndarray, "H W 3"],
-        corner: Num[np.ndarray, " 2"],
-        side: float,
-        least: float,
-        turn_rad: float = 0.0,
-    ) -> list[tuple[float, Region]]:
-        """(score, region) of whoever is in the window of ``picture`` (H, W, 3 uint8 RGB) at ``corner`` (2,), turned
-        about its middle, above ``least``."""
-        place = Region(corner + side / 2, side, turn_rad)
-        rows, logits = run(self._detection, sampled(picture, place, _WINDOW_PX) / np.float32(127.5) - np.float32(1))
-        scores = _sigmoid(logits[:, 0].astype(np.float64))
-        found = []
-        for k in np.flatnonzero(scores > least):
-            two = self._anchors[k] * _WINDOW_PX + rows[k, 4:].reshape(4, 2)[:2]
-            hips, circle = place.in_picture(two, _WINDOW_PX)
-            if np.linalg.norm(circle - hips) > 0:
-                found.append((float(scores[k]), Region.around(hips, circle)))
-        return found
-
     def look(self, picture: Integer[np.ndarray, "H W 3"], region: Region) -> Landmarks:
         """Landmarks of whoever is in ``region`` of ``picture`` (H, W, 3 uint8 RGB); ``presence`` says whether somebody
         is."""
         crop = sampled(picture, region, _CROP_PX)
-        points, presence, mask, heat, guess = run(self._landmarks, crop * np.float32(1 / 255))
+        given = {self._landmarks.get_inputs()[0].name: crop[None] * np.float32(1 / 255)}
+        points, presence, mask, heat, guess = (out[0] for out in self._landmarks.run(None, given))
         points = points.reshape(39, 5).astype(np.float64)
         pixels = region.in_picture(refined(points[:, :2], heat), _CROP_PX)
         c, s = np.cos(region.turn_rad), np.sin(region.turn_rad)
@@ -134,30 +108,6 @@ class BlazePose:
         for own, theirs in self._shared:
             out[own] = said[theirs]
         return out
-
-
-def open_network(path: Path, shape: tuple[int, ...]) -> onnxruntime.InferenceSession:
-    """A network that takes one array of ``shape``; raises UserError naming the file when it is missing or another
-    one."""
-    session = opened(path, "take it from a fresh copy of resources/detector")
-    if (given := tuple(session.get_inputs()[0].shape)) != shape:
-        raise UserError(f"{path} takes an array of {given} where BlazePose takes {shape}; it is another network")
-    return session
-
-
-def run(session: onnxruntime.InferenceSession, picture: Float[np.ndarray, "E E 3"]) -> list[Shaped[np.ndarray, " ..."]]:
-    """What the network says to one picture, without the batch's axis."""
-    return [out[0] for out in session.run(None, {session.get_inputs()[0].name: picture[None].astype(np.float32)})]
-
-
-def anchors() -> Num[np.ndarray, "2254 2"]:
-    """(2254, 2) middles of the detector's cells, in shares of the window."""
-    found = []
-    for across, per_cell in _CELLS:
-        rows, columns = np.mgrid[0:across, 0:across]
-        middles = np.stack([(columns + 0.5) / across, (rows + 0.5) / across], axis=-1).reshape(-1, 2)
-        found.append(np.repeat(middles, per_cell, axis=0))
-    return np.concatenate(found)
 
 
 def refined(points: Num[np.ndarray, "K 2"], heat: Num[np.ndarray, "64 64 K"]) -> Num[np.ndarray, "K 2"]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 # A region's side, in diameters of the circle around the body that the networks find.
 _REGION_SCALE = 1.25
+# So many joints of a known body must be inside the picture, and how far the circle around it reaches beyond them.
+_MIN_JOINTS = 8
+_CIRCLE = 1.15
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,21 @@ class Region:
         """(N, 2) picture pixels of those of an upright crop of ``edge`` pixels."""
         affine = self.crop_from_picture(edge)
         return (pixels - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
+
+
+def region_of_body(joints: Mapping[str, Num[np.ndarray, " 2"]], wh: tuple[int, int]) -> Region | None:
+    """Where to look for somebody whose ``joints`` (name → (2,) pixels, NaN unknown) are known from elsewhere; None
+    where too few are inside the picture, or hips or shoulders are unknown."""
+    at = {name: pixels for name, pixels in joints.items() if np.isfinite(pixels).all()}
+    if not {"left_hip", "right_hip", "left_shoulder", "right_shoulder"} <= set(at):
+        return None
+    points = np.array(list(at.values()))
+    if ((points >= 0) & (points < wh)).all(-1).sum() < _MIN_JOINTS:
+        return None
+    hips, shoulders = (at["left_hip"] + at["right_hip"]) / 2, (at["left_shoulder"] + at["right_shoulder"]) / 2
+    up = shoulders - hips
+    radius = _CIRCLE * np.linalg.norm(points - hips, axis=1).max()
+    return Region.around(hips, hips + up * radius / max(np.linalg.norm(up), 1e-9))
 
 
 def sampled(picture: Num[np.ndarray, "H W 3"], region: Region, edge: int) -> Integer[np.ndarray, "edge edge 3"]:

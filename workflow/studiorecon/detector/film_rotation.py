@@ -7,14 +7,13 @@ films, calibrations and all other steps keep the pixels as they are stored.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
-from studiorecon.detector.blazepose import BlazePose
-from studiorecon.detector.looking import detect_new_people, landmark_confidence
-from studiorecon.detector.windows import grid
+from studiorecon.detector.looking import Detector, landmark_confidence
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
@@ -24,19 +23,28 @@ _UPRIGHT_RAD = np.pi / 4
 # Trust per picture with which nothing else is tried: a real man and a seated woman have 0.7 to 0.9 upright, and at most
 # 0.3 in pictures turned otherwise.
 _TRUSTED = 0.5
+# Size at which pictures of one film are compared.
+_GLANCE_WH = 160, 160
 # Another turn must show people so many times as clearly: somebody who bends or lies down turns no picture.
 _CLEARER = 2.0
 
 
-def quarter_turns(network: BlazePose, pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> int:
-    """Counter-clockwise quarter turns, 0 to 3, with which ``network`` sees people upright in ``pictures``; 0 where no
+def quarter_turns(detector: Detector, pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> int:
+    """Counter-clockwise quarter turns, 0 to 3, with which ``detector`` sees people upright in ``pictures``; 0 where no
     other number is clearly better."""
-    shown = [sum(_upright(network, picture) for picture in pictures)]
+    shown = [sum(_upright(detector, picture) for picture in pictures)]
     if shown[0] >= _TRUSTED * len(pictures):
         return 0
-    shown += [sum(_upright(network, rotate_picture(picture, turns)) for picture in pictures) for turns in (1, 2, 3)]
+    shown += [sum(_upright(detector, rotate_picture(picture, turns)) for picture in pictures) for turns in (1, 2, 3)]
     best = int(np.argmax(shown))
     return best if shown[best] > _CLEARER * shown[0] else 0
+
+
+def busiest(pictures: Iterable[Integer[np.ndarray, "H W 3"]], count: int) -> list[int]:
+    """Which ``count`` of a film's pictures differ most from the usual one, their median, in order: they show people."""
+    small = np.stack([cv2.resize(p, _GLANCE_WH, interpolation=cv2.INTER_AREA).astype(float) for p in pictures])
+    differ = np.abs(small - np.median(small, axis=0)).mean((1, 2, 3))
+    return sorted(np.argsort(-differ, kind="stable")[:count].tolist())
 
 
 def rotate_picture(picture: Integer[np.ndarray, "H W 3"], turns: int) -> Integer[np.ndarray, "h w 3"]:
@@ -54,7 +62,7 @@ def film_from_turned(wh: tuple[int, int], turns: int) -> Float[np.ndarray, "2 3"
     return np.column_stack([linear, middle - linear @ (middle[::-1] if turns % 2 else middle)])
 
 
-def _upright(network: BlazePose, picture: np.ndarray) -> float:
+def _upright(detector: Detector, picture: np.ndarray) -> float:
     """How clearly people are seen upright in a picture, summed."""
-    seen = detect_new_people(network, picture, grid((picture.shape[1], picture.shape[0])), [])
+    seen = detector.detect_new_people(picture)
     return sum(landmark_confidence(one) for one in seen if abs(one.next_region.turn_rad) < _UPRIGHT_RAD)

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """People found and followed through the pictures of one camera.
 
-Every ``_LOOK_S`` people are looked for in windows over the picture and about what differs from the usual picture. Who
-is found is followed through the pictures after that, and back through those since the look before, by the landmarks
-themselves: they say where the body will be looked at next, so that most pictures cost one run of the landmark network
-per person.
+Every ``_LOOK_S`` people are looked for in the whole picture. Who is found is followed through the pictures after that,
+and back through those since the look before, by the landmarks themselves: they say where the body will be looked at
+next, so that most pictures cost one run of the landmark network per person.
 """
 
 from __future__ import annotations
@@ -17,14 +16,15 @@ import numpy as np
 
 from studiorecon.detector.blazepose import BlazePose, Landmarks
 from studiorecon.detector.crops import Region
-from studiorecon.detector.looking import detect_exhaustively, detect_in_region, detect_new_people, drop_overlapping
-from studiorecon.detector.windows import changed, grid
+from studiorecon.detector.looking import Detector, detect_in_region, drop_overlapping
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
 # Time between two looks at the whole picture.
 _LOOK_S = 0.5
+# Time between two close looks, which cost ten times as much, where the last one found nobody.
+_CLOSE_LOOK_S = 5.0
 # Pictures held between two looks, bytes: 4K at 60 per second is looked at more often.
 _HELD_BYTES = 400e6
 # Time in which a body's speed is forgotten to 1/e. A man on a spot and two who walk, 10 to 60 pictures a second: their
@@ -59,18 +59,14 @@ def follow(
 
 
 def detect_people(
-    pictures: Iterable[Integer[np.ndarray, "H W 3"]],
-    network: BlazePose,
-    backgrounds: Sequence[Integer[np.ndarray, "h w 3"]],
-    fps: float,
-    few: bool = False,
+    pictures: Iterable[Integer[np.ndarray, "H W 3"]], detector: Detector, fps: float
 ) -> Iterator[list[Landmarks]]:
-    """Everybody in each of the pictures, in order; ``backgrounds`` are pictures of the room at the size of
-    ``windows.small``: what differs from one of them is looked at more closely. Of ``few`` pictures the first is looked
-    at thoroughly."""
+    """Everybody in each of the pictures, in order."""
+    network = detector.placer
     walkers: list[Walker] = []
     held: list[np.ndarray] = []
     results: list[list[Landmarks]] = []
+    closely_at = 0
     for number, picture in enumerate(pictures):
         every = max(1, min(round(_LOOK_S * fps), int(_HELD_BYTES / picture.nbytes)))
         walkers = follow(network, picture, walkers, fps)
@@ -78,13 +74,12 @@ def detect_people(
         held.append(picture)
         if number and len(held) < every:
             continue
-        windows = grid((picture.shape[1], picture.shape[0]))
-        windows += [window for background in backgrounds for window in changed(picture, background)]
-        new = (
-            detect_exhaustively(network, picture)
-            if few and not number
-            else detect_new_people(network, picture, windows, results[-1])
-        )
+        new = detector.detect_new_people(picture, results[-1])
+        if number >= closely_at:
+            small = detector.detect_new_people(picture, [*results[-1], *new], closely=True)
+            new += small
+            # Where there are people whom only a close look finds, more will come.
+            closely_at = number + (1 if small else max(1, round(_CLOSE_LOOK_S * fps)))
         found = [Walker(seen, np.zeros(2)) for seen in new]
         walkers += found
         results[-1] = [w.seen for w in walkers]
@@ -99,11 +94,6 @@ def detect_people(
         yield from results[:-1]
         held, results = [picture], [results[-1]]
     yield from results
-
-
-def is_short_clip(pictures: int, fps: float) -> bool:
-    """Whether so many pictures are looked at once only."""
-    return pictures < max(2, round(_LOOK_S * fps))
 
 
 def keypoints_with_confidence(

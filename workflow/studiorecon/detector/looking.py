@@ -1,61 +1,96 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is in one picture: found in windows over it, each skeleton once.
-
-``detect_new_people`` is for films, where whoever is missed is found half a second later. ``detect_exhaustively`` is for
-pictures that have no neighbours: fainter candidates, windows that are turned for people who bend down, and the surest
-of several looks.
-"""
+"""Who is in one picture: MoveNet finds everybody, BlazePose places each one once."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.detector.blazepose import LANDMARKS, PRESENT, BlazePose, Landmarks
-from studiorecon.detector.crops import Region
-from studiorecon.detector.windows import grid
+from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, PRESENT, BlazePose, Landmarks
+from studiorecon.detector.crops import Region, region_of_body
+from studiorecon.detector.movenet import MoveNet, Sighting
+from studiorecon.detector.second_network import SecondNetwork
+from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.tracking import distance_shares
 
 if TYPE_CHECKING:
-    from jaxtyping import Integer, Num
+    from jaxtyping import Integer
 
-# How sure the detector must be of somebody.
-_CANDIDATE = 0.5
-# Two squares that overlap more than this (intersection over union) hold one person until landmarks say otherwise.
-_SAME_SQUARE = 0.5
-# Two skeletons of one picture nearer than this (median distance, share of the smaller one's diagonal) are one person.
+# Longer sides at which every picture is searched, pixels: the first for people who fill it, the second for the others.
+_SEARCHED_PX = (320, 640)
+# The same of a close look: people of 40 pixels are found at this size, and at twice the size it would take 1.5 s.
+_CLOSE_PX = 1280
+# Whoever is larger, as a share of the picture's longer side, is found without it: what it takes for them is somebody's
+# part.
+_SMALL_SHARE = 0.125
+# How sure the finder must be of somebody.
+_MIN_SCORE = 0.1
+# A sighting nearer than this to a person (median distance, share of the smaller one's diagonal) is that person.
+_SAME_SIGHTING = 0.2
+# Two skeletons of one picture nearer than this are one person.
 _SAME_BODY = 0.1
 # Regions smaller than this hold nobody whose limbs could be told, pixels; larger than this times the picture neither.
 _SMALLEST_PX, _LARGEST = 24, 4.0
-# Where a picture has no neighbours: how sure the detector must be, how windows are turned, how often a region is looked
-# at, and how sure all that is said of somebody must be together.
-_FAINT, _TURNS_RAD, _LOOKS, _SURE = 0.3, (0.0, np.pi / 4, -np.pi / 4), 3, 0.3
-# Regions whose middles are this near (share of the side), whose sides differ by this factor and turns by this angle are
-# one candidate.
-_NEAR, _FACTOR, _TURN_RAD = 0.15, 1.35, 0.7
 # A landmark of this visibility should lie under the network's own mask.
 _VISIBLE = 0.3
+_NAMES = LAYOUTS["coco17"].keypoints
+_SHARED = [LAYOUTS[LAYOUT].keypoints.index(name) for name in _NAMES]
 
 
-def overlap(first: Region, second: Region) -> float:
-    """Intersection over union of two regions as upright squares."""
-    low = np.maximum(first.centre - first.side / 2, second.centre - second.side / 2)
-    high = np.minimum(first.centre + first.side / 2, second.centre + second.side / 2)
-    shared = float(np.prod(np.maximum(high - low, 0.0)))
-    return shared / (first.side**2 + second.side**2 - shared)
+@dataclass(frozen=True)
+class Detector:
+    """The networks: ``finder`` says who is in a picture, ``placer`` where exactly."""
+
+    finder: MoveNet
+    placer: BlazePose
+
+    @staticmethod
+    def of(finder: Path, landmarks: Path, second: SecondNetwork | None = None) -> Detector:
+        """From files; ``second`` has the say where points are. Raises UserError when a file is missing or another
+        network."""
+        return Detector(MoveNet(finder), BlazePose(landmarks, second))
+
+    def detect_new_people(
+        self, picture: Integer[np.ndarray, "H W 3"], known: Sequence[Landmarks] = (), closely: bool = False
+    ) -> list[Landmarks]:
+        """Who is in the picture (uint8 RGB) beside those already ``known`` in it; ``closely`` only looks for those who
+        are small in it, and takes up to ten times as long."""
+        wh = picture.shape[1], picture.shape[0]
+        edges = [_CLOSE_PX] if closely else _SEARCHED_PX
+        sightings = [one for edge in edges for one in self.finder.find(picture, edge, _MIN_SCORE)]
+        if closely:
+            sightings = [s for s in sightings if np.ptp(s.keypoints[:, :2], axis=0).max() < _SMALL_SHARE * max(wh)]
+        taken = [k.keypoints[_SHARED] for k in known]
+        found: list[Landmarks] = []
+        for one in sorted(sightings, key=lambda s: -s.score):
+            if _is_one_of(one, taken):
+                continue
+            taken.append(one.keypoints)
+            region = region_of_body(dict(zip(_NAMES, one.keypoints[:, :2])), wh)
+            first = detect_in_region(self.placer, picture, region) if region else None
+            # The finder's region is rough; the landmarks' own is what they are best in.
+            seen = detect_in_region(self.placer, picture, first.next_region) if first else None
+            if seen is not None:
+                found.append(seen)
+                taken.append(seen.keypoints[_SHARED])
+        everybody = drop_overlapping([*known, *found])
+        return [f for f in found if any(f is e for e in everybody)]
+
+
+def _is_one_of(sighting: Sighting, people: Sequence[np.ndarray]) -> bool:
+    """Whether a sighting is of somebody with the 17 points of one of ``people``."""
+    others = np.array(people).reshape(-1, len(_SHARED), 3)
+    return bool((distance_shares(sighting.keypoints[None], others) < _SAME_SIGHTING).any())
 
 
 def drop_overlapping(found: Iterable[Landmarks]) -> list[Landmarks]:
     """Without those who lie on somebody surer: one person found twice, or a skeleton that jumped to another person."""
-    return drop_duplicates(sorted(found, key=lambda f: -f.presence * f.keypoints[:, 2].sum()))
-
-
-def drop_duplicates(ordered: Iterable[Landmarks]) -> list[Landmarks]:
-    """Without those who lie on somebody before them."""
     kept: list[Landmarks] = []
-    for one in ordered:
+    for one in sorted(found, key=lambda f: -f.presence * f.keypoints[:, 2].sum()):
         others = np.array([k.keypoints for k in kept]).reshape(-1, LANDMARKS, 3)
         if not (distance_shares(one.keypoints[None], others) < _SAME_BODY).any():
             kept.append(one)
@@ -78,62 +113,6 @@ def detect_in_region(network: BlazePose, picture: Integer[np.ndarray, "H W 3"], 
         return None
     seen = network.look(picture, region)
     return seen if seen.presence >= PRESENT and is_plausible_region(seen.next_region, picture) else None
-
-
-def detect_new_people(
-    network: BlazePose,
-    picture: Integer[np.ndarray, "H W 3"],
-    windows: Sequence[tuple[Num[np.ndarray, " 2"], float]],
-    known: Sequence[Landmarks],
-) -> list[Landmarks]:
-    """Who is in ``windows`` of the picture beside those already ``known`` in it."""
-    candidates = [c for corner, side in windows for c in network.detect(picture, corner, side, _CANDIDATE)]
-    taken = [k.region for k in known]
-    found: list[Landmarks] = []
-    for _, region in sorted(candidates, key=lambda c: -c[0]):
-        if any(overlap(region, other) > _SAME_SQUARE for other in taken):
-            continue
-        first = detect_in_region(network, picture, region)
-        # The detector's circle is rough; the landmarks' own is what they are best in.
-        seen = detect_in_region(network, picture, first.next_region) if first else None
-        if seen is not None:
-            found.append(seen)
-            taken += [region, seen.region]
-    everybody = drop_overlapping([*known, *found])
-    return [f for f in found if any(f is e for e in everybody)]
-
-
-def detect_exhaustively(network: BlazePose, picture: Integer[np.ndarray, "H W 3"]) -> list[Landmarks]:
-    """Who is in a picture that has no neighbours; 25 s of a core for a 4K one."""
-    wh = picture.shape[1], picture.shape[0]
-    candidates = [
-        candidate
-        for corner, side in grid(wh)
-        for turn in _TURNS_RAD
-        for candidate in network.detect(picture, corner, side, _FAINT, turn)
-    ]
-    tried: list[Region] = []
-    rated: list[tuple[float, Landmarks]] = []
-    for score, region in sorted(candidates, key=lambda c: -c[0]):
-        if any(_one_candidate(region, other) for other in tried):
-            continue
-        tried.append(region)
-        looks: list[Landmarks] = []
-        while len(looks) < _LOOKS and (seen := detect_in_region(network, picture, region)) is not None:
-            looks.append(seen)
-            region = seen.next_region
-        if looks:
-            best = max(looks, key=landmark_confidence)
-            rated.append((score * landmark_confidence(best), best))
-    ordered = sorted(rated, key=lambda one: -one[0])
-    return drop_duplicates(seen for surety, seen in ordered if surety >= _SURE)
-
-
-def _one_candidate(first: Region, second: Region) -> bool:
-    turned = abs((first.turn_rad - second.turn_rad + np.pi) % (2 * np.pi) - np.pi)
-    factor = max(first.side, second.side) / min(first.side, second.side)
-    near = np.linalg.norm(first.centre - second.centre) < _NEAR * second.side
-    return bool(near and factor < _FACTOR and turned < _TURN_RAD)
 
 
 def landmark_confidence(seen: Landmarks) -> float:

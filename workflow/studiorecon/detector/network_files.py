@@ -13,16 +13,16 @@ from studiorecon.scene.files import read_json
 
 @dataclass(frozen=True)
 class DetectorFiles:
-    """``networks`` are BlazePose's two and its table of confidence, ``second`` is the user's own network, if any, with
-    ``layout`` for its points."""
+    """``networks`` are the finder's, BlazePose's and its table of confidence, ``second`` is the user's own network, if
+    any, with ``layout`` for its points."""
 
     networks: list[Path]
     second: list[Path]
     layout: str
 
     def open(self) -> BlazePose:
-        """The networks, ready to look."""
-        return BlazePose(self.networks[0], self.networks[1], second_network(self.second, self.layout))
+        """BlazePose, with the user's network: places people whose region is known."""
+        return BlazePose(self.networks[1], second_network(self.second, self.layout))
 
     def worth(self) -> dict[str, list[float]]:
         """Confidence of landmarks by their visibility."""

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.detector.blazepose import MASK_PX, BlazePose, Landmarks
-from studiorecon.detector.looking import detect_new_people
-from studiorecon.detector.windows import grid
+from studiorecon.detector.blazepose import MASK_PX, Landmarks
+from studiorecon.detector.looking import Detector
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_image, read_plate
 from studiorecon.images.encoded import write_png
@@ -81,7 +80,7 @@ def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
         # Decoded again, because this way the photo's orientation tag is applied.
         picture = np.ascontiguousarray(read_image(photo, cv2.IMREAD_COLOR)[..., ::-1])
         wh = picture.shape[1], picture.shape[0]
-        found = detect_new_people(BlazePose(networks[0], networks[1]), picture, grid(wh), [])
+        found = Detector.of(networks[0], networks[1]).detect_new_people(picture)
         found = sorted(found, key=lambda seen: -seen.region.side)
         if not found:
             raise UserError(f"{photo} shows no person that the embedded detector finds; {_ASK}")

@@ -66,5 +66,5 @@ def choose_person_sources(dataset: Dataset, config: Mapping[str, Any]) -> Person
         timed=[c for c in checked if c not in looked_for or not part_used] if asked else [],
         part_used=part_used,
         somebody=bool(watched) or bool(bodies),
-        detector=["pose_detection.onnx", _LANDMARKS[config["detect"]["detector"]], "confidence.json"],
+        detector=["movenet_multipose.onnx", _LANDMARKS[config["detect"]["detector"]], "confidence.json"],
     )

@@ -15,10 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.arrays import evenly_spread
-from studiorecon.detector.blazepose import BlazePose
 from studiorecon.detector.following import keypoints_with_confidence
-from studiorecon.detector.looking import detect_new_people
-from studiorecon.detector.windows import grid
+from studiorecon.detector.looking import Detector
 from studiorecon.footage.video import read_frames_from
 from studiorecon.progress import progress, say
 from studiorecon.report.metrics.films import JudgedFiles
@@ -38,10 +36,10 @@ _SEEN, _MIN = 0.5, 6
 def run(files: JudgedFiles, networks: list[Path], recognition: Written) -> None:
     """Write the scores of the film as rendered (``raw``) and as ``enhanced``; None for a version that is not there.
 
-    ``networks``: the detector's file, the landmarks', and the table of the confidence by their visibility.
+    ``networks``: the finder's file, the landmarks', and the table of the confidence by their visibility.
     """
-    detection, landmarks, table = networks
-    network, worth = BlazePose(detection, landmarks), read_json(table)
+    finder, landmarks, table = networks
+    detector, worth = Detector.of(finder, landmarks), read_json(table)
     judged = files.read()
     found: dict[str, list[tuple[list[np.ndarray], list[TruePerson]]]] = {name: [] for name in judged.films}
     for camera in progress(judged.cameras if judged.films else [], "cameras"):
@@ -49,7 +47,7 @@ def run(files: JudgedFiles, networks: list[Path], recognition: Written) -> None:
             photo = _picture(judged.footage[camera.name], int(frame))
             people = [
                 person
-                for one in detect_keypoints(network, photo, worth)
+                for one in detect_keypoints(detector, photo, worth)
                 if (person := reference_person(one)) is not None
             ]
             told: list[tuple[np.ndarray, list[np.ndarray]]] = []
@@ -58,7 +56,7 @@ def run(files: JudgedFiles, networks: list[Path], recognition: Written) -> None:
                 # Where nothing was enhanced, the two films are one.
                 points = next((points for other, points in told if np.array_equal(other, drawn)), None)
                 if points is None:
-                    points = [one[:, :2] for one in detect_keypoints(network, drawn, worth)]
+                    points = [one[:, :2] for one in detect_keypoints(detector, drawn, worth)]
                 told.append((drawn, points))
                 found[name].append((points, people))
     scores = {name: with_reason(score(pictures)) for name, pictures in found.items()}
@@ -80,7 +78,7 @@ def with_reason(scored: dict[str, Any]) -> dict[str, Any]:
 
 
 def detect_keypoints(
-    network: BlazePose, picture: Integer[np.ndarray, "H W 3"], worth: dict[str, list[float]]
+    detector: Detector, picture: Integer[np.ndarray, "H W 3"], worth: dict[str, list[float]]
 ) -> list[Float[np.ndarray, "33 3"]]:
     """Keypoints (33, 3) of all people in a picture: x, y in pixels and confidence.
 
@@ -88,7 +86,7 @@ def detect_keypoints(
     place does not count.
     """
     wh = picture.shape[1], picture.shape[0]
-    return [keypoints_with_confidence(one, wh, worth) for one in detect_new_people(network, picture, grid(wh), [])]
+    return [keypoints_with_confidence(one, wh, worth) for one in detector.detect_new_people(picture)]
 
 
 def reference_person(keypoints: Float[np.ndarray, "33 3"]) -> TruePerson | None:
