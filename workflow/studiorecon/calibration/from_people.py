@@ -32,7 +32,7 @@ from studiorecon.rig.pose_uncertainty import pose_sigmas, rotation_interval_deg
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.self_calibration import rotate_by_edges, self_calibrate
 from studiorecon.scene.camera import Camera, Lens
-from studiorecon.scene.clocks import read_clocks
+from studiorecon.scene.clocks import Clocks, read_clocks
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.numbered_files import pictures_in
 from studiorecon.scene.people import Detections, read_detections
@@ -291,13 +291,7 @@ def run(
     if refused := [v["refusal"] for v in told_of if v.get("refusal")]:
         raise UserError(refused[0])
     size_of = {v["camera"]: (int(v["wh"][0]), int(v["wh"][1])) for v in told_of}
-    detections = [resample_keypoints(d, common, size_of[d.camera][1]) for d in map(read_detections, sightings)]
-    wh = [size_of[d.camera] for d in detections]
-    if not any(len(d.frame) for d in detections):
-        raise UserError(
-            f"nobody was found in any camera ({common.frames} moments of {', '.join(cameras)} were looked at), and "
-            "without a calibration cameras can only be found from people; bring one"
-        )
+    detections = _read_sightings(sightings, size_of, common, cameras)
     warn("there is no calibration: the cameras are found from the people (calibration.source)")
     fitted = BodyModel.load(body)
     maps = {v["camera"]: v.get("pixel_map") for v in told_of}
@@ -316,7 +310,7 @@ def run(
     }
     found, report = pose_cameras(
         detections,
-        wh,
+        [size_of[d.camera] for d in detections],
         given_px,
         common.frames,
         mean_body(fitted),
@@ -333,7 +327,46 @@ def run(
             + "; ".join(f"camera {n}: {why}" for n, why in report["left_out"].items())
             + "; check that the videos are synchronised, or bring a calibration"
         )
-    notes = [
+    notes, doubts = _notes(report), _doubts(report)
+    for note in notes:
+        say(note)
+    for sentence in doubts:
+        warn(sentence)
+    # In the pixels of the footage's maps, so that all later steps read keypoints in the same ones.
+    placed = [
+        lens_at_pose(known[c.name], c)
+        if c.name in known
+        else lens_with_pixel_map(
+            Lens(c.name, c.wh, c.intrinsics, "opencv", np.zeros(8), c.camera_from_world, np.eye(2, 3)), maps[c.name]
+        )
+        for c in found
+    ]
+    content = {"source": "people", "format": "found from people", "lenses": [lens.as_json() for lens in placed]}
+    write_json(calibration, {**content, "floor_known": True, "notes": notes, "doubts": doubts, "people_rig": report})
+
+
+def _read_sightings(
+    sightings: Sequence[Path], sizes: Mapping[str, tuple[int, int]], common: Clocks, cameras: Sequence[str]
+) -> list[Detections]:
+    """Keypoints on the common clock; raises UserError where there are none."""
+    detections = [resample_keypoints(d, common, sizes[d.camera][1]) for d in map(read_detections, sightings)]
+    if not any(len(d.frame) for d in detections):
+        raise UserError(
+            f"nobody was found in any camera ({common.frames} moments of {', '.join(cameras)} were looked at), and "
+            "without a calibration cameras can only be found from people; bring one"
+        )
+    return detections
+
+
+def _doubts(report: Mapping[str, Any]) -> list[str]:
+    doubts = [f"uncertain cameras: {sentence}" for sentence in report["uncertain"]]
+    for camera, why in report["left_out"].items():
+        doubts.append(f"camera {camera} is left out of this reconstruction: {why}; {_WOULD_HELP}")
+    return doubts
+
+
+def _notes(report: Mapping[str, Any]) -> list[str]:
+    return [
         f"the cameras were found from people in {report['frames']} frames: {report['median_px']:.1f} px median",
         f"the rotation between any two cameras is known to ±{report['between_deg']:.1f}°, places to "
         f"±{2 * max(report['sigma_m'].values()):.2f} m (95 %, a detector's own errors counted in)",
@@ -351,21 +384,3 @@ def run(
             for n, f in report["focal_px"].items()
         ),
     ]
-    for note in notes:
-        say(note)
-    doubts = [f"uncertain cameras: {sentence}" for sentence in report["uncertain"]]
-    for camera, why in report["left_out"].items():
-        doubts.append(f"camera {camera} is left out of this reconstruction: {why}; {_WOULD_HELP}")
-    for sentence in doubts:
-        warn(sentence)
-    # In the pixels of the footage's maps, so that all later steps read keypoints in the same ones.
-    placed = [
-        lens_at_pose(known[c.name], c)
-        if c.name in known
-        else lens_with_pixel_map(
-            Lens(c.name, c.wh, c.intrinsics, "opencv", np.zeros(8), c.camera_from_world, np.eye(2, 3)), maps[c.name]
-        )
-        for c in found
-    ]
-    content = {"source": "people", "format": "found from people", "lenses": [lens.as_json() for lens in placed]}
-    write_json(calibration, {**content, "floor_known": True, "notes": notes, "doubts": doubts, "people_rig": report})

@@ -13,33 +13,23 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.calibration import read_calibration
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.cameras.calibration_check import Check, Settings, in_halves
 from studiorecon.cameras.changes import changes_since_refinement, pose_and_lens_changes
 from studiorecon.cameras.edge_acceptance import apply_edge_refinement
 from studiorecon.cameras.floor_acceptance import apply_floor_refinement, keep_floor_level
-from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frame
 from studiorecon.geometry.bundle import LensPrior, move_camera
 from studiorecon.images.encoded import write_png
 from studiorecon.progress import say, warn
 from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
-from studiorecon.rig.bundle import (
-    AgreementLimits,
-    CalibrationPrior,
-    LensSettings,
-    choose_lens_terms,
-    contradicted_share,
-    error_medians,
-    fit_cameras,
-    remove_radial,
-)
+from studiorecon.rig.bundle import choose_lens_terms, error_medians, fit_cameras, remove_radial
 from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.gravity import check_tilt
-from studiorecon.rig.human_size import check_human_size, check_units
-from studiorecon.rig.hypotheses import check_conventions, refuse_swapped
-from studiorecon.rig.moved_cameras import relocalise, report_moved_cameras
-from studiorecon.rig.outlier_camera import find_outlier_camera, warn_of_outlier_cameras
+from studiorecon.rig.human_size import check_human_size
+from studiorecon.rig.moved_cameras import MovedCameras, report_moved_cameras
+from studiorecon.rig.outlier_camera import warn_of_outlier_cameras
 from studiorecon.rig.pose_uncertainty import moved_rotation_interval_deg
 from studiorecon.rig.room_picture import RoomPicture, make_room_picture
 from studiorecon.scene.camera import Camera, Lens
@@ -52,30 +42,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _FOOT_HEIGHT_M = 0.08
-_MAX_CONTRADICTED = 0.5
-# Share of the allowed error above which a swap of cameras is tested.
-_SUSPICIOUS = 0.5
-# How much worse other lenses at the given poses may fit than moved cameras.
-_ABOUT_AS_WELL = 1.1
-
-
-@dataclass(frozen=True)
-class Settings(AgreementLimits, CalibrationPrior):
-    """Settings of the check and refinement, on ``frames`` spread over the clip.
-
-    Every other frame is the validation split: refined poses are kept when their median reprojection error there falls
-    by the share ``min_gain``. ``lens_change`` sets when lenses may change too.
-    """
-
-    refine: bool = setting(
-        True,
-        "Refine the camera poses on people's keypoints, kept only where it clearly helps.",
-        paper="not done; its cameras are uncalibrated",
-        paper_value=False,
-    )
-    frames: int = 96
-    min_gain: float = 0.1
-    lens_change: LensSettings = LensSettings()
 
 
 @dataclass(frozen=True)
@@ -115,11 +81,8 @@ def decide(
 ) -> Refinement:
     """The cameras to use, with the reasons; raises UserError when people show that the calibration is of other cameras.
     ``rooms``: the room in each training camera, where there are pictures of it."""
-    report: dict[str, Any] = {
-        "cameras": [c.name for c in training],
-        "held_out": [c.name for c in held_out],
-        "refined": False,
-    }
+    names = [c.name for c in training]
+    report: dict[str, Any] = {"cameras": names, "held_out": [c.name for c in held_out], "refined": False}
     if not any(len(d.frame) for d in detections):
         warn("no keypoints: the calibration is used as it was given, unchecked")
         return Refinement(training, held_out, np.zeros((0, 3)), {**report, "reason": "no keypoints"})
@@ -129,83 +92,31 @@ def decide(
     if len(watched) < 2:
         return _unchecked(training, held_out, report)
     chosen = evenly_spread(frames, settings.frames)
-    given, limit = training, settings.max_error_share * max(max(c.wh) for c in training)
     seen, graph = make_observations(detections, training, chosen, settings.gate_m)
-    before, before_each, points = error_medians(training, seen, settings.limits)
-    before_px = before if np.isfinite(before) else None
-    few = chosen[:: max(1, len(chosen) // 6)]
-    told = settings.gate_m, settings.min_gain, settings.limits, settings.bundle
-    # The others still agree if one of them was knocked.
-    alone = any(e is None and len(d.frame) for e, d in zip(before_each, detections))
-    anew = (
-        relocalise(
-            training, detections, watched, chosen, *told, np.nan if alone else before, _SUSPICIOUS * limit, rooms
-        )
-        if settings.refine
-        else None
-    )
-    if anew is not None and len(points) and _lenses_instead(training, seen, anew.report["after_px"], settings):
-        anew = None
-    report["hypotheses"] = check_conventions(training, detections, few, settings.gate_m) if anew is None else []
-    blind = anew is None and len(training) > 2 and not len(points)
-    if blind:
-        check_units(training, detections, few, settings.gate_m, settings.limits)
-    if anew is None and not len(seen.frame):
+    medians = error_medians(training, seen, settings.limits)
+    check = Check(training, detections, chosen, seen, graph, *medians, settings)
+    moved = check.moved_cameras(watched, rooms)
+    report["hypotheses"] = check.refuse_conventions() if moved is None else []
+    if moved is None and not len(seen.frame):
         own = np.isin(graph.view, watched)
-        distance_m = graph.distance_m[np.ix_(own, own)]
-        return _nothing_agrees(training, held_out, distance_m, report, settings)
-    if not before < _SUSPICIOUS * limit:
-        moved_px = np.inf if anew is None else anew.report["after_px"]
-        refuse_swapped(training, detections, chosen, settings.gate_m, settings.limits, before, moved_px)
-    if anew is not None or not len(points) or any(e is None or e > limit for e in before_each):
-        odd = find_outlier_camera(training, detections, chosen, settings.gate_m, settings.limits)
-        # A knocked camera and one with a cropped picture look the same; the former is corrected.
-        if odd is not None and (anew is None or (odd.cause and not odd.turned)):
-            raise UserError(odd.sentence())
-    if anew is not None:
-        between_deg = moved_rotation_interval_deg(anew, settings.limits)
-        report_moved_cameras(given, anew, between_deg)
-        training, seen = anew.cameras, anew.seen
-        report = {**report, "moved_cameras": {**anew.report, "between_deg": between_deg}}
-    if blind and (share := contradicted_share(training, seen, detections, settings.limits)) > _MAX_CONTRADICTED:
+        return _nothing_agrees(training, held_out, graph.distance_m[np.ix_(own, own)], report, settings)
+    check.refuse_cameras(moved)
+    adjusted, seen, report = _adjusted(check, moved, rooms, report)
+    after_px, each_px, points = error_medians(adjusted, seen, settings.limits)
+    report |= {"after_px": after_px, "after_px_per_camera": each_px}
+    if moved is not None:
+        report["changes"] = changes_since_refinement(training, adjusted, report)
+    if after_px > check.limit_px:
+        worst_px, worst = max((e, name) for e, name in zip(each_px, names) if e is not None)
         raise UserError(
-            "the calibration does not fit the footage: no keypoint agrees in three cameras, "
-            "and where two agree a third one sees people "
-            f"elsewhere in {share:.0%} of the cases; check that it is for these "
-            "cameras, and that the videos are synchronised"
-        )
-    report |= {"points": len(points), "before_px": before_px, "before_px_per_camera": before_each}
-    adjusted, after = training, before
-    if settings.refine and len(training) > 2 and (len(points) or anew):
-        adjusted, seen, report = _try_refinement(training, seen, report, settings)
-    if settings.refine and anew is None and len(rooms):
-        adjusted, report = apply_edge_refinement(given, adjusted, seen, rooms, report, settings.limits, settings.bundle)
-        if not report.get("edges", {}).get("believed"):
-            adjusted, report = apply_floor_refinement(
-                given, adjusted, seen, rooms, report, settings.limits, settings.bundle
-            )
-    if settings.refine and anew is None:
-        adjusted, report = keep_floor_level(given, adjusted, seen, report, settings.limits)
-    after, after_each, points = error_medians(adjusted, seen, settings.limits)
-    report |= {"after_px": after, "after_px_per_camera": after_each}
-    if anew is not None:
-        report |= {
-            "refined": True,
-            "reason": "the cameras stand elsewhere than the calibration says",
-            "unseen_before_px": before_px,
-        }
-        report["changes"] = changes_since_refinement(given, adjusted, report)
-    if after > limit:
-        worst = max((e, c.name) for e, c in zip(after_each, training) if e is not None)
-        raise UserError(
-            f"the calibration does not fit the footage: people's keypoints are {after:.0f} "
-            f"px off where {limit:.0f} px are allowed, "
-            f"worst in camera {worst[1]} ({worst[0]:.0f} px); check that it is for these "
+            f"the calibration does not fit the footage: people's keypoints are {after_px:.0f} "
+            f"px off where {check.limit_px:.0f} px are allowed, "
+            f"worst in camera {worst} ({worst_px:.0f} px); check that it is for these "
             "cameras and this zoom, and that the videos "
             "are synchronised"
         )
-    told_already = [camera.name in unwatched for camera in training]
-    warn_of_outlier_cameras(adjusted, seen, detections, after_each, limit, settings.limits, told_already)
+    told_already = [name in unwatched for name in names]
+    warn_of_outlier_cameras(adjusted, seen, detections, each_px, check.limit_px, settings.limits, told_already)
     report["stature_m"] = check_human_size(adjusted, seen, settings.limits)
     report["tilt_deg"] = check_tilt(adjusted, seen, settings.limits)
     if not floor_known and len(points):
@@ -213,18 +124,32 @@ def decide(
     return Refinement(adjusted, held_out, points, report)
 
 
-def _lenses_instead(given: list[Camera], seen: Observations, moved_px: float, settings: Settings) -> bool:
-    """Whether other lenses at nearly the given poses explain people about as well as other poses: zoom rings move."""
-    order = np.unique(seen.frame, return_inverse=True)[1]
-    fit_on, judge_on = seen.of(order % 2 == 0), seen.of(order % 2 == 1)
-    trial = fit_cameras(given, fit_on, settings.limits, settings.bundle)
-    if trial is None:
-        return False
-    found = choose_lens_terms(
-        trial.cameras, fit_on, judge_on, settings.limits, settings.bundle, settings.lens_change
-    ).report
-    errors = [found[f"unseen_with_{name}_px"] for name in ("focal", "radial") if found[name]]
-    return bool(errors) and min(errors) <= _ABOUT_AS_WELL * moved_px
+def _adjusted(
+    check: Check, moved: MovedCameras | None, rooms: Sequence[RoomPicture | None], report: dict[str, Any]
+) -> tuple[list[Camera], Observations, dict[str, Any]]:
+    """The cameras after everything that may improve them, what people show these, and the report."""
+    given, settings, count = check.given, check.settings, len(check.points_m)
+    limits, bundle = settings.limits, settings.bundle
+    before_px = check.median_px if np.isfinite(check.median_px) else None
+    cameras, seen = given, check.seen
+    if moved is not None:
+        between_deg = moved_rotation_interval_deg(moved, limits)
+        report_moved_cameras(given, moved, between_deg)
+        cameras, seen = moved.cameras, moved.seen
+        report = {**report, "moved_cameras": {**moved.report, "between_deg": between_deg}}
+    report |= {"points": count, "before_px": before_px, "before_px_per_camera": check.each_px}
+    if settings.refine and len(given) > 2 and (count or moved):
+        cameras, seen, report = _try_refinement(cameras, seen, report, settings)
+    if moved is not None:
+        report |= {"refined": True, "reason": "the cameras stand elsewhere than the calibration says"}
+        return cameras, seen, report | {"unseen_before_px": before_px}
+    if settings.refine and len(rooms):
+        cameras, report = apply_edge_refinement(given, cameras, seen, rooms, report, limits, bundle)
+        if not report.get("edges", {}).get("believed"):
+            cameras, report = apply_floor_refinement(given, cameras, seen, rooms, report, limits, bundle)
+    if settings.refine:
+        cameras, report = keep_floor_level(given, cameras, seen, report, limits)
+    return cameras, seen, report
 
 
 def _unchecked(training: list[Camera], held_out: list[Camera], report: dict[str, Any]) -> Refinement:
@@ -250,11 +175,10 @@ def _try_refinement(
 ) -> tuple[list[Camera], Observations, dict[str, Any]]:
     """The refined cameras if they clearly help, and the observations without their radial term, for the report.
 
-    Fitted on every other frame and judged on the rest; then fitted again on all frames.
+    Fitted on every other frame and judged on the rest; then fit_cameras again on all frames.
     """
     limits, bundle, gain = settings.limits, settings.bundle, settings.min_gain
-    order = np.unique(seen.frame, return_inverse=True)[1]
-    fit_on, judge_on = seen.of(order % 2 == 0), seen.of(order % 2 == 1)
+    fit_on, judge_on = in_halves(seen)
     trial = fit_cameras(training, fit_on, limits, bundle)
     if trial is None:
         return training, seen, {**report, "reason": "too few points in three cameras to refine"}

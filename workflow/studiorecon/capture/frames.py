@@ -87,6 +87,22 @@ def describe_changes(
     return changes
 
 
+def working_frames(
+    source: FootageSource, view: WorkingView, used: Integer[np.ndarray, " N"], whole: bool, damaged: list[int]
+) -> Iterator[Integer[np.ndarray, "H W 3"]]:
+    """(H, W, 3) pictures of the N ``used`` frames of the source, in order; some come more than once.
+
+    ``whole`` decodes the source to its end. Numbers of damaged frames are added to ``damaged``.
+    """
+    wanted = np.bincount(used - used[0])
+    decoded = decode(source, int(used[0]), 0 if whole else len(wanted), damaged)
+    for number, frame in enumerate(progress(decoded, "frames", len(wanted))):
+        if number < len(wanted) and wanted[number]:
+            picture = view.picture(frame)
+            for _ in range(wanted[number]):
+                yield picture
+
+
 def run(
     settings: Settings,
     source: Path,
@@ -110,23 +126,12 @@ def run(
         raise UserError(common.refusal)
     clock, used = common.of(camera), common.source_frames(camera)
     view = working_view(lens, opened.wh, working_size(opened.wh, settings.width))
-
-    damaged: list[int] = []
-
-    def pictures() -> Iterator[np.ndarray]:
-        wanted = np.bincount(used - used[0])
-        # Decode to the very end when all frames are used, so that a truncated recording is noticed.
-        whole = not frame_count and used[-1] >= clock.frames - 1
-        decoded = decode(opened, int(used[0]), 0 if whole else len(wanted), damaged)
-        for number, frame in enumerate(progress(decoded, "frames", len(wanted))):
-            if number < len(wanted) and wanted[number]:
-                picture = view.picture(frame)
-                for _ in range(wanted[number]):
-                    yield picture
-
-    sha256 = digest(opened)
+    sha256, damaged = digest(opened), list[int]()
+    # Decode to the very end when all frames are used, so that a truncated recording is noticed.
+    whole = not frame_count and used[-1] >= clock.frames - 1
     try:
-        frames = write_lossless(video, pictures(), common.fps, camera_title(camera, sha256))
+        pictures = working_frames(opened, view, used, whole, damaged)
+        frames = write_lossless(video, pictures, common.fps, camera_title(camera, sha256))
     except MemoryError:
         raise UserError(f"{source} is too large to decode in memory; lower capture.width") from None
     changes = describe_changes(opened, lens, view, used, common.late_frames(camera))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import difflib
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -71,24 +72,9 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
         )
     for camera, path in films.items():
         check_name(camera, f"camera {path[0]}", "rename the file or folder")
-    footage = {camera: parts[0] for camera, parts in films.items()}
-    every = dict(footage)
-    starts = read_starts(description, footage)
-    chosen = names_under(description, "train", footage) + names_under(description, "held_out", footage)
-    held_out = tuple(names_under(description, "held_out", footage))
-    if "train" in description:
-        footage = {c: footage[c] for c in footage if c in chosen}
-    for one, two in combinations(footage, 2):
-        if _same_bytes(footage[one], footage[two]):
-            raise UserError(
-                f"{footage[one]} and {footage[two]} are one film under two names; bring the footage of {two}, or leave "
-                "it out (train: [...] in capture.yaml)"
-            )
-    if len(footage) - len(held_out) < 2:
-        raise UserError(
-            f"dataset {folder} has {len(footage) - len(held_out)} training camera(s); "
-            "at least 2 videos are needed in videos/"
-        )
+    every = {camera: parts[0] for camera, parts in films.items()}
+    starts = read_starts(description, every)
+    footage, held_out = _chosen_footage(folder, every, description)
 
     def place(noun: str) -> tuple[str, bool]:
         """The folder, and whether it must exist."""
@@ -125,6 +111,28 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
     _check_there(dataset)
     left_out = unused(dataset, recordings.place, set(every) - set(footage))
     return replace(dataset, notes=(*recordings.notes, *choice, *_idle_keys(description, dataset), *left_out))
+
+
+def _chosen_footage(
+    folder: Path, every: Mapping[str, Path], description: dict[str, Any]
+) -> tuple[dict[str, Path], tuple[str, ...]]:
+    """The footage in use by camera, and the held-out cameras; raises UserError for one film under two names, and where
+    fewer than two cameras remain to train on."""
+    held_out = tuple(names_under(description, "held_out", every))
+    chosen = (*names_under(description, "train", every), *held_out) if "train" in description else tuple(every)
+    footage = {camera: path for camera, path in every.items() if camera in chosen}
+    for one, two in combinations(footage, 2):
+        if _same_bytes(footage[one], footage[two]):
+            raise UserError(
+                f"{footage[one]} and {footage[two]} are one film under two names; bring the footage of {two}, or leave "
+                "it out (train: [...] in capture.yaml)"
+            )
+    if len(footage) - len(held_out) < 2:
+        raise UserError(
+            f"dataset {folder} has {len(footage) - len(held_out)} training camera(s); "
+            "at least 2 videos are needed in videos/"
+        )
+    return footage, held_out
 
 
 def _layout(name: str) -> str:

@@ -54,7 +54,7 @@ from studiorecon.signature import Place, Written
 from studiorecon.splatting.device import resolve
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool
+    from jaxtyping import Bool, Float
 
 _NO_HELD_OUT = "no camera is held out: name some under held_out in capture.yaml"
 _NO_TRUTH = "there is no exact truth (only a synthetic studio has it)"
@@ -144,7 +144,7 @@ def score_pictures(
     }
 
 
-def score_bodies(people: Sequence[Person], true: Mapping[str, np.ndarray] | None) -> dict[str, Any]:
+def score_bodies(people: Sequence[Person], true: Mapping[str, Float[np.ndarray, "T 24 3"]] | None) -> dict[str, Any]:
     """Joint errors of the fits against the ``true`` joints of everybody, or the reason there are none."""
     nothing = {f"mpjpe_{kind}_mm": None for kind in ("world", "pelvis", "similarity")}
     if true is None:

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from studiorecon.studio import textures
@@ -55,128 +57,62 @@ def _shell(seed: int, glossy_floor: float) -> list[Mesh]:
     return solids
 
 
+# Radius and height in metres, from bottom to top.
+_VASE = [(0.0, 0.0), (0.07, 0.0), (0.11, 0.10), (0.09, 0.20), (0.045, 0.27)]
+_VASE += [(0.06, 0.32), (0.045, 0.32), (0.03, 0.25), (0.0, 0.25)]
+_BOWL = [(0.0, 0.0), (0.08, 0.0), (0.19, 0.10), (0.17, 0.10), (0.07, 0.03), (0.0, 0.03)]
+_STOOL = [(0.0, 0.0), (0.19, 0.0), (0.15, 0.05), (0.06, 0.10), (0.06, 0.36), (0.20, 0.42), (0.20, 0.47), (0.0, 0.47)]
+_PLANT = [(0.04, 0.0), (0.30, 0.25), (0.34, 0.60), (0.22, 0.95), (0.0, 1.15)]
+_PILLAR = [(0.27, 0.0), (0.27, 0.15), (0.20, 0.20), (0.20, 2.82), (0.27, 2.88), (0.27, HEIGHT_M)]
+
+
 def _furniture(seed: int, rng: np.random.Generator) -> list[Mesh]:
     def shift(most_m: float = 0.12) -> float:
         return float(rng.uniform(-most_m, most_m))
 
-    dark_wood = box_texture(
-        lambda u, v, s: textures.planks(v, u, s, (0.10, 0.045, 0.02), (0.20, 0.10, 0.05)), seed + 21
-    )
-    light_wood = box_texture(textures.planks, seed + 20)
-    cloth = [box_texture(textures.fabric, seed + 40 + k) for k in range(4)]
-    table = pose_on_floor((-1.95 + shift(), 1.15 + shift(), 0))
-    tx, ty = table[0, 3], table[1, 3]
-    solids = [box("table top", (1.5, 0.85, 0.05), pose_on_floor((tx, ty, 0.70)), light_wood)]
-    solids += [
-        box("table leg", (0.07, 0.07, 0.70), pose_on_floor((tx + a, ty + b, 0)), light_wood)
-        for a in (-0.67, 0.67)
-        for b in (-0.35, 0.35)
-    ]
-    vase = [
-        (0.0, 0.0),
-        (0.07, 0.0),
-        (0.11, 0.10),
-        (0.09, 0.20),
-        (0.045, 0.27),
-        (0.06, 0.32),
-        (0.045, 0.32),
-        (0.03, 0.25),
-        (0.0, 0.25),
-    ]
-    solids += [
-        lathe(
-            "vase", vase, pose_on_floor((tx - 0.42, ty + 0.1, 0.75)), _ringed((0.05, 0.16, 0.30), (0.55, 0.45, 0.30))
-        ),
-        box(
-            "book pile",
-            (0.30, 0.22, 0.16),
-            pose_on_floor((tx + 0.25, ty - 0.05, 0.75), 0.5),
-            box_texture(textures.fabric, seed + 47),
-        ),
-    ]
-    sofa_y = 0.3 + shift()
-    solids += [
-        box("sofa seat", (0.80, 2.0, 0.42), pose_on_floor((-3.72, sofa_y - 1.0, 0)), cloth[0]),
-        box("sofa back", (0.28, 2.0, 0.44), pose_on_floor((-4.02, sofa_y - 1.0, 0.42)), cloth[0]),
+    def stand(name: str, size_m: tuple, at_m: tuple, texture: Texture, turn_rad: float = 0.0) -> Mesh:
+        return box(name, size_m, pose_on_floor(at_m, turn_rad), texture)
+
+    def turned(name: str, profile: list, at_m: tuple, texture: Texture, segments: int = 48) -> Mesh:
+        return lathe(name, profile, pose_on_floor(at_m), texture, segments)
+
+    def made_of(pattern: Callable[..., np.ndarray], number: int) -> Texture:
+        return box_texture(pattern, seed + number)
+
+    dark = made_of(lambda u, v, s: textures.planks(v, u, s, (0.10, 0.045, 0.02), (0.20, 0.10, 0.05)), 21)
+    light, cloth = made_of(textures.planks, 20), [made_of(textures.fabric, 40 + k) for k in range(4)]
+    glaze, brass = _ringed((0.05, 0.16, 0.30), (0.55, 0.45, 0.30)), _ringed((0.45, 0.13, 0.04), (0.60, 0.40, 0.12))
+    red = _ringed((0.35, 0.06, 0.05), (0.45, 0.30, 0.14))
+    # One after the other as they are drawn; x and y of the table, y of the sofa, x of the shelves, y of the sideboard.
+    tx, ty, sofa, shelf, low = -1.95 + shift(), 1.15 + shift(), 0.3 + shift(), 1.9 + shift(), 1.2 + shift()
+    side = -0.7 + shift()
+    return [
+        stand("table top", (1.5, 0.85, 0.05), (tx, ty, 0.70), light),
         *(
-            box("sofa arm", (0.80, 0.20, 0.60), pose_on_floor((-3.72, sofa_y - 1.0 + b, 0)), cloth[0])
-            for b in (-1.1, 1.1)
+            stand("table leg", (0.07, 0.07, 0.70), (tx + a, ty + b, 0), light)
+            for a in (-0.67, 0.67)
+            for b in (-0.35, 0.35)
         ),
-        box("cushion", (0.16, 0.45, 0.40), pose_on_floor((-3.78, sofa_y - 0.5, 0.42), 0.3), cloth[1]),
+        turned("vase", _VASE, (tx - 0.42, ty + 0.1, 0.75), glaze),
+        stand("book pile", (0.30, 0.22, 0.16), (tx + 0.25, ty - 0.05, 0.75), made_of(textures.fabric, 47), 0.5),
+        stand("sofa seat", (0.80, 2.0, 0.42), (-3.72, sofa - 1.0, 0), cloth[0]),
+        stand("sofa back", (0.28, 2.0, 0.44), (-4.02, sofa - 1.0, 0.42), cloth[0]),
+        *(stand("sofa arm", (0.80, 0.20, 0.60), (-3.72, sofa - 1.0 + b, 0), cloth[0]) for b in (-1.1, 1.1)),
+        stand("cushion", (0.16, 0.45, 0.40), (-3.78, sofa - 0.5, 0.42), cloth[1], 0.3),
+        stand("bookshelf", (1.7, 0.34, 1.98), (shelf, -3.42, 0), made_of(textures.books, 25)),
+        *(stand("bookshelf side", (0.04, 0.38, 2.02), (shelf + a, -3.40, 0), dark) for a in (-0.87, 0.87)),
+        stand("low shelf", (1.5, 0.36, 0.66), (low, 3.41, 0), made_of(textures.books, 29)),
+        stand("sideboard", (0.48, 1.7, 0.74), (3.95, side, 0.10), dark),
+        *(stand("foot", (0.06, 0.06, 0.1), (3.95 + a, side + b, 0), dark) for a in (-0.18, 0.18) for b in (-0.8, 0.8)),
+        turned("bowl", _BOWL, (3.92, side + 0.3, 0.84), brass),
+        stand("crate", (0.55, 0.55, 0.48), (2.55 + shift(), -1.05 + shift(), 0), made_of(textures.planks, 26), 0.6),
+        stand("parcel", (0.34, 0.26, 0.22), (2.55, -1.05, 0.48), made_of(textures.picture, 27), 0.2),
+        turned("stool", _STOOL, (-0.2 + shift(), -2.75 + shift(), 0), red),
+        stand("pouf", (0.55, 0.55, 0.40), (-1.75 + shift(), -2.65 + shift(), 0), cloth[2], 0.25),
+        stand("plant box", (0.40, 0.40, 0.45), (3.7, 3.2, 0), made_of(textures.tiles, 33)),
+        turned("plant", _PLANT, (3.7, 3.2, 0.45), _leaves(seed + 34)),
+        turned("pillar", _PILLAR, (-3.25 + shift(0.05), -2.55 + shift(0.05), 0), _pillar(seed + 31), 64),
     ]
-    shelf_x = 1.9 + shift()
-    solids += [
-        box("bookshelf", (1.7, 0.34, 1.98), pose_on_floor((shelf_x, -3.42, 0)), box_texture(textures.books, seed + 25)),
-        box("bookshelf side", (0.04, 0.38, 2.02), pose_on_floor((shelf_x - 0.87, -3.40, 0)), dark_wood),
-        box("bookshelf side", (0.04, 0.38, 2.02), pose_on_floor((shelf_x + 0.87, -3.40, 0)), dark_wood),
-        box(
-            "low shelf",
-            (1.5, 0.36, 0.66),
-            pose_on_floor((1.2 + shift(), 3.41, 0)),
-            box_texture(textures.books, seed + 29),
-        ),
-    ]
-    sideboard_y = -0.7 + shift()
-    solids += [
-        box("sideboard", (0.48, 1.7, 0.74), pose_on_floor((3.95, sideboard_y, 0.10)), dark_wood),
-        *(
-            box("foot", (0.06, 0.06, 0.1), pose_on_floor((3.95 + a, sideboard_y + b, 0)), dark_wood)
-            for a in (-0.18, 0.18)
-            for b in (-0.8, 0.8)
-        ),
-        lathe(
-            "bowl",
-            [(0.0, 0.0), (0.08, 0.0), (0.19, 0.10), (0.17, 0.10), (0.07, 0.03), (0.0, 0.03)],
-            pose_on_floor((3.92, sideboard_y + 0.3, 0.84)),
-            _ringed((0.45, 0.13, 0.04), (0.60, 0.40, 0.12)),
-        ),
-        box(
-            "crate",
-            (0.55, 0.55, 0.48),
-            pose_on_floor((2.55 + shift(), -1.05 + shift(), 0), 0.6),
-            box_texture(textures.planks, seed + 26),
-        ),
-        box(
-            "parcel",
-            (0.34, 0.26, 0.22),
-            pose_on_floor((2.55, -1.05, 0.48), 0.2),
-            box_texture(textures.picture, seed + 27),
-        ),
-        lathe(
-            "stool",
-            [
-                (0.0, 0.0),
-                (0.19, 0.0),
-                (0.15, 0.05),
-                (0.06, 0.10),
-                (0.06, 0.36),
-                (0.20, 0.42),
-                (0.20, 0.47),
-                (0.0, 0.47),
-            ],
-            pose_on_floor((-0.2 + shift(), -2.75 + shift(), 0)),
-            _ringed((0.35, 0.06, 0.05), (0.45, 0.30, 0.14)),
-        ),
-        box("pouf", (0.55, 0.55, 0.40), pose_on_floor((-1.75 + shift(), -2.65 + shift(), 0), 0.25), cloth[2]),
-        box("plant box", (0.40, 0.40, 0.45), pose_on_floor((3.7, 3.2, 0)), box_texture(textures.tiles, seed + 33)),
-        lathe(
-            "plant",
-            [(0.04, 0.0), (0.30, 0.25), (0.34, 0.60), (0.22, 0.95), (0.0, 1.15)],
-            pose_on_floor((3.7, 3.2, 0.45)),
-            _leaves(seed + 34),
-        ),
-    ]
-    pillar = [(0.27, 0.0), (0.27, 0.15), (0.20, 0.20), (0.20, 2.82), (0.27, 2.88), (0.27, HEIGHT_M)]
-    solids.append(
-        lathe(
-            "pillar",
-            pillar,
-            pose_on_floor((-3.25 + shift(0.05), -2.55 + shift(0.05), 0)),
-            _pillar(seed + 31),
-            segments=64,
-        )
-    )
-    return solids
 
 
 def _floor(seed: int) -> Texture:
