@@ -175,7 +175,7 @@ def _try_refinement(
 ) -> tuple[list[Camera], Observations, dict[str, Any]]:
     """The refined cameras if they clearly help, and the observations without their radial term, for the report.
 
-    Fitted on every other frame and judged on the rest; then fit_cameras again on all frames.
+    Fitted on every other frame and judged on the rest; then fitted again on all frames.
     """
     limits, bundle, gain = settings.limits, settings.bundle, settings.min_gain
     fit_on, judge_on = in_halves(seen)
