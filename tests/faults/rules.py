@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from tests.faults.contents import FORMS
+from tests.made.file_contents import FORMS
 
 NEVER_SILENT = ("type", "shape", "finite", "infinite", "whole", "missing", "unknown", "doubled key", "file", "encoding")
 """After these nobody can take the file for a whole one."""
-PLAUSIBLE = ("range", "count", "doubled", "sign", "unit", "order", "text", "exchanged")
+PLAUSIBLE = ("range", "count", "doubled", "sign", "unit", "order", "text", "exchanged", "mirrored", "swapped")
 """After these the file may be another one's whole file: it is told where something else says otherwise."""
 
 
@@ -126,6 +126,22 @@ def _reversed(value: Any) -> Any:
     return value[::-1]
 
 
+def _of_pictures(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+    def changed(values: np.ndarray) -> np.ndarray:
+        if values.ndim < 2 or min(values.shape[:2]) < 8:
+            raise Skip
+        return change(values) if values.ndim < 4 else np.array([change(value) for value in values])
+
+    return changed
+
+
+def _swapped(values: np.ndarray) -> np.ndarray:
+    """x and y of points."""
+    if values.ndim < 2 or values.shape[-1] not in (2, 3):
+        raise Skip
+    return np.concatenate([values[..., [1, 0]], values[..., 2:]], axis=-1)
+
+
 def _text(value: Any) -> Any:
     if isinstance(value, np.ndarray) and value.dtype.kind == "U" and not value.ndim:
         return np.array("nobody")
@@ -147,6 +163,8 @@ FIELD: dict[str, Callable[[Any], Any]] = {
     "unit": _numbers(_floats_only(lambda values: values * 1000)),
     "order": _rows(_reversed),
     "text": _text,
+    "mirrored": _numbers(_of_pictures(lambda values: values[:, ::-1])),
+    "swapped": _numbers(_swapped),
 }
 FILE: dict[str, Callable[[bytes], bytes]] = {
     "file: empty": lambda data: b"",

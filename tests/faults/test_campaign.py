@@ -18,11 +18,12 @@ from studiorecon.scene.schema import real
 from studiorecon.scene.step_files import read
 from studiorecon.scene.user_files import read_npz
 
-from tests.faults.campaign import Subject, most_held_mb, outcomes, same, verdict, wrong
-from tests.faults.contents import npy, npz
-from tests.faults.nouns import NOUNS
+from tests.faults import captures
+from tests.faults.campaign import Subject, most_held_mb, outcomes, reading, same, verdict, wrong
 from tests.faults.rules import HARMLESS, NAMES
-from tests.faults.user_files import OPENPOSE, READERS, Reader
+from tests.made.file_contents import npy, npz
+from tests.made.nouns import NOUNS
+from tests.made.user_files import OPENPOSE, READERS, Reader
 
 EVERY = {**NOUNS, **READERS}
 assert len(EVERY) == len(NOUNS) + len(READERS)
@@ -46,8 +47,8 @@ def test_every_damage(name: str) -> None:
 @pytest.mark.parametrize("name", NOUNS)
 def test_a_whole_file_and_another_one_are_read(name: str, tmp_path: Path) -> None:
     subject = Subject.of_noun(NOUNS[name], tmp_path)
-    right = subject.read(subject.path)
-    assert same(right, subject.read(subject.path))
+    right = reading(subject)
+    assert same(right[0], subject.read(subject.path))
     assert verdict(subject, subject.whole, right) == "right"
     assert subject.other != subject.whole
 
@@ -79,6 +80,44 @@ def test_a_damaged_file_is_named_with_its_field_and_what_is_expected(tmp_path: P
     path.write_bytes(npz(first=np.zeros((3, 2)), second=np.zeros(4)))
     with pytest.raises(UserError, match=r"a\.npz .*second .*\(4,\).*N = 3.*delete it"):
         read(path, {"first": real("N 2"), "second": real("N")})
+
+
+VALUES = {
+    "no number": ([np.nan, 2, 0.9], "1 of 40 keypoints are no numbers"),
+    "infinite score": ([1, 2, np.inf], "1 of 40 keypoints are no numbers"),
+    "beyond any picture": ([1e30, 2, 0.9], "1 of 40 keypoints are no numbers or beyond any picture"),
+    "score below 0": ([1, 2, -0.5], "1 of 40 scores are below 0"),
+    "gap": ([np.nan, np.nan, np.nan], ""),
+    "missing": ([0, 0, -1], ""),
+}
+
+
+@pytest.mark.parametrize("case", VALUES)
+def test_keypoints_that_are_nowhere_are_left_out_and_counted(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    value, said = VALUES[case]
+    points = np.tile([10.0, 20.0, 0.8], (2, 1, 20, 1))
+    points[1, 0, 3] = value
+    (tmp_path / "k.npz").write_bytes(npz(keypoints=points))
+    found = read_keypoints(tmp_path / "k.npz")
+    assert said in (out := capsys.readouterr().out)
+    assert bool(out) == bool(said)
+    assert not found.keypoints[1, 3, 2] > 0
+    np.testing.assert_array_equal(np.delete(found.keypoints.reshape(40, 3), 23, 0), np.tile([10, 20, 0.8], (39, 1)))
+
+
+def test_keypoints_without_scores_all_count_and_it_is_said(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    people = [[{"keypoints": [[10.0, 20.0]] * 17}], [{"keypoints": [[11.0, 20.0]] * 17}]]
+    (tmp_path / "k.json").write_text(json.dumps(people))
+    assert (read_keypoints(tmp_path / "k.json").keypoints[..., 2] == 1).all()
+    assert "k.json has no scores" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_nothing_that_changes_a_whole_capture_is_silent() -> None:
+    wrong_ones = [one for one in captures.outcomes(every=3) if captures.wrong(*one)]
+    assert not wrong_ones
 
 
 def test_a_crowd_beyond_the_limit_is_refused_with_its_frame(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.calibration.formats import FORMATS, accepted_formats
 from studiorecon.calibration.formats.reading import Reading
 from studiorecon.calibration.names import Pairing, pairings, pairings_in_order
-from studiorecon.calibration.world import metres_per_unit, refuse_mixed_units, to_metric_world, z_up_from_world
+from studiorecon.calibration.world import metres_per_unit, refuse_wrong_places, to_metric_world, z_up_from_world
 from studiorecon.camera_files.raw_camera import check_camera
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
@@ -116,6 +116,8 @@ def paired_lenses(
     checked = [check_camera(c, by_name[matched[c]], source) for c in cameras]
     chosen = [camera for camera, _ in checked]
     notes = [*reading.notes, *(n for _, told in checked for n in told), *([note] if note else [])]
+    if sizeless := [name for name, c in zip(cameras, chosen, strict=True) if 0 in c.wh]:
+        notes.append(f"{source} has no picture size of {', '.join(sizeless)}: that of the films was taken")
     left_out = [c.name for c in reading.cameras if c.name not in matched.values()]
     if left_out:
         notes.append(f"the calibration also has {', '.join(left_out)}, without footage")
@@ -134,7 +136,7 @@ def paired_lenses(
         for c, k1 in settings.radial.items()
     ]
     centres = np.array([-p[:3, :3].T @ p[:3, 3] for p in poses])
-    refuse_mixed_units(cameras, centres)
+    refuse_wrong_places(cameras, centres, source)
     factor, unit_note = metres_per_unit(centres, reading.unit, settings.unit)
     z_up, up_note = z_up_from_world(np.array([p[:3, :3] for p in poses]), settings.up)
     if settings.scale != 1.0:

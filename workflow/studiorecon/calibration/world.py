@@ -23,12 +23,19 @@ _UP_TOLERANCE_DEG = 45.0
 _EYE_HEIGHT_M = 1.5
 
 
-def refuse_mixed_units(names: Sequence[str], centres: Float[np.ndarray, "N 3"]) -> None:
-    """Raise UserError for cameras a hundred times further out than the others.
+def refuse_wrong_places(names: Sequence[str], centres: Float[np.ndarray, "N 3"], source: str) -> None:
+    """Raise UserError for two cameras at one place, and for cameras a hundred times further out than the others.
 
-    Their lengths are in another unit, or wrong, and would decide for all.
+    The lengths of the latter are in another unit, or wrong, and would decide for all.
     """
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    near = np.where(np.eye(len(names), dtype=bool), np.inf, apart)
+    one, other = np.unravel_index(np.argmin(near), near.shape)
+    if len(names) > 1 and near[one, other] <= 1e-6 * max(apart.max(), 1e-6):
+        raise UserError(
+            f"{source} puts cameras {names[one]} and {names[other]} at one and the same place: the pose of one "
+            "is missing or copied; calibrate where it stands, or leave it out with train: [...] in capture.yaml"
+        )
     # From the camera that has half of the others nearest.
     away = apart[np.argmin(np.sort(apart)[:, (len(apart) - 1) // 2])]
     order = np.argsort(away, kind="stable")
@@ -38,7 +45,7 @@ def refuse_mixed_units(names: Sequence[str], centres: Float[np.ndarray, "N 3"]) 
     if len(gaps):
         far = [names[i] for i in sorted(order[gaps[0] + 1 :])]
         raise UserError(
-            f"the calibration puts {', '.join(far)} {away[order[gaps[0] + 1]]:.4g} units and more from the "
+            f"{source} puts {', '.join(far)} {away[order[gaps[0] + 1]]:.4g} units and more from the "
             f"others, which are {away[order[gaps[0]]]:.4g} apart: the lengths of one calibration "
             "must have one unit; correct the translation, or leave these cameras out with train: [...] in capture.yaml"
         )

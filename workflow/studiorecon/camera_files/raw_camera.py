@@ -84,6 +84,11 @@ def check_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, 
             f"{where}: its principal point is ({centre[0]:g}, {centre[1]:g}), far outside of its pictures of "
             f"{camera.wh[0]}×{camera.wh[1]}; is the size another camera's?"
         )
+    if longer and not ((centre > 0) & (centre < camera.wh)).all():
+        notes.append(
+            f"{where}: its principal point ({centre[0]:g}, {centre[1]:g}) lies outside of its pictures of "
+            f"{camera.wh[0]}×{camera.wh[1]}, as only a corner cut out of a picture has it"
+        )
     if not (np.isfinite(camera.distortion).all() and (np.abs(camera.distortion) < _MAX_COEFFICIENT).all()):
         raise UserError(f"{where}: its distortion {camera.distortion.tolist()} is no lens's; calibrate it again")
     if not (np.isfinite(camera.camera_from_world).all() and (np.abs(camera.camera_from_world) < _MAX_LENGTH).all()):
@@ -152,6 +157,11 @@ def rotation_from_file(value: object, where: str) -> Float[np.ndarray, "3 3"]:
     given = numbers(value, where)
     if given.size not in (3, 9):
         raise UserError(f"{where} holds {given.size} numbers; a rotation is 3×3, or an axis times its angle")
+    if given.size == 3 and np.linalg.norm(given) > 2 * np.pi:
+        raise UserError(
+            f"{where} is an axis times an angle of {np.linalg.norm(given):.4g}, more than a full turn in radians; "
+            "write radians, not degrees"
+        )
     return given.reshape(3, 3) if given.size == 9 else exp(given.reshape(3))
 
 

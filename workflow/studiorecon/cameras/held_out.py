@@ -35,7 +35,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.files import write_json
-from studiorecon.scene.people import Detections, read_detections, usable
+from studiorecon.scene.people import Detections, read_detections
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ def run(
     """
     cameras, training = read_model(given_model.parent), read_model(model.parent)
     common, frames = read_clocks(clocks), read_manifest(manifest).frames
-    seen = [usable(read_detections(path))[0] for path in detections]
+    seen = [read_detections(path) for path in detections]
     found: list[dict[str, Any]] = []
     used: list[Camera] = []
     film = {path.stem: path for path in videos}

@@ -35,7 +35,7 @@ from studiorecon.rig.room_picture import RoomPicture, make_room_picture
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_manifest
 from studiorecon.scene.files import write_json
-from studiorecon.scene.people import Detections, read_detections, usable
+from studiorecon.scene.people import Detections, read_detections
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -271,17 +271,13 @@ def run(
     given = read_calibration(calibration)
     lenses = list(given.lenses.values())
     training, held_out = undistorted_cameras(lenses, found.training), undistorted_cameras(lenses, found.held_out)
-    seen = [usable(read_detections(p)) for p in detections]
-    unusable = sum(count for _, count in seen)
-    if unusable:
-        warn(f"{unusable} keypoints are not finite or at exactly (0, 0), and were left out")
     looks = {path.stem: make_room_picture(path) for path in plates}
-    kept, rooms = [d for d, _ in seen], [looks.get(c.name) for c in training]
+    kept, rooms = [read_detections(path) for path in detections], [looks.get(c.name) for c in training]
     outcome = decide(training, held_out, kept, found.frames, found.fps, given.floor_known, settings, rooms)
     by_name = {p.stem: p for p in videos}
     pictures = [read_frame(by_name[c.name], found.frames // 2) if c.name in by_name else None for c in outcome.training]
     picture = contact_sheet(outcome.training, outcome.held_out, pictures, outcome.points_m, outcome.report)
     write_model(model.parent, outcome.training, outcome.points_m)
     write_model(heldout_model.parent, outcome.held_out)
-    write_json(refinement, {**outcome.report, "unusable_keypoints": unusable, "calibration": given.about})
+    write_json(refinement, {**outcome.report, "calibration": given.about})
     write_png(sheet, picture)

@@ -22,7 +22,7 @@ from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.footage.stills import read_image
 from studiorecon.geometry.depth_alignment import Alignment, align_depth
 from studiorecon.images.sizes import resample_nearest
-from studiorecon.progress import say
+from studiorecon.progress import say, warn
 from studiorecon.scene.user_files import read_npy, read_npz
 from studiorecon.signature import Written
 
@@ -59,6 +59,8 @@ def read_estimate(path: Path) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarra
         depth = np.squeeze(_numbers(path))
     if depth.ndim != 2:
         raise UserError(f"{path} holds an array of shape {depth.shape}, expected one depth map (H, W)")
+    if below := int((depth < 0).sum()):
+        warn(f"{path}: {below} of {depth.size} depths are below 0 and count as unknown; write depth, not its inverse")
     depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
     return depth, (depth > 0).astype(np.float32)
 

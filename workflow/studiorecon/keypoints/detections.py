@@ -12,7 +12,6 @@ from studiorecon.configuration.setting import setting
 from studiorecon.geometry.lens import calibration_from_video_pixels, working_from_calibration, working_from_video
 from studiorecon.keypoints.temporal_smoothing import smooth_keypoints
 from studiorecon.keypoints.tracking import TrackingLimits, drop_duplicates, tracks
-from studiorecon.progress import say
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections
@@ -58,13 +57,8 @@ def to_working_pixels(
     (some detectors give up to 6) are clipped.
     """
     recorded = keypoints[..., :2]
-    confidence = np.clip(np.where(np.isfinite(keypoints[..., 2]), keypoints[..., 2], 0.0), 0.0, 1.0)
-    present = (
-        (confidence >= settings.min_confidence)
-        & (confidence > 0)
-        & np.isfinite(recorded).all(-1)
-        & (recorded != 0).any(-1)
-    )
+    confidence = np.clip(keypoints[..., 2], 0.0, 1.0)
+    present = (confidence >= settings.min_confidence) & (confidence > 0) & (recorded != 0).any(-1)
     pixels = np.where(present[..., None], recorded, 1.0) + (0.5 - settings.keypoint_centres)
     mapped = not (lens.placed or np.array_equal(lens.calibration_from_video, np.eye(2, 3)))
     if settings.keypoint_pixels == "calibration" or (settings.keypoint_pixels == "auto" and mapped):
@@ -77,22 +71,14 @@ def to_working_pixels(
     )
 
 
-def count_unusable(keypoints: Num[np.ndarray, "D K 3"]) -> int:
-    """How many of the recorded keypoints are marked as present but are not finite."""
-    broken = ~np.isfinite(keypoints[..., :2]).all(-1) & ~(keypoints[..., 2] <= 0)
-    return int((broken | ~np.isfinite(keypoints[..., 2])).sum())
-
-
 def detections_from_recorded(
     recorded: RecordedKeypoints, lens: Lens, footage: Footage, settings: Settings
 ) -> Detections:
     """Detections of one camera with track ids; ``recorded`` in its film's frames, with a layout."""
     frame = recorded.frame - footage.first_source_frame
     inside = (frame >= 0) & (frame < footage.frames)
-    frame, given = frame[inside], recorded.keypoints[inside]
-    keypoints = to_working_pixels(given, lens, footage, settings)
-    if broken := count_unusable(given):
-        say(f"camera {footage.camera}: {broken} of {given[..., 0].size} keypoints are not finite, and were left out")
+    frame = frame[inside]
+    keypoints = to_working_pixels(recorded.keypoints[inside], lens, footage, settings)
     layout = recorded.layout
     return track_detections(
         Detections(footage.camera, layout, frame, np.zeros_like(frame), keypoints), settings, footage.fps

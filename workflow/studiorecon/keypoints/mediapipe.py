@@ -75,7 +75,7 @@ def _people(found: Any, where: str) -> list[list[Any]]:
 def _points(person: list[Any], picture_wh: tuple[int, int], where: str) -> np.ndarray:
     if not all(isinstance(one, dict) and {"x", "y"} <= one.keys() for one in person):
         raise UserError(f"{where}: a landmark has no x and y; write what MediaPipe returns as it is")
-    given = [[one["x"], one["y"], one.get("visibility", 1.0)] for one in person]
+    given = [[one["x"], one["y"], one.get("visibility")] for one in person]
     points = numbers(given, f"{where}: landmarks", finite=False)
     if points.shape != (33, 3):
         raise UserError(f"{where}: somebody has {len(person)} landmarks; MediaPipe's bodies have 33")

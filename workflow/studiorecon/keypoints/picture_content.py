@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -54,7 +55,7 @@ def people_in(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]],
         if not isinstance(person, Mapping):
             raise UserError(f"{who} is {short_text(person)}; it must be one person's keypoints, or null for nobody")
         given = next((person[name] for name in keys if name in person), ...)
-        if given is ... and (others := [k for k in person if "keypoints" in str(k) and str(k)[:4] not in _PARTS]):
+        if given is ... and (others := [k for k in person if "keypoint" in str(k) and str(k)[:4] not in _PARTS]):
             raise UserError(f"{who} has no {keys[0]}, but {others[0]}; write the body's keypoints under the former")
         if given is not None and given is not ... and len(points := _points(given, person, who)):
             found.append(points)
@@ -62,12 +63,16 @@ def people_in(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]],
 
 
 def _points(given: Any, person: Mapping[Any, Any], where: str) -> np.ndarray:
-    """(K, 3) of one person: triples in one row or in rows of three, or pairs with separate ``keypoint_scores``."""
+    """(K, 3) of one person: triples in one row or in rows of three, or pairs with separate ``keypoint_scores``.
+
+    Scores are NaN where there are none.
+    """
     points = numbers(given, f"{where}: keypoints", finite=False)
     points = points[0] if points.ndim == 3 and len(points) == 1 else points
     if points.ndim == 2 and points.shape[1] == 2:
         scores = person.get("keypoint_scores")
-        score = np.ones(len(points)) if scores is None else numbers(scores, f"{where}: keypoint_scores", finite=False)
+        given_scores = [math.nan] * len(points) if scores is None else scores
+        score = numbers(given_scores, f"{where}: keypoint_scores", finite=False)
         if score.size != len(points):
             raise UserError(f"{where} has {len(points)} keypoints and {score.size} scores; one for each is needed")
         return np.column_stack([points, score.reshape(-1)])

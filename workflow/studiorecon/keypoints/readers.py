@@ -20,7 +20,7 @@ from studiorecon.scene.user_files import read_json, read_npz
 from studiorecon.scene.user_values import numbers
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Float, Num
 
 
 # Files under keypoints/ for a camera → the program that writes them.
@@ -47,6 +47,8 @@ _REFUSED = {
 }
 # No detector's score is larger, but per cent are.
 _MAX_SCORE = 10.0
+# Pixels: no picture is so wide, and no unit of pictures makes such numbers.
+_MAX_PLACE = 1e6
 
 
 def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> RecordedKeypoints:
@@ -94,18 +96,35 @@ def _checked(found: Pictures, path: Path) -> RecordedKeypoints:
         )
     keypoints = np.array([points for _, points in everybody], dtype=np.float64)
     keypoints = keypoints.reshape(len(everybody), counts[0] if counts else 0, 3)
-    _warn_of_scores(keypoints, path)
+    keypoints = _usable(keypoints, path)
     frame = np.array([number for number, _ in everybody], dtype=np.int64)
     return RecordedKeypoints(found.program, np.array(pictures, dtype=np.int64), frame, keypoints, found.counted)
 
 
-def _warn_of_scores(keypoints: Num[np.ndarray, "D K 3"], path: Path) -> None:
-    there = np.isfinite(keypoints[..., :2]).all(-1) & (keypoints[..., :2] != 0).any(-1)
-    scores = keypoints[there, 2]
-    if len(scores) and not (scores > 0).any():
+def _usable(keypoints: Num[np.ndarray, "D K 3"], path: Path) -> Float[np.ndarray, "D K 3"]:
+    """``keypoints`` with those marked missing that are nowhere, or of which nobody says how sure they are; what cannot
+    be meant so is said.
+
+    A file without any score has seen everything that it holds. Gaps are what has neither place nor score.
+    """
+    place, score = keypoints[..., :2], keypoints[..., 2]
+    there = (np.abs(place) < _MAX_PLACE).all(-1)
+    if there.any() and not np.isfinite(score).any():
+        warn(f"{path} has no scores: all of its keypoints count as seen, also those that its program guessed")
+        score = np.where(there, 1.0, np.nan)
+    seen = there & (place != 0).any(-1)
+    lost = np.where(there, ~np.isfinite(score), ~(np.isnan(place).all(-1) & ~np.isfinite(score)) & ~(score <= 0))
+    if lost.any():
+        warn(f"{path}: {lost.sum()} of {lost.size} keypoints are no numbers or beyond any picture, and were left out")
+    below = seen & (score < 0) & (place > 0).all(-1)
+    if seen.any() and not (score[seen] > 0).any():
         warn(f"{path}: all scores are 0 or less, so nobody counts as seen; write scores from 0 to 1")
-    elif len(scores) and (top := float(np.nanmax(scores, initial=0))) > _MAX_SCORE:
+    elif below.any():
+        warn(f"{path}: {below.sum()} of {below.size} scores are below 0 and count as unseen; write them from 0 to 1")
+    if seen.any() and (top := float(np.max(score, initial=0, where=seen & np.isfinite(score)))) > _MAX_SCORE:
         warn(f"{path}: scores go up to {top:.4g}; above 1 they count as 1: write them from 0 to 1")
+    gone = ~there | ~np.isfinite(score)
+    return np.where(gone[..., None], [np.nan, np.nan, 0.0], np.concatenate([place, score[..., None]], -1))
 
 
 def _folder(path: Path) -> Pictures:

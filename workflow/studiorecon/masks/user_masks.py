@@ -20,6 +20,7 @@ from studiorecon.images.channels import channel_max
 from studiorecon.images.regions import signed_distance_px
 from studiorecon.images.silhouette import front_person
 from studiorecon.masks.tracks import MIN_SHARE, UNASSIGNED, overlaps
+from studiorecon.progress import warn
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.numbered_files import gaps_named, pictures_in
@@ -105,10 +106,16 @@ def label_given_masks(
     if not values or not people:
         unknown = (np.where(label > 0, np.uint8(UNASSIGNED), np.uint8(0)) for label in labels)
         return unknown, "they show none of the fitted people"
+    overlap = overlaps(labels, depths_m, people)[values]
+    if (on_people := overlap[:, 1:].sum() / overlap.sum()) < MIN_SHARE:
+        warn(
+            f"only {on_people:.0%} of what the masks of camera {camera.name} mark lies on a person of the scene: are "
+            "they of this camera and these frames, upright, with 0 where nobody is?"
+        )
     if len(values) == 1:
         by_body = (_by_body(label > 0, depth, gate_m, camera) for label, depth in zip(labels, depths_m, strict=True))
         return by_body, "bodies decide the identities"
-    overlap = overlaps(labels, depths_m, people)[values, 1:].astype(np.float64)
+    overlap = overlap[:, 1:].astype(np.float64)
     table = np.zeros(256, np.uint8)
     table[values] = UNASSIGNED
     matched = []

@@ -28,7 +28,7 @@ from studiorecon.rig.body_points import tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Manifest, read_manifest
 from studiorecon.scene.files import write_json
-from studiorecon.scene.people import Detections, read_detections, usable, write_identities, write_people
+from studiorecon.scene.people import Detections, read_detections, write_identities, write_people
 from studiorecon.scene.readouts import Readout, write_readouts
 from studiorecon.signature import Written
 
@@ -122,7 +122,7 @@ def run(
     nothing: it is used unchanged. ``witnesses`` confirm people who change no picture.
     """
     cameras, footage = read_model(model.parent), read_manifest(manifest)
-    given, unusable = _read_usable(detections, cameras)
+    given = _read_of_all(detections, cameras)
     if corrected:
         found = as_corrected(corrected[0], given)
     else:
@@ -136,7 +136,6 @@ def run(
     write_people(people, found.rows, [one.row() for one in found.missed])
     write_identities(identities, found.table)
     why = _as_json(found.verdicts, given, bool(corrected)) | {
-        "unusable_keypoints": unusable,
         "left_out": [one.as_json(newcomer) for one in found.missed],
         "readouts": [asdict(one) for one in rows_look],
     }
@@ -149,17 +148,15 @@ def run(
     report_rejected(found.missed, newcomer)
 
 
-def _read_usable(paths: Sequence[Path], cameras: Sequence[Camera]) -> tuple[list[Detections], int]:
-    """Detections of every camera, without keypoints that are none, and how many these were."""
-    given, counts = zip(*(usable(read_detections(path)) for path in paths))
+def _read_of_all(paths: Sequence[Path], cameras: Sequence[Camera]) -> list[Detections]:
+    """Detections of every camera, in the order of ``cameras``."""
+    given = [read_detections(path) for path in paths]
     if [d.camera for d in given] != [c.name for c in cameras]:
         raise UserError(
             f"detections are of {[d.camera for d in given]}, the model has "
             f"{[c.name for c in cameras]}; delete results and run again"
         )
-    if sum(counts):
-        say(f"{sum(counts)} keypoints are not finite or at exactly (0, 0), and were left out")
-    return list(given), sum(counts)
+    return given
 
 
 def _warn_of_nobody(found: Associated, given: Sequence[Detections], footage: Manifest) -> None:

@@ -129,8 +129,8 @@ def _chosen_footage(
             )
     if len(footage) - len(held_out) < 2:
         raise UserError(
-            f"dataset {folder} has {len(footage) - len(held_out)} training camera(s); "
-            "at least 2 videos are needed in videos/"
+            f"dataset {folder} has {len(footage) - len(held_out)} training camera(s)"
+            f"{' by train and held_out in capture.yaml' if chosen else ''}; at least 2 videos are needed in videos/"
         )
     return footage, held_out
 

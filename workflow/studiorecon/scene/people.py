@@ -141,15 +141,6 @@ def read_detections(path: Path) -> Detections:
     return read(path, _DETECTIONS, made)
 
 
-def usable(found: Detections) -> tuple[Detections, int]:
-    """The detections with non-finite or impossible keypoints marked missing, and their number."""
-    keypoints = found.keypoints
-    bad = ~np.isfinite(keypoints[..., 2]) | (
-        (keypoints[..., 2] > 0) & (~np.isfinite(keypoints[..., :2]).all(-1) | (keypoints[..., :2] == 0).all(-1))
-    )
-    return replace(found, keypoints=np.where(bad[..., None], [np.nan, np.nan, 0.0], keypoints)), int(bad.sum())
-
-
 def write_people(
     path: Path,
     rows: list[tuple[str, int, str, float, str]],

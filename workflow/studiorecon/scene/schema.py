@@ -165,10 +165,11 @@ UNIT_NORMALS = ArrayProperty(
     "normals of length 1 in front", lambda planes: bool((np.abs((planes[:, :3] ** 2).sum(-1) - 1) < _ROTATION).all())
 )
 CONFIDENT = ArrayProperty(
-    "confidences from 0 to 1 in the last column",
-    lambda keypoints: not (np.isfinite(keypoints[..., 2]) & (np.abs(keypoints[..., 2] - 0.5) > 0.5)).any(),
+    "confidences from 0 to 1 in the last column, and finite places where they are above 0",
+    lambda keypoints: bool(
+        (np.abs(keypoints[..., 2] - 0.5) <= 0.5).all() and np.isfinite(keypoints[keypoints[..., 2] > 0]).all()
+    ),
 )
-"""Non-finite ones are gaps (``scene.people.usable``)."""
 
 
 def check(value: Any, schema: Schema, name: str = "", sizes: Mapping[str, int] | None = None) -> None:

@@ -180,7 +180,8 @@ def planned_dataset(description: Description, folder: Path, truth: Path) -> Data
 def _mapping(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise UserError(f"studio description {path} does not exist; resources/studio/demo.yaml is one to start from")
-    value = read_yaml(path) or {}
+    value = read_yaml(path)
+    value = {} if value is None else value
     if not isinstance(value, dict):
         raise UserError(f"{path} must be a mapping of options; resources/studio/defaults.yaml lists them all")
     return value

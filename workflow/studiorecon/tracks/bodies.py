@@ -25,7 +25,7 @@ from studiorecon.models.catalogue.selection import CHOICES
 from studiorecon.models.choices import DetectionSource
 from studiorecon.models.loading import adapter, load
 from studiorecon.models.protocols import Bodies, BodyEstimator
-from studiorecon.progress import progress, say
+from studiorecon.progress import progress, say, warn
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.people import Detections, write_detections
@@ -61,10 +61,13 @@ def detections_from_bodies(
     Points outside the picture, and bodies with too few points inside, are left out.
     """
     frames, tracks, points, poses, pelvises, shapes = [], [], [], [], [], []
+    outside, behind = 0, 0
     for frame, found in bodies:
         for k in range(len(found.tracks)):
             inside = ((found.joints_px[k] >= 0) & (found.joints_px[k] <= footage.wh)).all(axis=-1)
             sure = float(found.confidences[k])
+            outside += int(inside.sum() < settings.min_keypoints)
+            behind += int(found.pelvises_m[k, 2] <= 0)
             if inside.sum() < settings.min_keypoints or sure < settings.min_confidence or found.pelvises_m[k, 2] <= 0:
                 continue
             frames.append(frame)
@@ -75,6 +78,11 @@ def detections_from_bodies(
             shapes.append(found.shapes[k])
             pelvises.append([*found.joints_px[k, 0], found.pelvises_m[k, 2]])
     count = len(frames)
+    if outside or behind:
+        warn(
+            f"camera {footage.camera}: {outside} bodies lie outside of its picture and {behind} behind it, and were "
+            "left out"
+        )
     turned = np.array(poses, dtype=np.float64).reshape(count, 24, 3)
     return Detections(
         footage.camera,

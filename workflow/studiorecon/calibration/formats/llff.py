@@ -28,6 +28,8 @@ def read(files: list[Path]) -> Reading:
     for index, row in enumerate(np.asarray(table, dtype=np.float64)):
         block = row[:15].reshape(3, 5)
         height, width, focal = block[:, 4]
+        if height % 1 or width % 1:
+            raise UserError(f"{path}: camera {index} has {width:g}×{height:g} pixels; sizes are whole numbers")
         down, right, back = block[:, 0], block[:, 1], block[:, 2]
         world_from_camera = np.eye(4)
         world_from_camera[:3] = np.stack([right, down, -back, block[:, 3]], axis=1)

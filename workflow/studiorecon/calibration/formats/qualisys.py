@@ -38,15 +38,15 @@ def read(files: list[Path]) -> Reading:
                 "calibration for upright video (viewrotation 0)"
             )
         transform, intrinsic, frame = element.find("transform"), element.find("intrinsic"), element.find("fov_video")
-        if transform is None or intrinsic is None:
-            raise UserError(f"{where}: transform or intrinsic is missing")
+        if transform is None or intrinsic is None or frame is None:
+            raise UserError(f"{where}: transform, intrinsic or fov_video is missing; export the calibration again")
         # The nine numbers are stored column by column: r11 r12 r13 are the image's x axis in the world.
         axes = np.array([[_number(transform, f"r{i}{j}", where) for j in (1, 2, 3)] for i in (1, 2, 3)])
         world_from_camera = np.eye(4)
         world_from_camera[:3, :3] = axes.T @ _FLIP
         world_from_camera[:3, 3] = [_number(transform, axis, where) / 1000 for axis in "xyz"]
-        left, top = (_number(frame, s, where) if frame is not None else 0.0 for s in ("left", "top"))
-        right, bottom = (_number(frame, s, where) if frame is not None else -1.0 for s in ("right", "bottom"))
+        left, top = (_number(frame, s, where) for s in ("left", "top"))
+        right, bottom = (_number(frame, s, where) for s in ("right", "bottom"))
         focal = [_number(intrinsic, f"focalLength{a}", where) / _SUBPIXELS for a in "UV"]
         centre = [_number(intrinsic, f"centerPoint{a}", where) / _SUBPIXELS for a in "UV"]
         radial = [float(intrinsic.get(f"radialDistortion{i}", 0)) for i in (1, 2, 3)]

@@ -9,6 +9,7 @@ as they are, including short false ones, and the association of cameras rejects 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from studiorecon.models.adapters.pi3 import probability
 from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, require_finite, staged_weights
 from studiorecon.models.protocols import Bodies
+from studiorecon.progress import warn
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num, Shaped
@@ -133,14 +135,20 @@ def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[t
         raise UserError(
             f"{where} holds no {', '.join(missing)}; write them too (CoMotion's demo drops its 2D and 3D points)"
         )
-    count = len(rows["frame_idx"])
+    count, whole = len(rows["frame_idx"]), dict(rows)
+    for key, shape in {"frame_idx": (), **_FIELDS}.items():
+        if rows[key].size != count * math.prod(shape) or len(rows[key]) != count:
+            raise UserError(f"{where}: {key} is {rows[key].shape}, expected {(count, *shape)}; write one row a body")
+        whole[key] = rows[key].reshape(count, *shape)
+        if not shape and ((whole[key] % 1 != 0) | (whole[key] < 0)).any():
+            raise UserError(f"{where}: {key} must be whole numbers from 0 on; write the network's own")
+    if "conf" not in rows:
+        warn(f"{where} has no conf: all of its bodies count as sure")
     logits = rows["conf"].reshape(count) if "conf" in rows else np.full(count, 10.0)
     found = []
-    for frame in np.unique(rows["frame_idx"]):
-        own = np.flatnonzero(rows["frame_idx"] == frame)
-        slots = {key: rows[key][own] for key in _STORED if key != "frame_idx"}
-        slots["id"] = slots["id"].reshape(len(own))
-        slots["pose"] = slots["pose"].reshape(len(own), -1)
+    for frame in np.unique(whole["frame_idx"]):
+        own = np.flatnonzero(whole["frame_idx"] == frame)
+        slots = {key: whole[key][own] for key in _FIELDS}
         found.append((int(frame), postprocess(slots, slots["pred_2d"], logits[own])))
     return found
 

@@ -35,7 +35,7 @@ from studiorecon.scene.people import read_given_identities
 from studiorecon.studio.description import read_description
 from studiorecon.tracks.bodies import read_bodies
 
-from tests.faults.contents import npy, npz
+from tests.made.file_contents import npy, npz
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,8 @@ def calibration_right(path: Path) -> Any:
     files = sorted(path.parent.glob("*.yml")) if path.suffix == ".yml" else [path]
     reading = read_calibration(files)
     names = [c.name for c in reading.cameras]
-    lenses, *_ = paired_lenses(reading, path.name, names, {}, Settings(unit="m", up="z"))
+    lenses, notes, _ = paired_lenses(reading, path.name, names, {}, Settings(unit="m", up="z"))
+    print(*notes, sep="\n")
     for lens in lenses:
         assert np.isfinite(lens.intrinsics).all()
         assert np.isfinite(lens.camera_from_world).all()
@@ -89,6 +90,7 @@ def capture_right(path: Path) -> Any:
     found = open_dataset(path.parent)
     assert all(np.isfinite(focal) and focal > 0 for focal in found.focal_px.values())
     assert set(found.held_out) <= set(found.footage)
+    print(*found.notes, sep="\n")
     return found
 
 
@@ -258,6 +260,7 @@ def film_right(path: Path) -> Any:
     assert np.isfinite(source.fps)
     assert source.fps > 0
     pictures = list(decode(source, 0, 0))
+    print(*source.notes, sep="\n")
     assert all(picture.shape == (source.wh[1], source.wh[0], 3) for picture in pictures)
     return pictures, source.fps, focal_px_from_metadata(path, source.wh)
 
