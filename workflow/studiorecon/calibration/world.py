@@ -30,7 +30,7 @@ def refuse_wrong_places(names: Sequence[str], centres: Float[np.ndarray, "N 3"],
     """
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
     near = np.where(np.eye(len(names), dtype=bool), np.inf, apart)
-    one, other = np.unravel_index(np.argmin(near), near.shape)
+    one, other = divmod(int(np.argmin(near)), len(names))
     if len(names) > 1 and near[one, other] <= 1e-6 * max(apart.max(), 1e-6):
         raise UserError(
             f"{source} puts cameras {names[one]} and {names[other]} at one and the same place: the pose of one "
