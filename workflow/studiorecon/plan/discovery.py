@@ -128,9 +128,10 @@ def _chosen_footage(
                 "it out (train: [...] in capture.yaml)"
             )
     if len(footage) - len(held_out) < 2:
+        by = " by train and held_out in capture.yaml" if held_out or "train" in description else ""
         raise UserError(
-            f"dataset {folder} has {len(footage) - len(held_out)} training camera(s)"
-            f"{' by train and held_out in capture.yaml' if chosen else ''}; at least 2 videos are needed in videos/"
+            f"dataset {folder} has {len(footage) - len(held_out)} training camera(s){by}; at least 2 videos are needed "
+            "in videos/"
         )
     return footage, held_out
 
