@@ -82,7 +82,7 @@ def test_edges_that_run_anywhere_change_nothing_and_that_is_said() -> None:
     given = about_the_spot(ring(), OFF_DEG)
     people_alone, report = examined(given, NO_ROOM), examined(given, pictured(ring(), clutter=1.0))
     assert (report["verdict"], report["advice"]) == (people_alone["verdict"], people_alone["advice"])
-    assert "straight edges tell nothing" in doctor_page.page("scene", report, b"png")
+    assert "straight edges do not constrain" in doctor_page.page("scene", report, b"png")
 
 
 def test_edges_of_one_camera_alone_say_nothing_of_two() -> None:
@@ -98,8 +98,8 @@ def test_furniture_askew_that_people_contradict_is_not_mended(askew_deg: float, 
     assert report["verdict"] == named, report["advice"]
     assert not report["edges"]["mended"]
     (said,) = of_edges(report)
-    assert "refinement does not mend that: people would fit" in said
-    assert "let somebody walk through the whole room" in said
+    assert "refinement does not correct that: people would fit" in said
+    assert "let a person walk through the whole room" in said
 
 
 def test_people_s_refinement_that_takes_the_contradiction_away_counts() -> None:

@@ -139,7 +139,7 @@ def test_a_camera_that_people_do_not_place_is_left_out_by_name(options, template
     focal_px = {d.camera: c.focal_px[0] for d, c in zip(more, cameras)}
     found, report = from_people.pose_cameras(more, [c.wh for c in cameras], focal_px, 60, template, options)
     assert [c.name for c in found] == [c.name for c in truth]
-    assert "sees nobody" in report["left_out"]["blind"]
+    assert "sees no person" in report["left_out"]["blind"]
     assert "shares too little of anybody" in report["left_out"]["late"]
     assert set(report["left_out"]) == {"blind", "late"}
     assert set(report["sigma_deg"]) == {c.name for c in truth}
@@ -191,8 +191,8 @@ def test_of_two_arrangements_the_likelier_is_used_and_the_interval_covers_the_ot
     arrangement_rigs = pose_consensus.propose_rigs
     monkeypatch.setattr(pose_consensus, "propose_rigs", with_rival)
     found, report = from_people.pose_cameras(detections, *given)
-    assert not any("two arrangements" in sentence for sentence in before["uncertain"])
-    assert any("two arrangements of the cameras fit" in sentence for sentence in report["uncertain"])
+    assert not any("two solutions" in sentence for sentence in before["uncertain"])
+    assert any("two solutions for the cameras fit" in sentence for sentence in report["uncertain"])
     assert after_similarity(found, truth)[0].max() < 1.0
     assert before["between_deg"] < 5.0
     assert report["between_deg"] > 20.0

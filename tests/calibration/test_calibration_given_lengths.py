@@ -88,7 +88,7 @@ def test_a_height_decides_the_scale_and_says_whose_it_is(take, body: BodyModel) 
 def test_heights_that_cannot_be_true_together_and_names_of_nobody_are_refused(take, body: BodyModel) -> None:
     with pytest.raises(UserError, match="contradict one another"):
         found(take, body, GivenLengths({"p0": 1.2, "p1": 2.1}))
-    with pytest.raises(UserError, match="height_m of p7, but the cameras were found from p0, p1"):
+    with pytest.raises(UserError, match="height_m of p7, but the cameras were estimated from p0, p1"):
         found(take, body, GivenLengths({"p7": 1.8}))
     with pytest.raises(UserError, match="from camera left"):
         found(take, body, GivenLengths(between=("left", take[0][0].name), distance_m=3.0))

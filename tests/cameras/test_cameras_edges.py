@@ -49,7 +49,7 @@ def test_a_calibration_that_people_accept_is_put_right_by_the_room(capsys: pytes
     assert report["edges"]["between_deg"] > between_deg(found, truth)
     assert report["edges"]["off_after_deg"] < 1 < report["edges"]["off_deg"]
     assert report["refined"]
-    assert "the room's straight edges call for cameras that stand elsewhere" in capsys.readouterr().out
+    assert "the room's straight edges show that cameras have moved" in capsys.readouterr().out
 
 
 def test_a_calibration_that_is_right_stays() -> None:
@@ -89,4 +89,4 @@ def test_edges_that_people_contradict_move_no_camera(capsys: pytest.CaptureFixtu
     assert report["edges"]["off_deg"] > 2
     assert not report["edges"]["believed"]
     assert all(a is b for a, b in zip(found, truth))
-    assert "and move no camera" in capsys.readouterr().out
+    assert "and no camera is moved for them" in capsys.readouterr().out

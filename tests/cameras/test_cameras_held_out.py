@@ -94,7 +94,7 @@ def test_too_little_leaves_the_camera_unchecked_and_says_so() -> None:
     assert not found.checked
     assert found.camera is given
     assert "unchecked" in describe("c4", found, 5)
-    assert "nobody is expected" in describe("c4", found, 0)
+    assert "no person is expected" in describe("c4", found, 0)
 
 
 def test_a_late_picture_is_compared_with_where_people_were_then() -> None:

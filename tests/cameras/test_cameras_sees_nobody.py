@@ -56,9 +56,9 @@ def test_cameras_that_were_moved_are_put_right_without_the_one_that_sees_nobody(
     assert between_deg(*others) < 0.3
     assert np.array_equal(outcome.training[2].camera_from_world, given[2].camera_from_world)
     told = capsys.readouterr().out
-    how = "somebody in 3 frames only" if ghost else "nobody"
-    assert told.count(f"warning: camera c2 sees {how}: it only shows the room") == 1
-    assert "who is who comes from c0, c1, c3" in told
+    how = "a person in 3 frames only" if ghost else "nobody"
+    assert told.count(f"warning: camera c2 sees {how}: it shows only the room") == 1
+    assert "identities come from c0, c1, c3" in told
 
 
 def test_who_passes_a_camera_for_a_second_in_a_long_film_is_seen_by_it() -> None:
@@ -87,7 +87,7 @@ def test_where_one_camera_alone_sees_people_nothing_is_refused(ghost: int, capsy
     outcome = decided(truth, seen)
     assert outcome.report["reason"] == "no person in two cameras"
     assert all(np.array_equal(a.camera_from_world, b.camera_from_world) for a, b in zip(outcome.training, truth))
-    assert "nobody is seen by two cameras at once" in capsys.readouterr().out
+    assert "no person is visible in two cameras at once" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("blind", "verdict"), [((2,), "check"), ((1, 2, 3), "cannot tell")])

@@ -33,7 +33,7 @@ def test_people_tell_by_how_much_the_world_leans(degrees: float, caplog: pytest.
     caplog.set_level("INFO")
     tilt = check_tilt(leant, seen, LIMITS)
     assert tilt == pytest.approx(degrees, abs=1.5)
-    warned = "off the world's vertical" in caplog.text
+    warned = "from the world's vertical" in caplog.text
     assert warned == (degrees > 12)
 
 

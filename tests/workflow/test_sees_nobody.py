@@ -121,7 +121,7 @@ def test_people_whom_one_camera_alone_sees_are_told_and_the_room_is_made(studio:
     house = filmed(studio, tmp_path, lambda camera, _: camera == "cam1")
     results, told = run(house, "people/people.tsv", "background/scene.ply")
     assert named(results) == {}
-    assert "nobody is seen by two cameras at once: the calibration is used as it was given, unchecked" in told
+    assert "no person is visible in two cameras at once: the calibration is used as given, unchecked" in told
     assert "nobody of this scene was found" in told
     doctor = json.loads((results / "calibration/doctor.json").read_text())
     assert doctor["verdict"] == "cannot tell"

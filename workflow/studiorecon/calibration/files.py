@@ -45,16 +45,14 @@ class Settings:
     format: FormatName = setting("auto", "Format of the calibration files; auto = the first that recognises them.")
     poses: Literal["as_read", "world_from_camera", "opengl", "world_from_camera_opengl"] = setting(
         "as_read",
-        "What the poses in the files really are, where they break their format's convention; the doctor says "
-        "which one the people call for.",
+        "Convention of the poses in the files, if it differs from the format's; the doctor "
+        "reports which one fits people.",
     )
-    lens: LensReading = setting(
-        "as_read", "The lens model that the distortion numbers really belong to, where the files do not say."
-    )
+    lens: LensReading = setting("as_read", "Lens model of the distortion coefficients, if the files do not state it.")
     radial: dict[str, float] = setting(
         {},
-        "Added to the k1 of these cameras, {camera: number}: what refinement answers when people call for "
-        "other distortion.",
+        "Added to the k1 of these cameras, {camera: number}: refinement reports it when people "
+        "fit another distortion better.",
     )
     unit: Literal["auto", "m", "cm", "mm"] = setting(
         "auto", "Unit of the calibration's lengths; auto believes the format, else reads spreads above 100 as mm."

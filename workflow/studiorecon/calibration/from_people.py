@@ -48,8 +48,8 @@ _OF_A_MEAN_BODY = 0.05
 _NO_LENGTHS = GivenLengths()
 _MIN_CAMERAS = 2
 _WOULD_HELP = (
-    "let somebody walk where it and another camera both look, or bring a calibration; train: [...] in capture.yaml "
-    "without it says that this is meant"
+    "let a person walk where it and another camera both look, or add a calibration; to leave it "
+    "out on purpose, list the others under train: in capture.yaml"
 )
 
 
@@ -113,8 +113,7 @@ def pose_cameras(
     if found is None:
         raise UserError(
             "the cameras are undetermined: no two cameras see enough of one person at once to "
-            "find out where they stand; check that the "
-            "videos are synchronised, or bring a calibration"
+            "estimate their poses; check that the videos are synchronised, or bring a calibration"
         )
     names = [d.camera for d in found.seen.detections]
     # Known focal lengths have their value as prior in every round; unknown ones are free.
@@ -135,7 +134,7 @@ def pose_cameras(
         turn, place = np.hypot(turn, degrees), np.hypot(place, metres)
         uncertain.append(_of_two(found, degrees))
     if unplaced := [n for n in given.between if n in found.left_out]:
-        uncertain.append(f"distance_m is measured from camera {unplaced[0]}, which is left out, so it says no lengths")
+        uncertain.append(f"distance_m is measured from camera {unplaced[0]}, which is left out, so it gives no scale")
         given = replace(given, between=())
     cameras, points, how, scale = _settled_in_the_world(result, rig, template_m, given, stature)
     error = rig.points.error_px[:, rig.points.verified if len(names) > 2 else rig.points.valid]
@@ -191,7 +190,7 @@ def _uncertain(
     known = f"{names[worst]} is known to ±{turn[worst]:.1f}° and ±{place[worst]:.2f} m"
     if turn.max() > settings.max_sigma_deg or place.max() > settings.max_sigma_m:
         found.append(
-            f"camera {known} only: let somebody walk all over the floor, use more frames, or bring a calibration"
+            f"camera {known} only: let a person walk all over the floor, use more frames, or bring a calibration"
         )
     hopeless = turn.max() > _HOPELESS * settings.max_sigma_deg or place.max() > _HOPELESS * settings.max_sigma_m
     if hopeless or max((s for _, s in free), default=0.0) > _HOPELESS * settings.max_focal_sigma:
@@ -211,9 +210,10 @@ def _of_two(found: PoseConsensus, degrees: np.ndarray) -> str:
     """A sentence about two arrangements that fit about equally well and differ by ``degrees`` (V,)."""
     assert found.rival is not None
     return (
-        f"two arrangements of the cameras fit the people about equally well ({found.rig.support} and "
-        f"{found.rival.support} keypoints) and differ by {degrees.max():.0f}°; the likelier one is used, and what is "
-        "known of it covers the other: let somebody walk all over the floor, use more frames, or bring a calibration"
+        f"two solutions for the cameras fit the people about equally well ({found.rig.support} "
+        f"and {found.rival.support} keypoints) and differ by {degrees.max():.0f}°; the likelier "
+        "one is used, and its uncertainty covers the other: let a person walk all over the "
+        "floor, use more frames, or bring a calibration"
     )
 
 
@@ -234,7 +234,7 @@ def _settled_in_the_world(
         found = world_from_people(points * scale.factor, rig.seen.group, rig.seen.frame, rig.seen.keypoint)
         if found is None:
             raise UserError(
-                "nobody was seen from ankles to shoulders, so nothing says which way is up; set "
+                "no person is visible from ankles to shoulders, so the up direction is unknown; move "
                 "the cameras back, or bring a calibration"
             )
         return found
@@ -292,7 +292,7 @@ def run(
         raise UserError(refused[0])
     size_of = {v["camera"]: (int(v["wh"][0]), int(v["wh"][1])) for v in told_of}
     detections = _read_sightings(sightings, size_of, common, cameras)
-    warn("there is no calibration: the cameras are found from the people (calibration.source)")
+    warn("there is no calibration: the cameras are estimated from people (calibration.source)")
     fitted = BodyModel.load(body)
     maps = {v["camera"]: v.get("pixel_map") for v in told_of}
     known = lenses_of_cameras(lenses, size_of, maps)
@@ -352,8 +352,9 @@ def _read_sightings(
     detections = [resample_keypoints(d, common, sizes[d.camera][1]) for d in map(read_detections, sightings)]
     if not any(len(d.frame) for d in detections):
         raise UserError(
-            f"nobody was found in any camera ({common.frames} moments of {', '.join(cameras)} were looked at), and "
-            "without a calibration cameras can only be found from people; bring one"
+            f"no person was detected in any camera ({common.frames} moments of "
+            f"{', '.join(cameras)} were searched), and without a calibration, cameras are "
+            "estimated from people only; add a calibration"
         )
     return detections
 
@@ -367,7 +368,7 @@ def _doubts(report: Mapping[str, Any]) -> list[str]:
 
 def _notes(report: Mapping[str, Any]) -> list[str]:
     return [
-        f"the cameras were found from people in {report['frames']} frames: {report['median_px']:.1f} px median",
+        f"the cameras were estimated from people in {report['frames']} frames: {report['median_px']:.1f} px median",
         f"the rotation between any two cameras is known to ±{report['between_deg']:.1f}°, places to "
         f"±{2 * max(report['sigma_m'].values()):.2f} m (95 %, a detector's own errors counted in)",
         "turned by the room's edges: "

@@ -96,13 +96,13 @@ def metres_per_unit(lengths: Float[np.ndarray, " L"], torso_m: float, metric: bo
         if metric:
             return (
                 1.0,
-                f"nobody's torso could be measured, so {title}'s own metres are believed; set "
-                "calibration.scale after measuring a length",
+                f"no person's torso could be measured, so {title}'s own metres are used; measure a "
+                "length and set calibration.scale",
             )
         raise UserError(
-            f"{title} has no unit, and nobody's shoulders and hips are seen at the first frame: "
-            "bring keypoint files, set calibration.source "
-            "to mapanything or pi3x, which guess metres, or bring a calibration"
+            f"{title} has no unit, and no person's shoulders and hips are visible in the first "
+            "frame: add keypoint files, set calibration.source to mapanything or pi3x, which "
+            "estimate metres, or add a calibration"
         )
     spread = float(np.percentile(usable, 75) / np.percentile(usable, 25))
     if spread > _WIDEST:

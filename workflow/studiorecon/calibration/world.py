@@ -118,7 +118,7 @@ def z_up_from_world(rotations: Float[np.ndarray, "N 3 3"], wanted: str) -> tuple
         name = f"{'-' if up[pivot] < 0 else '+'}{'xyz'[pivot]}"
         return _turn_to_z(
             axis
-        ), f"the cameras stand upright along the calibration's {name} axis: the world was turned so that it points up"
+        ), f"the cameras are upright along the calibration's {name} axis: the world was turned so that it points up"
     return (
         _turn_to_z(up),
         "the calibration's world has no axis that points up: it was turned by the "

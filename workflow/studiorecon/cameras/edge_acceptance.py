@@ -41,14 +41,14 @@ def apply_edge_refinement(
     off = f"{before.off_deg:.1f}° ({before.sigmas:.1f} standard deviations) off between {' and '.join(before.cameras)}"
     if not found.believed:
         say(
-            f"the room's straight edges are {off}, and move no camera: people's keypoints would be {px[1]:.2f} px off, "
-            f"{px[0]:.2f} px as they stand"
+            f"the room's straight edges are {off}, and no camera is moved for them: people's "
+            f"keypoints would be {px[1]:.2f} px off, now {px[0]:.2f} px"
         )
         return adjusted, report
     changes = changes_since_refinement(given, found.cameras, report)
     warn(
-        "the room's straight edges call for cameras that stand elsewhere than the calibration says, which people alone "
-        f"do not tell: they are {off}, {found.off_deg:.1f}° after, and people's keypoints "
+        "the room's straight edges show that cameras have moved since calibration, which people "
+        f"alone do not show: they are {off}, {found.off_deg:.1f}° after, and people's keypoints "
         f"{px[0]:.2f} px, {px[1]:.2f} px after; "
         + ", ".join(
             f"{c['camera']} turned by {c['turned_deg']:.1f}° and moved by {100 * c['moved_m']:.0f} cm" for c in changes
@@ -63,5 +63,5 @@ def apply_edge_refinement(
         "people_px_before": px[0],
         "people_px_after": px[1],
     }
-    reason = "the room's straight edges call for it"
+    reason = "the room's straight edges require it"
     return found.cameras, {**report, "refined": True, "reason": reason, "changes": changes, "edges": told}

@@ -68,7 +68,7 @@ def apply_floor_refinement(
         "after: "
         + ", ".join(f"{c['camera']} by {c['turned_deg']:.2f}° and {1000 * c['moved_m']:.0f} mm" for c in changes)
     )
-    return found.cameras, {**report, "refined": True, "reason": "the room's floor calls for it", "changes": changes}
+    return found.cameras, {**report, "refined": True, "reason": "the room's floor requires it", "changes": changes}
 
 
 def keep_floor_level(

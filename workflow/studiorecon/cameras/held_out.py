@@ -127,17 +127,21 @@ def redetect(
 def describe(camera: str, found: HeldOutPose, places: int) -> str:
     """One sentence about a held-out camera."""
     if not found.checked:
-        why = "nobody is expected in its pictures" if not places else f"too little was found at {places} places"
+        why = (
+            "no person is expected in its pictures"
+            if not places
+            else f"too few people were detected at {places} places"
+        )
         return (
-            f"held-out camera {camera} is used as calibrated, unchecked: {why} where the other cameras see people; if "
-            "it was moved, the scores at it say nothing"
+            f"held-out camera {camera} is used as calibrated, unchecked: {why} where the other "
+            "cameras see people; if it was moved, its scores are meaningless"
         )
     if not (found.turned_deg or found.moved_m):
-        return f"held-out camera {camera} stands where it was calibrated: joints {found.before_px:.1f} px off"
+        return f"held-out camera {camera} has not moved since calibration: joints {found.before_px:.1f} px off"
     return (
-        f"held-out camera {camera} stands elsewhere than calibrated, by {found.turned_deg:.2f}° and "
-        f"{100 * found.moved_m:.0f} cm: joints {found.before_px:.1f} px off, {found.after_px:.1f} px at the pose that "
-        "it is judged at"
+        f"held-out camera {camera} has moved since calibration, by {found.turned_deg:.2f}° and "
+        f"{100 * found.moved_m:.0f} cm: joints {found.before_px:.1f} px off, {found.after_px:.1f} "
+        "px at the pose used for scoring"
     )
 
 

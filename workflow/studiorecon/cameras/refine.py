@@ -141,7 +141,7 @@ def _adjusted(
     if settings.refine and len(given) > 2 and (count or moved):
         cameras, seen, report = _try_refinement(cameras, seen, report, settings)
     if moved is not None:
-        report |= {"refined": True, "reason": "the cameras stand elsewhere than the calibration says"}
+        report |= {"refined": True, "reason": "the cameras have moved since calibration"}
         return cameras, seen, report | {"unseen_before_px": before_px}
     if settings.refine and len(rooms):
         cameras, report = apply_edge_refinement(given, cameras, seen, rooms, report, limits, bundle)
@@ -153,7 +153,7 @@ def _adjusted(
 
 
 def _unchecked(training: list[Camera], held_out: list[Camera], report: dict[str, Any]) -> Refinement:
-    warn("nobody is seen by two cameras at once: the calibration is used as it was given, unchecked")
+    warn("no person is visible in two cameras at once: the calibration is used as given, unchecked")
     return Refinement(training, held_out, np.zeros((0, 3)), {**report, "reason": "no person in two cameras"})
 
 

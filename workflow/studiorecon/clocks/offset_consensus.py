@@ -142,7 +142,7 @@ def combine_proposals(
     small.
     """
     if not proposals:
-        return ClockVerdict("undetermined", reason="neither sound nor people nor motion tell")
+        return ClockVerdict("undetermined", reason="neither sound, people nor motion determine it")
     if any(contradict(*pair) for pair in itertools.combinations(proposals, 2)):
         return ClockVerdict("undetermined", reason="they contradict each other")
     best = min(proposals, key=lambda p: p.half_s)

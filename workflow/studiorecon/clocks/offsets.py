@@ -55,8 +55,9 @@ class Settings(PictureRate):
 
     sync: Literal["auto", "report", "never"] = setting(
         "auto",
-        "When every camera was started, from sound, people and motion: auto finds and applies it, report "
-        "finds and says it, never leaves the footage as it is; starts in capture.yaml overrules it.",
+        "Start times of the cameras from sound, people and motion: auto estimates and applies "
+        "them, report only reports them, never skips them; starts in capture.yaml takes "
+        "precedence.",
     )
 
 
@@ -369,6 +370,6 @@ def _compare_with_given(
         told = given.get(reference, 0.0) / fps[reference] - given.get(camera, 0.0) / fps[camera]
         if abs(told - f["offset_s"]) > f["half_s"] + 1 / fps[camera]:
             warn(
-                f"starts in capture.yaml puts {camera} {_signed(told)} s after "
-                f"{reference}, which stands; but {f['sentence']}"
+                f"starts in capture.yaml puts {camera} {_signed(told)} s after {reference}, which is "
+                f"used; but {f['sentence']}"
             )

@@ -85,8 +85,8 @@ def common_moments(clocks: Sequence[Clock], first: int, count: int) -> Clocks:
     if left < 1 or count > left:
         wanted = f"{first} to {first + count - 1}" if count else f"{first} and after"
         told = (
-            f"the videos have {whole.frames} frames in common, but frames {wanted} were "
-            "asked for; change frames: in capture.yaml"
+            f"the videos have {whole.frames} frames in common, but capture.yaml requests frames "
+            f"{wanted}; change frames: in capture.yaml"
         )
         return replace(whole, frames=0, refusal=told)
     return replace(whole, start_s=whole.start_s + first / fps, frames=count or left)

@@ -174,8 +174,8 @@ def _warn_of_nobody(found: Associated, given: Sequence[Detections], footage: Man
         warn(
             f"nobody of this scene was found: {detections} detections in {len(found.verdicts)} "
             f"tracks of {cameras} belong to no person, most because "
-            f"{reasons.most_common(1)[0][0]}; let somebody walk where two cameras look, bring a longer clip, or "
-            "keypoints of all its frames"
+            f"{reasons.most_common(1)[0][0]}; let a person walk where two cameras look, bring a "
+            "longer clip, or keypoints of all its frames"
         )
 
 

@@ -29,9 +29,9 @@ def inactive_camera_notes(detections: Sequence[Detections], fps: float) -> dict[
     sighted = ", ".join(detections[v].camera for v in watched)
     return {
         d.camera: f"camera {d.camera} sees "
-        + (f"somebody in {count} frames only" if count else "nobody")
-        + f": it only shows the room, from the pose it was given, which people cannot check, and who is who comes from "
-        f"{sighted}; if somebody is in its picture, bring keypoints of another detector"
+        + (f"a person in {count} frames only" if count else "nobody")
+        + ": it shows only the room, its given pose is unchecked, and identities come from "
+        f"{sighted}; if a person is in its picture, add keypoints of another detector"
         for v, (d, count) in enumerate(zip(detections, frames))
         if v not in watched
     }

@@ -35,8 +35,8 @@ def metres_per_metre(found: Sequence[Camera], used: Sequence[Camera], instead: s
     before, after = (sum(float(np.linalg.norm(a[k] - b[k])) for a, b in combinations(shared, 2)) for k in (0, 1))
     if not before > 0:
         raise UserError(
-            f"the network's cameras ({', '.join(sorted(own))}) and those in use share no two places, so nothing says "
-            f"what its depth measures; {instead}"
+            f"the network's cameras ({', '.join(sorted(own))}) and those in use share no two "
+            f"positions, so the scale of its depth is unknown; {instead}"
         )
     return after / before
 

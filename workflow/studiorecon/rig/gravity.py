@@ -55,8 +55,9 @@ def check_tilt(cameras: Sequence[Camera], seen: Observations, limits: Limits) ->
     tilt = people_tilt(points_m, seen.group, seen.frame, seen.keypoint)
     if tilt is not None and tilt > _MAX_TILT_DEG:
         warn(
-            f"people stand {tilt:.0f}° off the world's vertical: the calibration's floor leans, or another axis points "
-            "up; set calibration.up (x, -x, y, -y, z or -z), or bring a calibration whose floor is level"
+            f"people lean {tilt:.0f}° from the world's vertical: the calibration's floor is "
+            "tilted, or another axis points up; set calibration.up (x, -x, y, -y, z or -z), or "
+            "add a calibration with a level floor"
         )
     return tilt
 
@@ -96,8 +97,8 @@ def world_from_people(
     normal, spread_m = _plane(lower, up)
     tilt = np.degrees(np.arctan2(np.linalg.norm(np.cross(normal, up)), normal @ up))
     how = (
-        f"up is the mean of {len(upright)} upright bodies; their feet stood within "
-        f"{spread_m:.2f} m, too little to show the floor"
+        f"up is the mean of {len(upright)} upright bodies; their feet were within {spread_m:.2f} "
+        "m, too little to show the floor"
     )
     if spread_m >= _MIN_FLOOR_M and tilt <= _MAX_TILT_DEG:
         how = f"up is the normal of the floor under {len(lower)} steps, {tilt:.1f}° from the mean of upright bodies"

@@ -86,7 +86,7 @@ def scale_from_lengths(
         number = int(name[1:]) if name[:1] == "p" and name[1:].isdigit() else -1
         if not 0 <= number < len(people):
             there = ", ".join(f"p{k}" for k in range(len(people)))
-            raise UserError(f"capture.yaml gives the height_m of {name}, but the cameras were found from {there}")
+            raise UserError(f"capture.yaml gives the height_m of {name}, but the cameras were estimated from {there}")
         own = np.where((seen.group == people[number])[:, None], points, np.nan)
         factor = bone_factor(own, found, seen, template_m * (height / mean_stature_m))
         if factor is not None:
@@ -96,8 +96,8 @@ def scale_from_lengths(
     if max(factors.values()) > (1 + _CONTRADICT) * min(factors.values()):
         told = ", ".join(f"{name} {factor:.2f}" for name, factor in factors.items())
         raise UserError(
-            f"the heights in capture.yaml contradict one another (each alone multiplies lengths by {told}): "
-            "check who is who, or give one height_m for all: height_m: 1.70"
+            "the heights in capture.yaml contradict one another (each alone multiplies lengths "
+            f"by {told}): check the identities, or give one height_m for all: height_m: 1.70"
         )
     named = ", ".join(f"{name} is {given.height_m[name]:.2f} m tall" for name in factors)
     who = "; ".join(f"{name}: {_visibility_note(people[int(name[1:])], cameras, points, seen)}" for name in factors)

@@ -123,7 +123,7 @@ def report_moved_cameras(given: Sequence[Camera], found: MovedCameras, between_d
     degrees, metres = pose_changes(found.cameras, given)
     place = np.array(list(found.report["sigma_m"].values()))
     warn(
-        "people call for cameras that stand elsewhere than the calibration says: "
+        "keypoints show that cameras have moved since calibration: "
         + ", ".join(
             f"{c.name} turned by {d:.1f}° and moved by {100 * m:.0f} cm" for c, d, m in zip(given, degrees, metres)
         )

@@ -74,8 +74,8 @@ class OutlierCamera:
         """The problem and its remedy."""
         then = f", {self.share_then:.0%} would if {self.cause}" if self.cause else ""
         return (
-            f"camera {self.camera} disagrees with all others: {self.share:.0%} of its keypoints lie where they see "
-            f"people{then}; {self.remedy}"
+            f"camera {self.camera} disagrees with all others: {self.share:.0%} of its keypoints "
+            f"are where they see people{then}; {self.remedy}"
         )
 
 
@@ -207,7 +207,7 @@ def _readings(
     across, down = seen * [-1, 1] + [width, 0], seen * [1, -1] + [0, height]
     yield _Reading("its video were mirrored", check_video, camera, across[:, :, _OTHER_SIDE])
     yield _Reading("its keypoints were mirrored", check_video, camera, across)
-    yield _Reading("its picture stood on its head", check_video, camera, across * [1, -1] + [0, height])
+    yield _Reading("its picture was upside down", check_video, camera, across * [1, -1] + [0, height])
     yield _Reading("its keypoints were counted from the bottom", check_video, camera, down)
     for size in _SIZES:
         cause = f"its keypoints were for a picture of {round(width / size)}×{round(height / size)} pixels"
@@ -306,12 +306,14 @@ def warn_of_outlier_cameras(
     help_ = "see whether its video, keypoints and calibration belong together, or leave it out (train in capture.yaml)"
     for camera, own, px, told in zip(cameras, detections, each_px, told_already):
         if not told and len(own.frame) and (px is None or px > limit_px):
-            how = "nobody whom two others see" if px is None else f"people {px:.0f} px beside where the others see them"
+            how = (
+                ("no person seen by two others") if px is None else f"people {px:.0f} px from where the others see them"
+            )
             warn(f"camera {camera.name} shows {how}; {help_}")
     share = contradicted_share(cameras, seen, detections, limits) if len(seen.frame) else 0.0
     if share > _WRONG_SOMEWHERE:
         warn(
-            f"where two cameras agree on somebody, another one shows people elsewhere in {share:.0%} of the cases; one "
-            f"of {', '.join(c.name for c in cameras)} is probably of another take, mirrored, late or calibrated in "
-            "another unit"
+            "where two cameras agree on a person, another one shows people elsewhere in "
+            f"{share:.0%} of the cases; one of {', '.join(c.name for c in cameras)} is probably "
+            "of another take, mirrored, late or calibrated in another unit"
         )

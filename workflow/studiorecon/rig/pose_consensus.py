@@ -158,7 +158,7 @@ def _of(rig: Rig, placed: Sequence[int]) -> Rig:
 
 def _why(seen: Detections) -> str:
     if not len(seen.frame):
-        return "it sees nobody, and without a calibration cameras are found from people"
+        return "it sees no person, and without a calibration, cameras are estimated from people"
     return "it shares too little of anybody with the other cameras"
 
 

@@ -117,7 +117,7 @@ def _system(pixels: np.ndarray, cameras: Sequence[Camera], moments: int, limits:
     keep = usable.any(axis=0)
     held = len(np.unique(cluster[keep]))
     if keep.sum() < _MIN_POINTS or held < _MIN_MOMENTS:
-        return f"{int(keep.sum())} body points of {held} moments are seen by three cameras, too few to tell"
+        return f"{int(keep.sum())} body points of {held} moments are seen by three cameras, which is too few"
     seen_px, velocity, points, usable, cluster = (
         seen_px[:, keep],
         velocity[:, keep],

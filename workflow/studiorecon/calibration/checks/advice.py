@@ -28,11 +28,11 @@ _TOLD_DEG = 2.0
 # The page's headline for each verdict.
 HEADLINES = {
     "good": "This capture is ready: calibration, clocks and footage agree.",
-    "usable": "The calibration is roughly right: refinement will move the cameras on the "
-    "people and the room's edges. How far it is off is said below.",
+    "usable": "The calibration is roughly right: refinement will correct the cameras from people "
+    "and the room's edges. The error is given below.",
     "check": "The calibration fits the people. Some things are worth a look before the long run.",
-    "cannot tell": "Nobody can tell whether this calibration is right: what was found also fits a "
-    "wrong one, or nothing could be compared.",
+    "cannot tell": "This calibration cannot be verified: the evidence also fits a wrong one, or there "
+    "is nothing to compare.",
     "wrong": "Calibration, keypoints and pictures do not fit as they were read. The long run would refuse them.",
 }
 
@@ -59,19 +59,17 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
     )
     if not report["people"]:
         unclear = [
-            "there are no keypoints of people, so poses, clocks and unit could not be compared "
-            "with anything; only the calibration itself "
-            "and the footage were looked at. Bring keypoints/<camera>/*.json, or look at the "
-            "picture: does every camera point where it "
-            "really does?"
+            "there are no keypoints of people, so poses, clocks and unit are unchecked; only the "
+            "calibration files and the footage were examined. Add keypoints/<camera>/*.json, or "
+            "check in the picture that every camera points the right way."
         ]
     elif alone:
         unclear = ["people are seen by one camera alone, so poses, clocks and unit could not be compared with anything"]
     elif report["median_px"] is None and not wrong:
         unclear = [
             "no person of any two cameras fits: are the calibration, the videos and the "
-            "keypoints of the same take, and synchronised? "
-            "Or does nobody ever stand in two pictures at once?"
+            "keypoints of the same take, and synchronised? Or is no person ever in two pictures "
+            "at once?"
         ]
     off = _off(report)
     if report["refined"] is not None and report["refined"]["elsewhere"] and not _better_read(report):
@@ -95,7 +93,7 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
     # Held-out cameras need no keypoints: that is no reason for a check.
     silent = report["without_keypoints"] if report["people"] else []
     remarks = _left_open(report) if not wrong else []
-    remarks += [f"camera {c} has no keypoints: look whether the dots lie on people in its picture" for c in silent]
+    remarks += [f"camera {c} has no keypoints: check that the dots are on people in its picture" for c in silent]
     return name, refused + wrong + unclear + off + rest + remarks
 
 
@@ -173,16 +171,16 @@ def _left_open(report: dict[str, Any]) -> list[str]:
     asked, between = refined["disagreement_deg"], refined["between_deg"]
     if asked + between <= _TOLD_DEG:
         return []
-    remedy = "let somebody walk through the whole room while all cameras film, or calibrate again if that is not enough"
+    remedy = "let a person walk through the whole room while all cameras film, or calibrate again if that is not enough"
     if refined["elsewhere"]:
         return [
-            f"once refinement has moved them, people tell how any two cameras are turned to one another to "
+            "after refinement, people determine the relative rotation of any two cameras to "
             f"±{between:.1f}° (95 %), less where the room's floor joins them; {remedy}"
         ]
     return [
-        f"people alone tell how any two cameras are turned to one another to ±{between:.1f}° (95 %), and would turn "
-        f"two of them by {asked:.1f}°: a calibration that is off by up to {asked + between:.1f}° fits these people; "
-        f"{remedy}"
+        f"people alone determine the relative rotation of any two cameras to ±{between:.1f}° (95 "
+        f"%), and would rotate two of them by {asked:.1f}°: a calibration that is off by up to "
+        f"{asked + between:.1f}° fits these people; {remedy}"
     ]
 
 
@@ -201,15 +199,14 @@ def _unclear(report: dict[str, Any]) -> list[str]:
             continue
         if margin is None:
             found.append(
-                f"camera {camera} shares nobody with the others, however its pose is "
-                "read; check its pose, keypoints and clock"
+                f"camera {camera} shares no person with the others under any reading of its pose; "
+                "check its pose, keypoints and clock"
             )
         elif margin < CLEAR_MARGIN:
             found.append(
                 f"camera {camera}: another reading of its pose fits the people "
-                f"{'better' if margin < 1 else 'nearly as well'} (margin "
-                f"{margin:.2f}, {CLEAR_MARGIN} would be clear); check its pose, or bring "
-                "more frames of people who walk about"
+                f"{('better' if margin < 1 else 'nearly as well')} (margin {margin:.2f}, "
+                f"{CLEAR_MARGIN} would be clear); check its pose, or add more frames of walking people"
             )
     # A mild lens in the other model bends people by less than the gate: those readings are compared by pixels, above.
     rows = {row["hypothesis"]: row for row in report["hypotheses"] if "median_px" not in row}
@@ -276,7 +273,7 @@ def footage_notes(footage: list[dict[str, Any]]) -> list[str]:
             "frame rates",
             "every frame is taken at its own time, and a slower camera shows a fast motion less often",
         ),
-        ("rotation_deg", "rotation tags", "harmless when the pictures below stand upright"),
+        ("rotation_deg", "rotation tags", "harmless if the pictures below are upright"),
     ):
         values = {a["camera"]: a[key] for a in footage}
         if len(set(values.values())) > 1:

@@ -78,8 +78,8 @@ def edge_sentence(edges: dict[str, Any]) -> str:
     """The result of ``compare_edges`` in a sentence."""
     if not edges["told"]:
         return (
-            "the room's straight edges tell nothing of the calibration: they run along its three directions in fewer "
-            "than two cameras"
+            "the room's straight edges do not constrain the calibration: they run along its "
+            "three directions in fewer than two cameras"
         )
     pair, off, sigma = " and ".join(edges["cameras"]), edges["off_deg"], edges["sigma_deg"]
     if not edges["clear"]:
@@ -95,8 +95,9 @@ def edge_sentence(edges: dict[str, Any]) -> str:
         worse = edges["people_worse"]
         why = "" if worse is None else f": people would fit {100 * worse:.0f} % worse"
         return (
-            f"{said}, and refinement does not mend that{why}; look whether what these cameras show is square to the "
-            "room, and if it is calibrate again, or let somebody walk through the whole room while all cameras film"
+            f"{said}, and refinement does not correct that{why}; check that the lines in these "
+            "pictures are square to the room; if they are, calibrate again, or let a person walk "
+            "through the whole room while all cameras film"
         )
     turned = ", ".join(
         f"{c} by {m['turned_deg']:.1f}° and {100 * m['moved_m']:.0f} cm" for c, m in edges["moves"].items()

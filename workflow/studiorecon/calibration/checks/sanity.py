@@ -48,14 +48,13 @@ def calibration_notes(cameras: Sequence[Camera]) -> list[str]:
             )
         if fact["off_centre"] > _OFF_CENTRE:
             found.append(
-                f"camera {name}: its principal point lies {fact['off_centre']:.0%} off the "
-                "middle; the picture was cropped, turned or "
-                "resized"
+                f"camera {name}: its principal point is {fact['off_centre']:.0%} off the middle; the "
+                "picture was cropped, turned or resized"
             )
         if not _HEIGHT_M[0] <= fact["height_m"] <= _HEIGHT_M[1]:
             found.append(
-                f"camera {name}: it stands {fact['height_m']:.1f} m above the floor; "
-                "check calibration.up and calibration.unit"
+                f"camera {name}: it is {fact['height_m']:.1f} m above the floor; check calibration.up "
+                "and calibration.unit"
             )
     centres = np.array([c.centre_m for c in cameras])
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)

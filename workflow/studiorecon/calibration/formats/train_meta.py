@@ -60,9 +60,9 @@ def _inverted(content: Mapping, name: str) -> tuple[bool, list[str]]:
         return False, []
     convention = str(content.get("camera_convention", "")).lower()
     if convention in ("w2c", "c2w"):
-        return convention == "c2w", [f"{name} says that its poses are {convention}"]
+        return convention == "c2w", [f"{name} states that its poses are {convention}"]
     return True, [
-        f"{name} does not say its camera_convention: its w2c was read as camera-to-world, as MonoFusion writes it"
+        f"{name} does not state its camera_convention: its w2c was read as camera-to-world, as MonoFusion writes it"
     ]
 
 
