@@ -99,7 +99,7 @@ MIXED_UP: dict[str, tuple[Callable[[Rig], Rig], str]] = {
         "had OpenGL's axes",
     ),
     "mirrored keypoints": (lambda rig: with_pixels(rig, lambda p: [1280, 0] + p * [-1, 1]), "keypoints were mirrored"),
-    "picture on its head": (lambda rig: with_pixels(rig, lambda p: [1280, 704] - p), "picture stood on its head"),
+    "picture on its head": (lambda rig: with_pixels(rig, lambda p: [1280, 704] - p), "picture was upside down"),
     "keypoints of half the size": (lambda rig: with_pixels(rig, lambda p: p / 2), r"a picture of 640×352 pixels"),
     "keypoints of twice the size": (lambda rig: with_pixels(rig, lambda p: p * 2), r"a picture of 2560×1408 pixels"),
     "keypoints 5000 px off": (
