@@ -76,10 +76,11 @@ def test_what_was_made_elsewhere_is_found_by_its_name(configured, home, tmp_path
     (tmp_path / "depth").mkdir()
     (tmp_path / "depth/left.npy").touch()
     config = configured(depth={"source": "precomputed", "precomputed": str(tmp_path / "depth")})
-    files = files_of(config, home)
-    assert files.estimated_depth(Wildcards(camera="left")) == f"local:{tmp_path}/depth/left.npy"
-    with pytest.raises(UserError, match=r"depth.precomputed is .* has no right with one of the endings .exr, .npy"):
-        files.estimated_depth(Wildcards(camera="right"))
+    with pytest.raises(UserError, match=r"depth.precomputed is .* has no \w+\.exr or \w+\.npy .*: bring that file"):
+        files_of(config, home)
+    for camera in ("left", "right", "back"):
+        (tmp_path / f"depth/{camera}.npy").touch()
+    assert files_of(config, home).estimated_depth(Wildcards(camera="left")) == f"local:{tmp_path}/depth/left.npy"
     own = files_of(configured(depth={"source": "moge"}), home)
     assert own.estimated_depth(Wildcards(scene="s", camera="right")) == "results/s/depth/right.estimate.exr"
 

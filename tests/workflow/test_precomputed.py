@@ -99,4 +99,4 @@ def test_a_shot_that_was_not_enhanced_elsewhere_is_named_before_anything_runs(ho
     overlay.write_text(yaml.safe_dump({"enhance": {"enhancer": "precomputed", "precomputed": str(tmp_path)}}))
     done = house.snakemake("--dry-run", "--configfile", str(overlay), check=False)
     assert done.returncode != 0
-    assert "which has no orbit with one of the endings .mkv, .mp4" in done.stdout
+    assert "which has no orbit.mkv or orbit.mp4" in done.stdout

@@ -14,12 +14,35 @@ from studiorecon.models.catalogue.registry import MODELS, of_kind
 from studiorecon.plan.decisions import Plan
 from studiorecon.scene.user_files import file_size
 
+# Endings of files that were made outside this workflow, the likelier ones first.
+PRECOMPUTED = {
+    "detect": (".npz", ".pt"),
+    "masks": (".mkv", ".mp4", ""),
+    "depth": (".exr", ".npy", ".npz", ".png"),
+    "views": (".mkv", ".mp4"),
+    "enhance": (".mkv", ".mp4"),
+}
+
+
+def find_precomputed(config: Mapping[str, Any], section: str, stem: str) -> Path:
+    """The file of ``stem`` in the folder that ``<section>.precomputed`` names; raises UserError where there is none."""
+    folder = config[section]["precomputed"]
+    found = [path for suffix in PRECOMPUTED[section] if (path := Path(folder) / f"{stem}{suffix}").exists()]
+    if not found:
+        names = " or ".join(f"{stem}{suffix}" for suffix in PRECOMPUTED[section])
+        raise UserError(
+            f"{section}.precomputed is {folder!r}, which has no {names}: bring that file, or name the folder that has "
+            "it"
+        )
+    return found[0]
+
 
 def check_plan(plan: Plan, config: Mapping[str, Any]) -> None:
     """Raises UserError for the first missing or contradictory input."""
     _calibration(plan)
     _enhancement(plan, config)
     _named_files(plan, config)
+    _precomputed(plan, config)
     if (named := config["detect"]["network"]) and named not in MODELS and not Path(named).is_file():
         known = " or ".join(card.name for card in of_kind("point detector"))
         raise UserError(
@@ -66,6 +89,20 @@ def _named_files(plan: Plan, config: Mapping[str, Any]) -> None:
                 raise UserError(
                     f"{setting} names a file that is not there to be read: {refusal}; correct the setting or bring it"
                 ) from None
+
+
+def _precomputed(plan: Plan, config: Mapping[str, Any]) -> None:
+    """Raises UserError for the first camera without its file of what was made elsewhere."""
+    wanted = {
+        "detect": plan.people and plan.person_sources.bodies == "precomputed",
+        "masks": plan.people and config["masks"]["source"] == "precomputed",
+        "depth": plan.networks.depth == "precomputed",
+    }
+    has_own = {"detect": {}, "masks": plan.dataset.masks, "depth": plan.dataset.depth}
+    for section in (name for name, asked in wanted.items() if asked):
+        for camera in plan.training:
+            if camera not in has_own[section]:
+                find_precomputed(config, section, camera)
 
 
 def _calibration(plan: Plan) -> None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from studiorecon.errors import UserError
 from studiorecon.models.catalogue.preflight import staged_weights
 from studiorecon.models.catalogue.registry import MODELS, model
 from studiorecon.plan.decisions import Plan
+from studiorecon.plan.plan_checks import find_precomputed
 from studiorecon.scene.dataset import colmap_files
 from studiorecon.scene.replacement_photos import is_photo, strangers
 
@@ -38,17 +39,9 @@ class UserInputs:
         """A file of the dataset: a result in a synthetic studio, a local file in a user's own dataset."""
         return str(path) if self.plan.studio else self.local(str(path))
 
-    def user_files(self, setting: str, stem: str, suffixes: Sequence[str]) -> str:
-        """A file that the user made outside this workflow: in the folder that ``setting`` names, under its conventional
-        name.
-        """
-        section, _, key = setting.partition(".")
-        folder = self.config[section][key]
-        found = [path for suffix in suffixes if (path := Path(folder) / f"{stem}{suffix}").exists()]
-        if not found:
-            endings = ", ".join(suffixes)
-            raise UserError(f"{setting} is {folder!r}, which has no {stem} with one of the endings {endings}")
-        return self.local(str(found[0]))
+    def precomputed(self, section: str, stem: str) -> str:
+        """A file that the user made outside this workflow; raises UserError where it is missing."""
+        return self.local(str(find_precomputed(self.config, section, stem)))
 
     @cached_property
     def given_body(self) -> str:
@@ -146,7 +139,7 @@ class UserInputs:
         """The user's file of a network's bodies of one camera, if bodies are precomputed."""
         if self.plan.person_sources.bodies != "precomputed":
             return []
-        return [self.user_files("detect.precomputed", wildcards.camera, (".npz", ".pt"))]
+        return [self.precomputed("detect", wildcards.camera)]
 
     def given_plate(self, wildcards: Any) -> list[str]:
         """The user's clean plate of one camera, if there is one."""
@@ -158,7 +151,7 @@ class UserInputs:
         if wildcards.camera in self.plan.dataset.masks:
             return [self.in_dataset(self.plan.dataset.masks[wildcards.camera])]
         if self.config["masks"]["source"] == "precomputed":
-            return [self.user_files("masks.precomputed", wildcards.camera, (".mkv", ".mp4", ""))]
+            return [self.precomputed("masks", wildcards.camera)]
         return []
 
     def given_depth(self, wildcards: Any) -> str:
@@ -175,13 +168,13 @@ class UserInputs:
         """Estimated depth of one camera, in an arbitrary unit."""
         if self.plan.networks.depth != "precomputed":
             return f"results/{wildcards.scene}/depth/{wildcards.camera}.estimate.exr"
-        return self.user_files("depth.precomputed", wildcards.camera, (".exr", ".npy", ".npz", ".png"))
+        return self.precomputed("depth", wildcards.camera)
 
     def generated_film(self, wildcards: Any) -> str:
         """Film of one gap's synthesised views."""
         if self.plan.networks.views != "precomputed":
             return f"results/{wildcards.scene}/views/{wildcards.segment}.film.mkv"
-        return self.user_files("views.precomputed", wildcards.segment, (".mkv", ".mp4"))
+        return self.precomputed("views", wildcards.segment)
 
     def tracked_masks(self, wildcards: Any) -> list[str]:
         """A network's film of person ids for one camera, where a network is selected and the user gave no masks."""
@@ -192,7 +185,7 @@ class UserInputs:
         """The film of a shot that the user enhanced with another tool, if films are precomputed."""
         if self.config["enhance"]["enhancer"] != "precomputed" or self.plan.forced.get("enhancement") == "off":
             return []
-        return [self.user_files("enhance.precomputed", wildcards.shot, (".mkv", ".mp4"))]
+        return [self.precomputed("enhance", wildcards.shot)]
 
     # ---- inputs of a shot ----
 
