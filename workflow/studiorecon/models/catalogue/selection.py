@@ -53,7 +53,7 @@ CHOICES = {
     "enhance.enhancer": Choice(
         ("picture enhancer",), ("enhance.shot", "enhance.folder"), ("residual",), ("precomputed", "none")
     ),
-    "enhance.flow": Choice(("flow",), ("enhance.shot", "enhance.folder", "enhance.sheet"), ("dis",)),
+    "enhance.flow": Choice(("flow",), ("enhance.shot", "enhance.folder"), ("dis",)),
 }
 """Settings that may name a network, in the order data flows."""
 POINTS = "detect.network"
