@@ -90,7 +90,7 @@ def test_a_camera_that_sees_nobody_still_serves_the_room(studio: Path, tmp_path:
     plates = [f"plates/{camera}.png" for camera in CAMERAS]
     results, told = run(house, "people/people.tsv", "views/path.json", "background/scene.ply", *plates)
     assert named(results) == {"p0": "cam1,cam2,cam4", "p1": "cam1,cam2,cam4"}
-    assert told.count("warning: camera cam3 sees nobody: it only shows the room") == 1
+    assert told.count("warning: camera cam3 sees nobody: it shows only the room") == 1
     assert "identities come from cam1, cam2, cam4" in told
     # Its pose is as given, its plate is whole, and views of the room begin and end there.
     given = read_lenses(results / "calibration/calibration.json")["cam3"].camera_from_world

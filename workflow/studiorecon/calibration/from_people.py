@@ -142,8 +142,7 @@ def pose_cameras(
     if median > settings.max_error_share * max(max(c.wh) for c in cameras):
         raise UserError(
             f"the cameras are undetermined: the best arrangement leaves people {median:.0f} px "
-            "off; check that the videos are synchronised "
-            "and that no camera moves"
+            "off; check that the videos are synchronised and that no camera moves"
         )
     report = {
         "source": "people",
