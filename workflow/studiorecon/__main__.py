@@ -210,7 +210,8 @@ def gathered(run: Callable, options: Mapping[str, Any]) -> dict[str, Any]:
     for name, kind in hints.items():
         if name not in ("settings", "return") and dataclasses.is_dataclass(kind):
             own = [field.name for field in dataclasses.fields(kind) if field.name in keywords]
-            keywords[name] = kind(**{field: keywords.pop(field) for field in own})
+            record: Callable[..., Any] = hints[name]
+            keywords[name] = record(**{field: keywords.pop(field) for field in own})
     return keywords
 
 
