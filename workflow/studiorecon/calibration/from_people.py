@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``calibration.from_people``: cameras without any calibration, from the people they saw (the paper uses Pi3X
-instead)."""
+"""``calibration.from_people``: cameras without a calibration, from people (the paper uses Pi3X)."""
 
 from __future__ import annotations
 
@@ -97,8 +96,7 @@ def pose_cameras(
     edges: Mapping[str, Float[np.ndarray, "N 4"]] | None = None,
     rooms: Mapping[str, RoomPicture] | None = None,
 ) -> tuple[list[Camera], dict[str, Any]]:
-    """Cameras in metres, z up, floor at 0, and a report; raises UserError with "undetermined" when people show too
-    little.
+    """Cameras in metres, z up, floor at 0, and a report; raises UserError when people show too little.
 
     ``focal_px``: given focal lengths by camera name, ``told_px`` those in the files' metadata; the others are estimated
     along with the poses, or kept as guessed when the people do not determine them. ``given``: measured lengths;
@@ -198,10 +196,7 @@ def _uncertain(
 
 
 def mean_body(body: BodyModel) -> Float[np.ndarray, "12 3"]:
-    """(12, 3) stable keypoints of the body of mean shape, metres: adults' bones differ from it by about 5 %.
-
-    The scene's scale may be off by as much.
-    """
+    """(12, 3) stable keypoints of the body of mean shape, metres; adults' bones, and so the scale, differ by 5 %."""
     return body.keypoints(STABLE_KEYPOINTS, np.zeros((1, 72)), np.zeros(body.shapes), np.zeros((1, 3)))[0]
 
 
@@ -275,8 +270,7 @@ def run(
     lengths: str,
     calibration: Written,
 ) -> None:
-    """Estimate the cameras of ``sightings`` (npz, pixels of the videos whose ``sizes`` are JSON); write ``calibration``
-    (JSON).
+    """Estimate the cameras of ``sightings`` (npz, pixels of the videos whose ``sizes`` are JSON); write JSON.
 
     ``focal_px``: JSON, camera → focal length in pixels of the video, for as many cameras as the user knows; the
     metadata of the footage ``sources`` of ``cameras`` may hold others. ``lengths``: JSON, ``GivenLengths``. Cameras
