@@ -38,6 +38,7 @@ NO_NOUN = {
     "report/page.py": "films that the page holds as they are",
     "report/metrics/folders.py": "pictures and films of users",
     "report/compare.py": "results that users compare",
+    "detector/network_files.py": "what comes with the detector",
     "report/recognition.py": "what comes with the detector",
     "detect/people.py": "what comes with the detector",
     "cameras/held_out.py": "what comes with the detector",
