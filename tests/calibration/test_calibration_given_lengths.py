@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import io
 import struct
+from collections.abc import Callable
 from pathlib import Path
+from unittest import mock
 
 import av
 import cv2
@@ -45,60 +47,65 @@ def heights_m(body: BodyModel) -> list[float]:
     return [float(np.ptp(body.rest_vertices(shape(seed, k))[:, 1])) for k in range(2)]
 
 
-def found(take, body: BodyModel, given: GivenLengths, told_px: dict | None = None, known: bool = True):
-    truth, seen = take
-    focal_px = {c.name: c.focal_px[0] for c in truth} if known else {}
-    return from_people.pose_cameras(
-        seen,
-        [c.wh for c in truth],
-        focal_px,
-        60,
-        from_people.mean_body(body),
-        loaded(from_people.Settings),
-        told_px,
-        given,
-        stature_m(body),
-    )
+@pytest.fixture(scope="module")
+def found(take: tuple[list[Camera], list[Detections]], body: BodyModel) -> Callable[..., tuple[list[Camera], dict]]:
+    """Cameras and report by given lengths. They only scale the arrangement, which is found once for known lenses and
+    once for told ones."""
+    (truth, seen), solved = take, {}
+    settings, template_m = loaded(from_people.Settings), from_people.mean_body(body)
+
+    def once(name: str, known: bool) -> Callable:
+        solve = getattr(from_people, name)
+        return lambda *problem: solved.get((name, known)) or solved.setdefault((name, known), solve(*problem))
+
+    def posed(given: GivenLengths, told_px: dict | None = None, known: bool = True) -> tuple[list[Camera], dict]:
+        focal_px = {c.name: c.focal_px[0] for c in truth} if known else {}
+        kept = ("find_pose_consensus", "self_calibrated", "pose_sigmas")
+        about = told_px, given, stature_m(body)
+        with mock.patch.multiple(from_people, **{name: once(name, known) for name in kept}):
+            return from_people.pose_cameras(seen, [c.wh for c in truth], focal_px, 60, template_m, settings, *about)
+
+    return posed
 
 
-def test_a_measured_distance_decides_the_scale(take, body: BodyModel) -> None:
+def test_a_measured_distance_decides_the_scale(take, body: BodyModel, found) -> None:
     truth = take[0]
     apart = float(np.linalg.norm(truth[0].centre_m - truth[2].centre_m))
-    cameras, report = found(take, body, GivenLengths(between=(truth[0].name, truth[2].name), distance_m=apart))
+    cameras, report = found(GivenLengths(between=(truth[0].name, truth[2].name), distance_m=apart))
     assert after_similarity(cameras, truth)[2] == pytest.approx(1.0, abs=0.005)
     assert f"{apart:.2f} m between" in report["scale"]
     assert report["scale_sigma"] < 0.01
 
 
-def test_a_height_decides_the_scale_and_says_whose_it_is(take, body: BodyModel) -> None:
+def test_a_height_decides_the_scale_and_says_whose_it_is(take, body: BodyModel, found) -> None:
     """Bar: 3 % with one height given. The mean body's bones leave more where people are no mean adults."""
     heights = heights_m(body)
     scales = {}
     for name, height in zip(("p0", "p1"), heights):
-        cameras, report = found(take, body, GivenLengths({name: height}))
+        cameras, report = found(GivenLengths({name: height}))
         scales[name] = after_similarity(cameras, take[0])[2]
         assert f"{name} is {height:.2f} m tall ({name}: at (" in report["scale"]
     assert np.abs(np.array(list(scales.values())) - 1).max() < 0.03, (scales, heights)
-    cameras, _ = found(take, body, GivenLengths({"p0": heights[0], "p1": heights[1]}))
+    cameras, _ = found(GivenLengths({"p0": heights[0], "p1": heights[1]}))
     assert after_similarity(cameras, take[0])[2] == pytest.approx(1.0, abs=0.03)
-    taller, _ = found(take, body, GivenLengths({"": 2 * float(np.mean(heights))}))
+    taller, _ = found(GivenLengths({"": 2 * float(np.mean(heights))}))
     assert after_similarity(taller, take[0])[2] == pytest.approx(0.5, abs=0.02), "all lengths follow the height"
 
 
-def test_heights_that_cannot_be_true_together_and_names_of_nobody_are_refused(take, body: BodyModel) -> None:
+def test_heights_that_cannot_be_true_together_and_names_of_nobody_are_refused(take, body: BodyModel, found) -> None:
     with pytest.raises(UserError, match="contradict one another"):
-        found(take, body, GivenLengths({"p0": 1.2, "p1": 2.1}))
+        found(GivenLengths({"p0": 1.2, "p1": 2.1}))
     with pytest.raises(UserError, match="height_m of p7, but the cameras were estimated from p0, p1"):
-        found(take, body, GivenLengths({"p7": 1.8}))
+        found(GivenLengths({"p7": 1.8}))
     with pytest.raises(UserError, match="from camera left"):
-        found(take, body, GivenLengths(between=("left", take[0][0].name), distance_m=3.0))
+        found(GivenLengths(between=("left", take[0][0].name), distance_m=3.0))
 
 
-def test_a_told_focal_length_is_a_start_that_people_correct(take, body: BodyModel) -> None:
+def test_a_told_focal_length_is_a_start_that_people_correct(take, body: BodyModel, found) -> None:
     """The nominal lens is 4 % longer than the picture that a phone which steadies its film leaves."""
     truth = take[0]
     told = {c.name: 1.04 * c.focal_px[0] for c in truth}
-    cameras, report = found(take, body, GivenLengths(), told, known=False)
+    cameras, report = found(GivenLengths(), told, known=False)
     assert set(report["focal_from"].values()) == {"told by the file"}
     off = [c.focal_px[0] / t.focal_px[0] - 1 for c, t in zip(cameras, truth)]
     assert np.abs(off).max() < 0.02, off

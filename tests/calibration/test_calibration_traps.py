@@ -189,21 +189,19 @@ def test_what_the_doctor_says_about_a_camera_started_early_makes_it_agree(captur
     assert abs(after["lags_frames"]["01"]["frames"]) < 0.3
 
 
+# A trap of the calibration and one of the keypoints at once: neither may change anything.
 HARMLESS = [
-    pytest.param(unquoted, id="names with leading zeros, unquoted"),
-    pytest.param(numbered_without_zeros, id="leading zeros in the videos only"),
-    pytest.param(scaled_rotations, id="scale inside a rotation"),
-    pytest.param(millimetres, id="mm for m"),
-    pytest.param(empty_people, id="empty people entries"),
-    pytest.param(stray_files, id="stray files"),
-    pytest.param(half_a_clip, id="one camera misses half the clip"),
-    pytest.param(everybody_leaves, id="all people leave"),
+    pytest.param((unquoted, empty_people), id="names with leading zeros, unquoted; empty people entries"),
+    pytest.param((numbered_without_zeros, stray_files), id="leading zeros in the videos only; stray files"),
+    pytest.param((scaled_rotations, half_a_clip), id="scale inside a rotation; one camera misses half the clip"),
+    pytest.param((millimetres, everybody_leaves), id="mm for m; all people leave"),
 ]
 
 
-@pytest.mark.parametrize("spoil", HARMLESS)
-def test_a_trap_that_can_be_seen_through_changes_nothing(capture, examine, spoil):
-    spoil(capture)
+@pytest.mark.parametrize("traps", HARMLESS)
+def test_a_trap_that_can_be_seen_through_changes_nothing(capture, examine, traps):
+    for spoil in traps:
+        spoil(capture)
     report = examine(capture)
     assert report["cameras"] == list(NAMES)
     assert [a for a in report["advice"] if "%" not in a] == []
@@ -243,24 +241,6 @@ def test_keypoints_of_another_picture_size_are_not_called_good(capture, examine)
     report = examine(capture)
     assert report["verdict"] in ("wrong", "cannot tell")
     assert "01" in " ".join(report["advice"])
-
-
-def test_swapped_cameras_are_named(capture, examine):
-    poses = [c.camera_from_world for c in cameras()]
-    write_calibration(
-        capture, [replace(c, camera_from_world=p) for c, p in zip(cameras(), [poses[1], poses[0], *poses[2:]])]
-    )
-    report = examine(capture)
-    assert report["verdict"] == "wrong"
-    assert "cameras 00 and 01 are swapped" in report["advice"][0]
-
-
-def test_a_camera_that_sees_nobody_is_named(capture, examine):
-    for path in (capture / "keypoints" / "02").iterdir():
-        path.write_text('{"people": []}')
-    report = examine(capture)
-    assert report["verdict"] == "check"
-    assert any("camera 02 sees nobody" in a for a in report["advice"])
 
 
 def test_two_calibrations_in_one_folder_are_refused_by_name(capture):

@@ -12,13 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import Decision
 from studiorecon.survey.evidence import Evidence, Material
 from studiorecon.survey.judge import judge
 
 from tests.made.planted import ROOT, SETTINGS  # noqa: F401
-from tests.made.studio_world import FRAMES, NAMES, OTHERWISE, PLANTED, scene
+from tests.made.studio_world import OTHERWISE, PLANTED, scene
 
 # Where the scene without anything planted stands: a ring of four cameras in a deep room, with one person far from them.
 USUAL_ON = {"people", "closed_path", "view_synthesis"}
@@ -161,12 +160,3 @@ def _left_taken(free: np.ndarray) -> np.ndarray:
     taken = free.copy()
     taken[10:, :, : taken.shape[2] // 2 - 10] = False
     return taken
-
-
-def test_the_made_scene_is_what_it_says() -> None:
-    material = scene(0)
-    assert material.tracks.pixels.shape == (4, 1, FRAMES, len(NAMES), 2)
-    for view in material.views:
-        camera: Camera = view.camera
-        points = camera.unproject(camera.pixel_centres(), view.depth_m)
-        assert np.abs(points).max() == pytest.approx(4.0, abs=1e-3)

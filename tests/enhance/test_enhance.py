@@ -316,22 +316,6 @@ def test_history_starts_anew_with_every_segment() -> None:
     np.testing.assert_array_equal(together[1], pictures[1])
 
 
-def test_an_enhancer_that_brightens_is_refused_before_the_first_picture() -> None:
-    class Brighter:
-        def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
-            return image * np.float32(1.05)
-
-    view = ring([0], "view")[0]
-    picture, depth = np.full((*view.hw, 3), 100, np.uint8), np.full(view.hw, 2000, np.uint16)
-    injection = PAPER
-    with pytest.raises(UserError, match=r"1\.050"):
-        next(
-            enhance_sequence(
-                [PathStep(view, 0.0, "a")], [picture], [depth], lambda step: picture, Brighter(), injection, SEARCH
-            )
-        )
-
-
 def test_the_loop_gain_of_the_residual_transfer_is_one() -> None:
     camera, view, depth, view_depth, photo = one_view()
     enhancer = ResidualTransfer(lambda frame: [source(camera, photo, 0 * photo, depth, TRANSFER)], 1.0, TRANSFER)

@@ -119,11 +119,6 @@ def test_noise_in_both_maps_does_not_flatten_the_slope(noise: float) -> None:
     assert found.scale == pytest.approx(SCALE, rel=0.02)
 
 
-def test_wrong_shapes_are_named() -> None:
-    with pytest.raises(ValueError, match=r"static has shape \(3,\)"):
-        fit(np.ones(4), np.ones(4), np.ones(3, bool))
-
-
 def test_nothing_to_fit_is_undetermined() -> None:
     assert fit(np.full(10, np.nan), np.ones(10)).model == "undetermined"
     assert shared_alignment([fit(np.zeros(100), np.ones(100))]).model == "undetermined"

@@ -95,13 +95,3 @@ def test_c12_a_patch_across_two_surfaces_takes_one_of_them() -> None:
     mask = np.zeros((21, 21), bool)
     mask[10, 8:12] = True
     assert patch_depth(depth, mask, np.array([[10.5, 10.5]]), 9, 0.1)[0][0] == 2.0
-
-
-def test_wrong_shapes_are_named() -> None:
-    depth = np.ones(WH[::-1])
-    with pytest.raises(ValueError, match=r"valid_mask has shape \(4, 4\)"):
-        lift_pelvis(depth, np.ones((4, 4), bool), np.ones(2), CAMERA)
-    with pytest.raises(ValueError, match=r"depth_m has shape \(320, 176\)"):
-        lift_pelvis(depth.T, EVERYWHERE.T, np.ones(2), CAMERA)
-    with pytest.raises(ValueError, match="patch_px must be odd"):
-        lift_pelvis(depth, EVERYWHERE, np.ones(2), CAMERA, patch_px=4)

@@ -205,8 +205,3 @@ def test_smoothing_keeps_its_length_in_seconds(fps: float) -> None:
     # A motion of two seconds keeps the same share at every frame rate.
     assert smoothing.gain(alpha, sigma, 2 * fps) == pytest.approx(smoothing.gain(0.5, 1.0, 60), abs=0.01)
     assert smoothing.at_frame_rate(reference, 30.0) == pytest.approx((0.5, 1.0))
-
-
-def test_impossible_strengths_are_refused() -> None:
-    with pytest.raises(ValueError, match="alpha"):
-        smoothing.kernel(0.0, 1.0)

@@ -62,13 +62,6 @@ def test_too_few_gaussians_grow_until_told_and_show_more(
     assert height[foot].max() < np.quantile(height, 0.4)
 
 
-def test_none_are_added_after_the_last_time(trained: Callable[..., Avatar]) -> None:
-    once = trained("once", {"use": "gradient", "every": 40, "until": 40})
-    twice = trained("twice", {"use": "gradient", "every": 40, "until": 80})
-    never = trained("never", {"use": "gradient", "every": 40, "until": 39})
-    assert never.gaussians.count == COUNT < once.gaussians.count < twice.gaussians.count
-
-
 def test_the_temporal_network_sees_those_that_were_added(trained: Callable[..., Avatar]) -> None:
     grown = {"use": "gradient", "every": 40, "until": 120}
     found = trained("always", grown, use="always", start=60, width=8, points=0)

@@ -50,18 +50,6 @@ def test_all_bones_of_the_grid_carry_a_gaussian_from_where_it_went(trained: Call
     assert np.abs(person.weights - grid.query(rest[started])).max() > 1e-3
 
 
-def test_a_grid_costs_a_vertexs_own_gaussian_nothing_but_the_mixing(body: BodyModel) -> None:
-    """Numba's trilinear interpolation against scipy's, beyond the border too."""
-    from scipy.interpolate import RegularGridInterpolator
-
-    grid = build_weight_grid(body.rest_vertices(np.zeros(10)), body.weights, 16, 0.15)
-    axes = [grid.origin_m[k] + grid.spacing_m * np.arange(16) for k in range(3)]
-    points = np.random.default_rng(0).normal(0, 0.8, (200, 3))
-    held = np.clip(points, [a[0] for a in axes], [a[-1] for a in axes])
-    expected = RegularGridInterpolator(axes, grid.weights.astype(np.float64))(held)
-    np.testing.assert_allclose(grid.query(points), expected / expected.sum(1, keepdims=True), atol=1e-6)
-
-
 def test_feet_head_and_hands_move_with_the_letter_alone(body: BodyModel) -> None:
     moved = []
     for held in (HELD, ()):

@@ -80,7 +80,7 @@ def test_pictures_that_cannot_be_compared_are_refused() -> None:
         flow.dis_flow(np.zeros((40, 16), np.uint8), np.zeros((40, 16), np.uint8), "medium")
 
 
-def test_the_backward_flow_brings_the_previous_picture_onto_the_current_one() -> None:
+def test_e09_the_backward_flow_brings_the_previous_picture_onto_the_current_one() -> None:
     """Numerics E09: a forward flow used as a backward one is worse than no warp at all."""
     previous = textured((96, 128), 5, 3.0)
     current = np.roll(previous, (2, 6), axis=(0, 1))

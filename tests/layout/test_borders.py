@@ -65,3 +65,16 @@ def test_a_statement_is_not_empty(path: Path) -> None:
             if re.search(r"\b[Rr]aises\b", sentence):
                 named = re.search(r"Error|UserError|``\w|\bas it does\b", sentence)
                 assert named, f"{path.name}: {name} says “{sentence.strip()}” without the error's name"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: f"{p.parent.name}.{p.stem}")
+def test_what_is_refused_is_called_as_the_argument_is(path: Path) -> None:
+    """``require`` names what its caller gave: an argument of the function, or a field of the class."""
+    for qualified, node in functions(path).items():
+        classes = {c.name: c for c in tree(path).body if isinstance(c, ast.ClassDef)}
+        owner = classes.get(qualified.split(".")[0], node)
+        given = {a.arg for a in ast.walk(node) if isinstance(a, ast.arg)}
+        given |= {ast.unparse(a.target) for a in ast.walk(owner) if isinstance(a, ast.AnnAssign)}
+        calls = [c for c in ast.walk(node) if isinstance(c, ast.Call) and ast.unparse(c.func) == "require"]
+        named = {c.args[0].value.split()[0].split(".")[-1] for c in calls if isinstance(c.args[0], ast.Constant)}
+        assert named <= given, f"{path.name}: {qualified} requires {sorted(named - given)}"

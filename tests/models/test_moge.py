@@ -46,14 +46,6 @@ def test_picture_and_field_of_view_are_what_upstream_reads() -> None:
     assert fov_deg(1000.0, 1280) == pytest.approx(65.238, abs=1e-3)
 
 
-def test_missing_weights_name_the_file(tmp_path: Path) -> None:
-    with pytest.raises(
-        UserError,
-        match=r"moge-2-vitl-normal\.pt, which is missing: get it from Hugging Face Ruicheng/moge-2-vitl-normal",
-    ):
-        load("monocular depth", "moge", tmp_path, "cpu")
-
-
 @pytest.mark.weights
 @pytest.mark.filterwarnings("ignore:In CPU autocast")
 def test_upstreams_network_with_random_weights(tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def test_a_film_s_pictures_and_layers(body: BodyModel, monkeypatch: pytest.Monke
 def test_a_person_learns_the_same(
     made: Made, body: BodyModel, default_settings: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    section = copy.deepcopy(default_settings("humans", iterations=30, gaussians=120))
+    section = copy.deepcopy(default_settings("humans", iterations=8, gaussians=120))
     section["temporal"]["use"] = "never"
     settings = settings_module.load(train.Settings, section, "humans")
     for name, rasteriser in (("cpu", training.rasteriser_on), ("gsplat", gsplat)):

@@ -82,27 +82,6 @@ def test_a_network_that_is_fetched_is_an_input_once_it_is_there(house: House, da
     assert "rtmpose-m-halpe26-256x192.onnx: 0.056 GB; free to fetch; SHA-256 26f3a19e" in listed
 
 
-def test_only_cameras_without_keypoint_files_are_looked_at(house: House, dataset: Path) -> None:
-    (dataset / "keypoints/back").rename(dataset / "hidden")
-    plan = on(house, dataset).plan()
-    always = on(house, dataset).plan("--configfile", on(house, dataset).overlay(detect={"source": "detector"}))
-    (dataset / "hidden").rename(dataset / "keypoints/back")
-    assert plan["detect_people"] == 1
-    assert always["detect_people"] == 3
-
-
-def test_without_a_calibration_the_cameras_are_found_from_the_people(house: House, dataset: Path) -> None:
-    (dataset / "intri.yml").rename(dataset / "hidden")
-    plan = on(house, dataset).plan()
-    files = ("--configfile", house.overlay(calibration={"source": "files"}))
-    files_only = on(house, dataset).snakemake("--dry-run", "--cores", "1", *files, check=False)
-    (dataset / "hidden").rename(dataset / "intri.yml")
-    assert plan["detect_keypoints"] == 3
-    assert plan["calibration_from_people"] == 1
-    assert "calibration_files" not in plan
-    assert "has no calibration" in files_only.stdout
-
-
 @pytest.mark.parametrize(
     ("remove", "words"),
     [
@@ -176,40 +155,6 @@ def test_views_between_cameras_wait_for_the_survey_unless_it_is_forced(house: Ho
     assert "views_synthesize" not in plans["off"] | plans[""]
     assert plans[""]["survey_decide"] == 1
     assert "survey_decide" not in plans["off"] | plans["on"], "nothing is asked that is known"
-
-
-def test_the_room_waits_for_the_survey_where_photos_may_have_gains(house: House, dataset: Path) -> None:
-    there, target = on(house, dataset), f"results/{dataset.name}/background/scene.ply"
-    known = {"view_synthesis": "off", "view_dependent_colour": "off"}
-    asked = {
-        verdict: there.plan(target, "--configfile", there.overlay(survey={"force": known | {"exposure": verdict}}))
-        for verdict in ("on", "off")
-    }
-    assert asked["on"]["survey_decide"] == 1, "the gains are measured there"
-    assert "survey_decide" not in asked["off"]
-
-
-def test_loose_things_are_looked_for_only_when_the_survey_or_the_user_says_so(house: House, dataset: Path) -> None:
-    there = on(house, dataset)
-    (dataset / "capture.yaml").write_text("people: 0\n")
-    films = {
-        verdict: there.plan(
-            f"results/{dataset.name}/render/orbit.mkv",
-            "--configfile",
-            there.overlay(survey={"force": {"dynamic_objects": verdict}}),
-        )
-        for verdict in ("on", "off")
-    }
-    (dataset / "capture.yaml").unlink()
-    assert films["on"]["objects_find"] == 1, "a room without people may have a ball in it"
-    assert "objects_find" not in films["off"]
-
-
-def test_people_who_are_forced_away_cost_nothing(house: House, dataset: Path) -> None:
-    there = on(house, dataset)
-    plan = there.plan("--configfile", there.overlay(survey={"force": {"people": "off"}}))
-    assert plan["background_train"] == 1
-    assert not [rule for rule in plan if rule.split("_")[0] in ("people", "masks", "humans")]
 
 
 def test_films_are_taken_apart_into_exr_when_asked(house: House, dataset: Path) -> None:
