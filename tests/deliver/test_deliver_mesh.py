@@ -21,6 +21,8 @@ from studiorecon.scene.path import PathStep, write_path
 from studiorecon.scene.provenance import INVENTED, MEASURED
 from studiorecon.scene.room import RoomBox, write_room
 
+from tests.made.cameras import look_at
+
 ROOM = RoomBox(
     0.3,
     np.array([-2.0, -1.5, 0.0]),
@@ -35,14 +37,7 @@ RED, GREY = np.array([0.8, 0.2, 0.1]), np.array([0.5, 0.5, 0.5])
 
 
 def looking(name: str, eye_m: tuple[float, float, float], at_m: tuple[float, float, float] = (0, 0, 0.4)) -> Camera:
-    forward = np.array(at_m) - eye_m
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, [0, 0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = [right, np.cross(forward, right), forward]
-    pose[:3, 3] = -pose[:3, :3] @ eye_m
-    return Camera(name, WH, np.array([[150.0, 0, 120], [0, 150, 90], [0, 0, 1]]), pose)
+    return look_at(name, np.array(eye_m), np.array(at_m), WH, 150.0)
 
 
 CAMERAS = [

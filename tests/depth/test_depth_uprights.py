@@ -14,7 +14,7 @@ from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
 
-from tests.made.studio_world import looking
+from tests.made.cameras import look_at
 
 WH = (960, 540)
 YAW_RAD = 0.3
@@ -29,7 +29,7 @@ def axes() -> np.ndarray:
 def camera(u: float, v: float, towards: tuple[float, float] = (0.0, 0.0), height_m: float = 1.7) -> Camera:
     """A camera in the room's own directions, a little tilted down."""
     centre, target = np.array([u, v, height_m]) @ axes(), np.array([*towards, 0.9]) @ axes()
-    return looking(f"c{u:g}{v:g}", centre, target, WH, 620.0)
+    return look_at(f"c{u:g}{v:g}", centre, target, WH, 620.0)
 
 
 def drawn(view: Camera, posts: Sequence[Post], along: int, width_m: float = 0.35) -> np.ndarray:

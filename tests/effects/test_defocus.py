@@ -41,7 +41,7 @@ def judged(blurs_px: list[float], seed: int = 0) -> Decision:
     return DEFOCUS.decide(found.value, found.interval, found.reason, detail=found.detail)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_one_camera_out_of_focus_is_found_and_named(seed: int) -> None:
     found = judged([0.0, 0.0, 1.5, 0.0], seed)
     assert found.verdict == "on"
@@ -50,13 +50,13 @@ def test_one_camera_out_of_focus_is_found_and_named(seed: int) -> None:
     assert found.value == pytest.approx(1.5 * 1280 / 288, rel=0.15)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("blur_px", [0.0, 1.0])
 def test_cameras_that_are_equally_sharp_set_nothing_off(blur_px: float, seed: int) -> None:
     assert judged([blur_px] * 4, seed).verdict == "off"
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_camera_that_sees_somewhat_softer_things_is_not_called_out_of_focus(seed: int) -> None:
     found = judged([1.0, 1.0, 1.2, 1.0], seed)
     assert found.value is not None

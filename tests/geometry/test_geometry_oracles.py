@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Geometry against other people's: OpenCV, COLMAP, kornia, scipy, and mpmath in fifty digits."""
+"""Geometry against other people's: OpenCV, COLMAP and scipy."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Picture measures against scikit-image, torchmetrics, kornia and planted errors."""
+"""Picture measures against scikit-image, torchmetrics and planted errors."""
 
 from __future__ import annotations
 

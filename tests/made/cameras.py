@@ -18,19 +18,20 @@ _LEFT = np.array(
     [[0, 0.18, 1.42], [0.02, 0.25, 1.15], [0.1, 0.24, 0.92], [0, 0.1, 0.92], [0.03, 0.1, 0.5], [0, 0.1, 0.09]]
 )
 STANDING = np.stack([_LEFT, _LEFT * [1, -1, 1]], axis=1).reshape(12, 3)
-_INTRINSICS = np.array([[1000.0, 0, 640], [0, 1000, 352], [0, 0, 1]])
 
 
-def look_at(name: str, centre: np.ndarray, target: np.ndarray, wh: tuple[int, int] = (1280, 704)) -> Camera:
-    """A level camera, f = 1000 px."""
+def look_at(
+    name: str, centre: np.ndarray, target: np.ndarray, wh: tuple[int, int] = (1280, 704), focal_px: float = 1000.0
+) -> Camera:
+    """A camera that looks at ``target``, level unless it looks straight down."""
     forward = np.asarray(target, float) - centre
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
+    right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-9 else np.array([1.0, 0.0, 0.0])
     rotation = np.stack([right, np.cross(forward, right), forward])
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, -rotation @ centre
-    return Camera(name, wh, _INTRINSICS.copy(), pose)
+    return Camera(name, wh, np.array([[focal_px, 0, wh[0] / 2], [0, focal_px, wh[1] / 2], [0, 0, 1]]), pose)
 
 
 def ring(

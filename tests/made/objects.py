@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from studiorecon.scene.camera import Camera
 
-from tests.made.studio_world import looking
+from tests.made.cameras import look_at
 
 WH, FRAMES, FPS = (240, 136), 24, 15.0
 
@@ -28,7 +28,7 @@ class Ball:
 
 def around(name: str, azimuth_deg: float) -> Camera:
     a = np.radians(azimuth_deg)
-    return looking(name, np.array([2.8 * np.cos(a), 2.8 * np.sin(a), 1.6]), np.array([0, 0, 0.9]), WH, 180.0)
+    return look_at(name, np.array([2.8 * np.cos(a), 2.8 * np.sin(a), 1.6]), np.array([0, 0, 0.9]), WH, 180.0)
 
 
 CAMERAS = [around(f"c{i}", azimuth) for i, azimuth in enumerate((5, 95, 185, 275))]

@@ -20,6 +20,8 @@ from studiorecon.survey.clips import Film
 from studiorecon.survey.evidence import Material
 from studiorecon.survey.exposures import ExposureView
 
+from tests.made.cameras import look_at
+
 FPS, FRAMES = 30.0, 100
 WH, FOCAL_PX = (288, 192), 165.0
 HALF_M, HEIGHT_M = 4.0, 3.0
@@ -67,23 +69,12 @@ class Plan:
     texture: float = 1.0
 
 
-def looking(name: str, centre: np.ndarray, target: np.ndarray, wh: tuple[int, int], focal_px: float) -> Camera:
-    """A camera at ``centre`` that looks at ``target``, upright."""
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross(forward, [0, 0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ centre
-    return Camera(name, wh, np.array([[focal_px, 0, wh[0] / 2], [0, focal_px, wh[1] / 2], [0, 0, 1]]), pose)
-
-
 def cameras_of(plan: Plan) -> list[Camera]:
     scale = plan.working_px / WH[0]
     wh = (plan.working_px, round(WH[1] * scale))
     turn = np.radians(plan.azimuths_deg)
     return [
-        looking(
+        look_at(
             f"c{i}", np.array([3 * np.cos(a), 3 * np.sin(a), 1.7]), np.array([0, 0, 0.9]), wh, plan.focal_px * scale
         )
         for i, a in enumerate(turn)

@@ -24,6 +24,8 @@ from studiorecon.survey.effects.surveyed import SurveyedEffect
 from studiorecon.survey.evidence import Evidence, Material
 from studiorecon.survey.exposures import ExposureView
 
+from tests.made.cameras import look_at
+
 WH = (96, 64)
 
 
@@ -34,15 +36,7 @@ def ring(
     cameras = []
     for index, azimuth in enumerate(np.radians(azimuths_deg)):
         centre = np.array([radius_m * np.cos(azimuth), radius_m * np.sin(azimuth), 1.5])
-        forward = np.array([0, 0, 1.0]) - centre
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, [0, 0, 1.0])
-        right /= np.linalg.norm(right)
-        pose = np.eye(4)
-        pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-        pose[:3, 3] = -pose[:3, :3] @ centre
-        intrinsics = np.array([[focal_px, 0, wh[0] / 2], [0, focal_px, wh[1] / 2], [0, 0, 1]])
-        cameras.append(Camera(f"c{index}", wh, intrinsics, pose))
+        cameras.append(look_at(f"c{index}", centre, np.array([0, 0, 1.0]), wh, focal_px))
     return cameras
 
 

@@ -25,6 +25,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.cpu.rasterise import Rasteriser
 
+from tests.made.cameras import look_at
 from tests.properties.moved_worlds import World, numbers, turns, vectors
 
 NIGHT = int(os.environ.get("STUDIORECON_FUZZ", "0"))
@@ -44,14 +45,7 @@ def powers(low: float, high: float) -> st.SearchStrategy[float]:
 
 
 def camera(centre: np.ndarray, target: np.ndarray, focal_px: float, name: str = "c") -> Camera:
-    """A camera that looks at ``target``, upright unless it looks straight down."""
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    aside = np.cross(forward, [0.0, 0.0, 1.0])
-    right = aside / np.linalg.norm(aside) if np.linalg.norm(aside) > 1e-9 else np.array([1.0, 0.0, 0.0])
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ centre
-    return Camera(name, WH, np.array([[focal_px, 0, WH[0] / 2], [0, focal_px, WH[1] / 2], [0, 0, 1.0]]), pose)
+    return look_at(name, centre, target, WH, focal_px)
 
 
 def is_rotation(matrices: np.ndarray) -> bool:
