@@ -58,7 +58,7 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
         return _opened(folder, read_description(folder, capture_yaml))
     except OSError as error:
         raise UserError(
-            f"{error.filename or folder} cannot be looked at ({error.strerror or error}); see who may read it"
+            f"{error.filename or folder} cannot be read ({error.strerror or error}); change its permissions (chmod u+r)"
         ) from None
 
 
@@ -154,7 +154,7 @@ def _check_there(dataset: Dataset) -> None:
             continue
         file_size(path)
         if not os.access(path, os.R_OK):
-            raise UserError(f"{path} cannot be read (permission denied); see who may read it")
+            raise UserError(f"{path} cannot be read (permission denied); change its permissions (chmod u+r)")
 
 
 def _idle_keys(description: dict[str, Any], dataset: Dataset) -> list[str]:

@@ -54,7 +54,7 @@ def read_bytes(path: Path, most: int = MAX_ARRAY_BYTES) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise UserError(f"{path} cannot be read ({error.strerror}); see who may read it") from None
+        raise UserError(f"{path} cannot be read ({error.strerror}); change its permissions (chmod u+r)") from None
 
 
 def file_size(path: Path) -> int:
@@ -70,7 +70,7 @@ def file_size(path: Path) -> int:
             raise UserError(f"{path} is no regular file; bring the file itself")
         return path.stat().st_size
     except OSError as error:
-        raise UserError(f"{path} cannot be looked at ({error.strerror}); see who may read it") from None
+        raise UserError(f"{path} cannot be read ({error.strerror}); change its permissions (chmod u+r)") from None
 
 
 def read_text(path: Path, remedy: str = "") -> str:
