@@ -134,7 +134,7 @@ def paired_lenses(
         for c, k1 in settings.radial.items()
     ]
     centres = np.array([-p[:3, :3].T @ p[:3, 3] for p in poses])
-    refuse_wrong_places(cameras, centres, source)
+    refuse_wrong_places(cameras, poses, centres, source)
     factor, unit_note = metres_per_unit(centres, reading.unit, settings.unit)
     z_up, up_note = z_up_from_world(np.array([p[:3, :3] for p in poses]), settings.up)
     if settings.scale != 1.0:

@@ -23,18 +23,22 @@ _UP_TOLERANCE_DEG = 45.0
 _EYE_HEIGHT_M = 1.5
 
 
-def refuse_wrong_places(names: Sequence[str], centres: Float[np.ndarray, "N 3"], source: str) -> None:
-    """Raise UserError for two cameras at one place, and for cameras a hundred times further out than the others.
+def refuse_wrong_places(
+    names: Sequence[str], poses: Sequence[Float[np.ndarray, "4 4"]], centres: Float[np.ndarray, "N 3"], source: str
+) -> None:
+    """Raise UserError for two cameras of one pose, and for cameras a hundred times further out than the others.
 
-    The lengths of the latter are in another unit, or wrong, and would decide for all.
+    The lengths of the latter are in another unit, or wrong, and would decide for all. Two cameras may share a place
+    and face different directions: so do inverted poses of a ring, which the people reveal.
     """
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
-    near = np.where(np.eye(len(names), dtype=bool), np.inf, apart)
+    turned = np.array([[np.abs(one[:3, :3] - other[:3, :3]).max() > 1e-6 for other in poses] for one in poses])
+    near = np.where(np.eye(len(names), dtype=bool) | turned, np.inf, apart)
     one, other = divmod(int(np.argmin(near)), len(names))
     if len(names) > 1 and near[one, other] <= 1e-6 * max(apart.max(), 1e-6):
         raise UserError(
-            f"{source} puts cameras {names[one]} and {names[other]} at one and the same place: the pose of one "
-            "is missing or copied; calibrate where it stands, or leave it out with train: [...] in capture.yaml"
+            f"{source} gives cameras {names[one]} and {names[other]} one and the same pose: that of one "
+            "is missing or copied; calibrate it again, or leave it out with train: [...] in capture.yaml"
         )
     # From the camera that has half of the others nearest.
     away = apart[np.argmin(np.sort(apart)[:, (len(apart) - 1) // 2])]
