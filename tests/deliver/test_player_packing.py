@@ -166,7 +166,7 @@ def test_long_motion_is_told_at_fewer_moments_and_says_so() -> None:
     told, sentences = describe_scene(scene, held, NONE)
     assert told["moments"] == MOTION_BYTES // (2 * (24 * 8 + 12))
     assert len(held.data) < MOTION_BYTES + 2_000_000
-    assert any(f"motion is told at {told['moments']} moments of 60000 frames" in sentence for sentence in sentences)
+    assert any(f"motion is sampled at {told['moments']} moments of 60000 frames" in sentence for sentence in sentences)
     assert moments(60_000, 7)[[0, -1]].tolist() == [0, 59_999]
 
 

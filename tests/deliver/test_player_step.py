@@ -43,7 +43,7 @@ def files(tmp_path: Path, root: Path) -> dict:
 def test_a_page_and_its_poster_come_out_and_the_same_bytes_again(files: dict, capsys: pytest.CaptureFixture) -> None:
     call(player.run, **files)
     told = capsys.readouterr().out
-    assert "nobody throws a shadow here" in told
+    assert "people cast no shadows here" in told
     assert f"1 people and 0 things over {FRAMES} frames" in told
     page = files["page"].read_bytes()
     assert page.startswith(b"<!doctype html>")
@@ -60,7 +60,7 @@ def test_exposures_and_shadows_come_along(files: dict, tmp_path: Path, capsys: p
     at, factors = np.array([3, 5]), np.full((2, 2), 0.5)
     write_npz(tmp_path / "shade.npz", {"at": at, "times": np.array([0, FRAMES - 1]), "factors": factors})
     call(player.run, **files | {"exposure": [tmp_path / "gains.json"], "shade": [tmp_path / "shade.npz"]})
-    assert "throws a shadow" not in capsys.readouterr().out
+    assert "cast no shadows" not in capsys.readouterr().out
     text = files["page"].read_text(encoding="utf-8")
     assert text.count('"exposure":') == 1
     assert '"shade":' in text

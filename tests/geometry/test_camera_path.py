@@ -65,7 +65,7 @@ def test_opposite_cameras_fly_the_same_way_whatever_the_rounding(noise: float) -
 def test_the_choice_between_two_ways_is_said(noise: float, capsys: pytest.CaptureFixture[str]) -> None:
     way(at(10), at(190 + np.degrees(noise)))
     said = capsys.readouterr().out
-    assert "exactly half a turn apart" in said
+    assert "exactly opposite directions" in said
     assert said.count("\n") == 1
     # Where nothing was chosen nothing is said: neighbours of a ring, and looks that do not go by slerp.
     way(at(10), at(100))

@@ -97,10 +97,10 @@ def test_photos_that_show_nobody_or_cut_nobody_out_are_refused(tmp_path: Path, n
     rng = np.random.default_rng(0)
     noise = cv2.GaussianBlur(rng.integers(0, 255, (240, 320, 3), dtype=np.uint8), (0, 0), 2)
     write_png(tmp_path / "wall.png", noise)
-    with pytest.raises(UserError, match=r"wall\.png shows nobody"):
+    with pytest.raises(UserError, match=r"wall\.png shows no person"):
         stranger.run("stranger_wall", tmp_path / "wall.png", networks, tmp_path / "cut.png")
     write_png(tmp_path / "whole.png", np.dstack([noise, np.full((240, 320), 255, np.uint8)]))
-    with pytest.raises(UserError, match="has alpha, but it cuts nobody out"):
+    with pytest.raises(UserError, match="has an alpha channel without a person"):
         stranger.run("stranger_whole", tmp_path / "whole.png", networks, tmp_path / "cut.png")
     assert not (tmp_path / "cut.png").exists()
 

@@ -24,7 +24,7 @@ from tests.made.steps import call
 
 def nobody_recognised(folder: Path) -> Path:
     """What ``report.recognition`` writes where the photos show nobody."""
-    none = {"pck_0.05": None, "pck_0.1": None, "detection_rate": None, "reason": "the detector finds nobody"}
+    none = {"pck_0.05": None, "pck_0.1": None, "detection_rate": None, "reason": "no person is in the photos"}
     write_json(folder / "recognition.json", {"raw": none, "enhanced": none, "detector": "made"})
     return folder / "recognition.json"
 

@@ -178,8 +178,8 @@ def test_a_path_into_the_unseen_is_caught(request_of_room: dict[str, np.ndarray]
         ("w2cs_all", lambda v: v * 2, "no rotation"),
         ("w2cs_all", lambda v: v[::-1], "does not start at its first key frame"),
         ("Ks_all", lambda v: v * 1.1, "other intrinsics"),
-        ("mask_key_frames", np.zeros_like, "somewhere it must be 1"),
-        ("depth_key_frames", lambda v: v * 50, r"must lie in \(0, 100\]"),
+        ("mask_key_frames", np.zeros_like, "the mask must not be empty"),
+        ("depth_key_frames", lambda v: v * 50, r"must be in \(0, 100\]"),
     ],
 )
 def test_a_malformed_request_is_one_sentence(
@@ -249,7 +249,7 @@ def test_without_offload_the_gpu_must_hold_everything(
         asked.append(needed)
         raise UserError("no GPU here")
 
-    for name in ("staged", "upstream", "attribute"):
+    for name in ("staged_weights", "import_upstream", "attribute"):
         monkeypatch.setattr(gen3c, name, lambda *about: about[-1] if isinstance(about[-1], Path) else about)
     monkeypatch.setattr(gen3c, "device", device)
     how = {"steps": 1, "guidance": 1.0, "seed": 0, "filter_points": 0.05}

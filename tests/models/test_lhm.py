@@ -61,8 +61,8 @@ def test_the_person_stands_alone_on_white_and_upright() -> None:
     [
         ({"top": 80, "height": 400}, "touches the picture's border"),
         ({"top": 100, "height": 200}, "is 200 px high and LHM needs 300"),
-        ({"top": 20, "height": 320, "width": 330}, "stands upright"),
-        ({"top": 20, "height": 0}, "shows nobody"),
+        ({"top": 20, "height": 320, "width": 330}, "needs an upright person"),
+        ({"top": 20, "height": 0}, "the mask is empty"),
     ],
 )
 def test_photos_that_upstream_would_skip_are_named(given: dict, sentence: str) -> None:

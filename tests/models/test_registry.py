@@ -69,7 +69,7 @@ def test_a_missing_weight_is_named_with_its_source_and_found_once_it_is_there(
         UserError, match=r"pi3/model\.safetensors, which is missing: get it from Hugging Face yyfz233/Pi3"
     ):
         staged_weights(model("pi3"), tmp_path)
-    with pytest.raises(UserError, match="access must be asked for"):
+    with pytest.raises(UserError, match="request access"):
         staged_weights(model("sam3"), tmp_path)
     (tmp_path / "smpl").mkdir()
     (tmp_path / "smpl/SMPL_NEUTRAL.pkl").write_bytes(b"weights")

@@ -248,7 +248,7 @@ def test_the_doctor_s_first_words_need_no_run(tmp_path: Path) -> None:
     told = list(command.quick_check(tmp_path))
     assert told[0] == "calibration: none, so cameras are found from the people"
     assert any(
-        t.startswith("camera a: 64×48, 30 fps, 3 frames, mean grey 0.7") and "the detector looks for people" in t
+        t.startswith("camera a: 64×48, 30 fps, 3 frames, mean grey 0.7") and "the detector finds people" in t
         for t in told
     )
     assert any("the exposures differ" in t for t in told)

@@ -67,12 +67,12 @@ def test_masks_made_again_train_nobody_again_whom_they_show_unchanged(fitted: Ho
     fitted.snakemake(*options)
     before = [hashlib.sha256((fitted.folder / a).read_bytes()).hexdigest() for a in avatars]
     again = fitted.snakemake(*options, "--forcerun", "masks_segment")
-    assert "the result stands as it is" in again.stdout
+    assert "the existing result is kept" in again.stdout
     assert [hashlib.sha256((fitted.folder / a).read_bytes()).hexdigest() for a in avatars] == before
     assert fitted.plan(*options) == {}
     # Another setting is another result.
     quick.write_text(yaml.safe_dump({"humans": {"iterations": 6, "gaussians": 500}}))
-    assert "the result stands" not in fitted.snakemake(*options).stdout
+    assert "the existing result is kept" not in fitted.snakemake(*options).stdout
     assert hashlib.sha256((fitted.folder / avatars[0]).read_bytes()).hexdigest() != before[0]
 
 

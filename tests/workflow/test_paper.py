@@ -52,7 +52,7 @@ def test_the_whole_preset_is_planned_on_videos_alone(house: House, videos: Path)
             "set calibration.source to one",
         ),
         ({"depth": {"source": "pi3"}}, "needs the depth of every frame"),
-        ({"detect": {"source": "auto"}}, "the embedded detector looks"),
+        ({"detect": {"source": "auto"}}, "the embedded detector finds them"),
     ],
     ids=["first moment", "every frame", "second look"],
 )
