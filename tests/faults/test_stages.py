@@ -38,6 +38,7 @@ from tests.made.humans import WH as VIEW_WH
 from tests.made.humans import Made, body, made, score
 from tests.made.masks import Scene, scene, segmented
 from tests.made.scene import ring as view_ring
+from tests.made.steps import call
 
 __all__ = ["body", "made", "scene"]
 
@@ -216,7 +217,7 @@ def test_a_person_is_trained_on_the_rest(
     for name, brought in (("clean", made.options), ("broken", {**options, "fit": tmp_path / "p3.npz"})):
         (tmp_path / name).mkdir()
         out = {"gaussians": tmp_path / name / "p3.ply", "avatar": tmp_path / name / "p3.npz"}
-        train.run(settings, **brought, **out, working=tmp_path / name)
+        call(train.run, settings, **brought, **out, working=tmp_path / name)
         scores.append(score(made, body, tmp_path / name, view_ring([45], "view", wh=VIEW_WH)))
     written = read_avatar(tmp_path / "broken/p3.ply", tmp_path / "broken/p3.npz", body)
     assert state.finite(written.gaussians).all()

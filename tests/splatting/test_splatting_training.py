@@ -133,11 +133,10 @@ def test_a_halved_target_masks_what_touches_a_mask() -> None:
     weight[4, 6] = 0
     rgb = np.full((10, 20, 3), 0.25, np.float32)
     rgb[4, 6] = np.nan
-    small = Target(view, rgb, weight, depth_m=np.full((10, 20), 2.0, np.float32)).halved()
+    small = Target(view, rgb, weight).halved()
     assert small.camera.wh == (10, 5)
     assert np.argwhere(small.weight == 0).tolist() == [[2, 3]]
     np.testing.assert_array_equal(small.rgb[small.weight > 0], np.float32(0.25))
-    assert (small.depth_m == 2).all()
 
 
 def test_growth_clones_small_splits_large_and_prunes_faint() -> None:
