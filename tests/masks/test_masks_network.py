@@ -43,7 +43,7 @@ def test_a_person_may_be_several_numbers_in_turn_and_strangers_stay_strangers() 
     assert (masks[:, 10, 22] == 2).all()
     assert (masks[:, 4, 35] == UNASSIGNED).all()
     assert masks[:, 3:27, 19:27].all(), "what a person wears beyond the body is theirs"
-    assert "3 = p0, 5 = p1, 9 = p0; 1 lie on nobody" in told
+    assert "3 = p0, 5 = p1, 9 = p0; 1 overlap no fitted person" in told
 
 
 def test_without_people_everybody_is_a_stranger() -> None:

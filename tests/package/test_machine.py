@@ -32,7 +32,7 @@ def test_what_the_system_refuses_is_said_with_the_file(number: int, says: str) -
     sentence = describe_resource_error(OSError(number, os.strerror(number), "a/b.npz"))
     assert sentence is not None
     assert sentence.startswith(says)
-    assert sentence.endswith("what is finished is kept")
+    assert sentence.endswith("finished results are kept")
 
 
 def test_memory_that_is_missing_is_known_from_whoever_asked_for_it() -> None:
@@ -77,10 +77,10 @@ def test_a_step_whose_memory_is_limited_says_that_this_may_be_why() -> None:
     for limit, said in ((2**28, "268 MB of memory are allowed here (ulimit -v)"), (2**44, "None")):
         script = f"""if True:
             import resource
-            from studiorecon.machine import refusals as machine
+            from studiorecon.machine import resource_errors as machine
             bytearray(2**28)
             resource.setrlimit(resource.RLIMIT_AS, ({limit}, {limit}))
-            print(machine.short_of_memory())
+            print(machine.memory_note())
         """
         done = subprocess.run([sys.executable, "-c", script], text=True, capture_output=True)
         assert done.stdout.startswith(said), done.stderr

@@ -469,7 +469,7 @@ def test_defaults_are_the_only_place_of_options_and_complete(root: Path):
     [
         ({"peoples": 2}, "unknown option peoples"),
         ({"effects": {"bal": True}}, "unknown option effects.bal"),
-        ({"people": 7}, "people is 7; it must lie between 0 and 4"),
+        ({"people": 7}, "people is 7; it must be between 0 and 4"),
         ({"people": "two"}, "must be a whole number"),
         ({"size": [97, 56]}, "must be even"),
         ({"calibration": {"format": "xml"}}, "must be one of easymocap"),

@@ -246,7 +246,7 @@ def test_the_doctor_s_first_words_need_no_run(tmp_path: Path) -> None:
     for name, grey in (("a", 200), ("b", 40)):
         write_watchable(tmp_path / f"videos/{name}.mp4", [np.full((48, 64, 3), grey, np.uint8)] * 3, 30.0)
     told = list(command.quick_check(tmp_path))
-    assert told[0] == "calibration: none, so cameras are found from the people"
+    assert told[0] == "calibration: none, so the keypoints of people give the cameras"
     assert any(
         t.startswith("camera a: 64×48, 30 fps, 3 frames, mean grey 0.7") and "the detector finds people" in t
         for t in told

@@ -115,7 +115,7 @@ def refusals(finished: House, folder: Path, steps: tuple[str, ...], script: str,
         if ended.status != 0:
             refused += 1
             assert f"{job.step}: {sentence}" in ended.last, (job.step, ended.text[-2000:])
-            assert "run again: what is finished is kept" in ended.last
+            assert "run again: finished results are kept" in ended.last
         changed = unchanged(before, digests(folder / "results"))
         assert not changed, (job.step, changed)
     return refused

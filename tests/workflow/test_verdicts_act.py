@@ -57,7 +57,9 @@ OF: Mapping[str, Acts] = {
     "view_dependent_colour": acts(otherwise="background_train"),
     "temporal_appearance": acts(otherwise="humans_train report_audit"),
     "moving_shadows": acts(on="render_light render_shade", otherwise="render_shot deliver_player"),
-    "dynamic_objects": acts(on="objects_find", otherwise="masks_segment render_shot deliver_player deliver_scene_glb"),
+    "dynamic_objects": acts(
+        on="objects_find", otherwise="masks_segment render_shot deliver_player deliver_scene_glb deliver_export"
+    ),
     "enhancement": acts(otherwise="enhance_shot"),
     "injection": acts(otherwise="enhance_shot"),
 }

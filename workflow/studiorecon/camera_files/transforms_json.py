@@ -82,7 +82,7 @@ def camera_name(frame: dict[str, Any]) -> str:
 def _camera(lens: dict[str, Any], source_from_file: np.ndarray, where: str) -> tuple[RawCamera, float]:
     try:
         fx, width, height = (float(lens[k]) for k in ("fl_x", "w", "h"))
-        if lens.get("camera_label") is None and not (isinstance(lens["file_path"], str) and lens["file_path"]):
+        if not isinstance(lens.get("file_path", ""), str):
             raise UserError(f"{where}: its file_path is {short_text(lens['file_path'])}; it must name the picture")
         pose = np.asarray(lens["transform_matrix"], dtype=np.float64)
     except KeyError as error:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
 from studiorecon.camera_files.transforms_json import read_transforms
+from studiorecon.errors import UserError
 
 
 def recognises(files: list[Path]) -> bool:
@@ -17,6 +18,9 @@ def recognises(files: list[Path]) -> bool:
 def read(files: list[Path]) -> Reading:
     """One camera per label, picture folder or picture name; ``applied_transform`` is undone."""
     found = read_transforms(files[0])
+    for index, camera in enumerate(found.cameras):
+        if not camera.name:
+            raise UserError(f"picture {index} of {files[0]} has no file_path; it must name the picture")
     return Reading(
         "nerfstudio transforms.json", tuple(merged_static(list(found.cameras), 0.01, 1.0)), "unknown", found.notes
     )
