@@ -21,7 +21,6 @@ for name in ("studio", *STAGES, "placement", "sweep", "weights", "images"):
     include: f"workflow/rules/{name}.smk"
 
 
-
 report: "workflow/report/workflow.rst"
 
 

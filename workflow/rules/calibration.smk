@@ -130,7 +130,9 @@ rule calibration_doctor:
         sightings=collect(
             "results/{scene}/detect/keypoints/{camera}.npz", camera=PLAN.person_sources.checked, allow_missing=True
         ),
-        sizes=collect("results/{scene}/detect/keypoints/{camera}.json", camera=PLAN.person_sources.checked, allow_missing=True),
+        sizes=collect(
+            "results/{scene}/detect/keypoints/{camera}.json", camera=PLAN.person_sources.checked, allow_missing=True
+        ),
         clocks="results/{scene}/clocks/clocks.json",
         sync="results/{scene}/clocks/sync.json",
     output:

@@ -3,9 +3,9 @@
 
 rule deliver_export:
     input:
+        **TRAINED,
         manifest="results/{scene}/capture/manifest.json",
         model=[*MODEL, "results/{scene}/cameras/points3D.txt"],
-        **TRAINED,
         fits=files.fits,
         detections=files.detections,
         identities=files.identities,
@@ -33,9 +33,9 @@ rule deliver_export:
 # One page to move through the scene and its time, from disk and without a network.
 rule deliver_player:
     input:
+        **TRAINED,
         manifest="results/{scene}/capture/manifest.json",
         model=MODEL,
-        **TRAINED,
         paths=collect("results/{scene}/render/{shot}.json", shot=files.films, allow_missing=True),
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
         exposure=files.exposure,
@@ -64,9 +64,9 @@ rule deliver_player:
 # The scene as one file for others' viewers: nothing but what Python already has is needed for it.
 rule deliver_scene_glb:
     input:
+        **TRAINED,
         manifest="results/{scene}/capture/manifest.json",
         model=MODEL,
-        **TRAINED,
     output:
         glb="results/{scene}/deliver/scene.glb",
     log:
@@ -119,9 +119,9 @@ rule room_mesh:
 
 rule deliver_usd:
     input:
+        **TRAINED,
         manifest="results/{scene}/capture/manifest.json",
         model=MODEL,
-        **TRAINED,
     output:
         stage="results/{scene}/deliver/scene.usdc",
     log:

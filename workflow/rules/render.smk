@@ -32,11 +32,11 @@ rule render_light:
 
 rule render_shot:
     input:
+        **TRAINED,
+        # Camera paths that shots follow: an edited path makes its film again.
         model=MODEL,
         heldout_model=HELDOUT_MODEL,
         manifest="results/{scene}/capture/manifest.json",
-        **TRAINED,
-        # Camera paths that shots follow: an edited path makes its film again.
         followed=files.shot_path,
         # Who stands in for whom: a new file of theirs makes the film again.
         stand_ins=files.replacement_people,
@@ -72,8 +72,8 @@ rule render_shot:
 # With render.exr, or on request: snakemake results/SCENE/render/orbit.layers takes a film apart for compositing.
 rule render_layers:
     input:
-        path="results/{scene}/render/{shot}.json",
         **TRAINED,
+        path="results/{scene}/render/{shot}.json",
         stand_ins=files.replacement_people,
         light=files.room_light,
     output:
@@ -99,8 +99,8 @@ rule render_layers:
 # Where shadows are thrown: how much light they leave, for what is drawn elsewhere.
 rule render_shade:
     input:
-        manifest="results/{scene}/capture/manifest.json",
         **TRAINED,
+        manifest="results/{scene}/capture/manifest.json",
         light="results/{scene}/render/room.light.json",
     output:
         shade="results/{scene}/render/room.shade.npz",
