@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings and keys of capture.yaml that messages advise exist, so that a user can follow the advice."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import yaml
+from studiorecon.scene import capture_yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIG = yaml.safe_load((ROOT / "config/config.yaml").read_text())
+# ``set depth.source to embedded``, ``calibration.unit: cm``, ``the setting capture.picture_fps``
+SETTING = re.compile(
+    rf"\b(?:{'|'.join(k for k, v in CONFIG.items() if isinstance(v, dict))})\.[a-z_]+(?:\.[a-z_]+)*(?![\w./(])"
+)
+IN_CAPTURE = re.compile(r"\b([a-z_]+): (?:[{\[\d][^\x00]*? )?(?:in|into) capture\.yaml|in capture\.yaml: ([a-z_]+):")
+# Files and texts of other tools: their names have a dot as settings do.
+FILE = re.compile(r"\.(?:json|npz|yaml|svg|ply|txt|md|sfm)$")
+
+
+def messages() -> list[tuple[str, str]]:
+    """(place, text) of every text in the package that is no docstring, with NUL for what is filled in."""
+    found = []
+    for path in sorted((ROOT / "workflow/studiorecon").rglob("*.py")):
+        tree = ast.parse(path.read_text())
+        prose = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.JoinedStr):
+                text = "".join(v.value if isinstance(v, ast.Constant) else "\0" for v in node.values)
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in prose:
+                text = node.value
+            else:
+                continue
+            if " " in text and "{{" not in text:  # no template of a page
+                found.append((f"{path.relative_to(ROOT)}:{node.lineno}", text))
+    return found
+
+
+def is_step(name: str) -> bool:
+    """Whether the name is a step or another module, STAGE.STEP."""
+    return (ROOT / "workflow/studiorecon" / Path(*name.split("."))).with_suffix(".py").is_file()
+
+
+def exists(setting: str) -> bool:
+    """Whether config.yaml has a value at these keys. Below a free mapping, such as survey.force, any key is good."""
+    value = CONFIG
+    for key in setting.split("."):
+        if value == {}:
+            return True
+        if not isinstance(value, dict) or key not in value:
+            return False
+        value = value[key]
+    return True
+
+
+def test_settings_that_messages_name_exist() -> None:
+    named = [(p, s) for p, text in messages() if "/studio/" not in p for s in SETTING.findall(text)]
+    named = [(place, name) for place, name in named if not FILE.search(name) and not is_step(name)]
+    assert len(named) > 100
+    assert [(place, setting) for place, setting in named if not exists(setting)] == []
+
+
+def test_keys_of_capture_yaml_that_messages_name_are_read() -> None:
+    source = Path(capture_yaml.__file__).read_text()
+    named = [(p, a or b) for p, text in messages() for a, b in IN_CAPTURE.findall(text)]
+    assert len({key for _, key in named}) > 5
+    assert [(place, key) for place, key in named if f'"{key}"' not in source] == []
