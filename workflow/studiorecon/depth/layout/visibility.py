@@ -26,8 +26,8 @@ _LINE_CELL_M, _LINE_STEP_M = 0.1, 0.05
 _CONFIDENCE, _BEFORE_M = 0.5, 0.3
 # A keypoint belongs to the nearest projected joint, within this share of the picture's longer side.
 _NEAR_SHARE = 0.03
-# Detectors guess hidden joints at times, so this many lines must cross a position.
-_MIN_LINES = 3
+# Detectors guess a hidden joint for some frames on end, so lines to this many joints must cross a position.
+_MIN_JOINTS = 3
 # Lines are counted in blocks of this size: a long film has millions of them, but a room has few cells.
 _LINES_AT_ONCE = 20_000
 
@@ -51,54 +51,53 @@ def free_ray_points(
     found: Sequence[Detections],
     whose: Mapping[tuple[str, int], str],
 ) -> Float[np.ndarray, "M 4"]:
-    """(M, 4) positions, one in ten centimetres, on lines of sight to at least three confident keypoints, with distance
-    0.
+    """(M, 4) positions, one in ten centimetres, on lines of sight to at least three joints with confident keypoints,
+    with distance 0.
 
     A line may graze a primitive. ``found`` are detections of any of the cameras in their working pixels, ``whose``
     names the person of (camera, track).
     """
-    bodies, views = {person.name: person for person in people}, {camera.name: camera for camera in cameras}
+    bodies = {person.name: (number, person) for number, person in enumerate(people)}
+    views = {camera.name: camera for camera in cameras}
     lines: list[np.ndarray] = []
-    places, crossed = np.zeros((0, 3)), np.zeros(0, np.int64)
-    for detections in found:
+    crossed = np.zeros((0, 4))
+    for view, detections in enumerate(found):
         camera = views.get(detections.camera)
         if camera is None:
             continue
         for frame, track, keypoints in zip(detections.frame, detections.track, detections.keypoints):
-            body = bodies.get(whose.get((detections.camera, int(track)), ""))
+            number, body = bodies.get(whose.get((detections.camera, int(track)), ""), (0, None))
             if body is None or not body.valid[int(frame)]:
                 continue
-            lines += [
-                _along(camera.centre_m, target) for target in _sighted(camera, keypoints, body.joints[int(frame)])
-            ]
+            joints_m = body.joints[int(frame)]
+            for joint in _sighted(camera, keypoints, joints_m):
+                points = _along(camera.centre_m, joints_m[joint])
+                of = (view * len(people) + number) * len(joints_m) + joint
+                lines.append(np.column_stack([points, np.full(len(points), float(of))]))
             if len(lines) >= _LINES_AT_ONCE:
-                places, crossed = _counted(places, crossed, lines)
-                lines = []
-    places, crossed = _counted(places, crossed, lines)
-    return with_distance(places[crossed >= _MIN_LINES], 0.0)
+                crossed, lines = _once([crossed, *lines]), []
+    crossed = _once([crossed, *lines])
+    _, first, joints = np.unique(np.round(crossed[:, :3] / _LINE_CELL_M), axis=0, return_index=True, return_counts=True)
+    return with_distance(crossed[first[joints >= _MIN_JOINTS], :3], 0.0)
 
 
-def _counted(places_m: np.ndarray, crossed: np.ndarray, lines: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (M, 3), one per cell, that lines have crossed so far, and how many did (M,), after adding ``lines``."""
-    points = np.concatenate([places_m, *lines])
-    cells, first, cell_of = np.unique(np.round(points / _LINE_CELL_M), axis=0, return_index=True, return_inverse=True)
-    times = np.ones(len(points), np.int64)
-    times[: len(crossed)] = crossed
-    found = np.zeros(len(cells), np.int64)
-    np.add.at(found, cell_of.reshape(-1), times)
-    return points[first], found
+def _once(lines: Sequence[np.ndarray]) -> np.ndarray:
+    """(M, 4) points of lines (L, 4: position, number of the joint), the first one per cell and joint."""
+    points = np.concatenate(lines)
+    cells = np.column_stack([np.round(points[:, :3] / _LINE_CELL_M), points[:, 3]])
+    return points[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
 
 def _sighted(camera: Camera, keypoints: np.ndarray, joints_m: np.ndarray) -> np.ndarray:
-    """(S, 3) joints (24, 3) at which one of the confident keypoints (K, 3: x, y, confidence) is."""
+    """(S,) numbers of the joints (24, 3) at which one of the confident keypoints (K, 3: x, y, confidence) is."""
     sure = keypoints[(keypoints[:, 2] >= _CONFIDENCE) & np.isfinite(keypoints).all(axis=1), :2]
     pixels, z = camera.project(joints_m)
     usable = np.isfinite(pixels).all(axis=1) & (z > 0)
     if not len(sure) or not usable.any():
-        return np.zeros((0, 3))
+        return np.zeros(0, np.int64)
     apart = np.linalg.norm(np.where(usable[:, None], pixels, np.inf)[None] - sure[:, None], axis=-1)
     nearest = apart.argmin(axis=1)
-    return joints_m[np.unique(nearest[apart.min(axis=1) <= _NEAR_SHARE * max(camera.wh)])]
+    return np.unique(nearest[apart.min(axis=1) <= _NEAR_SHARE * max(camera.wh)])
 
 
 def _along(centre_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
