@@ -15,6 +15,7 @@ from studiorecon.detector.crops import Region, sampled
 from studiorecon.detector.following import Walker, detect_people
 from studiorecon.detector.looking import Detector
 from studiorecon.detector.movenet import MoveNet, Sighting
+from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import stills
 from studiorecon.footage.source import open_source
@@ -35,10 +36,10 @@ def test_the_networks_are_those_that_were_baked(root: Path) -> None:
 def test_a_missing_network_and_another_one_are_refused(root: Path, tmp_path: Path) -> None:
     folder = root / "resources/detector"
     with pytest.raises(UserError, match=r"nowhere\.onnx is missing"):
-        Detector.of(tmp_path / "nowhere.onnx", folder / FILES[1])
+        DetectorFiles([tmp_path / "nowhere.onnx", folder / FILES[1]]).detector()
     for finder, placer in ((FILES[1], FILES[1]), (FILES[0], FILES[0])):
         with pytest.raises(UserError, match="another network"):
-            Detector.of(folder / finder, folder / placer)
+            DetectorFiles([folder / finder, folder / placer]).detector()
 
 
 def test_the_layout_names_what_the_landmarks_are() -> None:
@@ -195,7 +196,7 @@ def test_a_real_man_and_a_bystander_are_found_where_openpose_found_them(root: Pa
     folder = root / "resources/detector"
     source = open_source(real_data / "pose2sim_balancing/single/videos/cam03.mp4", 30.0)
     (picture,) = stills(source, [0])
-    seen = Detector.of(folder / FILES[0], folder / FILES[1]).detect_new_people(picture)
+    seen = DetectorFiles([folder / name for name in FILES]).detector().detect_new_people(picture)
     assert len(seen) == 1
     names = LAYOUTS[LAYOUT].keypoints
     there = {n: seen[0].keypoints[names.index(n)] for n in names}

@@ -12,6 +12,7 @@ import pytest
 from studiorecon.detect import people
 from studiorecon.detector.blazepose import LANDMARKS, MASK_PX, Landmarks
 from studiorecon.detector.crops import Region
+from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.source import open_source
 from studiorecon.scene.raw_detections import read_raw_detections
 
@@ -28,7 +29,7 @@ def test_a_film_that_announces_no_frames_is_looked_at_like_any_other(written: An
     film = written(tmp_path / "a.mkv", np.repeat(smooth_pictures(1), 12, axis=0))
     source = open_source(film, 30.0)
     assert source.frames == 12
-    people.run("a", film, [], 30.0, networks(root), [], "auto", tmp_path / "a.npz")
+    people.run("a", film, [], 30.0, DetectorFiles(networks(root)), tmp_path / "a.npz")
     assert read_raw_detections(tmp_path / "a.npz").looked == (0, 12)
 
 
@@ -36,7 +37,7 @@ def test_a_single_picture_is_a_capture_too(root: Path, tmp_path: Path) -> None:
     folder = tmp_path / "a"
     folder.mkdir()
     cv2.imwrite(str(folder / "0001.png"), smooth_pictures(1)[0])
-    people.run("a", folder, [], 30.0, networks(root), [], "auto", tmp_path / "a.npz")
+    people.run("a", folder, [], 30.0, DetectorFiles(networks(root)), tmp_path / "a.npz")
     found = read_raw_detections(tmp_path / "a.npz")
     assert (found.looked, len(found.frame)) == ((0, 1), 0)
 
@@ -45,6 +46,7 @@ class OfTheUpright:
     """Sees somebody whose head (white) is above the hips (grey), and nobody in any other picture."""
 
     placer = property(lambda self: self)
+    title = "upright"
 
     def look(self, picture: np.ndarray, region: Region) -> Landmarks:
         head, hips = (np.argwhere(picture[..., 0] == level)[0, ::-1] + 0.5 for level in (255, 200))
@@ -67,14 +69,14 @@ class OfTheUpright:
 def test_people_are_looked_for_upright_and_told_in_the_films_own_pixels(
     turns: int, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(people.Detector, "of", lambda *_: OfTheUpright())
+    monkeypatch.setattr(people.DetectorFiles, "detector", lambda _: OfTheUpright())
     picture = np.zeros((120, 200, 3), np.uint8)
     picture[30, 50], picture[70, 60] = 255, 200
     picture = np.rot90(picture, turns)
     (tmp_path / "a").mkdir()
     for number in range(4):
         cv2.imwrite(str(tmp_path / "a" / f"{number}.png"), picture)
-    people.run("a", tmp_path / "a", [], 30.0, networks(root), [], "auto", tmp_path / "a.npz")
+    people.run("a", tmp_path / "a", [], 30.0, DetectorFiles(networks(root)), tmp_path / "a.npz")
     found = read_raw_detections(tmp_path / "a.npz")
     assert found.frame.tolist() == [0, 1, 2, 3]
     head, hips = (np.argwhere(picture[..., 0] == level)[0, ::-1] + 0.5 for level in (255, 200))

@@ -12,7 +12,7 @@ import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX
 from studiorecon.detector.following import detect_people, keypoints_with_confidence
-from studiorecon.detector.looking import Detector
+from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.video import write_lossless
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.keypoints.detections import detections_from_detector
@@ -96,7 +96,7 @@ def looked_at(
     troupe = Actors(about, BodyModel.load(RESOURCES / "body.npz"), np.arange(about.frames) / about.fps)
     changed(troupe)
     files = [root / "resources/detector" / name for name in ("movenet_multipose.onnx", "pose_landmark_full.onnx")]
-    detector, found, witnesses, videos = Detector.of(*files), [], [], []
+    detector, found, witnesses, videos = DetectorFiles(files).detector(), [], [], []
     for camera, lens in zip(cameras, lenses):
         pictures = filmed(about, lens, troupe, extra, still)
         videos.append(folder / f"{camera.name}.mkv")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -44,7 +45,9 @@ def picture(shift_px: float | None) -> np.ndarray:
 def recognised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict]:
     """Scores of a film whose people are shifted by so many pixels from those of the photos (None: are missing)."""
     monkeypatch.setattr(recognition, "detect_keypoints", found_in)
-    monkeypatch.setattr(recognition.Detector, "of", lambda *_: None)
+    monkeypatch.setattr(
+        recognition.DetectorFiles, "detector", lambda _: SimpleNamespace(placer=SimpleNamespace(title="made"))
+    )
     cameras = ring([45, 135], "view")
     write_model(tmp_path / "heldout", cameras)
     lens = np.eye(3).tolist()

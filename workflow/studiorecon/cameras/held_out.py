@@ -169,7 +169,7 @@ def run(
     used: list[Camera] = []
     film = {path.stem: path for path in videos}
     look = settings.refine and bool(film) and any(len(d.frame) for d in seen)
-    network = detector.open() if look else None
+    network = detector.placer() if look else None
     chosen = evenly_spread(frames, _LOOKS)
     bodies = triangulate_bodies(chosen, training, seen, settings) if look else None
     for camera in progress(cameras, "held-out cameras"):

@@ -12,15 +12,13 @@ import numpy as np
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX
 from studiorecon.detector.film_rotation import busiest, film_from_turned, quarter_turns, rotate_picture
 from studiorecon.detector.following import detect_people, keypoints_with_confidence
-from studiorecon.detector.looking import Detector
-from studiorecon.detector.second_network import second_network
+from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import decode, glimpses, stills
 from studiorecon.footage.source import open_source
 from studiorecon.keypoints.resampling import used_range
 from studiorecon.progress import progress, say, warn
 from studiorecon.scene.clocks import read_clocks
-from studiorecon.scene.files import read_json
 from studiorecon.scene.raw_detections import RawDetections, write_raw_detections
 from studiorecon.signature import Written
 
@@ -33,18 +31,11 @@ def run(
     source: Path,
     clocks: list[Path],
     picture_fps: float,
-    networks: list[Path],
-    second: list[Path],
-    layout: str,
+    detector: DetectorFiles,
     found: Written,
 ) -> None:
     """Write who is in the frames of ``source`` to ``found`` (npz): in all, or in those that ``clocks`` (a file, or
-    none) chooses.
-
-    ``networks``: the finder's file, the landmarks', and the table of the confidence by their visibility;
-    ``second``: the user's own network, or none, and ``layout``: of its points.
-    """
-    finder, landmarks, table = networks
+    none) chooses."""
     try:
         footage = open_source(source, picture_fps)
     except UserError as refusal:
@@ -57,11 +48,9 @@ def run(
     start, count = used_range(read_clocks(clocks[0]), camera) if clocks else (0, 0)
     total = count or max(footage.frames - start, 0)
     moments = sorted({start + round(k * max(total - 1, 0) / (_COMPARED - 1)) for k in range(_COMPARED)})
-    own = second_network(second, layout)
-    detector = Detector.of(finder, landmarks, own)
-    worth = read_json(table)
+    network, worth = detector.detector(), detector.worth()
     shown = [moments[k] for k in busiest(stills(footage, moments), _SHOW_UP)]
-    turns = quarter_turns(detector, glimpses(footage, shown))
+    turns = quarter_turns(network, glimpses(footage, shown))
     if turns:
         say(f"camera {camera}: people are upright once its pictures are turned by {90 * turns}° counter-clockwise")
     linear, offset = np.split(film_from_turned(footage.wh, turns), [2], axis=1)
@@ -69,7 +58,7 @@ def run(
     width, height = footage.wh
     wh = (height, width) if turns % 2 else (width, height)
     rows, frames = [], 0
-    for frame, seen in enumerate(detect_people(pictures, detector, footage.fps), start):
+    for frame, seen in enumerate(detect_people(pictures, network, footage.fps), start):
         frames += 1
         for person in seen:
             keypoints = keypoints_with_confidence(person, wh, worth)
@@ -78,8 +67,7 @@ def run(
             affine = person.region.crop_from_picture(MASK_PX)
             affine = np.column_stack([affine[:, :2] @ linear.T, affine[:, 2] - affine[:, :2] @ linear.T @ offset[:, 0]])
             rows.append((frame, keypoints, person.presence, points_m, person.mask, affine))
-    with_what = f"{landmarks.stem} and {own.note} ({own.layout})" if own else landmarks.stem
-    looked = f"{with_what} at {footage.wh[0]}×{footage.wh[1]}, {frames} frames at {footage.fps:g} per second"
+    looked = f"{network.placer.title} at {footage.wh[0]}×{footage.wh[1]}, {frames} frames at {footage.fps:g} per second"
     write_raw_detections(found, RawDetections.of(camera, LAYOUT, LANDMARKS, rows, (start, frames), looked))
     if rows:
         say(f"camera {camera}: {len(rows)} detections in {len({row[0] for row in rows})} of {frames} frames ({looked})")

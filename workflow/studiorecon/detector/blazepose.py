@@ -70,6 +70,7 @@ class BlazePose:
         if (given := tuple(self._landmarks.get_inputs()[0].shape)) != (1, _CROP_PX, _CROP_PX, 3):
             raise UserError(f"{landmarks} takes an array of {given}, not BlazePose's; it is another network")
         self._second = second
+        self.title = f"{landmarks.stem} and {second.note} ({second.layout})" if second else landmarks.stem
         own = LAYOUTS[LAYOUT].keypoints
         theirs = LAYOUTS[second.layout].keypoints if second else ()
         self._shared = [(own.index(name), theirs.index(name)) for name in theirs if name in own]

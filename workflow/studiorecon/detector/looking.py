@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +12,6 @@ import numpy as np
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, PRESENT, BlazePose, Landmarks
 from studiorecon.detector.crops import Region, region_of_body
 from studiorecon.detector.movenet import MoveNet, Sighting
-from studiorecon.detector.second_network import SecondNetwork
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.tracking import distance_shares
 
@@ -47,12 +45,6 @@ class Detector:
 
     finder: MoveNet
     placer: BlazePose
-
-    @staticmethod
-    def of(finder: Path, landmarks: Path, second: SecondNetwork | None = None) -> Detector:
-        """From files; ``second`` has the say where points are. Raises UserError when a file is missing or another
-        network."""
-        return Detector(MoveNet(finder), BlazePose(landmarks, second))
 
     def detect_new_people(
         self, picture: Integer[np.ndarray, "H W 3"], known: Sequence[Landmarks] = (), closely: bool = False

@@ -3,24 +3,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from studiorecon.detector.blazepose import BlazePose
+from studiorecon.detector.looking import Detector
+from studiorecon.detector.movenet import MoveNet
 from studiorecon.detector.second_network import second_network
 from studiorecon.scene.files import read_json
 
 
 @dataclass(frozen=True)
 class DetectorFiles:
-    """``networks`` are the finder's, BlazePose's and its table of confidence, ``second`` is the user's own network, if
-    any, with ``layout`` for its points."""
+    """Files of the detector.
+
+    Attributes:
+        networks: MoveNet, which finds people; BlazePose, which places them; the confidence of its landmarks.
+        second: the user's own network, or none.
+        layout: of that network's points, or "auto".
+    """
 
     networks: list[Path]
-    second: list[Path]
-    layout: str
+    second: list[Path] = field(default_factory=list)
+    layout: str = "auto"
 
-    def open(self) -> BlazePose:
+    def detector(self) -> Detector:
+        """Both networks; raises UserError when a file is missing or another network."""
+        return Detector(MoveNet(self.networks[0]), self.placer())
+
+    def placer(self) -> BlazePose:
         """BlazePose, with the user's network: places people whose region is known."""
         return BlazePose(self.networks[1], second_network(self.second, self.layout))
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from studiorecon.detector.blazepose import MASK_PX, Landmarks
-from studiorecon.detector.looking import Detector
+from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_image, read_plate
 from studiorecon.images.encoded import write_png
@@ -80,7 +80,7 @@ def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
         # Decoded again, because this way the photo's orientation tag is applied.
         picture = np.ascontiguousarray(read_image(photo, cv2.IMREAD_COLOR)[..., ::-1])
         wh = picture.shape[1], picture.shape[0]
-        found = Detector.of(networks[0], networks[1]).detect_new_people(picture)
+        found = DetectorFiles(networks).detector().detect_new_people(picture)
         found = sorted(found, key=lambda seen: -seen.region.side)
         if not found:
             raise UserError(f"{photo} shows no person that the embedded detector finds; {_ASK}")

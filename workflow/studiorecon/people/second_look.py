@@ -246,7 +246,7 @@ def run(
     wanted = [filmed.used[frame] for frame in sorted({look[0] for look in plan.looks})]
     source = open_source(footage.source, footage.picture_fps)
     pictures = progress(stills(source, wanted), f"frames of {camera}", len(wanted))
-    looks = redetect(detector.open(), pictures, plan, people, own, view)
+    looks = redetect(detector.placer(), pictures, plan, people, own, view)
     result = improve_detections(own, plan, looks, people, owners, len(whole.frame))
     write_detections(detections, result)
     write_raw_detections(seen, whole.grown([view.raw(look) for look in looks]))

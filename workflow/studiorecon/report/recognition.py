@@ -17,11 +17,12 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.detector.following import keypoints_with_confidence
 from studiorecon.detector.looking import Detector
+from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.video import read_frames_from
 from studiorecon.progress import progress, say
 from studiorecon.report.metrics.films import JudgedFiles
 from studiorecon.report.metrics.pck import TruePerson, score
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.files import write_json
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -34,12 +35,12 @@ _SEEN, _MIN = 0.5, 6
 
 
 def run(files: JudgedFiles, networks: list[Path], recognition: Written) -> None:
-    """Write the scores of the film as rendered (``raw``) and as ``enhanced``; None for a version that is not there.
+    """Write the scores of the film as rendered (``raw``) and as ``enhanced``, by the detector of ``networks``.
 
-    ``networks``: the finder's file, the landmarks', and the table of the confidence by their visibility.
+    None for a version that is not there.
     """
-    finder, landmarks, table = networks
-    detector, worth = Detector.of(finder, landmarks), read_json(table)
+    opened = DetectorFiles(networks)
+    detector, worth = opened.detector(), opened.worth()
     judged = files.read()
     found: dict[str, list[tuple[list[np.ndarray], list[TruePerson]]]] = {name: [] for name in judged.films}
     for camera in progress(judged.cameras if judged.films else [], "cameras"):
@@ -68,7 +69,8 @@ def run(files: JudgedFiles, networks: list[Path], recognition: Written) -> None:
                 f"{one['pck_0.05']:.1%} of their points within 5 % of their size"
             )
     write_json(
-        recognition, {name: scores.get(name, nothing) for name in ("raw", "enhanced")} | {"detector": landmarks.stem}
+        recognition,
+        {name: scores.get(name, nothing) for name in ("raw", "enhanced")} | {"detector": detector.placer.title},
     )
 
 
