@@ -73,7 +73,7 @@ def cost(detector: str, folder: Path) -> dict[str, Any]:
         multi(detector, folder)
     video, found = DATA / f"pose2sim_balancing/multi/videos/{camera}.mp4", folder / "cost.npz"
     began = time.process_time()
-    detect.run(camera, video, [], 30.0, networks(detector), [], "auto", found)
+    detect.run(camera, video, [], 30.0, DetectorFiles(networks(detector)), found)
     first_s = time.process_time() - began
     second_look.run(
         loaded(second_look.Settings),
@@ -90,7 +90,7 @@ def cost(detector: str, folder: Path) -> dict[str, Any]:
             [scene / f"tracks/{c.name}.npz" for c in read_model(scene / "cameras")],
             scene / "people/first/identities.tsv",
         ),
-        DetectorFiles(networks(detector), [], "auto"),
+        DetectorFiles(DetectorFiles(networks(detector))),
         scene / "cameras/images.txt",
         ROOT / "resources/body.npz",
         *(folder / f"cost.{name}" for name in ("detections.npz", "seen.npz", "report.json")),
@@ -117,7 +117,7 @@ def people_in_pictures(detector: str, folder: Path) -> dict[str, Any]:
         one.mkdir(exist_ok=True, parents=True)
         if not (one / path.name).exists():
             (one / path.name).symlink_to(path)
-        detect.run(path.stem, one, [], 30.0, networks(detector), [], "auto", folder / f"{path.stem}.npz")
+        detect.run(path.stem, one, [], 30.0, DetectorFiles(networks(detector)), folder / f"{path.stem}.npz")
         boxes = [box_of(keypoints) for keypoints in read_raw_detections(folder / f"{path.stem}.npz").keypoints]
         share = open_source(one, 30.0).wh[0] / 728
         overlaps = np.array([[overlap(np.array(m) * share, box) for box in boxes] for m in marked])

@@ -18,6 +18,7 @@ from studiorecon.calibration.doctor import empty_detections
 from studiorecon.calibration.room_pictures import read_room_pictures, without_distortion
 from studiorecon.detect import keypoints as sightings
 from studiorecon.detect import people as detect
+from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.footage.source import open_source
 from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.plan.discovery import open_dataset
@@ -76,7 +77,7 @@ def found_in(camera: str, video: Path, folder: Path) -> Path:
     found = folder / "found" / f"{camera}.npz"
     if not found.exists():
         found.parent.mkdir(parents=True, exist_ok=True)
-        detect.run(camera, video, [], 30.0, networks("blazepose_heavy"), [], "auto", found)
+        detect.run(camera, video, [], 30.0, DetectorFiles(networks("blazepose_heavy")), found)
     return found
 
 

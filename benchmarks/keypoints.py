@@ -143,7 +143,7 @@ def main() -> None:
             seen[outcome(own, verdict(own, change(own, other), other))] += 1
         print(f"{name:36} {seen['right']:5} {seen['refused']:7} {seen['wrong']:5}  {wanted}", flush=True)
     still = [take(1000 + s, 80, 2, moving=0.1 * (s % 3)) for s in range(count)]
-    alarms = [v for own in still if (v := verdict(own, own.recorded, takes[0])).refusal or v.told]
+    alarms = [v for own in still if (v := verdict(own, own.recorded, takes[0])).refusal or v.notes]
     print(f"people who hardly move: {len(alarms)} false alarms of {count}")
 
 

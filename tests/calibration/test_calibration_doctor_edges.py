@@ -93,7 +93,7 @@ def test_edges_that_run_anywhere_change_nothing_and_that_is_said() -> None:
 
 def test_edges_of_one_camera_alone_say_nothing_of_two() -> None:
     report = examined(about_the_spot(ring(), OFF_DEG), [pictured(ring())[0], None, None, None])
-    assert report["edges"] == {"told": False, "clear": False}
+    assert report["edges"] == {"comparable": False, "clear": False}
 
 
 @pytest.mark.parametrize(("askew_deg", "named"), [(2.5, "check"), (6.0, "cannot tell")])

@@ -23,12 +23,12 @@ def test_what_is_mixed_up_is_put_right_or_named(takes: list[Take], row: str) -> 
     own, other = takes
     change, wanted = ROWS[row]
     found = verdict(own, change(own, other), other)
-    assert outcome(own, found) == ("refused" if wanted == "refused" else "right"), (found.refusal, found.told)
+    assert outcome(own, found) == ("refused" if wanted == "refused" else "right"), (found.refusal, found.notes)
     if wanted == "kept":
-        assert not found.told
+        assert not found.notes
         np.testing.assert_array_equal(found.recorded.keypoints, own.recorded.keypoints)
     elif row != "frozen":
-        assert found.told or "camera a" in found.refusal
+        assert found.notes or "camera a" in found.refusal
     if row == "of another film":
         return
     if wanted == "mended" and row not in ("12 frames late", "numbered from 1, last ones missing"):
@@ -44,7 +44,7 @@ def test_keypoints_of_the_stored_picture_of_an_anamorphic_film(takes: list[Take]
     given = replace(own.recorded, keypoints=points)
     found = verdict(own, given, takes[1], stored_wh)
     assert not found.refusal
-    assert any("as it is stored" in sentence for sentence in found.told)
+    assert any("as it is stored" in sentence for sentence in found.notes)
     np.testing.assert_allclose(found.recorded.keypoints[..., :2], own.recorded.keypoints[..., :2], atol=0.5)
 
 
@@ -60,7 +60,7 @@ def test_people_who_stand_still_raise_no_alarm(seed: int) -> None:
     own = take(100 + seed, 60, moving=0.0)
     found = verdict(own, own.recorded, own)
     assert not found.refusal
-    assert not found.told
+    assert not found.notes
 
 
 def test_an_empty_room_is_no_fault(takes: list[Take]) -> None:

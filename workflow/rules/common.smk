@@ -121,7 +121,7 @@ files = Files(PLAN, config, HOME, local, checkpoints)
 # The container image of that name, that of an upstream network, and the GPUs that a job of it holds.
 image, model_image, gpus = IMAGES.named, IMAGES.of_network, IMAGES.gpus
 
-# The cameras of results: a step is told the first file, and reads the other beside it.
+# The cameras of results: a step gets the first file, and reads the other in its folder.
 MODEL = [f"results/{{scene}}/cameras/{name}.txt" for name in ("images", "cameras")]
 HELDOUT_MODEL = [f"results/{{scene}}/cameras/heldout/{name}.txt" for name in ("images", "cameras")]
 
@@ -137,7 +137,7 @@ TRAINED = {
 
 
 def settings(step):
-    """What one step is told of the configuration, as JSON."""
+    """The settings that one step reads, as JSON."""
     return step_config.step_settings(step, config)
 
 

@@ -106,8 +106,8 @@ def _find_module(package: Path) -> tuple[dict[str, int], dict[str, Path]]:
 
 def _read(path: Path) -> tuple[str, list[str]]:
     """Digest of a source file's syntax tree without docstrings, and its imports from ``studiorecon``."""
-    told = os.stat(path)
-    return _parsed(path, told.st_mtime_ns, told.st_size)
+    described = os.stat(path)
+    return _parsed(path, described.st_mtime_ns, described.st_size)
 
 
 # A file is needed once per step that reaches it: thirty times before a run.

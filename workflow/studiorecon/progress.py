@@ -118,9 +118,9 @@ def progress(items: Iterable[T], what: str, total: int | None = None) -> Iterato
         from tqdm import tqdm
 
         items = tqdm(items, desc=what, total=total, leave=False, file=sys.stderr)
-    told = time.monotonic()
+    logged_s = time.monotonic()
     for done, item in enumerate(items, start=1):
         yield item
-        if time.monotonic() - told > _LOG_EVERY_S:
-            told = time.monotonic()
+        if time.monotonic() - logged_s > _LOG_EVERY_S:
+            logged_s = time.monotonic()
             LOGGER.debug(f"{what}: {done} of {total}" if total else f"{what}: {done}")

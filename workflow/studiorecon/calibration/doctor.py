@@ -83,7 +83,7 @@ def examine(
     ``detections`` of cameras without keypoints are empty. ``lens_readings``: cameras and detections under other lens
     models, by the names of ``hypotheses.LENS_READINGS``. ``sync``: results about clocks (``sentences``, and the
     ``refusal`` that the footage will raise, or ""). ``doubts``: the calibration's own. ``keypoints``: sentences from
-    their comparison with the films, ``refused`` and ``told``. ``rooms``: the room without people in each camera, None
+    their comparison with the films, ``refused`` and ``notes``. ``rooms``: the room without people in each camera, None
     where it was not computed.
     """
     names = [c.name for c in cameras]
@@ -110,10 +110,10 @@ def examine(
         table.append({**row, "median_px": _median_px(cams, found, chosen, settings)})
     fps = max(float(a["fps"]) for a in about)
     watched = active_cameras(detections, fps)
-    told = settings.gate_m, settings.limits, settings.bundle
+    described = settings.gate_m, settings.limits, settings.bundle
     refined, odd = None, None
     if people:
-        refined = refined_on_people(cameras, detections, watched, frames, median, 0.5 * limit_px, *told, rooms)
+        refined = refined_on_people(cameras, detections, watched, frames, median, 0.5 * limit_px, *described, rooms)
     if people and (median is None or any(e is None or e > limit_px for e in each)):
         odd = find_outlier_camera(cameras, detections, chosen, settings.gate_m, settings.limits)
         if odd is not None and (not odd.cause or odd.turned) and refined is not None and refined.elsewhere:
@@ -144,7 +144,7 @@ def examine(
             for lag in found_lags
         },
         "sync": dict(sync or {"sentences": [], "refusal": ""}),
-        "keypoints": {key: list((keypoints or {}).get(key, [])) for key in ("refused", "told")},
+        "keypoints": {key: list((keypoints or {}).get(key, [])) for key in ("refused", "notes")},
         "footage": {a["camera"]: dict(a) for a in about},
         "facts": sanity.camera_facts(cameras),
         "oddities": [*doubts, *sanity.calibration_notes(cameras)],
@@ -332,16 +332,16 @@ def run(
     readings = {
         name: read(model) for name, model in LENS_READINGS.items() if any(lenses[c].model != model for c in cameras)
     }
-    told = {"sentences": [f["sentence"] for f in found["cameras"]], "refusal": read_clocks(clocks).refusal}
+    described = {"sentences": [f["sentence"] for f in found["cameras"]], "refusal": read_clocks(clocks).refusal}
     # Cameras that filmed people, or all: the room in held-out pictures is not used.
     asked = [c in seen or not seen for c in cameras]
     rooms = _rooms(sources, pinholes, [lenses[c] for c in cameras], moments, asked)
     compared = {
         "refused": [v["refusal"] for v in decided if v.get("refusal")],
-        "told": [sentence for v in decided for sentence in v.get("told", [])],
+        "notes": [sentence for v in decided for sentence in v.get("notes", [])],
     }
     doubts = calibrated.about["doubts"] or []
-    result, points = examine(pinholes, detections, about, settings, readings, told, doubts, rooms, compared)
+    result, points = examine(pinholes, detections, about, settings, readings, described, doubts, rooms, compared)
     pictures = [both[-1] for both in looks]
     if result["shown_frame"] is not None:
         pictures = [glimpses(film, [int(of[result["shown_frame"]])])[0] for film, of in zip(films, moments)]

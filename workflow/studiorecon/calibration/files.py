@@ -113,7 +113,7 @@ def paired_lenses(
     by_name = {c.name: c for c in reading.cameras}
     checked = [check_camera(c, by_name[matched[c]], source) for c in cameras]
     chosen = [camera for camera, _ in checked]
-    notes = [*reading.notes, *(n for _, told in checked for n in told), *([note] if note else [])]
+    notes = [*reading.notes, *(n for _, described in checked for n in described), *([note] if note else [])]
     if sizeless := [name for name, c in zip(cameras, chosen, strict=True) if 0 in c.wh]:
         notes.append(f"{source} has no picture size of {', '.join(sizeless)}: that of the films was taken")
     left_out = [c.name for c in reading.cameras if c.name not in matched.values()]

@@ -119,8 +119,8 @@ def pose_cameras(
     lens = LensPrior(np.array([wide.get(n, about.focal_unknown_sigma) for n in names]), 0.0)
     known_px = {v: known[n] for v, n in enumerate(names) if n in known}
     rig, result = self_calibrate(found.rig, found.seen, template_m, lens, known_px, settings)
-    told = {v: edges[n] for v, n in enumerate(names) if n in edges} if edges else {}
-    rig, result, turns = rotate_by_edges(rig, result, found.seen, template_m, lens, known_px, told, settings)
+    described = {v: edges[n] for v, n in enumerate(names) if n in edges} if edges else {}
+    rig, result, turns = rotate_by_edges(rig, result, found.seen, template_m, lens, known_px, described, settings)
     pictures = [(rooms or {}).get(n) for n in names]
     rig, result, marks = align_to_ground_plane(
         rig, result, found.seen, template_m, lens, known_px, pictures, settings, turns
@@ -158,9 +158,9 @@ def pose_cameras(
         "uncertain": uncertain,
         "on_floor": {} if marks is None else {f"{names[a]} {names[b]}": n for (a, b), n in marks.seen_by.items()},
         "along_edges": {names[v]: turn.along for v, turn in turns.items()},
-        "scale": scale.told,
+        "scale": scale.basis,
         "scale_sigma": scale.sigma,
-        "focal_from": {n: "given" if n in focal_px else "told by the file" if n in known else "people" for n in names},
+        "focal_from": {n: "given" if n in focal_px else "the file" if n in known else "people" for n in names},
     }
     return cameras, report
 

@@ -159,8 +159,8 @@ def run(
     rest = BodyModel.load(body)
     torso = rest.keypoints(TORSO, np.zeros((1, 72)), np.zeros(rest.shapes), np.zeros((1, 3)))[0]
     torso_m = float(np.linalg.norm(torso[:2].mean(axis=0) - torso[2:].mean(axis=0)))
-    factor, told = metres_per_unit(lengths, torso_m, found.metric, card_of(settings.source).title)
-    say(told)
+    factor, described = metres_per_unit(lengths, torso_m, found.metric, card_of(settings.source).title)
+    say(described)
     for path, depth, sure in zip(depths, found.depths, found.confidences, strict=True):
         write_depth(path, factor * depth, sure)
     write_model(model.parent, [in_metres(camera, size, factor) for camera, size in zip(found.cameras, wh)])

@@ -61,19 +61,19 @@ def model_in(table: Mapping[str, Any], where: str) -> str:
 
     Raises UserError for an unknown name, and for entries that contradict each other.
     """
-    told = {}
+    described = {}
     for key, value in table.items():
         plain = _plain(key).lower()
         if plain in _FLAGS and value is not None:
             if _plain(value) not in _SAYS:
                 raise UserError(f"{where}: {key} is {short_text(value)}; it must be true or false")
-            told[key] = "fisheye" if _SAYS[_plain(value)] else "opencv"
+            described[key] = "fisheye" if _SAYS[_plain(value)] else "opencv"
         elif plain in _MODELS and isinstance(value, str):
-            told[key] = model_named(value, where)
-    if len(set(told.values())) > 1:
-        listed = " and ".join(f"{key} {short_text(table[key])}" for key in told)
+            described[key] = model_named(value, where)
+    if len(set(described.values())) > 1:
+        listed = " and ".join(f"{key} {short_text(table[key])}" for key in described)
         raise UserError(f"{where}: {listed} are two different lenses; keep the right one")
-    return next(iter(told.values()), "opencv")
+    return next(iter(described.values()), "opencv")
 
 
 def coefficients(model: str, values: object, where: str) -> Num[np.ndarray, " C"]:

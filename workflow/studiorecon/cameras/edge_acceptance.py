@@ -30,8 +30,8 @@ def apply_edge_refinement(
     before = edge_contradiction(adjusted, edge_rotations(adjusted, rooms))
     if before is None or not len(seen.frame):
         return adjusted, report
-    told: dict[str, Any] = {"cameras": before.cameras, "off_deg": before.off_deg, "off_sigmas": before.sigmas}
-    report = {**report, "edges": {**told, "believed": False}}
+    edges: dict[str, Any] = {"cameras": before.cameras, "off_deg": before.off_deg, "off_sigmas": before.sigmas}
+    report = {**report, "edges": {**edges, "believed": False}}
     if not before.clear:
         return adjusted, report
     found = refine_on_edges(given, adjusted, seen, rooms, limits, bundle)
@@ -56,7 +56,7 @@ def apply_edge_refinement(
         + f"; relative to one another they are known to ±{found.between_deg:.1f}° (95 %), where walls and furniture "
         "are square"
     )
-    told |= {
+    edges |= {
         "believed": True,
         "off_after_deg": found.off_deg,
         "between_deg": found.between_deg,
@@ -64,4 +64,4 @@ def apply_edge_refinement(
         "people_px_after": px[1],
     }
     reason = "the room's straight edges require it"
-    return found.cameras, {**report, "refined": True, "reason": reason, "changes": changes, "edges": told}
+    return found.cameras, {**report, "refined": True, "reason": reason, "changes": changes, "edges": edges}

@@ -63,9 +63,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"studiorecon {_version()}")
     words = parser.add_subparsers(metavar="WORD")
 
-    def word(name: str, does: Any, told: str, runs: bool = True) -> argparse.ArgumentParser:
+    def word(name: str, does: Any, goal: str, runs: bool = True) -> argparse.ArgumentParser:
         made = words.add_parser(
-            name, help=told, description=told[0].upper() + told[1:] + ".", epilog=parser.epilog if runs else None
+            name, help=goal, description=goal[0].upper() + goal[1:] + ".", epilog=parser.epilog if runs else None
         )
         made.set_defaults(word=does)
         if runs:

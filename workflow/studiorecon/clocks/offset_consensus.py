@@ -128,8 +128,8 @@ def count_contradictions(
         for c, own in enumerate(weaker)
         if own is not None
     ]
-    told = [(own, others) for own, others in both if others and own.half_s > 0]
-    return sum(any(contradict(own, o) for o in others if o) for own, others in told), len(told)
+    compared = [(own, others) for own, others in both if others and own.half_s > 0]
+    return sum(any(contradict(own, o) for o in others if o) for own, others in compared), len(compared)
 
 
 def combine_proposals(

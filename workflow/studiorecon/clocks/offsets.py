@@ -122,10 +122,10 @@ def clock_sentence(
     fps: float,
 ) -> str:
     """One sentence about one camera's clock, with all proposals."""
-    told = [f"{p.method} {_signed(p.offset_s)} ± {p.half_s:.3f} s" for p in proposals]
-    told += [f"{method}: {reason}" for method, reason in why.items()]
+    text = [f"{p.method} {_signed(p.offset_s)} ± {p.half_s:.3f} s" for p in proposals]
+    text += [f"{method}: {reason}" for method, reason in why.items()]
     if verdict.kind == "in step":
-        return f"{camera}: in step with {reference} within {verdict.half_s:.3f} s ({'; '.join(told)})"
+        return f"{camera}: in step with {reference} within {verdict.half_s:.3f} s ({'; '.join(text)})"
     if verdict.kind == "found":
         frames = verdict.offset_s * fps
         way = "after" if frames > 0 else "before"
@@ -137,10 +137,10 @@ def clock_sentence(
         return (
             f"{camera}: started {abs(verdict.offset_s):.3f} ± {verdict.half_s:.3f} s "
             f"({abs(frames):.2f} frames) {way} {reference}{drift} "
-            f"({'; '.join(told)})"
+            f"({'; '.join(text)})"
         )
     return (
-        f"{camera}: when it was started is undetermined, {verdict.reason} ({'; '.join(told) or 'nothing to compare'})"
+        f"{camera}: when it was started is undetermined, {verdict.reason} ({'; '.join(text) or 'nothing to compare'})"
     )
 
 
@@ -167,8 +167,8 @@ def estimate_clocks(
     sized = {c: (lenses[c], source.wh) for c, source in zip(cameras, sources) if source and c in lenses}
     seen = [read_detections(p) for p in sightings]
     pairs["people"], why["people"] = people_pair(seen, clocks, rate, sized)
-    told = [sum(any(c in (p.first, p.second) for p in pairs[m]) for m in pairs) for c in range(count)]
-    if min(told) < 2:
+    votes = [sum(any(c in (p.first, p.second) for p in pairs[m]) for m in pairs) for c in range(count)]
+    if min(votes) < 2:
         energies = [sync.read_motion_energy(s) if s else np.zeros(0) for s in progress(sources, "motion")]
         pairs["motion"], why["motion"] = motion_pairs(energies, clocks, rate)
     reference, proposed = _proposed(pairs, count)
@@ -367,9 +367,9 @@ def _compare_with_given(
     fps = {c.camera: c.fps for c in clocks}
     for f in (f for f in found if f["kind"] in ("in step", "found")):
         camera = f["camera"]
-        told = given.get(reference, 0.0) / fps[reference] - given.get(camera, 0.0) / fps[camera]
-        if abs(told - f["offset_s"]) > f["half_s"] + 1 / fps[camera]:
+        given_s = given.get(reference, 0.0) / fps[reference] - given.get(camera, 0.0) / fps[camera]
+        if abs(given_s - f["offset_s"]) > f["half_s"] + 1 / fps[camera]:
             warn(
-                f"starts in capture.yaml puts {camera} {_signed(told)} s after {reference}, which is "
+                f"starts in capture.yaml puts {camera} {_signed(given_s)} s after {reference}, which is "
                 f"used; but {f['sentence']}"
             )

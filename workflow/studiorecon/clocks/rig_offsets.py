@@ -61,12 +61,12 @@ def offsets_vs_rig(
     None where fewer than three such cameras exist, clocks do not converge, or some are clearly late and joints fit
     hardly better for it.
     """
-    told = {d.camera: d for d in seen if len(d.frame)}
-    index = [i for i, c in enumerate(clocks) if c.camera in told and c.camera in lenses]
+    with_people = {d.camera: d for d in seen if len(d.frame)}
+    index = [i for i, c in enumerate(clocks) if c.camera in with_people and c.camera in lenses]
     if len(index) < 3:
         return None
     mine = [clocks[i] for i in index]
-    asked = [told[c.camera] for c in mine]
+    asked = [with_people[c.camera] for c in mine]
     added, looked = np.zeros(len(mine)), list[_Looked]()
     cameras: list[Camera] = []
     for _ in range(_ROUNDS):

@@ -84,9 +84,9 @@ def common_moments(clocks: Sequence[Clock], first: int, count: int) -> Clocks:
     left = whole.frames - first
     if left < 1 or count > left:
         wanted = f"{first} to {first + count - 1}" if count else f"{first} and after"
-        told = (
+        described = (
             f"the videos have {whole.frames} frames in common, but capture.yaml requests frames "
             f"{wanted}; change frames: in capture.yaml"
         )
-        return replace(whole, frames=0, refusal=told)
+        return replace(whole, frames=0, refusal=described)
     return replace(whole, start_s=whole.start_s + first / fps, frames=count or left)

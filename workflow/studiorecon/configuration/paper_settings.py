@@ -148,11 +148,11 @@ def page() -> str:
     """The text of docs/paper.md."""
     config, rows = merged(), []
     for name, setting in paper_values():
-        told = setting.described
-        letter = "" if told.paper_value is None else f"`{value_text(told.paper_value)}`"
+        about = setting.described
+        letter = "" if about.paper_value is None else f"`{value_text(about.paper_value)}`"
         shown = "see config.yaml" if isinstance(setting.default, Mapping) else f"`{value_text(setting.default)}`"
         here = "" if isinstance(setting.default, Mapping) else f"`{value_text(value_at(config, name))}`"
-        cells = [f"`{name}`", told.paper, shown, letter, here, state(name, setting, config)]
+        cells = [f"`{name}`", about.paper, shown, letter, here, state(name, setting, config)]
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
     held = [
         f"| `{place.partition(':')[0]}` `{name}` | {where} | `{value_text(constant(place, name))}` |\n"

@@ -25,25 +25,25 @@ def section_schema(settings: Iterable[Setting], meaning: str, required: bool = T
 
 def build_schema(setting: Setting) -> dict[str, Any]:
     """The schema of one setting or section."""
-    told = setting.described
+    about = setting.described
     if setting.is_section:
-        return section_schema(setting.inner(), told.meaning)
+        return section_schema(setting.inner(), about.meaning)
     default = {} if setting.default is dataclasses.MISSING else {"default": plain(setting.default)}
     return _shape(setting) | default
 
 
 def _shape(setting: Setting) -> dict[str, Any]:
-    told = setting.described
-    if told.shape is not None:
-        return {"description": told.meaning, **told.shape}
+    about = setting.described
+    if about.shape is not None:
+        return {"description": about.meaning, **about.shape}
     if choices := literal_choices(setting):
-        return {"description": told.meaning, "enum": list(choices)}
+        return {"description": about.meaning, "enum": list(choices)}
     # Other types that code may put there (an array) cannot be in a configuration.
     kinds = [kind for kind in union_members(setting.kind) if kind in _TYPES or typing.get_origin(kind)]
     options = [_typed(kind, setting) for kind in kinds]
     if len(options) > 1 and all(set(option) == {"type"} for option in options):
         options = [{"type": [option["type"] for option in options]}]
-    return {"description": told.meaning, **(options[0] if len(options) == 1 else {"oneOf": options})}
+    return {"description": about.meaning, **(options[0] if len(options) == 1 else {"oneOf": options})}
 
 
 def _typed(kind: Any, setting: Setting) -> dict[str, Any]:

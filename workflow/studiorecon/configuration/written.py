@@ -93,10 +93,10 @@ def _lines(settings: Iterable[Setting], indent: int) -> Iterator[str]:
 
 def _wrapped(setting: Setting) -> str:
     """Meaning, choices, unit and the paper's value in one line of words."""
-    told = setting.described
+    info = setting.described
     choices = f" One of {', '.join(literal_choices(setting))}." if literal_choices(setting) else ""
-    notes = "; ".join(filter(None, [told.unit, f"paper: {told.paper}" if told.paper else ""]))
-    return f"{told.meaning}{choices}{f' ({notes})' if notes else ''}"
+    notes = "; ".join(filter(None, [info.unit, f"paper: {info.paper}" if info.paper else ""]))
+    return f"{info.meaning}{choices}{f' ({notes})' if notes else ''}"
 
 
 def _comment(words: str, indent: int) -> list[str]:
@@ -132,13 +132,13 @@ def _table(settings: Iterable[Setting], above: str = "") -> Iterator[str]:
 
 def allowed(setting: Setting) -> str:
     """The allowed values of a setting, in short: its words, or its bounds and unit."""
-    told = setting.described
+    info = setting.described
     if choices := literal_choices(setting):
         return ", ".join(f"`{choice}`" for choice in choices)
-    low = f"≥ {told.minimum:g}" if told.minimum is not None else f"> {told.above:g}" if told.above is not None else ""
-    high = f"≤ {told.maximum:g}" if told.maximum is not None else f"< {told.below:g}" if told.below is not None else ""
-    bounds = ", ".join(filter(None, [low, high, "odd" if told.odd else ""]))
-    return " ".join(filter(None, [bounds, told.unit]))
+    low = f"≥ {info.minimum:g}" if info.minimum is not None else f"> {info.above:g}" if info.above is not None else ""
+    high = f"≤ {info.maximum:g}" if info.maximum is not None else f"< {info.below:g}" if info.below is not None else ""
+    bounds = ", ".join(filter(None, [low, high, "odd" if info.odd else ""]))
+    return " ".join(filter(None, [bounds, info.unit]))
 
 
 def main() -> None:

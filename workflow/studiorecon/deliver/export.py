@@ -223,9 +223,9 @@ def run(
     for path, name in there.items():
         if name not in delivered and not name.endswith(OF_OTHER_STEPS):
             path.unlink()
-    told = {"scene": capture.scene, "still_frame": _STILL_FRAME, "fps": capture.fps, "frames": capture.frames}
+    described = {"scene": capture.scene, "still_frame": _STILL_FRAME, "fps": capture.fps, "frames": capture.frames}
     listed = {"cameras": [_as_listed(camera) for camera in cameras]}
-    write_json(contents, told | listed | {"files": {name: digest(folder / name) for name in delivered}})
+    write_json(contents, described | listed | {"files": {name: digest(folder / name) for name in delivered}})
     size_mb = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 1e6
     say(f"{len(delivered)} files are in {folder}, {size_mb:.1f} MB")
 

@@ -103,13 +103,13 @@ def render_poster(scene: FinishedScene) -> Integer[np.ndarray, "H W 3"]:
     return to_bytes(drawn.rgb)
 
 
-def build_page(title: str, told: dict[str, Any], held: Bytes, poster: bytes, parts: Sequence[Path]) -> str:
+def build_page(title: str, data: dict[str, Any], held: Bytes, poster: bytes, parts: Sequence[Path]) -> str:
     """The complete page from its ``parts`` (page.html and the scripts); names from the capture are escaped."""
     source = {path.stem: path.read_text(encoding="utf-8") for path in parts}
     page, scripts = source["page"], "\n".join(source[name] for name in SCRIPTS)
     filled = {
         "title": html.escape(title),
-        "scene": json.dumps(told, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
+        "scene": json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
         "bytes": held.text(),
         "poster": "data:image/jpeg;base64," + base64.b64encode(poster).decode("ascii"),
         "scripts": f'(() => {{\n"use strict";\n{scripts}\n}})();',
@@ -142,21 +142,21 @@ def run(
     shaded = None
     for path in shade:
         shaded = read_shade(path, finished.room.count)
-    told, sentences = describe_scene(finished, held, factors, shaded)
+    data, sentences = describe_scene(finished, held, factors, shaded)
     if shaded is None and finished.people:
         sentences.append(
             "people cast no shadows here: the survey measured no moving shadows, or no light that explains them"
         )
-    sentences += add_footage(held, told["cameras"], videos, finished.capture.frames, finished.capture.fps)
+    sentences += add_footage(held, data["cameras"], videos, finished.capture.frames, finished.capture.fps)
     picture = jpeg(render_poster(finished), QUALITY)
     with complete(poster) as partial:
         partial.write_bytes(picture)
     write_text(
-        page, build_page(f"{finished.name}: 4D scene", told | {"notes": [*sentences, *_ALWAYS]}, held, picture, parts)
+        page, build_page(f"{finished.name}: 4D scene", data | {"notes": [*sentences, *_ALWAYS]}, held, picture, parts)
     )
     for sentence in sentences:
         say(f"player: {sentence}")
-    count = sum(entry["count"] for entry in told["sets"])
+    count = sum(entry["count"] for entry in data["sets"])
     say(
         f"the player holds {count} Gaussians, {len(finished.people)} people and {len(finished.things)} things over "
         f"{finished.capture.frames} frames in {page.stat().st_size / 1e6:.1f} MB: {page}"

@@ -49,19 +49,19 @@ def describe_scene(
     """The description that the page reads with the bytes in ``held``, which this fills; and sentences on omitted or
     simplified parts.
     """
-    told: list[str] = []
+    described: list[str] = []
     frames = scene.capture.frames
     bodies = max(len(scene.people) + len(scene.things), 1)
     times = moments(frames, max(2, MOTION_BYTES // (bodies * _POSE_BYTES)))
     if len(times) < frames and (scene.people or scene.things):
-        told.append(
+        described.append(
             f"motion is sampled at {len(times)} moments of {frames} frames, between which it is continued "
             f"({(frames - 1) / (len(times) - 1):.1f} frames)"
         )
     room, order = gaussians(held, scene.room, scene.provenance)
     sets = [{"name": "room", "kind": "room", **room}]
     if shade is not None and len(shade.at):
-        sets[0]["shade"] = shades(held, shade, order, told)
+        sets[0]["shade"] = shades(held, shade, order, described)
     for person in scene.people:
         own, order = gaussians(held, person.gaussians, person.provenance)
         own |= {"motion": skeleton(held, person, times)} | skin(held, person.bones[order], person.weights[order])
@@ -69,7 +69,7 @@ def describe_scene(
             places = len(person.network.control.points_m) if person.network.control else 512
             few = moments(frames, max(2, CHANGES_BYTES // max(len(scene.people), 1) // (8 * places)))
             own["changes"], off = changes(held, person, order, few)
-            told.append(
+            described.append(
                 f"colours of {person.person} that change over time are sampled at {len(few)} moments and {places} "
                 f"places, within {100 * off:.1f} %"
             )
@@ -98,7 +98,7 @@ def describe_scene(
             "strongest": float(ALPHA_MAX),
             "margin": float(FRAME_MARGIN),
         },
-    }, told
+    }, described
 
 
 def gaussians(
@@ -126,14 +126,14 @@ def gaussians(
     return found, order
 
 
-def shades(held: Bytes, shade: Shade, order: Integer[np.ndarray, " N"], told: list[str]) -> dict[str, Any]:
+def shades(held: Bytes, shade: Shade, order: Integer[np.ndarray, " N"], described: list[str]) -> dict[str, Any]:
     """The room's shade over time, for the Gaussians that are ever shaded."""
     some = (np.abs(shade.factors - 1) > 0.5 * _SHADE_MAX / 255).any(axis=0)
     place = np.argsort(order, kind="stable")[shade.at[some]]
     sorting = np.argsort(place, kind="stable")
     kept = moments(len(shade.times), max(2, SHADE_BYTES // max(len(place), 1))).round().astype(int)
     if len(kept) < len(shade.times):
-        told.append(f"shadows are sampled at {len(kept)} of {len(shade.times)} moments")
+        described.append(f"shadows are sampled at {len(kept)} of {len(shade.times)} moments")
     factors = shade.factors[kept][:, some][:, sorting]
     return {
         "at": held.whole(place[sorting], 24),

@@ -78,10 +78,10 @@ def camera_node(camera: Camera) -> tuple[dict[str, Any], dict[str, Any]]:
     """
     (width, height), (_, fy) = camera.wh, camera.focal_px
     shown = {"yfov": 2 * float(np.arctan(height / (2 * fy))), "aspectRatio": width / height, "znear": _NEAR_M}
-    told = {"wh": list(camera.wh), "focal_px": list(camera.focal_px), "principal_px": list(camera.principal_px)}
+    described = {"wh": list(camera.wh), "focal_px": list(camera.focal_px), "principal_px": list(camera.principal_px)}
     turned = rotations.to_quaternion(Y_UP_FROM_Z_UP @ camera.world_from_camera[:3, :3] @ _OPENGL_FROM_OPENCV)
     place = Y_UP_FROM_Z_UP @ camera.centre_m
-    made = {"name": camera.name, "type": "perspective", "perspective": shown, "extras": told}
+    made = {"name": camera.name, "type": "perspective", "perspective": shown, "extras": described}
     return made, {"name": camera.name, "rotation": turned[[1, 2, 3, 0]].tolist(), "translation": place.tolist()}
 
 

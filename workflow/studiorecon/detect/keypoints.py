@@ -64,7 +64,7 @@ def run(
     film's first frame in the keypoint files, or "auto". ``keypoints`` are one file or folder, or one for every chapter
     of ``source``. ``others``: keypoints of ``other_cameras``, compared when those of ``camera`` do not fit its film.
     """
-    about = {"camera": camera, "wh": [0, 0], "pixel_map": json.loads(pixel_map), "refusal": "", "told": []}
+    about = {"camera": camera, "wh": [0, 0], "pixel_map": json.loads(pixel_map), "refusal": "", "notes": []}
     try:
         filmed = open_source(source, picture_fps)
     except UserError as refusal:
@@ -80,8 +80,8 @@ def run(
         else:
             rest = dict(zip(other_cameras, others, strict=True))
             first = None if first_frame == "auto" else int(first_frame)
-            own, told = _compared(settings, camera, keypoints, rest, layout, first, filmed, pixel_map)
-            about |= {"refusal": own.refusal, "told": told}
+            own, described = _compared(settings, camera, keypoints, rest, layout, first, filmed, pixel_map)
+            about |= {"refusal": own.refusal, "notes": described}
             frames = int(own.pictures[-1]) + 1 if len(own.pictures) else 0
             found = detections_from_recorded(own, *_as_filmed(camera, filmed, frames, pixel_map), settings)
             found = _nobody(camera) if own.refusal else found
@@ -127,11 +127,11 @@ def _compared(
         return found
 
     verdict = check_against_film(replace(given, layout=chosen), numbers, film, theirs)
-    for sentence in [*verdict.told, *filter(None, [verdict.refusal])]:
+    for sentence in [*verdict.notes, *filter(None, [verdict.refusal])]:
         warn(sentence)
     if verdict.lift is not None and verdict.lift > BORNE_OUT and not verdict.refusal:
         say(f"camera {camera}: its keypoints follow what moves in its film (agreement {verdict.lift:.2f} of 1)")
-    return replace(verdict.recorded, refusal=verdict.refusal), list(verdict.told)
+    return replace(verdict.recorded, refusal=verdict.refusal), list(verdict.notes)
 
 
 def _of_chapters(paths: Sequence[Path], filmed: FootageSource, first_frame: int | None) -> RecordedKeypoints:

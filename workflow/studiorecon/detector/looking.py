@@ -22,16 +22,15 @@ if TYPE_CHECKING:
 _SEARCHED_PX = (320, 640)
 # The same of a close look: people of 40 pixels are found at this size, and at twice the size it would take 1.5 s.
 _CLOSE_PX = 1280
-# Whoever is larger, as a share of the picture's longer side, is found without it: what it takes for them is somebody's
-# part.
+# Larger people (share of the longer side) need no close look: at that size it sees parts of them as people.
 _SMALL_SHARE = 0.125
-# How sure the finder must be of somebody.
+# Least score of a sighting, of 1: low, because BlazePose accepts or rejects the region after it.
 _MIN_SCORE = 0.1
 # A sighting nearer than this to a person (median distance, share of the smaller one's diagonal) is that person.
 _SAME_SIGHTING = 0.2
 # Two skeletons of one picture nearer than this are one person.
 _SAME_BODY = 0.1
-# Regions smaller than this hold nobody whose limbs could be told, pixels; larger than this times the picture neither.
+# Bounds of a region with a person: in a smaller one (pixels) limbs cannot be resolved; the larger one is in pictures.
 _SMALLEST_PX, _LARGEST = 24, 4.0
 # A landmark of this visibility should lie under the network's own mask.
 _VISIBLE = 0.3

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # Where its file leaves the size open it was trained on squares of so many pixels.
 _USUAL_PX, _LARGEST_PX = 640, 2048
 _BEYOND = 114
-# The square's side, in those of the box around the landmarks: whoever stands beside is seen whole enough to be told.
+# Side of the square, in sides of the box around the landmarks: neighbours must be whole enough to be told apart.
 _MARGIN = 1.6
 _MIN_SCORE = 0.3
 # Points a tenth of the body from the landmarks agree to 0.37; this much in the mean is the same person.
@@ -56,8 +56,8 @@ class OneStage:
         shape = tuple(given[0].shape)
         sides = {side if isinstance(side, int) else _USUAL_PX for side in shape[2:]}
         if len(given) != 1 or len(shape) != 4 or shape[1] != 3 or len(sides) != 1 or not 0 < max(sides) <= _LARGEST_PX:
-            told = ", ".join(f"{one.name} {tuple(one.shape)}" for one in given)
-            raise UserError(f"{path} takes {told}; a network of everybody is shown a square (1, 3, side, side)")
+            inputs = ", ".join(f"{one.name} {tuple(one.shape)}" for one in given)
+            raise UserError(f"{path} takes {inputs}; a network of everybody is shown a square (1, 3, side, side)")
         if given[0].type != "tensor(float)":
             raise UserError(f"{path} takes {given[0].type}; detect.network is given float32; export it so")
         (self._edge,) = sides

@@ -56,8 +56,8 @@ class TopDown:
         given = self._session.get_inputs()
         shape = tuple(given[0].shape)
         if len(given) != 1 or len(shape) != 4 or shape[1] != 3 or not all(_is_size(s) for s in shape[2:]):
-            told = ", ".join(f"{one.name} {tuple(one.shape)}" for one in given)
-            raise UserError(f"{path} takes {told}; detect.network is shown {_SHAPE}; export it so")
+            inputs = ", ".join(f"{one.name} {tuple(one.shape)}" for one in given)
+            raise UserError(f"{path} takes {inputs}; detect.network is shown {_SHAPE}; export it so")
         self.wh = int(shape[3]), int(shape[2])
         self._input, self._type = given[0].name, given[0].type
         if self._type != "tensor(float)":

@@ -35,15 +35,15 @@ def light_factors(frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray,
     step = max(1, int(np.sqrt(frames.shape[1] * frames.shape[2] / _PIXELS)))
     grid = (slice(None), slice(step // 2, None, step), slice(step // 2, None, step))
     levels = frames[grid].reshape(len(frames), -1, 3).astype(np.float64)
-    told = free[grid].reshape(len(frames), -1) & ((levels > _DARKEST) & (levels < _BRIGHTEST)).all(axis=-1)
-    usual = told.sum(axis=0) >= len(frames) / 2
-    levels, told = np.log(np.maximum(levels[:, usual], 1.0)), told[:, usual]
-    tells = told.sum(axis=1) >= _MIN_PIXELS
+    valid = free[grid].reshape(len(frames), -1) & ((levels > _DARKEST) & (levels < _BRIGHTEST)).all(axis=-1)
+    usual = valid.sum(axis=0) >= len(frames) / 2
+    levels, valid = np.log(np.maximum(levels[:, usual], 1.0)), valid[:, usual]
+    tells = valid.sum(axis=1) >= _MIN_PIXELS
     factors = np.ones((len(frames), 3))
-    seen = told[tells].any(axis=0)
+    seen = valid[tells].any(axis=0)
     if not seen.any():
         return factors
-    logs = np.where(told[..., None], levels, np.nan)[tells][:, seen]
+    logs = np.where(valid[..., None], levels, np.nan)[tells][:, seen]
     gains = np.zeros((len(logs), 3))
     for _ in range(_ROUNDS):
         room = np.nanmedian(logs - gains[:, None], axis=0)

@@ -45,13 +45,13 @@ class Verdict:
 
     Attributes:
         recorded: the keypoints in the film's frames, in the pixels in which they should have been written.
-        told: sentences about the decisions, or about what could not be decided.
+        notes: sentences about the decisions, or about what could not be decided.
         refusal: why they cannot be used; "" where they can.
         lift: of the chosen reading; None where too little moves to decide.
     """
 
     recorded: RecordedKeypoints
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
     refusal: str
     lift: float | None
 
@@ -114,11 +114,11 @@ def check_against_film(recorded: RecordedKeypoints, numbers: Numberings, film: F
                       True)  # fmt: skip
     plain = _plain(recorded.keypoints, as_read, film)
     judge = _Judge(recorded, film, movers(recorded.keypoints, recorded.frame), plain[0] is not as_read)
-    numbering, told = judge.numbering(numbers, plain)
+    numbering, described = judge.numbering(numbers, plain)
     if numbering is None:
-        return Verdict(recorded.renumbered(usual.frame_of, film.frames), (), told, None)
+        return Verdict(recorded.renumbered(usual.frame_of, film.frames), (), described, None)
     chosen = judge.best(plain, numbering)
-    said = [told] if told else []
+    said = [described] if described else []
     refusal = ""
     wrong = judge.alternative(chosen, as_read) if chosen.score.enough else None
     if wrong is not None:

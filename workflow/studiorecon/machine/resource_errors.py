@@ -49,8 +49,8 @@ def is_memory_error(error: BaseException) -> bool:
     if type(error).__module__ == "cv2":
         return getattr(error, "code", None) == _NO_MEMORY_CV
     # Some libraries name the missing shared object in their own message, which follows the system's.
-    told = f"{error} {error.__context__}"
-    return any(words in told for words in _STARVED)
+    text = f"{error} {error.__context__}"
+    return any(words in text for words in _STARVED)
 
 
 def describe_resource_error(error: BaseException) -> str | None:

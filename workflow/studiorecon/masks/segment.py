@@ -113,8 +113,8 @@ def run(
     labels: Iterable[np.ndarray]
     if given:
         brought = read_given(given[0], film.footage, film.calibration, frames)
-        labels, told = label_given_masks(brought, bodies, len(persons), settings.outline.gate_m, own)
-        said = f"masks of {given[0].name} are used as they are; {told}"
+        labels, described = label_given_masks(brought, bodies, len(persons), settings.outline.gate_m, own)
+        said = f"masks of {given[0].name} are used as they are; {described}"
     elif tracks:
         labels, said = assign_people(Numbers(tracks[0], frames, own.hw), bodies, len(persons))
     else:

@@ -39,9 +39,9 @@ def assign_people(
         if sure:
             matched.append(f"{value} = p{best}")
     strangers = int(np.sum(table == UNASSIGNED))
-    told = "numbers were matched by overlap with the bodies: " + (", ".join(matched) or "none")
+    described = "numbers were matched by overlap with the bodies: " + (", ".join(matched) or "none")
     masks = (table[label] for label in labels)
-    return masks, told + (f"; {strangers} overlap no fitted person" if strangers else "")
+    return masks, described + (f"; {strangers} overlap no fitted person" if strangers else "")
 
 
 def overlaps(

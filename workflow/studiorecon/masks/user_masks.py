@@ -123,8 +123,8 @@ def label_given_masks(
         if overlap[row, k] >= MIN_SHARE * sizes[values[row]]:
             table[values[row]] = k + 1
             matched.append(f"{values[row]} = p{k}")
-    told = "values were matched by overlap with the bodies: " + (", ".join(matched) or "none")
-    return (table[label] for label in labels), told
+    described = "values were matched by overlap with the bodies: " + (", ".join(matched) or "none")
+    return (table[label] for label in labels), described
 
 
 def _by_body(region: np.ndarray, depths_m: np.ndarray, gate_m: float, camera: Camera) -> np.ndarray:

@@ -164,7 +164,7 @@ def _made(
         return None
     gaussians, provenance = train_object(taught, start, track.radius_m, settings.shape, rng, threads, name)
     still = RigidObject(name, gaussians, provenance, track.centres_m, track.valid, track.present, track.radius_m)
-    thing, told = _turning(still, track, looks, keys, cameras, fps, settings, threads) or (
+    thing, turning = _turning(still, track, looks, keys, cameras, fps, settings, threads) or (
         still,
         "how it turns is not determined",
     )
@@ -174,7 +174,7 @@ def _made(
     say(
         f"{name}: radius {100 * track.radius_m:.1f} cm, measured in {int(thing.valid.sum())} frames, between measured "
         f"ones in {between}, unknown and left out in {unknown}; {thing.gaussians.count} Gaussians from {len(looks)} "
-        f"crops, {agreement_db:.1f} dB on validation crops; {told}"
+        f"crops, {agreement_db:.1f} dB on validation crops; {turning}"
     )
     return thing
 

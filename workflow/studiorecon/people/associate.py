@@ -169,7 +169,7 @@ def _warn_of_nobody(found: Associated, given: Sequence[Detections], footage: Man
             "somebody is there, bring keypoints of another detector; write people: 0 "
             "into capture.yaml if the room is empty"
         )
-    elif not found.missed:  # who was left out with a name is told by ``report_rejected``
+    elif not found.missed:  # ``report_rejected`` names the others
         reasons = Counter(verdict.reason for verdict in found.verdicts.values())
         warn(
             f"nobody of this scene was found: {detections} detections in {len(found.verdicts)} "

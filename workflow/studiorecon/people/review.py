@@ -70,8 +70,8 @@ frames {{ t.first }}–{{ t.last }}
 {% endmacro %}
 <h1>Who is who</h1>
 <p>{{ rows | length }} people; {{ doubtful | length }} doubtful and {{ rejected | length }} rejected of
-{{ told.tracks | length }} tracks.
-{% if told.corrected %}These identities were corrected by hand and are taken as they stand. {% endif %}
+{{ info.tracks | length }} tracks.
+{% if info.corrected %}These identities were corrected by hand and are used unchanged. {% endif %}
 Numbers below the pictures are frames and track ids.</p>
 <p>To correct: copy <code>people/identities.tsv</code> (below) into the dataset folder as <code>identities.tsv</code>,
 or name the copy in <code>people.identities</code>; change the person of a line (empty = nobody) and run again. Only
@@ -86,7 +86,7 @@ people whose lines changed are fitted again.</p>
 confidence {{ row.confidence }}, {{ sources[row.source] }}; seen by {{ row.cameras }}</span></h2>
 {{ cameras_of(row.person) }}
 {% endfor %}
-{% for one in told.left_out %}
+{% for one in info.left_out %}
 <h2 style="--c:{{ nobody }}"><span class="who">{{ one.name }}</span>
 <span class="soft">left out: {{ one.reason }}</span></h2>
 {{ cameras_of(one.name) }}
@@ -196,14 +196,14 @@ def run(
     page: Written,
 ) -> None:
     """Write ``page`` (html that needs no network) from the identities and reasons in ``association``."""
-    told, rows = read(association, MappingOf(Anything())), people_rows(people)
+    info, rows = read(association, MappingOf(Anything())), people_rows(people)
     found = [read_detections(p) for p in detections]
     view = {d.camera: v for v, d in enumerate(found)}
-    doubtful, rejected = order_by_doubt(told["tracks"])
+    doubtful, rejected = order_by_doubt(info["tracks"])
     strips: list[tuple[str, str, list[PictureRequest]]] = []  # where it belongs, colour, pictures
     for row in rows:
         for v, d in enumerate(found):
-            tracks = [t["track"] for t in told["tracks"] if t["camera"] == d.camera and t["person"] == row["person"]]
+            tracks = [t["track"] for t in info["tracks"] if t["camera"] == d.camera and t["person"] == row["person"]]
             strips.append(
                 (
                     f"{row['person']} {d.camera}",
@@ -211,7 +211,7 @@ def run(
                     choose_pictures(d, v, tracks, _PICTURES),
                 )
             )
-    for one in told["left_out"]:
+    for one in info["left_out"]:
         for v, d in enumerate(found):
             mine = choose_pictures(d, v, [t for camera, t in one["tracks"] if camera == d.camera], _PICTURES)
             strips.append((f"{one['name']} {d.camera}", _NOBODY, mine))
@@ -238,12 +238,12 @@ def run(
         ]
         shown[where] = skeleton.fill_template(_STRIP, where=where, colour=colour, figures=figures)
     write_text(
-        page, _page(told, rows, doubtful, rejected, [d.camera for d in found], shown, read_identities(identities))
+        page, _page(info, rows, doubtful, rejected, [d.camera for d in found], shown, read_identities(identities))
     )
 
 
 def _page(
-    told: dict[str, Any],
+    info: dict[str, Any],
     rows: list[dict[str, str]],
     doubtful: list[dict[str, Any]],
     rejected: list[dict[str, Any]],
@@ -253,7 +253,7 @@ def _page(
 ) -> str:
     body = skeleton.fill_template(
         _BODY,
-        told=told,
+        info=info,
         rows=rows,
         doubtful=doubtful,
         rejected=rejected,

@@ -29,8 +29,8 @@ def run(model: Path, picture: Written, plan: Written) -> None:
     title = f"{len(cameras)} cameras in a room of about {' × '.join(f'{side:.1f}' for side in room.size_m)} m"
     with complete(picture) as partial:
         partial.write_text(draw_plan(title, cameras, judge, figures, moves), encoding="utf-8")
-    told = [{"camera": m.camera, "words": m.words, "gain": m.gain, "better": m.better.as_json()} for m in moves]
-    write_json(plan, {"room_m": [room.low_m, room.high_m], "figures": dataclasses.asdict(figures), "advice": told})
+    described = [{"camera": m.camera, "words": m.words, "gain": m.gain, "better": m.better.as_json()} for m in moves]
+    write_json(plan, {"room_m": [room.low_m, room.high_m], "figures": dataclasses.asdict(figures), "advice": described})
     placed = (camera_position_text(camera, room) for camera in cameras)
     for line in (title, *placed, *figure_lines(figures), *(advice_line(move) for move in moves)):
         say(line)

@@ -55,10 +55,10 @@ def draw_plan(
         _COUNTS,
         [(f"≤ {limit:.0f}" if np.isfinite(limit) else "more, or none", colour) for limit, colour in _ERRORS],
     )
-    for k, (cells, told, legend) in enumerate(zip((counts, errors), titles, legends)):
+    for k, (cells, described, legend) in enumerate(zip((counts, errors), titles, legends)):
         left = _GAP_PX + k * (_MAP_PX + _GAP_PX)
         parts += [
-            _text(left, _TOP_PX - 14, told, "font-weight='600'"),
+            _text(left, _TOP_PX - 14, described, "font-weight='600'"),
             f'<g transform="translate({left:.1f} {_TOP_PX})">',
         ]
         parts += _cells(cells, scale * width, high)

@@ -45,8 +45,8 @@ def run(room: str, cameras: int, hfov_deg: list[float], resolution: str, picture
     lenses = [lens(f"cam{k + 1}", angle, wh) for k, angle in enumerate(angles)]
     found, judge = place_cameras(box, lenses), RigEvaluator(box)
     figures = judge.figures(found)
-    told = " and ".join(f"{angle:g}°" for angle in dict.fromkeys(angles))
-    title = f"{cameras} cameras of {told} ({wh[0]} × {wh[1]}) in {' × '.join(f'{side:g}' for side in box.size_m)} m"
+    degrees = " and ".join(f"{angle:g}°" for angle in dict.fromkeys(angles))
+    title = f"{cameras} cameras of {degrees} ({wh[0]} × {wh[1]}) in {' × '.join(f'{side:g}' for side in box.size_m)} m"
     with complete(picture) as partial:
         partial.write_text(draw_plan(title, found, judge, figures), encoding="utf-8")
     write_json(

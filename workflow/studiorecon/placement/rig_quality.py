@@ -89,13 +89,13 @@ def information(cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -
     return result
 
 
-def errors_m(told: Float[np.ndarray, "V N 3 3"], sees: Bool[np.ndarray, "... V N"]) -> Float[np.ndarray, "... N"]:
+def errors_m(info: Float[np.ndarray, "V N 3 3"], sees: Bool[np.ndarray, "... V N"]) -> Float[np.ndarray, "... N"]:
     """(..., N) least error of any unbiased estimate (Cramér, Rao): the root of the trace of the inverse information.
 
-    ``told`` (V, N, 3, 3) is each camera's information, ``sees`` (..., V, N) which of them see the point; inf with fewer
+    ``info`` (V, N, 3, 3) is each camera's information, ``sees`` (..., V, N) which of them see the point; inf with fewer
     than two.
     """
-    total = np.einsum("...vn,vnij->...nij", sees.astype(np.float64), told)
+    total = np.einsum("...vn,vnij->...nij", sees.astype(np.float64), info)
     scale = np.trace(total, axis1=-2, axis2=-1)
     # Parallel rays make the matrix singular; this small addition only bounds their error, at kilometres.
     safe = total + (np.where(scale > 0, scale, 1.0) * 1e-12)[..., None, None] * np.eye(3)

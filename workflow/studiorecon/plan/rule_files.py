@@ -243,8 +243,8 @@ class Files(UserInputs):
         """Film, path and depth of the training cameras, which an enhancer compares with their photos; none without an
         enhancer.
         """
-        told = step_section("enhance.shot", self.config)
-        if told["enhancer"] == "none" and not told["injection"]["history"]:
+        section = step_section("enhance.shot", self.config)
+        if section["enhancer"] == "none" and not section["injection"]["history"]:
             return []
         return [f"results/{wildcards.scene}/render/train.{kind}" for kind in ("mkv", "json", "depth.mkv")]
 

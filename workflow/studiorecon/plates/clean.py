@@ -324,8 +324,8 @@ def _add_given(
     say(f"{about.camera}: {given.name} {agrees} and fills {filled:.1%} of the picture")
     matched = matched_exposure(colour, measured & known, rgb)
     free = ~occupied
-    told = showing(frames, free, matched), showing(frames, free, colour)
-    colour, both, person = merge(colour, measured, matched, known, np.any(free, axis=0), *told)
+    shown = showing(frames, free, matched), showing(frames, free, colour)
+    colour, both, person = merge(colour, measured, matched, known, np.any(free, axis=0), *shown)
     if moving := float((person & measured).mean()):
         warn(
             f"{about.camera}: {moving:.1%} of the picture moves in front of {given.name}: a person without detection; "

@@ -170,18 +170,18 @@ def estimate(
         "moments": len(frames),
     }
     if not error <= (1 - settings.min_gain) * without:
-        told = (
+        verdict = (
             f"floor near people is off by {without:.2%} without shadows and by "
             f"{error:.2%} with them in pictures not fitted to"
         )
-        return replace(blank, figures=figures, reason=f"{told}, so films are made without")
+        return replace(blank, figures=figures, reason=f"{verdict}, so films are made without")
     # The light passed the check; now it is estimated from all pictures.
     found = _light(blank, strengths(lost, falloff / usual, ratio), lamps, usual)
-    told = (
+    verdict = (
         f"{len(found.share)} patches give {found.share.sum():.0%} of the light; floor "
         f"near people is off by {error:.2%} instead of"
     )
-    return replace(found, kept=True, figures=figures, reason=f"{told} {without:.2%} in pictures not fitted to")
+    return replace(found, kept=True, figures=figures, reason=f"{verdict} {without:.2%} in pictures not fitted to")
 
 
 def _error(ratio: np.ndarray, left: np.ndarray, later: np.ndarray) -> float:

@@ -130,8 +130,8 @@ def player(poster: Path, page: Path) -> str:
     address = html.text(Path(os.path.relpath(poster.with_suffix(".html"), page.parent)).as_posix())
     picture_bgr = cv2.imread(str(poster))
     assert picture_bgr is not None
-    told = "The scene in 3D: orbit, jump to a camera, stop time, show which pixels are measured or invented."
-    figure = html.figure(html.jpeg(picture_bgr[..., ::-1], 1600), told)
+    caption = "The scene in 3D: orbit, jump to a camera, stop time, show which pixels are measured or invented."
+    figure = html.figure(html.jpeg(picture_bgr[..., ::-1], 1600), caption)
     return f'<a class="open" href="{address}"><b>▶ Open the scene</b>{figure}</a>'
 
 

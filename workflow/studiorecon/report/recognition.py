@@ -51,14 +51,14 @@ def run(files: JudgedFiles, networks: list[Path], recognition: Written) -> None:
                 for one in detect_keypoints(detector, photo, worth)
                 if (person := reference_person(one)) is not None
             ]
-            told: list[tuple[np.ndarray, list[np.ndarray]]] = []
+            compared: list[tuple[np.ndarray, list[np.ndarray]]] = []
             for name, film in judged.films.items():
                 drawn = _picture(film, judged.starts[camera.name] + int(frame))[: photo.shape[0], : photo.shape[1]]
                 # Where nothing was enhanced, the two films are one.
-                points = next((points for other, points in told if np.array_equal(other, drawn)), None)
+                points = next((points for other, points in compared if np.array_equal(other, drawn)), None)
                 if points is None:
                     points = [one[:, :2] for one in detect_keypoints(detector, drawn, worth)]
-                told.append((drawn, points))
+                compared.append((drawn, points))
                 found[name].append((points, people))
     scores = {name: with_reason(score(pictures)) for name, pictures in found.items()}
     nothing = {"pck_0.05": None, "pck_0.1": None, "detection_rate": None, "reason": "no film shows a camera's own view"}

@@ -352,16 +352,16 @@ def _one_homography(here: np.ndarray, there: np.ndarray, place_m: float) -> np.n
 
     None if these are too few, or a minority, or too near one another.
     """
-    told = np.flatnonzero(np.isfinite(there).all(-1))
+    known = np.flatnonzero(np.isfinite(there).all(-1))
     agreed = np.zeros(len(here), bool)
-    if len(told) < _MIN_PATCHES:
+    if len(known) < _MIN_PATCHES:
         return agreed
     cv2.setRNGSeed(0)
     _, mask = cv2.findHomography(
-        here[told].astype(np.float64), there[told], cv2.RANSAC, _SAME_PLACES, maxIters=5000, confidence=0.9999
+        here[known].astype(np.float64), there[known], cv2.RANSAC, _SAME_PLACES, maxIters=5000, confidence=0.9999
     )
-    inside = told[mask.reshape(-1) > 0] if mask is not None else told[:0]
-    if len(inside) < max(_MIN_PATCHES, _MIN_SHARE * len(told)):
+    inside = known[mask.reshape(-1) > 0] if mask is not None else known[:0]
+    if len(inside) < max(_MIN_PATCHES, _MIN_SHARE * len(known)):
         return agreed
     spread_m = place_m * np.sqrt(np.linalg.eigvalsh(np.cov(here[inside].T.astype(float)))[0])
     if spread_m < _MIN_SPREAD_M:

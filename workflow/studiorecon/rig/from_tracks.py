@@ -131,13 +131,13 @@ def adjust_rig(
     views of the body, so observations are weighted by the number of cells of 20 cm in which a joint was seen, not by
     the number of frames: a person who does not move is one observation.
     """
-    views, told = sorted(rig.cameras), turns or {}
+    views, turn = sorted(rig.cameras), turns or {}
     cameras = [rig.cameras[v] for v in views]
     given = [with_focal(c, (known_px or {}).get(v, c.focal_px[0])) for v, c in zip(views, cameras)]
     given = [
-        move_camera(c, told[v].rotation_camera_from_world, c.centre_m) if v in told else c for v, c in zip(views, given)
+        move_camera(c, turn[v].rotation_camera_from_world, c.centre_m) if v in turn else c for v, c in zip(views, given)
     ]
-    held_deg = np.array([told[v].sigma_deg if v in told else _FREE.prior_deg for v in views])
+    held_deg = np.array([turn[v].sigma_deg if v in turn else _FREE.prior_deg for v in views])
     found = rig.points
     used = found.verified if len(cameras) > 2 else found.valid
     distinct = places_of_joints(rig, used)

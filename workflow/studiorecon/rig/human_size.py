@@ -77,16 +77,16 @@ def check_units(
 
 
 def _refusal(stature_m: float) -> str:
-    told, factor = "", _ADULT_M / stature_m
+    cause, factor = "", _ADULT_M / stature_m
     for unit, per_metre in _TAKEN_FOR_METRES.items():
         if _ADULTS_M[0] <= stature_m / per_metre <= _ADULTS_M[1]:
-            told, factor = f" but, it seems, {unit};", 1 / per_metre
+            cause, factor = f" but, it seems, {unit};", 1 / per_metre
         elif _ADULTS_M[0] <= stature_m * per_metre <= _ADULTS_M[1]:
-            told, factor = f", it seems that metres were taken for {unit};", per_metre
+            cause, factor = f", it seems that metres were taken for {unit};", per_metre
     if _ADULTS_M[0] <= 10 * stature_m <= _ADULTS_M[1]:
-        told, factor = ", it seems that centimetres were taken for millimetres: set calibration.unit: cm, or", 10.0
+        cause, factor = ", it seems that centimetres were taken for millimetres: set calibration.unit: cm, or", 10.0
     return (
-        f"people would be {stature_m:.3g} m tall by this calibration, so its lengths are not metres{told or ';'} "
+        f"people would be {stature_m:.3g} m tall by this calibration, so its lengths are not metres{cause or ';'} "
         f"multiply calibration.scale by {factor:.4g}, which makes people {stature_m * factor:.2f} m tall"
     )
 

@@ -48,7 +48,7 @@ class Scale:
 
     factor: float
     sigma: float
-    told: str
+    basis: str
 
 
 def stature_m(body: BodyModel) -> float:
@@ -94,10 +94,10 @@ def scale_from_lengths(
     if not factors:
         return None
     if max(factors.values()) > (1 + _CONTRADICT) * min(factors.values()):
-        told = ", ".join(f"{name} {factor:.2f}" for name, factor in factors.items())
+        described = ", ".join(f"{name} {factor:.2f}" for name, factor in factors.items())
         raise UserError(
             "the heights in capture.yaml contradict one another (each alone multiplies lengths "
-            f"by {told}): check the identities, or give one height_m for all: height_m: 1.70"
+            f"by {described}): check the identities, or give one height_m for all: height_m: 1.70"
         )
     named = ", ".join(f"{name} is {given.height_m[name]:.2f} m tall" for name in factors)
     who = "; ".join(f"{name}: {_visibility_note(people[int(name[1:])], cameras, points, seen)}" for name in factors)
@@ -110,14 +110,14 @@ def people_in_order(points: Num[np.ndarray, "N 3"], seen: Observations) -> list[
 
     Groups too short for a person are left out.
     """
-    told = []
+    described = []
     for group in np.unique(seen.group):
         mine = (seen.group == group) & np.isfinite(points).all(-1)
         if mine.any():
             frames = np.unique(seen.frame[mine])
-            told.append((int(frames[0]), -len(frames), float(np.median(points[mine, 0])), int(group)))
-    longest = max((-t[1] for t in told), default=0)
-    return [group for *_, group in sorted(t for t in told if -t[1] >= 0.25 * longest)]
+            described.append((int(frames[0]), -len(frames), float(np.median(points[mine, 0])), int(group)))
+    longest = max((-t[1] for t in described), default=0)
+    return [group for *_, group in sorted(t for t in described if -t[1] >= 0.25 * longest)]
 
 
 def _by_distance(given: GivenLengths, cameras: Sequence[Camera]) -> Scale:
@@ -128,8 +128,8 @@ def _by_distance(given: GivenLengths, cameras: Sequence[Camera]) -> Scale:
         )
     first, second = given.between
     apart = float(np.linalg.norm(at[first] - at[second]))
-    told = f"lengths by the {given.distance_m:.2f} m between {first} and {second}"
-    return Scale(given.distance_m / max(apart, 1e-9), 0.005, told)
+    described = f"lengths by the {given.distance_m:.2f} m between {first} and {second}"
+    return Scale(given.distance_m / max(apart, 1e-9), 0.005, described)
 
 
 def _visibility_note(group: int, cameras: Sequence[Camera], points: np.ndarray, seen: Observations) -> str:

@@ -304,8 +304,8 @@ def warn_of_outlier_cameras(
     if len(cameras) < 3:
         return
     help_ = "see whether its video, keypoints and calibration belong together, or leave it out (train in capture.yaml)"
-    for camera, own, px, told in zip(cameras, detections, each_px, told_already):
-        if not told and len(own.frame) and (px is None or px > limit_px):
+    for camera, own, px, already in zip(cameras, detections, each_px, told_already):
+        if not already and len(own.frame) and (px is None or px > limit_px):
             how = (
                 ("no person seen by two others") if px is None else f"people {px:.0f} px from where the others see them"
             )

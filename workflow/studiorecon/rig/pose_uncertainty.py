@@ -116,8 +116,8 @@ def moved_rotation_interval_deg(found: MovedCameras, limits: Limits) -> float:
     """
     found_deg = rotation_interval_deg(np.array(list(found.report["sigma_deg"].values())))
     if not found.report.get("room", {}).get("explained"):
-        told = rotation_observability(found.cameras, found.seen, limits)
-        found_deg = max(found_deg, 0.0 if told is None else told[1])
+        observable = rotation_observability(found.cameras, found.seen, limits)
+        found_deg = max(found_deg, 0.0 if observable is None else observable[1])
     return ABOUT_ALL_AXES * found_deg
 
 

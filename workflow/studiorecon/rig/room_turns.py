@@ -125,12 +125,12 @@ def _planes(camera: Camera, ends: np.ndarray) -> _Edges:
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     normals = np.cross(rays[:, 0], rays[:, 1])
     length = np.linalg.norm(normals, axis=-1)
-    told = length > 0
+    nonzero = length > 0
     # Neighbouring edges have correlated errors (both sides of one window frame): halves are fields of a chessboard, and
     # stripes.
     cells = np.floor(points.mean(1) / np.array(camera.wh) * 4).astype(int)
     halves = np.stack([cells.sum(1) % 2 == 0, cells[:, 1] % 2 == 0])
-    return _Edges(normals[told] / length[told, None], length[told] / length[told].sum(), halves[:, told])
+    return _Edges(normals[nonzero] / length[nonzero, None], length[nonzero] / length[nonzero].sum(), halves[:, nonzero])
 
 
 def support(edges: _Edges, camera_from_room: Num[np.ndarray, "... 3 3"], width_deg: float) -> Num[np.ndarray, " ..."]:

@@ -118,8 +118,8 @@ def read_raw_detections(path: Path, masks: bool = False) -> RawDetections:
 
     def made(data: dict[str, Any]) -> RawDetections:
         first, count = (int(v) for v in data["looked"])
-        told = {name: str(data[name]) for name in ("camera", "layout", "note")}
+        texts = {name: str(data[name]) for name in ("camera", "layout", "note")}
         empty = {} if masks else {"mask": np.zeros((len(data["frame"]), 0, 0), np.uint8)}
-        return RawDetections(**{**data, **empty, **told, "looked": (first, count)})
+        return RawDetections(**{**data, **empty, **texts, "looked": (first, count)})
 
     return read(path, _FOUND, made, but=() if masks else ("mask",))

@@ -73,21 +73,21 @@ def calibrated_lenses(description: Description, lenses: list[Lens]) -> list[Lens
     import cv2
 
     rng = np.random.default_rng([description.seed, 12])
-    told = []
+    described = []
     for lens in lenses:
         # Drawn for every camera, so that one camera's error does not depend on the number of held-out ones.
         rotation_error = np.radians(description.calibration.rotation_error_deg) * rng.standard_normal(3)
         centre_error = description.calibration.position_error_m * rng.standard_normal(3)
         if lens.name not in description.training:
-            told.append(lens)
+            described.append(lens)
             continue
         rotation = lens.camera_from_world[:3, :3]
         centre = -rotation.T @ lens.camera_from_world[:3, 3] + centre_error
         camera_from_world = np.eye(4)
         camera_from_world[:3, :3] = cv2.Rodrigues(rotation_error)[0] @ rotation
         camera_from_world[:3, 3] = -camera_from_world[:3, :3] @ centre
-        told.append(replace(lens, camera_from_world=camera_from_world))
-    return told
+        described.append(replace(lens, camera_from_world=camera_from_world))
+    return described
 
 
 def sync_offsets_frames(description: Description) -> dict[str, float]:

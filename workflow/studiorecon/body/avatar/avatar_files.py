@@ -272,7 +272,7 @@ def read_decision(npz: Path) -> Decision | None:
     ``step_files.read`` does."""
 
     def made(data: dict[str, Any]) -> Decision | None:
-        told = str(data["decision"])
-        return from_entry(json.loads(told)) if told else None
+        entry = str(data["decision"])
+        return from_entry(json.loads(entry)) if entry else None
 
     return read(npz, {"decision": text()}, made, names=("decision",))

@@ -77,16 +77,16 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
         # it.
         wrong, unclear = [report["outlier_camera"]] if report["outlier_camera"] else [], []
     if report["edges"] is not None and report["edges"]["clear"] and not wrong:
-        told = [edge_sentence(report["edges"])]
+        described = [edge_sentence(report["edges"])]
         if is_beyond_refinement(report["edges"]):
-            unclear += told
+            unclear += described
         elif report["edges"]["mended"]:
-            off += told
+            off += described
         else:
-            rest = told + rest
+            rest = described + rest
     # Before any camera is blamed: the check of the keypoints against the pictures.
-    compared = report.get("keypoints", {"refused": [], "told": []})
-    wrong, rest = compared["refused"] or wrong, rest + compared["told"]
+    compared = report.get("keypoints", {"refused": [], "notes": []})
+    wrong, rest = compared["refused"] or wrong, rest + compared["notes"]
     name = (
         "wrong" if wrong else "cannot tell" if unclear else "usable" if off else "check" if rest or refused else "good"
     )
@@ -236,11 +236,11 @@ def _clocks(report: dict[str, Any]) -> list[str]:
     }
     least = min(starts.values())
     listed = ", ".join(f'"{c}": {start - least:.4g}' for c, start in starts.items())
-    told = [
+    described = [
         f"camera {c} is {lag['frames']:+.1f} frames late ({lag['low']:+.1f} to {lag['high']:+.1f})"
         for c, lag in late.items()
     ]
-    return [f"by people's rays {'; '.join(told)}; if so, write starts: {{{listed}}} into capture.yaml"]
+    return [f"by people's rays {'; '.join(described)}; if so, write starts: {{{listed}}} into capture.yaml"]
 
 
 def _footage(report: dict[str, Any]) -> list[str]:

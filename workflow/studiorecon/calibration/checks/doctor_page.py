@@ -21,7 +21,7 @@ _BODY = """
 <h1>Cameras of {{ scene }}</h1>
 <div class="verdict" style="--c:{{ colour }}"><b>{{ report.verdict.capitalize() }}.</b> {{ headline }}</div>
 {% if report.sync.sentences %}
-<h2>Clocks</h2><ul>{% for told in report.sync.sentences %}<li>{{ told }}</li>{% endfor %}</ul>
+<h2>Clocks</h2><ul>{% for sentence in report.sync.sentences %}<li>{{ sentence }}</li>{% endfor %}</ul>
 {% endif %}
 <h2>What to check</h2><ul>{% for a in report.advice %}<li>{{ a }}</li>{% else %}<li>Nothing.</li>{% endfor %}</ul>
 {% if report.notes %}

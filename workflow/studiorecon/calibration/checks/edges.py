@@ -41,7 +41,7 @@ def compare_edges(
     given, rooms, seen = [given[v] for v in known], [rooms[v] for v in known], seen.by(known)
     before = edge_contradiction(given, edge_rotations(given, rooms))
     if before is None:
-        return {"told": False, "clear": False}
+        return {"comparable": False, "clear": False}
     moved = people is not None and (people.elsewhere or people.better)
     cameras = [people.cameras[v] for v in known] if people is not None and moved else given
     after = edge_contradiction(cameras, edge_rotations(cameras, rooms)) if moved else before
@@ -56,7 +56,7 @@ def compare_edges(
             if right is not None and right.believed:
                 cameras, mended, after_deg, between_deg = right.cameras, True, right.off_deg, right.between_deg
     return {
-        "told": True,
+        "comparable": True,
         "clear": before.clear,
         "cameras": before.cameras,
         "off_deg": before.off_deg,
@@ -76,7 +76,7 @@ def is_beyond_refinement(edges: dict[str, Any] | None) -> bool:
 
 def edge_sentence(edges: dict[str, Any]) -> str:
     """The result of ``compare_edges`` in a sentence."""
-    if not edges["told"]:
+    if not edges["comparable"]:
         return (
             "the room's straight edges do not constrain the calibration: they run along its "
             "three directions in fewer than two cameras"

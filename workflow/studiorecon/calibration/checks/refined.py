@@ -95,11 +95,11 @@ def refined_on_people(
     if held is None:
         return None
     px = error_medians(held.cameras, seen, limits)[0]
-    told = (
+    described = (
         rotation_observability(cameras, seen, limits)
         if anew is None
         else (0.0, moved_rotation_interval_deg(anew, limits))
     )
-    disagreement_deg, between_deg = (None, None) if told is None else told
+    disagreement_deg, between_deg = (None, None) if described is None else described
     better = median_px is None or px < (1 - _WORTH_REFINING) * median_px
     return RefinedCameras(held.cameras, seen, px, anew is not None, better, disagreement_deg, between_deg)

@@ -67,8 +67,8 @@ def read(files: list[Path]) -> Reading:
         )
         if abs(scale - 1) > 1e-3:
             notes.append(f"camera {name}: a scale of {scale:.4g} was taken out of its rotation")
-        lens, told = _lens(intri, name, key, f"camera {name} in {intri_path}")
-        notes += told
+        lens, described = _lens(intri, name, key, f"camera {name} in {intri_path}")
+        notes += described
         cameras.append(replace(lens, camera_from_world=pose))
     return Reading("EasyMocap/EasyVolcap intri + extri", tuple(cameras), "unknown", tuple(notes))
 

@@ -148,9 +148,9 @@ def place_default_walls(
     centres, middle = np.stack([c.centre_m for c in cameras])[:, :2], scene_centre(cameras)[:2]
     outermost_m, middle_m = (centres @ normals.T).max(0), normals @ middle
     nearest_m = np.maximum(outermost_m - _BEFORE_CAMERAS_M, middle_m + _BEYOND_MIDDLE_M)
-    told, free = dict[int, int](), np.ones(len(seen.span_deg), bool)
+    votes, free = dict[int, int](), np.ones(len(seen.span_deg), bool)
     while True:
-        left = [face for face in range(4) if not box.fitted[face] and face not in told]
+        left = [face for face in range(4) if not box.fitted[face] and face not in votes]
         lines = {
             face: line
             for face in left
@@ -161,14 +161,14 @@ def place_default_walls(
         face = max(lines, key=lambda f: lines[f][2])
         foot_m, own, _ = lines[face]
         offsets_m[face] = max(foot_m + _BEHIND_M, outermost_m[face] + _BEHIND_CAMERAS_M)
-        told[face] = int(own.sum())
+        votes[face] = int(own.sum())
         free[np.flatnonzero(free)[own]] = False
     known = [face for face in range(4) if face not in left]
     if len(known) >= _KNOWN_WALLS:
         behind_m = max((offsets_m - outermost_m)[known].max(), _CLOSE_BY_M)
         around_m = np.linalg.norm(centres - middle, axis=1).max() + _ROOM_FOR_ONE_M
         close_m = np.maximum(outermost_m + behind_m, middle_m + around_m)
-        told |= {face: 0 for face in left if close_m[face] < offsets_m[face]}
+        votes |= {face: 0 for face in left if close_m[face] < offsets_m[face]}
         offsets_m[left] = np.minimum(offsets_m, close_m)[left]
     low_m, high_m = np.array([*-offsets_m[::2], box.low_m[2]]), np.array([*offsets_m[1::2], box.high_m[2]])
-    return replace(box, low_m=low_m, high_m=high_m), told
+    return replace(box, low_m=low_m, high_m=high_m), votes

@@ -92,12 +92,12 @@ def fit_platform(
     """
     if _disagreeing(pictures, standing_m, how) < _MIN_DISAGREEING:
         return None
-    told = _height_votes(pictures, standing_m, how)
-    if not told.stood_on.any():
+    votes = _height_votes(pictures, standing_m, how)
+    if not votes.stood_on.any():
         return None
-    corner, upper = _densest(told.at_feet_m @ axes[:2, :2].T, told.stood_on)
-    level, below = np.abs(told.step) <= _OWN, told.step < -_OWN
-    local = told.place_m @ axes.T
+    corner, upper = _densest(votes.at_feet_m @ axes[:2, :2].T, votes.stood_on)
+    level, below = np.abs(votes.step) <= _OWN, votes.step < -_OWN
+    local = votes.place_m @ axes.T
     outside = ((local[:, :2] < corner) | (local[:, :2] > upper)).any(axis=1)
     lower, same = len(_cells(local[below & outside])), len(_cells(local[level & outside]))
     on_it = len(_cells(local[level & ~outside]))
@@ -106,7 +106,7 @@ def fit_platform(
     # Cells at every step below people's feet, and as far above them.
     count, above = np.zeros((2, round(_DEEPEST_M / _STEP_M) + 2))
     for step in range(_OWN + 1, len(count)):
-        count[step], above[step] = (len(_cells(local[outside & (told.step == at)])) for at in (-step, step))
+        count[step], above[step] = (len(_cells(local[outside & (votes.step == at)])) for at in (-step, step))
     around = np.convolve(count, np.ones(3), mode="same")
     lowest = int(np.flatnonzero(around >= _LOWEST_SHARE * around.max())[-1])
     # The neighbouring peak, and its fraction of a step: cells of three steps, the middle one the fullest.
@@ -121,7 +121,7 @@ def fit_platform(
         for k in range(2 * _OWN + 1, peak - 1)
         if around[k] >= _MIN_CELLS and count[k] == count[k - 1 : k + 2].max()
     ]
-    score = float(told.score[outside & (np.abs(told.step + peak) <= 1)].mean())
+    score = float(votes.score[outside & (np.abs(votes.step + peak) <= 1)].mean())
     return RaisedFloor(Platform(corner, upper, standing_m), floor_m, score, mats)
 
 

@@ -127,11 +127,11 @@ def identities_from_keypoints(
     likely = [g for g, reason in zip(groups, why) if not reason]
     if likely and videos and evidence.frames:
         shares, limbs = supports(likely, cameras, videos, fps, evidence)
-        told = [
+        described = [
             evidence_in_cameras(group, given, cameras, videos, witnesses, evidence) if gone else None
             for group, gone in zip(likely, absent_people(shares, limbs, evidence))
         ]
-        contradicted = iter(_contradicted(shares, told, cameras, evidence))
+        contradicted = iter(_contradicted(shares, described, cameras, evidence))
         why = [reason or next(contradicted) for reason in why]
     why = _without_ghosts(groups, why, given, cameras, fps, triangulation)
     rejected = [(g, reason) for g, reason in zip(groups, why) if reason]
@@ -196,17 +196,17 @@ def _without_ghosts(
 
 def _contradicted(
     shares: np.ndarray,
-    told: Sequence[Sequence[ImageEvidence | None] | None],
+    described: Sequence[Sequence[ImageEvidence | None] | None],
     cameras: Sequence[Camera],
     limits: EvidenceLimits,
 ) -> list[str]:
     """A sentence per group on how pictures contradict its keypoints, from the shares (G, V) that changed; "" where they
     do not.
 
-    They do not where ``told`` is None, or where the cameras' other evidence ``told`` confirms the person.
+    They do not where ``described`` is None, or where the cameras' other evidence ``described`` confirms the person.
     """
     reasons = []
-    for share, others in zip(shares, told):
+    for share, others in zip(shares, described):
         if others is None:
             reasons.append("")
             continue
@@ -227,10 +227,10 @@ def _contradicted(
     return reasons
 
 
-def _nor(told: Sequence[ImageEvidence]) -> str:
+def _nor(described: Sequence[ImageEvidence]) -> str:
     """The other evidence that fails to confirm a person, as the end of a sentence; "" without other evidence."""
-    masks = max((one.covered for one in told if np.isfinite(one.covered)), default=float("nan"))
-    plates = max((one.differs for one in told if np.isfinite(one.differs)), default=float("nan"))
+    masks = max((one.covered for one in described if np.isfinite(one.covered)), default=float("nan"))
+    plates = max((one.differs for one in described if np.isfinite(one.differs)), default=float("nan"))
     parts = [f"the detector's masks cover {masks:.0%}" * bool(np.isfinite(masks))]
     parts.append(f"{plates:.0%} differ from a clean plate" * bool(np.isfinite(plates)))
     return " and ".join(part for part in parts if part)

@@ -65,8 +65,8 @@ def is_flat(points_m: Float[np.ndarray, "T 12 3"], deep_m: Float[np.ndarray, "T 
 
     Joints alone do not decide: a person with spread arms is flat to 8 mm.
     """
-    told = np.isfinite(deep_m).all(-1).mean(0) >= 0.5
-    return told.any() and flatness_m(np.concatenate([points_m, deep_m[:, told]], axis=1), fps) < _FLAT_M
+    described = np.isfinite(deep_m).all(-1).mean(0) >= 0.5
+    return described.any() and flatness_m(np.concatenate([points_m, deep_m[:, described]], axis=1), fps) < _FLAT_M
 
 
 def deep_points_m(

@@ -87,13 +87,13 @@ def unsteadiness(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> fl
 def proportion_fault(points_m: Float[np.ndarray, "T 12 3"]) -> str:
     """Why a skeleton (T, 12, 3) lacks a person's proportions, as the end of a sentence; "" when it has them."""
     lengths = lengths_m(points_m)
-    told = [
+    described = [
         f"{part} {share:.2f} of its trunk"
         for part, share in shares(lengths).items()
         if not _BOUNDS[part][0] <= share <= _BOUNDS[part][1]
     ]
     if (wavers := unsteadiness(lengths)) > _UNSTEADY:
-        told.append(f"bones that change their length by {wavers:.0%}")
-    if len(told) <= _MAX_OUTSIDE:
+        described.append(f"bones that change their length by {wavers:.0%}")
+    if len(described) <= _MAX_OUTSIDE:
         return ""
-    return f"its proportions are not a person's, an animal's rather: {', '.join(told)}"
+    return f"its proportions are not a person's, an animal's rather: {', '.join(described)}"

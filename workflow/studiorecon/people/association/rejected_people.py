@@ -49,8 +49,8 @@ class RejectedPerson:
 
     def as_json(self, person: str) -> dict[str, Any]:
         """What the identity page shows of it, with the lines that make it ``person``."""
-        told = {"name": self.name, "seconds": self.seconds, "cameras": self.cameras, "reason": self.reason}
-        return told | {"tracks": self.tracks, "lines": self.lines(person)}
+        described = {"name": self.name, "seconds": self.seconds, "cameras": self.cameras, "reason": self.reason}
+        return described | {"tracks": self.tracks, "lines": self.lines(person)}
 
 
 def list_rejected(

@@ -127,9 +127,9 @@ def _entry(definition: str, unit: str, better: str, mask: str, library: str) -> 
 def _revision() -> str | None:
     """The commit of the code; None where it is not in a repository, as inside an image."""
     try:
-        told = subprocess.run(
+        commit = subprocess.run(
             ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
         )
     except FileNotFoundError:
         return None
-    return told.stdout.strip() or None
+    return commit.stdout.strip() or None

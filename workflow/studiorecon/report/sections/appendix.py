@@ -73,12 +73,12 @@ def warnings(found: Sequence[tuple[str, str]]) -> str:
 
 def versions(provenance: Mapping[str, Any], machine: Mapping[str, str]) -> str:
     """The libraries and machine behind the numbers."""
-    told = machine | provenance["libraries"]
-    told |= {
+    rows = machine | provenance["libraries"]
+    rows |= {
         "commit of the code": provenance["revision"] or "not from a repository",
         "masks of people": provenance["masks"],
     }
-    return html.heading("Versions") + html.table(["what", "which"], [[k, str(v)] for k, v in told.items()])
+    return html.heading("Versions") + html.table(["what", "which"], [[k, str(v)] for k, v in rows.items()])
 
 
 def delivery_links(folder: Path, page: Path) -> str:
@@ -106,10 +106,10 @@ def delivery_links(folder: Path, page: Path) -> str:
 
 def links(results: Path, page: Path, files: Sequence[Path], ledgers: Sequence[Path]) -> str:
     """Relative links to data of the scene in ``results``; they work while the page stays in its folder."""
-    told = [(path, _FILES[path.relative_to(results).as_posix()]) for path in files]
-    told += [(path, f"what every picture of shot {path.stem} is made of") for path in ledgers]
+    rows = [(path, _FILES[path.relative_to(results).as_posix()]) for path in files]
+    rows += [(path, f"what every picture of shot {path.stem} is made of") for path in ledgers]
     items = []
-    for path, what in told:
+    for path, what in rows:
         address, name = Path(os.path.relpath(path, page.parent)).as_posix(), path.relative_to(results).as_posix()
         items.append(f'<li><a href="{html.text(address)}">{html.text(name)}</a>: {html.text(what)}</li>')
     return html.heading("The numbers as files", "In the results folder.") + f"<ul>{''.join(items)}</ul>"

@@ -222,17 +222,17 @@ def cameras(doctor: Any, sheet: str) -> str:
     )
 
 
-def _edges(told: Any) -> str:
+def _edges(edge: Any) -> str:
     """How the room's straight edges constrained the cameras' rotation, before refinement and after."""
-    if told is None:
+    if edge is None:
         return ""
-    off = f"{' and '.join(told['cameras'])} are turned to one another by {told['off_deg']:.1f}°"
-    if told["believed"]:
+    off = f"{' and '.join(edge['cameras'])} are turned to one another by {edge['off_deg']:.1f}°"
+    if edge["believed"]:
         said = (
-            f"contradicted how {off}; as used {told['off_after_deg']:.1f}°, known to ±{told['between_deg']:.1f}° (95 %)"
+            f"contradicted how {off}; as used {edge['off_after_deg']:.1f}°, known to ±{edge['between_deg']:.1f}° (95 %)"
         )
     else:
-        said = f"differ from how {off}, {told['off_sigmas']:.1f} of the edges' standard deviations: no camera was moved"
+        said = f"differ from how {off}, {edge['off_sigmas']:.1f} of the edges' standard deviations: no camera was moved"
     return f"<p class=soft>{html.text(f'The straight edges of the room {said}.')}</p>"
 
 
@@ -282,8 +282,8 @@ def cost_and_quality(metrics: Mapping[str, Any], spent: Mapping[str, Any], budge
         "One run is one point: snakemake sweep runs others on the same scene and makes a page of their front, prices "
         "and the settings that matter."
     )
-    told = f"<p>{html.text(_bought(budget, spent))}</p>" if budget else ""
-    return html.heading("What accuracy costs", lead) + f"<p><b>{html.text(sentence)}</b></p>" + html.tiles(tiles) + told
+    cost = f"<p>{html.text(_bought(budget, spent))}</p>" if budget else ""
+    return html.heading("What accuracy costs", lead) + f"<p><b>{html.text(sentence)}</b></p>" + html.tiles(tiles) + cost
 
 
 def _bought(budget: Mapping[str, Any], spent: Mapping[str, Any]) -> str:

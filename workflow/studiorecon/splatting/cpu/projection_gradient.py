@@ -220,10 +220,10 @@ def _gradients_of_blocks(begin, end, parameters, camera, degree, splats, visible
         vx, vy, vz = colour_gradient(parameters, gradient, base, degree, seen, dx, dy, dz, red, green, blue)
         # Harmonics near float32's limit change so fast with the direction that the change overflows.
         steepest = broadcast(_STEEPEST)
-        told = both(
+        described = both(
             below(magnitude(vx), steepest), both(below(magnitude(vy), steepest), below(magnitude(vz), steepest))
         )
-        vx, vy, vz = where(told, vx), where(told, vy), where(told, vz)
+        vx, vy, vz = where(described, vx), where(described, vy), where(described, vz)
         along = vx * dx + vy * dy + vz * dz
         wx = camera[0] * by_x + camera[3] * by_y + camera[6] * by_z + (vx - along * dx) * inverse_distance
         wy = camera[1] * by_x + camera[4] * by_y + camera[7] * by_z + (vy - along * dy) * inverse_distance

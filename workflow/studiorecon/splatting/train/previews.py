@@ -65,12 +65,12 @@ class Feedback:
         done = len(self.losses)
         score = psnr(shown, wanted, used)
         on_view = "too few pixels to score" if score is None else f"{score:.2f} dB"
-        told = (
+        described = (
             f"{self._label}: {self._first + done} of {self._last}, loss {np.mean(self.losses[-self._tenth :]):.4f}, "
             f"PSNR {self.last_psnr_db:.2f} dB on what was drawn, {on_view} on training view {view}, {count} Gaussians"
         )
         # Every tenth is logged; only the last is shown.
-        (say if self._first + done == self._last else LOGGER.debug)(told)
+        (say if self._first + done == self._last else LOGGER.debug)(described)
         if self._previews is not None:
             percent = round(100 * done / (self._last - self._first))
             # Loaded here: it imports the decoders of films, which takes longer than a small training needs to start.

@@ -29,8 +29,8 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
         return Measurement(None, None, "no two cameras share enough surface to compare their colours")
     value, error, gains = evidence.gains
     worst = int(np.abs(gains - 1).max(axis=1).argmax())
-    told = " ".join(f"{g:.3f}" for g in gains[worst])
-    reason = f"{views[worst].camera.name} differs most (red, green, blue × {told})"
+    factors = " ".join(f"{g:.3f}" for g in gains[worst])
+    reason = f"{views[worst].camera.name} differs most (red, green, blue × {factors})"
     low = value - INTERVAL * error if value > CERTAIN * error else min(value - INTERVAL * error, 0.0)
     joined = {index for overlap in found for index in (overlap.first, overlap.second)}
     alone = [v.camera.name for k, v in enumerate(views) if k not in joined]
