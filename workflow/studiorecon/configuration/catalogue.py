@@ -50,7 +50,7 @@ def list_settings(configuration: Path, schema: Mapping[str, Any]) -> list[Settin
         meaning = comments.get(name) or part.get("description", "")
         section = isinstance(value, Mapping) and bool(value)
         found.append(
-            Setting(name, meaning, None if section else _written(value), tuple(map(str, part.get("enum", ()))))
+            Setting(name, meaning, None if section else _as_yaml(value), tuple(map(str, part.get("enum", ()))))
         )
     return found
 
@@ -67,7 +67,7 @@ def list_film_settings(kinds: Mapping[str, type], schema: Mapping[str, Any]) -> 
             part = described[field.name]
             part = schema["$defs"][part["$ref"].rpartition("/")[2]] if "$ref" in part else part
             if field.name != "kind":
-                default = "needed" if field.default is dataclasses.MISSING else _written(field.default)
+                default = "needed" if field.default is dataclasses.MISSING else _as_yaml(field.default)
                 found.append(
                     Setting(f"{name}.{field.name}", part.get("description", ""), default, tuple(part.get("enum", ())))
                 )
@@ -92,7 +92,7 @@ def _flat(values: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any
             yield from _flat(value, f"{above}{key}.")
 
 
-def _written(value: Any) -> str:
+def _as_yaml(value: Any) -> str:
     plain = list(value) if isinstance(value, tuple) else value
     return (
         yaml.safe_dump(plain, default_flow_style=True, allow_unicode=True, width=1000)

@@ -14,9 +14,9 @@ from typing import Any
 
 import yaml
 
+from studiorecon.configuration.generate import value_text
 from studiorecon.configuration.sections import SECTIONS, _class, defaults, general
 from studiorecon.configuration.setting import Setting, plain
-from studiorecon.configuration.written import value_text
 from studiorecon.home import CONFIGURATION
 
 PRESETS = ("paper.yaml", "networks.yaml")

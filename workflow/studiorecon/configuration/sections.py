@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from studiorecon.configuration.planned import General
+from studiorecon.configuration.plan_settings import General
 from studiorecon.configuration.setting import Setting, plain, settings_in
 
 
@@ -39,7 +39,7 @@ SECTIONS: tuple[Section, ...] = (
         "People in each camera's pictures, before any calibration.",
         (
             "tracks.bodies:Settings",
-            "configuration.planned:Detect",
+            "configuration.plan_settings:Detect",
             "keypoints.detections:Settings",
             "keypoints.detections:DetectionLimits",
         ),
@@ -64,7 +64,7 @@ SECTIONS: tuple[Section, ...] = (
         "people",
         "Identities, and each person's body over time.",
         (
-            "configuration.planned:People",
+            "configuration.plan_settings:People",
             "people.fit_settings:TriangulationSettings",
             "people.lift:Settings",
             "people.associate:Settings",
@@ -77,7 +77,7 @@ SECTIONS: tuple[Section, ...] = (
         "Metric depth of the static scene.",
         (
             "depth.network:Settings",
-            "configuration.planned:Depth",
+            "configuration.plan_settings:Depth",
             "depth.sweep_settings:FirstLook",
             "depth.refine:Settings",
             "depth.sweep_settings:Matching",
@@ -97,7 +97,7 @@ SECTIONS: tuple[Section, ...] = (
         "Masks of people in the training pictures.",
         (
             "masks.network:Settings",
-            "configuration.planned:Masks",
+            "configuration.plan_settings:Masks",
             "masks.segment:Settings",
         ),
     ),
@@ -107,7 +107,7 @@ SECTIONS: tuple[Section, ...] = (
         (
             "views.warp_settings:ViewSource",
             "views.warp_settings:PeopleInViews",
-            "configuration.planned:Views",
+            "configuration.plan_settings:Views",
             "views.generate:Settings",
             "views.fitted:Settings",
             "views.path:Settings",
@@ -123,14 +123,14 @@ SECTIONS: tuple[Section, ...] = (
     Section(
         "render",
         "Films of the 4D scene.",
-        ("render.draw_settings:DrawSettings", "render.shot:Settings", "configuration.planned:Render"),
+        ("render.draw_settings:DrawSettings", "render.shot:Settings", "configuration.plan_settings:Render"),
     ),
     Section(
         "enhance",
         "Harmonised films that do not flicker.",
         (
             "enhance.injection_settings:Enhancing",
-            "configuration.planned:Enhance",
+            "configuration.plan_settings:Enhance",
             "enhance.injection_settings:Carrying",
             "enhance.injection_settings:Injecting",
         ),

@@ -2,7 +2,7 @@
 """Writes the files generated from the settings' declarations: config.yaml, its schema and the tables of
 config/README.md.
 
-``python -m studiorecon.configuration.written`` writes all three; a test compares them with the files.
+``python -m studiorecon.configuration.generate`` writes all three; a test compares them with the files.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ README: Path = CONFIGURATION.parent / "README.md"
 _COLUMNS = 120
 _HEAD = """\
 # Every setting, once, with its default: a first run on the synthetic studio takes minutes on two CPU cores.
-# Written by python -m studiorecon.configuration.written from the steps' Settings: change it there, not here.
+# Written by python -m studiorecon.configuration.generate from the steps' Settings: change it there, not here.
 # Comments give the paper's value and its section; U-numbers are readings of ambiguous passages.
 # Overlays in config/presets/ only set what they change: snakemake --configfile config/presets/standard.yaml
 # config/README.md says what each setting buys and costs.
 """
 # Innermost mappings and lists on one line.
 _COMPACT: Mapping[str, Any] = {"default_flow_style": None}
-_SCHEMA_HEAD = "# Written by python -m studiorecon.configuration.written from the steps' Settings.\n"
+_SCHEMA_HEAD = "# Written by python -m studiorecon.configuration.generate from the steps' Settings.\n"
 
 
 def configuration() -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from studiorecon.configuration import written
+from studiorecon.configuration import generate
 from studiorecon.configuration.sections import SECTIONS, Section
 from studiorecon.configuration.setting import Setting, field_default, is_setting
 from studiorecon.configuration.step_settings import Fields, find_section, read_by
@@ -24,12 +24,12 @@ RULES = Path(__file__).resolve().parents[2] / "workflow/rules"
 
 @pytest.mark.parametrize(
     ("path", "text_of"),
-    written.FILES.items(),
+    generate.FILES.items(),
     ids=lambda value: getattr(value, "name", ""),
 )
-def test_what_is_written_from_the_declarations_is_up_to_date(path: Path, text_of: Callable[[str], str]) -> None:
+def test_generated_files_are_up_to_date(path: Path, text_of: Callable[[str], str]) -> None:
     there = path.read_text(encoding="utf-8")
-    assert text_of(there) == there, "run: python -m studiorecon.configuration.written"
+    assert text_of(there) == there, "run: python -m studiorecon.configuration.generate"
 
 
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.name)
