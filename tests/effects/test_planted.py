@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from studiorecon.scene.decisions import Decision
+from studiorecon.survey.effect_decisions import decide_effects
 from studiorecon.survey.evidence import Evidence, Material
-from studiorecon.survey.judge import judge
 
 from tests.made.planted import ROOT, SETTINGS  # noqa: F401
 from tests.made.studio_world import OTHERWISE, PLANTED, scene
@@ -23,8 +23,8 @@ from tests.made.studio_world import OTHERWISE, PLANTED, scene
 USUAL_ON = {"people", "closed_path", "view_synthesis"}
 
 
-def judged(material: Material) -> dict[str, Decision]:
-    return {d.effect: d for d in judge(Evidence(material, SETTINGS), SETTINGS.thresholds)}
+def decisions(material: Material) -> dict[str, Decision]:
+    return {d.effect: d for d in decide_effects(Evidence(material, SETTINGS), SETTINGS.thresholds)}
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def usual() -> Material:
 
 @pytest.fixture(scope="module")
 def base(usual: Material) -> dict[str, Decision]:
-    return judged(usual)
+    return decisions(usual)
 
 
 def test_nothing_planted_nothing_found(base: dict[str, Decision]) -> None:
@@ -43,7 +43,7 @@ def test_nothing_planted_nothing_found(base: dict[str, Decision]) -> None:
 
 @pytest.mark.parametrize("cause", OTHERWISE)
 def test_what_other_steps_take_out_sets_no_effect_off(base: dict[str, Decision], cause: str) -> None:
-    found = judged(scene(0, **OTHERWISE[cause]))
+    found = decisions(scene(0, **OTHERWISE[cause]))
     assert {effect: d.verdict for effect, d in found.items()} == {effect: d.verdict for effect, d in base.items()}
 
 
@@ -53,7 +53,7 @@ SLOW = {"view_synthesis"}
 
 @pytest.mark.parametrize("effect", [pytest.param(e, marks=[pytest.mark.slow] if e in SLOW else []) for e in PLANTED])
 def test_a_planted_effect_is_found_and_no_other_one(effect: str) -> None:
-    found = judged(scene(1, **PLANTED[effect]))
+    found = decisions(scene(1, **PLANTED[effect]))
     assert found[effect].verdict == ("off" if effect in USUAL_ON else "on"), found[effect]
     for other, decision in found.items():
         if other != effect:
@@ -62,20 +62,20 @@ def test_a_planted_effect_is_found_and_no_other_one(effect: str) -> None:
 
 class TestNoInformation:
     def test_a_blank_room_does_not_say_whether_cameras_move(self) -> None:
-        assert judged(scene(2, texture=0.0))["moving_cameras"].verdict == "undetermined"
+        assert decisions(scene(2, texture=0.0))["moving_cameras"].verdict == "undetermined"
 
     def test_without_depth_cameras_share_nothing(self) -> None:
-        found = judged(scene(2, known_depth=False))
+        found = decisions(scene(2, known_depth=False))
         assert {found[e].verdict for e in ("exposure", "view_dependent_colour", "moving_shadows")} == {"undetermined"}
 
     def test_without_people_nothing_is_said_of_their_shadows(self) -> None:
-        found = judged(scene(2, people=0))
+        found = decisions(scene(2, people=0))
         assert found["moving_shadows"].verdict == "undetermined"
         assert found["people"].verdict == "off"
 
     def test_where_people_hide_the_room_nothing_is_said_of_light_and_things(self, usual: Material) -> None:
         hidden = replace(usual, films=[replace(f, free=np.zeros_like(f.free)) for f in usual.films])
-        found = judged(hidden)
+        found = decisions(hidden)
         assert {
             found[e].verdict for e in ("changing_light", "dynamic_objects", "moving_shadows", "moving_cameras")
         } == {"undetermined"}
@@ -90,7 +90,7 @@ class TestLookalikes:
             lit[::2, 20:34, 30:44] = np.clip(lit[::2, 20:34, 30:44].astype(int) + 60, 0, 255)
             return lit
 
-        found = judged(_filmed(usual, flickers))
+        found = decisions(_filmed(usual, flickers))
         assert found["dynamic_objects"].verdict == "off"
 
     def test_people_who_cover_half_of_the_room_do_not_change_its_light(self, usual: Material) -> None:
@@ -100,10 +100,10 @@ class TestLookalikes:
             return dark
 
         films = [replace(f, pictures=covered(f.pictures), free=_left_taken(f.free)) for f in usual.films]
-        assert judged(replace(usual, films=films))["changing_light"].verdict == "off"
+        assert decisions(replace(usual, films=films))["changing_light"].verdict == "off"
 
     def test_a_change_of_light_is_no_movement_shadow_or_gloss(self) -> None:
-        found = judged(scene(3, light=0.15))
+        found = decisions(scene(3, light=0.15))
         assert found["changing_light"].verdict == "on"
         assert {found[e].verdict for e in ("moving_cameras", "view_dependent_colour", "dynamic_objects")} == {"off"}
         assert found["moving_shadows"].verdict != "on"
@@ -118,7 +118,7 @@ class TestLookalikes:
                     at = columns[rows.argmax()]
                     pictures[t, rows.max() + 1 : rows.max() + 12, max(at - 4, 0) : at + 4] = (20, 30, 160)
             films.append(replace(film, pictures=pictures))
-        assert judged(replace(usual, films=films))["dynamic_objects"].verdict == "off"
+        assert decisions(replace(usual, films=films))["dynamic_objects"].verdict == "off"
 
 
 class TestPairs:
@@ -133,22 +133,22 @@ class TestPairs:
         ids="+".join,
     )
     def test_both_are_found(self, pair: tuple[str, str]) -> None:
-        found = judged(scene(4, **PLANTED[pair[0]], **PLANTED[pair[1]]))
+        found = decisions(scene(4, **PLANTED[pair[0]], **PLANTED[pair[1]]))
         assert [found[e].verdict for e in pair] == ["on", "on"]
 
 
 def test_a_moving_camera_voids_what_rests_on_the_calibration() -> None:
-    found = judged(scene(5, **PLANTED["moving_cameras"], **PLANTED["exposure"]))
+    found = decisions(scene(5, **PLANTED["moving_cameras"], **PLANTED["exposure"]))
     assert found["exposure"].verdict == "undetermined"
     assert "cameras move" in found["exposure"].reason
     assert found["people"].verdict == "on"
 
 
 def test_the_planted_size_is_what_is_measured() -> None:
-    found = judged(scene(6, lag_frames=0.5, readout=0.9, gain=1.04))
+    found = decisions(scene(6, lag_frames=0.5, readout=0.9, gain=1.04))
     # Gains have a geometric mean of 1, so the one that differs shows three quarters of it.
     assert found["exposure"].detail["gains"]["c1"][0] == pytest.approx(1.04**0.75, abs=0.004)
-    found = judged(scene(6, k1=0.06, shift_px=0.8))
+    found = decisions(scene(6, k1=0.06, shift_px=0.8))
     assert found["moving_cameras"].value == pytest.approx(0.8, abs=0.1)
 
 

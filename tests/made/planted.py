@@ -7,7 +7,7 @@ from pathlib import Path
 
 import yaml
 from studiorecon.configuration.settings import load
-from studiorecon.survey.judge import Settings
+from studiorecon.survey.effect_decisions import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
 

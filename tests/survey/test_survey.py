@@ -21,10 +21,10 @@ from studiorecon.survey.coverage import (
     stage_points,
     visible_points,
 )
+from studiorecon.survey.effect_decisions import decide_effect as of_effect
 from studiorecon.survey.effects import CLOSED_PATH, EARLY, EFFECTS, EXPOSURE, PEOPLE, VIEW_SYNTHESIS
 from studiorecon.survey.evidence import Evidence, Material
 from studiorecon.survey.exposures import ExposureView
-from studiorecon.survey.judge import decide_effect as of_effect
 
 from tests.made.survey import WH, decided, files, floor_view, ring, settings  # noqa: F401
 

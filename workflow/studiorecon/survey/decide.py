@@ -24,10 +24,10 @@ from studiorecon.scene.people import Detections, read_detections, read_identitie
 from studiorecon.scene.room import read_room
 from studiorecon.signature import Written
 from studiorecon.survey.clips import read_film
+from studiorecon.survey.effect_decisions import Settings, decide_effects
 from studiorecon.survey.effects import EARLY, EFFECTS
 from studiorecon.survey.evidence import Evidence, Material, Recordings
 from studiorecon.survey.exposures import ExposureView
-from studiorecon.survey.judge import Settings, judge
 
 __all__ = ["Settings", "run"]
 
@@ -74,7 +74,7 @@ def run(
     material = Material(cameras, names, views, films, followed, read_room(room_box).standing_m, capture.fps)
     by_file = {path.name: path for path in artefacts}
     evidence = Evidence(material, settings)
-    early = {d.effect: d for d in judge(evidence, settings.thresholds, settings.force)}
+    early = {d.effect: d for d in decide_effects(evidence, settings.thresholds, settings.force)}
     measured = [early.get(effect.name) or effect.left_to("report/audit.json") for effect in EFFECTS]
     made = {d.effect: d for d in apply_forced(measured, settings.force)}
     recordings = Recordings(videos, found or [None] * len(cameras), capture.frames)

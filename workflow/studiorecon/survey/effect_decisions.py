@@ -29,7 +29,7 @@ class Settings(Sampling):
     force: Mapping[Named, str] = force(EARLY)
 
 
-def judge(
+def decide_effects(
     evidence: Evidence,
     thresholds: Mapping[str, float],
     force: Mapping[str, str] | None = None,
