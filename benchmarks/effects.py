@@ -34,7 +34,7 @@ import numpy as np
 from studiorecon.scene.files import write_json
 from studiorecon.survey.effects import EARLY
 from studiorecon.survey.evidence import Evidence
-from studiorecon.survey.judge import Settings, judge
+from studiorecon.survey.judge import Settings, decide_effects
 
 from tests.defaults import loaded
 from tests.made.studio_world import OTHERWISE, PLANTED, scene
@@ -96,7 +96,7 @@ def verdicts(seed: int, settings: Settings, **planted: object) -> tuple[dict[str
     """Effect → verdict, and the processor seconds of the survey."""
     material = scene(seed, **planted)
     begun = time.process_time()
-    made = judge(Evidence(material, settings), settings.thresholds)
+    made = decide_effects(Evidence(material, settings), settings.thresholds)
     return {d.effect: d.verdict for d in made}, time.process_time() - begun
 
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, Landmarks
 from studiorecon.detector.crops import Region, sampled
-from studiorecon.detector.following import Walker, detect_people
-from studiorecon.detector.looking import Detector
+from studiorecon.detector.frame_detection import Detector
 from studiorecon.detector.movenet import MoveNet, Sighting
 from studiorecon.detector.network_files import DetectorFiles
+from studiorecon.detector.tracking import Walker, detect_people
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import stills
 from studiorecon.footage.source import open_source

@@ -13,9 +13,9 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from studiorecon.detector.blazepose import BlazePose, Landmarks
 from studiorecon.detector.crops import Region, opened
-from studiorecon.detector.following import keypoints_with_confidence
 from studiorecon.detector.second_network import second_network
 from studiorecon.detector.top_down import TopDown, choose_crop, from_heat, from_rows
+from studiorecon.detector.tracking import keypoints_with_confidence
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX
-from studiorecon.detector.following import detect_people, keypoints_with_confidence
 from studiorecon.detector.network_files import DetectorFiles
+from studiorecon.detector.tracking import detect_people, keypoints_with_confidence
 from studiorecon.footage.video import write_lossless
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.keypoints.detections import detections_from_detector

@@ -21,9 +21,9 @@ from studiorecon.camera_files.colmap import read_model, write_model
 from studiorecon.cameras import refine
 from studiorecon.detector.blazepose import LAYOUT, BlazePose
 from studiorecon.detector.crops import region_of_body
-from studiorecon.detector.following import keypoints_with_confidence
-from studiorecon.detector.looking import detect_in_region
+from studiorecon.detector.frame_detection import detect_in_region
 from studiorecon.detector.network_files import DetectorFiles
+from studiorecon.detector.tracking import keypoints_with_confidence
 from studiorecon.footage.video import read_frame
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS

@@ -11,8 +11,8 @@ import numpy as np
 
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX
 from studiorecon.detector.film_rotation import busiest, film_from_turned, quarter_turns, rotate_picture
-from studiorecon.detector.following import detect_people, keypoints_with_confidence
 from studiorecon.detector.network_files import DetectorFiles
+from studiorecon.detector.tracking import detect_people, keypoints_with_confidence
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import decode, glimpses, stills
 from studiorecon.footage.source import open_source

@@ -2,10 +2,11 @@
 """The embedded detector: MoveNet finds people, BlazePose places them. In come a camera's frames; out come people with
 33 landmarks, masks and a track.
 
-``movenet`` finds everybody in a picture, ``crops`` cuts each one out, ``blazepose`` places them, ``second_network`` a
-network of the user's own behind it (``top_down``: of one person, ``one_stage``: of everybody), ``network_files`` opens
-both, ``looking`` is all of that for one picture, ``film_rotation`` says how a film is turned, ``following`` goes
-through a camera's frames.
+* ``movenet`` finds people in a whole picture, ``crops`` cuts one out, ``blazepose`` places landmarks in the crop;
+* ``frame_detection`` runs them on one picture, ``tracking`` on all frames of a camera;
+* ``second_network`` adds a network of the user (``top_down``: one person a crop, ``one_stage``: the whole picture);
+  ``network_files`` opens both;
+* ``film_rotation`` measures whether a film is turned.
 """
 
 import os

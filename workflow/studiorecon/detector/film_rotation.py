@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.detector.looking import Detector, landmark_confidence
+from studiorecon.detector.frame_detection import Detector, landmark_confidence
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from studiorecon.detector.blazepose import BlazePose
-from studiorecon.detector.looking import Detector
+from studiorecon.detector.frame_detection import Detector
 from studiorecon.detector.movenet import MoveNet
 from studiorecon.detector.second_network import second_network
 from studiorecon.scene.files import read_json

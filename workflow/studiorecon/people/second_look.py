@@ -21,9 +21,9 @@ from studiorecon.camera_files.calibration import find_lens
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.detector.blazepose import LAYOUT, MASK_PX, BlazePose, Landmarks
 from studiorecon.detector.crops import region_of_body
-from studiorecon.detector.following import keypoints_with_confidence
-from studiorecon.detector.looking import detect_in_region
+from studiorecon.detector.frame_detection import detect_in_region
 from studiorecon.detector.network_files import DetectorFiles
+from studiorecon.detector.tracking import keypoints_with_confidence
 from studiorecon.footage.frames import stills
 from studiorecon.footage.source import open_source
 from studiorecon.geometry.lens import video_from_working, working_from_video

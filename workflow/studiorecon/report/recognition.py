@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.arrays import evenly_spread
-from studiorecon.detector.following import keypoints_with_confidence
-from studiorecon.detector.looking import Detector
+from studiorecon.detector.frame_detection import Detector
 from studiorecon.detector.network_files import DetectorFiles
+from studiorecon.detector.tracking import keypoints_with_confidence
 from studiorecon.footage.video import read_frames_from
 from studiorecon.progress import progress, say
 from studiorecon.report.metrics.films import JudgedFiles

@@ -16,7 +16,7 @@ import numpy as np
 
 from studiorecon.detector.blazepose import BlazePose, Landmarks
 from studiorecon.detector.crops import Region
-from studiorecon.detector.looking import Detector, detect_in_region, drop_overlapping
+from studiorecon.detector.frame_detection import Detector, detect_in_region, drop_overlapping
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
