@@ -13,11 +13,6 @@ import numpy as np
 
 from tests.made.file_contents import FORMS
 
-NEVER_SILENT = ("type", "shape", "finite", "infinite", "whole", "missing", "unknown", "doubled key", "file", "encoding")
-"""After these nobody can take the file for a whole one."""
-PLAUSIBLE = ("range", "count", "doubled", "sign", "unit", "order", "text", "exchanged", "mirrored", "swapped")
-"""After these the file may be another one's whole file: it is told where something else says otherwise."""
-
 
 @dataclass(frozen=True)
 class Variant:

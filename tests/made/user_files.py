@@ -8,7 +8,7 @@ import json
 import pickle
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,14 +26,17 @@ from studiorecon.footage.source import open_source
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import write_watchable
 from studiorecon.keypoints.readers import read_keypoints
+from studiorecon.keypoints.tracking import TrackingLimits, drop_duplicates
 from studiorecon.masks.user_masks import mask_pictures
 from studiorecon.models.adapters.comotion import Comotion
 from studiorecon.plan.discovery import open_dataset
+from studiorecon.scene.capture import Footage
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.people import read_given_identities
 from studiorecon.studio.description import read_description
-from studiorecon.tracks.bodies import read_bodies
+from studiorecon.tracks.bodies import Settings as BodySettings
+from studiorecon.tracks.bodies import detections_from_bodies, read_bodies, require_used_frames
 
 from tests.made.file_contents import npy, npz
 
@@ -60,12 +63,14 @@ def of_json(name: str, value: Any, right: Callable[[Path], Any]) -> Reader:
 
 
 def keypoints_right(path: Path) -> Any:
-    found = read_keypoints(path)
+    found = read_keypoints(path, (96, 54))
     assert found.keypoints.shape[0::2] == (len(found.frame), 3)
     assert found.keypoints.dtype == float
     assert np.isin(found.frame, found.pictures).all()
     assert (np.diff(found.frame) >= 0).all()
-    return found
+    order = np.lexsort([np.nansum(found.keypoints, axis=(1, 2)), found.frame])  # people of a picture have no order
+    found = replace(found, keypoints=found.keypoints[order])
+    return found.only(drop_duplicates(found.frame, found.keypoints, TrackingLimits()))
 
 
 def calibration_right(path: Path) -> Any:
@@ -94,13 +99,16 @@ def capture_right(path: Path) -> Any:
     return found
 
 
-TRIPLES = (np.arange(51.0) % 17).tolist()
-OPENPOSE = {"people": [{"person_id": [-1], "pose_keypoints_2d": TRIPLES}, {"pose_keypoints_2d": TRIPLES}]}
-EASYMOCAP = {"annots": [{"personID": 3, "keypoints": [[1.0, 2.0, 0.5]] * 17}]}
+STOOD = np.column_stack([30 + np.arange(17.0) % 5, 20 + 2 * np.arange(17.0), np.full(17, 0.8)])
+BESIDE = STOOD + np.array([40, 5, 0.1])
+TRIPLES, AWAY = STOOD.ravel().tolist(), BESIDE.ravel().tolist()
+OPENPOSE = {"people": [{"person_id": [-1], "pose_keypoints_2d": TRIPLES}, {"pose_keypoints_2d": AWAY}]}
+EASYMOCAP = {"annots": [{"personID": 3, "keypoints": STOOD.tolist()}]}
 COCO = [{"image_id": f"{t}.jpg", "keypoints": TRIPLES, "idx": 1, "score": 1.0} for t in range(3)]
 MMPOSE = {
     "instance_info": [
-        {"frame_id": t, "instances": [{"keypoints": [[1.0, 2.0]] * 17, "keypoint_scores": [0.5] * 17}]} for t in (1, 2)
+        {"frame_id": t, "instances": [{"keypoints": STOOD[:, :2].tolist(), "keypoint_scores": [0.5] * 17}]}
+        for t in (1, 2)
     ]
 }
 POSE = [[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 2.0]]
@@ -190,7 +198,10 @@ _TEXTS = {
     "mmpose": of_json("k.json", MMPOSE, keypoints_right),
     "mediapipe": of_json("k.json", MEDIAPIPE, keypoints_right),
     "keypoint npz": Reader(
-        "k.npz", npz(keypoints=np.ones((4, 2, 17, 3)), ids=np.ones((4, 2))), keypoints_right, text=False
+        "k.npz",
+        npz(keypoints=np.tile(np.stack([STOOD, BESIDE]), (4, 1, 1, 1)), ids=np.ones((4, 2))),
+        keypoints_right,
+        text=False,
     ),
     "deeplabcut": Reader("k.csv", DEEPLABCUT.encode(), keypoints_right),
     "transforms": of_json("transforms.json", TRANSFORMS, calibration_right),
@@ -248,11 +259,10 @@ def masks_right(path: Path) -> Any:
 
 
 def bodies_right(path: Path) -> Any:
-    found = list(read_bodies(path, Comotion))
-    for frame, bodies in found:
-        assert isinstance(frame, int)
-        assert np.isfinite(bodies.poses_rad).all()
-    return found
+    found = require_used_frames(read_bodies(path, Comotion), len(ROWS["id"]), path.name)
+    kept = detections_from_bodies(found, Comotion.layout, BODIES_FILM, BodySettings())
+    assert np.isfinite(kept.body_pose).all()
+    return kept
 
 
 def film_right(path: Path) -> Any:
@@ -301,6 +311,7 @@ ROWS = {
     "pred_2d": np.ones((3, 27, 2), np.float32),
     "pred_3d": np.ones((3, 27, 3), np.float32),
 }
+BODIES_FILM = Footage("cam", False, (48, 27), np.eye(3).tolist(), 30.0, 3, 0, "", "", (48, 27), 0, 0.0, [])
 CLOUD = Gaussians(
     RNG.normal(size=(5, 3)).astype(np.float32),
     np.tile(np.float32([1, 0, 0, 0]), (5, 1)),

@@ -26,12 +26,14 @@ from typing import Any
 from studiorecon.configuration import settings as settings_module
 from studiorecon.configuration.step_settings import find_section
 from studiorecon.errors import UserError
+from studiorecon.machine.changed_files import changed_files, record_files
 from studiorecon.machine.crash_report import fault_sentence, keep_trace
 from studiorecon.machine.libraries import missing_library, remedy
 from studiorecon.machine.output import unbroken_output
 from studiorecon.machine.resource_errors import describe_resource_error, memory_note
 from studiorecon.models.catalogue.sandbox import confine
-from studiorecon.progress import LOGGER, fail, log_to
+from studiorecon.progress import LOGGER, fail, log_to, warn
+from studiorecon.signature import Written
 
 _MAX_PIXELS = 2**28
 # ``kernel_cache``, by name: imports here are part of every step's digest, and the place of machine code changes no
@@ -114,7 +116,10 @@ def _run(module: types.ModuleType, step: str, options: dict, log: Path | None) -
         settings_type = module.Settings if dataclasses.is_dataclass(getattr(module, "Settings", None)) else None
         if settings_type is not None:
             options["settings"] = settings_module.load(settings_type, values, step.split(".")[0])
+        for sentence in changed_files(paths_of(module.run, options, Path)):
+            warn(sentence)
         module.run(**gathered(module.run, options))
+        record_files(step, paths_of(module.run, options, Written))
     except UserError as refusal:
         fail(f"{step}: {refusal}")
     except Exception as error:
@@ -184,23 +189,29 @@ def _parse(step: str, run: typing.Callable, argv: list[str]) -> dict:
         default = [] if is_list else None if default is dataclasses.MISSING else default
         extra = {"nargs": "*"} if is_list else {}
         parser.add_argument(
-            "--" + name.replace("_", "-"), dest=name, type=kind, required=required, default=default, **extra
+            "--" + name.replace("_", "-"), dest=name, type=_plain(kind), required=required, default=default, **extra
         )
     return vars(parser.parse_args(argv))
 
 
 def options_of(run: Callable) -> Iterator[tuple[str, Any, Any]]:
     """Name, type and default (or ``dataclasses.MISSING``) of every option of a step except its settings."""
-    hints = typing.get_type_hints(run)
+    hints = typing.get_type_hints(run, include_extras=True)
     for name, parameter in inspect.signature(run).parameters.items():
         if name == "settings":
             continue
         if dataclasses.is_dataclass(hints[name]):
-            kinds = typing.get_type_hints(hints[name])
+            kinds = typing.get_type_hints(hints[name], include_extras=True)
             yield from ((field.name, kinds[field.name], field.default) for field in dataclasses.fields(hints[name]))
         else:
             given = parameter.default
             yield name, hints[name], dataclasses.MISSING if given is inspect.Parameter.empty else given
+
+
+def paths_of(run: Callable, options: Mapping[str, Any], role: Any) -> list[Path]:
+    """The paths among a step's options that are its inputs (``role`` is ``Path``) or that it writes (``Written``)."""
+    found = [options.get(name) for name, hint, _ in options_of(run) if _read_annotation(hint)[0] == role]
+    return [path for given in found for path in (given if isinstance(given, list) else [given]) if path is not None]
 
 
 def gathered(run: Callable, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -223,6 +234,11 @@ def _read_annotation(hint: typing.Any) -> tuple[type, bool, bool]:
     if typing.get_origin(hint) is list:
         return typing.get_args(hint)[0], True, optional
     return hint, False, optional
+
+
+def _plain(kind: Any) -> Any:
+    """The type without its role."""
+    return typing.get_args(kind)[0] if typing.get_origin(kind) is typing.Annotated else kind
 
 
 if __name__ == "__main__":

@@ -116,7 +116,8 @@ def _usable(keypoints: Num[np.ndarray, "D K 3"], path: Path) -> Float[np.ndarray
     lost = np.where(there, ~np.isfinite(score), ~(np.isnan(place).all(-1) & ~np.isfinite(score)) & ~(score <= 0))
     if lost.any():
         warn(f"{path}: {lost.sum()} of {lost.size} keypoints are no numbers or beyond any picture, and were left out")
-    below = seen & (score < 0) & (place > 0).all(-1)
+    marked = ((place == 0) | (place == -1)).all(-1)  # what programs write for a keypoint that they do not see
+    below = seen & (score < 0) & ~marked
     if seen.any() and not (score[seen] > 0).any():
         warn(f"{path}: all scores are 0 or less, so nobody counts as seen; write scores from 0 to 1")
     elif below.any():
