@@ -28,7 +28,7 @@ from studiorecon.calibration.room_pictures import read_room_pictures, without_di
 from studiorecon.camera_files.calibration import read_calibration
 from studiorecon.errors import UserError
 from studiorecon.footage.frames import glimpses
-from studiorecon.footage.source import open_source
+from studiorecon.footage.source import FootageSource, open_source
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.encoded import png
@@ -80,69 +80,52 @@ def examine(
 ) -> tuple[dict[str, Any], Float[np.ndarray, "N 3"]]:
     """The report (written to doctor.json) and the triangulated points (N, 3) of the frame with most of them.
 
-    ``detections`` of cameras without keypoints are empty. ``lens_readings``: cameras and detections under other lens
-    models, by the names of ``hypotheses.LENS_READINGS``. ``sync``: results about clocks (``sentences``, and the
-    ``refusal`` that the footage will raise, or ""). ``doubts``: the calibration's own. ``keypoints``: sentences from
-    their comparison with the films, ``refused`` and ``notes``. ``rooms``: the room without people in each camera, None
-    where it was not computed.
+    ``detections`` of cameras without keypoints are empty. ``lens_readings``: by the names of
+    ``hypotheses.LENS_READINGS``. ``sync``: ``sentences`` about clocks, and the ``refusal`` that the footage will raise,
+    or "". ``keypoints``: sentences from their comparison with the films, ``refused`` and ``notes``. ``rooms``: without
+    people, None where it was not computed.
     """
     names = [c.name for c in cameras]
     frames = min(int(a["frames"]) for a in about)
     chosen, people = evenly_spread(frames, _FRAMES), any(len(d.frame) for d in detections)
     few = chosen[:: max(1, len(chosen) // 6)]
-    table, margins = score_conventions(cameras, detections, few, settings.gate_m, settings.limits)
-    seen, _ = make_observations(detections, cameras, chosen, settings.gate_m)
-    median: float | None = None
-    each: list[float | None] = [None] * len(cameras)
-    points = np.zeros((0, 3))
-    if len(seen.frame):
-        median, each, points = error_medians(cameras, seen, settings.limits)
-    median = median if len(points) else None
+    fit = _fit_of_people(cameras, detections, chosen, settings)
     limit_px = settings.max_error_share * max(max(c.wh) for c in cameras)
-    if people and (median is None or median > 0.5 * limit_px):
-        swap = best_swap(cameras, detections, few, settings.gate_m)
-        if swap is not None:
-            # On a regular ring a swap is nearly a mirror image: rays agree about as well, pixels decide.
-            px = None if median is None else _median_px(swap[1], detections, chosen, settings)
-            table.append({**swap[0], **({} if px is None else {"median_px": px})})
-    for name, (cams, found) in (lens_readings or {}).items():
-        row = score_lens_model(name, cams, found, few, settings.gate_m)
-        table.append({**row, "median_px": _median_px(cams, found, chosen, settings)})
     fps = max(float(a["fps"]) for a in about)
-    watched = active_cameras(detections, fps)
-    described = settings.gate_m, settings.limits, settings.bundle
+    table, margins = score_conventions(cameras, detections, few, settings.gate_m, settings.limits)
+    if people and (fit.median_px is None or fit.median_px > 0.5 * limit_px):
+        table += _swapped_cameras(cameras, detections, chosen, few, fit, settings)
+    table += _lens_models(lens_readings or {}, chosen, few, settings)
     refined, odd = None, None
+    described = settings.gate_m, settings.limits
     if people:
-        refined = refined_on_people(cameras, detections, watched, frames, median, 0.5 * limit_px, *described, rooms)
-    if people and (median is None or any(e is None or e > limit_px for e in each)):
-        odd = find_outlier_camera(cameras, detections, chosen, settings.gate_m, settings.limits)
+        watched, good_px = active_cameras(detections, fps), 0.5 * limit_px
+        refined = refined_on_people(
+            *(cameras, detections, watched, frames, fit.median_px, good_px), *described, settings.bundle, rooms
+        )
+    if people and (fit.median_px is None or any(e is None or e > limit_px for e in fit.each_px)):
+        odd = find_outlier_camera(cameras, detections, chosen, *described)
         if odd is not None and (not odd.cause or odd.turned) and refined is not None and refined.elsewhere:
             odd = None  # moved cameras explain it
-    shown, shown_points = _best_frame(cameras, seen, settings.limits)
-    middle, reach = _volume(cameras, points)
-    half = min(frames, _CLOCK_FRAMES) // 2
-    window = [replace_frames(d, frames // 2 - half, frames // 2 + half + 1) for d in detections]
-    found_lags = clocks.lags(window, cameras, _LAG_FRAMES, settings.gate_m) if people else []
+    shown, shown_points = _best_frame(cameras, fit.seen, settings.limits)
+    middle, reach = _volume(cameras, fit.points_m)
     report: dict[str, Any] = {
         "cameras": names,
         "notes": [],
-        "lengths": _wrong_lengths(cameras, detections, seen, few, settings) if people else None,
+        "lengths": _wrong_lengths(cameras, detections, fit.seen, few, settings) if people else None,
         "people": people,
         "without_keypoints": [a["camera"] for a in about if not a["keypoints"]],
         "inactive_cameras": inactive_camera_notes([d for d, a in zip(detections, about) if a["keypoints"]], fps),
         "hypotheses": table,
         "margin": dict(zip(names, margins)),
         "outlier_camera": None if odd is None else odd.sentence(),
-        "median_px": median,
-        "median_mm": None if median is None else 1000 * median * float(np.median(_metres_per_px(cameras, points))),
+        "median_px": fit.median_px,
+        "median_mm": fit.median_mm(cameras),
         "refined": None if refined is None else refined.as_json(cameras),
-        "edges": compare_edges(cameras, refined, seen, rooms, settings.limits, settings.bundle),
-        "px_per_camera": dict(zip(names, each)),
+        "edges": compare_edges(cameras, refined, fit.seen, rooms, settings.limits, settings.bundle),
+        "px_per_camera": dict(zip(names, fit.each_px)),
         "shown_frame": shown,
-        "lags_frames": {
-            lag.camera: {"frames": lag.frames, "low": lag.low, "high": lag.high, "valid": lag.valid}
-            for lag in found_lags
-        },
+        "lags_frames": _lags(cameras, detections, frames, settings.gate_m) if people else {},
         "sync": dict(sync or {"sentences": [], "refusal": ""}),
         "keypoints": {key: list((keypoints or {}).get(key, [])) for key in ("refused", "notes")},
         "footage": {a["camera"]: dict(a) for a in about},
@@ -154,6 +137,68 @@ def examine(
     }
     report["verdict"], report["advice"] = verdict(report, limit_px)
     return report, shown_points
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """How well people fit the cameras: the median error, of each camera too, and the points (N, 3) that it is of."""
+
+    seen: Observations
+    median_px: float | None
+    each_px: Sequence[float | None]
+    points_m: np.ndarray
+
+    def median_mm(self, cameras: Sequence[Camera]) -> float | None:
+        if self.median_px is None:
+            return None
+        return 1000 * self.median_px * float(np.median(_metres_per_px(cameras, self.points_m)))
+
+
+def _fit_of_people(
+    cameras: Sequence[Camera], detections: Sequence[Detections], chosen: np.ndarray, settings: Settings
+) -> _Fit:
+    seen, _ = make_observations(detections, cameras, chosen, settings.gate_m)
+    if not len(seen.frame):
+        return _Fit(seen, None, [None] * len(cameras), np.zeros((0, 3)))
+    median, each, points = error_medians(cameras, seen, settings.limits)
+    return _Fit(seen, median if len(points) else None, each, points)
+
+
+def _swapped_cameras(
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    chosen: np.ndarray,
+    few: np.ndarray,
+    fit: _Fit,
+    settings: Settings,
+) -> list[dict[str, Any]]:
+    """The row of the best swap of two cameras, if there is one."""
+    swap = best_swap(cameras, detections, few, settings.gate_m)
+    if swap is None:
+        return []
+    # On a regular ring a swap is nearly a mirror image: rays agree about as well, pixels decide.
+    px = None if fit.median_px is None else _median_px(swap[1], detections, chosen, settings)
+    return [{**swap[0], **({} if px is None else {"median_px": px})}]
+
+
+def _lens_models(readings: Readings, chosen: np.ndarray, few: np.ndarray, settings: Settings) -> list[dict[str, Any]]:
+    """A row of every other reading of the lenses."""
+    return [
+        score_lens_model(name, cameras, detections, few, settings.gate_m)
+        | {"median_px": _median_px(cameras, detections, chosen, settings)}
+        for name, (cameras, detections) in readings.items()
+    ]
+
+
+def _lags(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: int, gate_m: float
+) -> dict[str, dict[str, Any]]:
+    half = min(frames, _CLOCK_FRAMES) // 2
+    window = [replace_frames(d, frames // 2 - half, frames // 2 + half + 1) for d in detections]
+    return {
+        lag.camera: {"frames": lag.frames, "low": lag.low, "high": lag.high, "valid": lag.valid}
+        for lag in clocks.lags(window, cameras, _LAG_FRAMES, gate_m)
+    }
 
 
 def _wrong_lengths(
@@ -288,7 +333,8 @@ def run(
     cameras = [camera for camera in cameras if camera not in left_out]
     if unknown := [c for c in cameras if c not in lenses]:
         raise UserError(f"camera {unknown[0]} is not in {calibration} (that has {', '.join(lenses)})")
-    found, common = read_json(sync), usable_clocks(read_clocks(clocks))
+    found, filmed = read_json(sync), read_clocks(clocks)
+    common = usable_clocks(filmed)
     decided = [read_json(path) for path in sizes]
     heights = {v["camera"]: int(v["wh"][1]) for v in decided}
     seen = {d.camera: resample_keypoints(d, common, heights[d.camera]) for d in map(read_detections, sightings)}
@@ -296,33 +342,12 @@ def run(
     moments = [common.source_frames(c) for c in cameras]
     films = [open_source(source, 0.0) for source in sources]
     looks = [glimpses(film, [int(of[0]), int(of[len(of) // 2])]) for film, of in zip(films, moments, strict=True)]
-    about: list[dict[str, Any]] = [
-        {
-            "camera": c,
-            "wh": list(film.wh),
-            "frames": common.frames,
-            "first_frame": first_frame(common, c),
-            **brightness_and_clipping(pictures),
-            "fps": film.fps,
-            "video_frames": film.frames,
-            "rotation_deg": film.rotation_deg,
-            "keypoints": c in seen,
-        }
-        for c, film, pictures in zip(cameras, films, looks, strict=True)
+    starts = [first_frame(common, c) for c in cameras]
+    about = [
+        {**about_film(c, film, pictures), "frames": common.frames, "first_frame": start, "keypoints": c in seen}
+        for c, film, pictures, start in zip(cameras, films, looks, starts, strict=True)
     ]
-
-    # Before anything slow: results from the files alone.
-    for a in about:
-        say(
-            f"camera {a['camera']}: {a['wh'][0]}×{a['wh'][1]}, {a['fps']:g} fps, "
-            f"{a['video_frames']} frames from {a['first_frame']:g} on, "
-            f"mean grey {a['brightness']:.2f}, {'keypoints' if a['keypoints'] else 'no keypoints'}"
-        )
-    for sentence in [
-        *(f"camera {c}: {note}" for c, film in zip(cameras, films) for note in film.notes),
-        *footage_notes(about),
-    ]:
-        say(sentence)
+    say_about_films(about, films)  # before anything slow: results from the files alone
 
     def read(model: LensReading) -> tuple[list[Camera], list[Detections]]:
         both = [to_pinhole(d, as_model(lenses[c], model), film.wh) for c, d, film in zip(cameras, raw, films)]
@@ -332,32 +357,50 @@ def run(
     readings = {
         name: read(model) for name, model in LENS_READINGS.items() if any(lenses[c].model != model for c in cameras)
     }
-    described = {"sentences": [f["sentence"] for f in found["cameras"]], "refusal": read_clocks(clocks).refusal}
+    described = {"sentences": [f["sentence"] for f in found["cameras"]], "refusal": filmed.refusal}
     # Cameras that filmed people, or all: the room in held-out pictures is not used.
     asked = [c in seen or not seen for c in cameras]
     rooms = _rooms(sources, pinholes, [lenses[c] for c in cameras], moments, asked)
-    compared = {
-        "refused": [v["refusal"] for v in decided if v.get("refusal")],
-        "notes": [sentence for v in decided for sentence in v.get("notes", [])],
-    }
+    notes_of_films = [sentence for v in decided for sentence in v.get("notes", [])]
+    compared = {"refused": [v["refusal"] for v in decided if v.get("refusal")], "notes": notes_of_films}
     doubts = calibrated.about["doubts"] or []
     result, points = examine(pinholes, detections, about, settings, readings, described, doubts, rooms, compared)
-    pictures = [both[-1] for both in looks]
-    if result["shown_frame"] is not None:
-        pictures = [glimpses(film, [int(of[result["shown_frame"]])])[0] for film, of in zip(films, moments)]
+    frame = result["shown_frame"]
+    straight = [
+        undistort_picture(both[-1] if frame is None else glimpses(film, [int(of[frame])])[0], lenses[c], camera)
+        for both, film, of, c, camera in zip(looks, films, moments, cameras, pinholes)
+    ]
     shown = {"after_px_per_camera": [result["px_per_camera"][c] for c in cameras]}
-    straight = [undistort_picture(p, lenses[c], camera) for p, c, camera in zip(pictures, cameras, pinholes)]
-    sheet = contact_sheet(
-        pinholes, [], straight, points, shown, [keypoint_pixels(d, result["shown_frame"]) for d in detections]
-    )
-    pictured = png(sheet)
+    sheet = contact_sheet(pinholes, [], straight, points, shown, [keypoint_pixels(d, frame) for d in detections])
     result["notes"] = json.loads(notes)
     write_json(report, result)
-    write_text(doctor, page(scene, result, pictured))
+    write_text(doctor, page(scene, result, png(sheet)))
     # The step that estimates the clocks writes their sentences.
-    for sentence in result["notes"]:
+    conclusion = [*result["notes"], f"VERDICT: {result['verdict']}", *result["advice"]]
+    for sentence in [*conclusion, *filter(None, [edge_agreement_note(result)]), f"the page is {doctor}"]:
         say(sentence)
-    say(f"VERDICT: {result['verdict']}")
-    for sentence in [*result["advice"], *filter(None, [edge_agreement_note(result)])]:
+
+
+def about_film(camera: str, film: FootageSource, pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> dict[str, Any]:
+    """What a camera's file and two ``pictures`` of it show."""
+    return {
+        "camera": camera,
+        "wh": list(film.wh),
+        **brightness_and_clipping(pictures),
+        "fps": film.fps,
+        "video_frames": film.frames,
+        "rotation_deg": film.rotation_deg,
+    }
+
+
+def say_about_films(about: Sequence[Mapping[str, Any]], films: Sequence[FootageSource]) -> None:
+    """Say size, length and brightness of every film, and its oddities."""
+    for a in about:
+        say(
+            f"camera {a['camera']}: {a['wh'][0]}×{a['wh'][1]}, {a['fps']:g} fps, "
+            f"{a['video_frames']} frames from {a['first_frame']:g} on, "
+            f"mean grey {a['brightness']:.2f}, {'keypoints' if a['keypoints'] else 'no keypoints'}"
+        )
+    notes = [f"camera {a['camera']}: {note}" for a, film in zip(about, films) for note in film.notes]
+    for sentence in [*notes, *footage_notes(about)]:
         say(sentence)
-    say(f"the page is {doctor}")

@@ -10,11 +10,13 @@ rotation.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.deliver.body_colours import body_colours
 from studiorecon.deliver.finished import FinishedScene, read_finished
 from studiorecon.deliver.gltf import (
@@ -107,73 +109,85 @@ def thing_motion(buffer: Buffer, thing: RigidObject, fps: float, node: int) -> d
     }
 
 
-def build_document(scene: FinishedScene, buffer: Buffer) -> dict[str, Any]:
-    """The glTF document of a scene, with its numbers in ``buffer``; one animation, ``capture``, moves everything."""
-    nodes: list[dict[str, Any]] = []
-    meshes: list[dict[str, Any]] = []
-    skins: list[dict[str, Any]] = []
-    cameras: list[dict[str, Any]] = []
-    samplers: list[dict[str, Any]] = []
-    channels: list[dict[str, Any]] = []
-    roots: list[int] = []
+@dataclass
+class _Parts:
+    """What the document lists; all motion goes into one animation."""
 
-    def moved(motion: dict[str, Any]) -> None:
-        channels.extend(c | {"sampler": c["sampler"] + len(samplers)} for c in motion["channels"])
-        samplers.extend(motion["samplers"])
+    buffer: Buffer
+    nodes: list[dict[str, Any]] = field(default_factory=list)
+    roots: list[int] = field(default_factory=list)
+    meshes: list[dict[str, Any]] = field(default_factory=list)
+    skins: list[dict[str, Any]] = field(default_factory=list)
+    cameras: list[dict[str, Any]] = field(default_factory=list)
+    samplers: list[dict[str, Any]] = field(default_factory=list)
+    channels: list[dict[str, Any]] = field(default_factory=list)
 
-    upright = rotations.to_quaternion(Y_UP_FROM_Z_UP)[[1, 2, 3, 0]].tolist()
-    if scene.room.count:
-        meshes.append({"name": "room", "primitives": [splats(buffer, scene.room, scene.provenance)]})
-        nodes.append({"name": "room", "mesh": 0, "rotation": upright})
-        roots.append(0)
-    for person in scene.people:
-        first = len(nodes)
-        primitive, skeleton, bind = add_body(buffer, person.model, person.betas, body_colours(person))
+    def add_root(self, node: dict[str, Any]) -> None:
+        self.roots.append(len(self.nodes))
+        self.nodes.append(node)
+
+    def add_mesh(self, name: str, primitive: dict[str, Any]) -> int:
+        self.meshes.append({"name": name, "primitives": [primitive]})
+        return len(self.meshes) - 1
+
+    def add_motion(self, motion: dict[str, Any]) -> None:
+        self.channels += [c | {"sampler": c["sampler"] + len(self.samplers)} for c in motion["channels"]]
+        self.samplers += motion["samplers"]
+
+    def add_person(self, person: Avatar) -> None:
+        first = len(self.nodes)
+        primitive, skeleton, bind = add_body(self.buffer, person.model, person.betas, body_colours(person))
         for joint in skeleton:
             below = {"children": [first + k for k in joint["children"]]} if "children" in joint else {}
-            nodes.append(joint | below)
-        roots += [first, len(nodes)]
-        nodes.append({"name": person.person, "mesh": len(meshes), "skin": len(skins)})
-        meshes.append({"name": person.person, "primitives": [primitive | {"material": 0}]})
-        skins.append(
-            {"inverseBindMatrices": bind, "joints": [first + j for j in range(len(skeleton))], "skeleton": first}
-        )
-        moved(motion_channels(buffer, person, first))
-    for thing in scene.things:
-        motion = thing_motion(buffer, thing, scene.capture.fps, len(nodes))
+            self.nodes.append(joint | below)
+        self.roots.append(first)
+        mesh = self.add_mesh(person.person, primitive | {"material": 0})
+        self.add_root({"name": person.person, "mesh": mesh, "skin": len(self.skins)})
+        joints = [first + j for j in range(len(skeleton))]
+        self.skins.append({"inverseBindMatrices": bind, "joints": joints, "skeleton": first})
+        self.add_motion(motion_channels(self.buffer, person, first))
+
+    def add_thing(self, thing: RigidObject, fps: float) -> None:
+        motion = thing_motion(self.buffer, thing, fps, len(self.nodes))
         if motion is None or not thing.gaussians.count:
             say(f"scene.glb: {thing.person} has no known position and is left out")
-            continue
-        moved(motion)
-        roots.append(len(nodes))
-        nodes.append({"name": thing.person, "mesh": len(meshes)})
-        meshes.append({"name": thing.person, "primitives": [splats(buffer, thing.gaussians, thing.provenance)]})
+            return
+        self.add_motion(motion)
+        mesh = self.add_mesh(thing.person, splats(self.buffer, thing.gaussians, thing.provenance))
+        self.add_root({"name": thing.person, "mesh": mesh})
+
+
+def build_document(scene: FinishedScene, buffer: Buffer) -> dict[str, Any]:
+    """The glTF document of a scene, with its numbers in ``buffer``; one animation, ``capture``, moves everything."""
+    parts = _Parts(buffer)
+    if scene.room.count:
+        upright = rotations.to_quaternion(Y_UP_FROM_Z_UP)[[1, 2, 3, 0]].tolist()
+        mesh = parts.add_mesh("room", splats(buffer, scene.room, scene.provenance))
+        parts.add_root({"name": "room", "mesh": mesh, "rotation": upright})
+    for person in scene.people:
+        parts.add_person(person)
+    for thing in scene.things:
+        parts.add_thing(thing, scene.capture.fps)
     for camera in scene.cameras:
         made, node = camera_node(camera)
-        roots.append(len(nodes))
-        nodes.append(node | {"camera": len(cameras)})
-        cameras.append(made)
-    held = {"meshes": meshes, "skins": skins, "cameras": cameras}
-    if channels:
-        held["animations"] = [{"name": "capture", "samplers": samplers, "channels": channels}]
+        parts.add_root(node | {"camera": len(parts.cameras)})
+        parts.cameras.append(made)
+    held = {"meshes": parts.meshes, "skins": parts.skins, "cameras": parts.cameras}
+    if parts.channels:
+        held["animations"] = [{"name": "capture", "samplers": parts.samplers, "channels": parts.channels}]
+    unlit = "KHR_materials_unlit"
     material = {
         "name": "as filmed",
         "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0},
-        "extensions": {"KHR_materials_unlit": {}},
+        "extensions": {unlit: {}},
     }
+    about = {"_PROVENANCE": "0 measured, 1 inferred, 2 invented"}
     return {
-        "asset": {
-            "version": "2.0",
-            "generator": "studiorecon",
-            "extras": {"_PROVENANCE": "0 measured, 1 inferred, 2 invented"},
-        },
-        "extensionsUsed": [
-            "KHR_materials_unlit",
-            *([SPLATS] if any("mode" in m["primitives"][0] for m in meshes) else []),
-        ],
+        "asset": {"version": "2.0", "generator": "studiorecon", "extras": about},
+        "extensionsUsed": [unlit, *([SPLATS] if any("mode" in m["primitives"][0] for m in parts.meshes) else [])],
         "scene": 0,
-        "scenes": [{"name": scene.name, "nodes": roots}],
-        "nodes": nodes,
+        "scenes": [{"name": scene.name, "nodes": parts.roots}],
+        "nodes": parts.nodes,
         "materials": [material],
     } | {name: several for name, several in held.items() if several}
 

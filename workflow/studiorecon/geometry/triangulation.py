@@ -87,10 +87,9 @@ def triangulate(
 ) -> TriangulatedPoints:
     """World points of ``pixels`` (V, ..., 2), seen with ``confidence`` (V, ...) by V cameras; NaN is a missing view.
 
-    Any axes between the views and the two coordinates (people, frames, joints) are those of the result, N standing for
-    all of them. ``noise_px`` is the standard deviation that ``covariance_m2`` assumes; by default a third of an error
-    unit. Confidences weight the squared residuals. float64 throughout, every point separately: the same result in any
-    batch and any order.
+    Any axes between the views and the two coordinates (people, frames, joints) are those of the result. ``noise_px`` is
+    the standard deviation that ``covariance_m2`` assumes; by default a third of an error unit. Confidences weight the
+    squared residuals. float64, every point separately: the same result in any batch and any order.
 
     ``solver``, with microseconds a point for 4 views on one core and the median / 95 % error in cm at 1 px noise on a
     ring of 4 m with 0, 1 and 2 of 4 views 200 px off (benchmarks/geometry.py):
@@ -101,7 +100,6 @@ def triangulate(
       their pull, does not end it, and cannot start where DLT is behind a camera. ≤ 22 µs; 0.38 / 0.71, 1.7 / 8.4, 20 /
       77.
     - "dlt": homogeneous least squares, no refinement. ≤ 7 µs; 0.39 / 0.73, 30 / 44, 44 / 66.
-
     Raises ValueError that names the argument when shapes do not fit together. Numerics T01-T16.
     """
     pixels, confidence = np.asarray(pixels, dtype=np.float64), np.asarray(confidence, dtype=np.float64)
@@ -115,20 +113,16 @@ def triangulate(
     batch = pixels.shape[1:-1]
     seen, weights = pixels.reshape(len(cameras), -1, 2), confidence.reshape(len(cameras), -1)
     usable = np.isfinite(seen).all(-1) & np.isfinite(weights) & (weights > max(limits.min_confidence, 0))
-    # NaN is replaced before the arithmetic, because NaN * 0 is NaN. In one memory order, or the kernels would be
-    # compiled once per order.
+    # NaN * 0 is NaN, so NaN goes first. One memory order: kernels are compiled once per order.
     seen = np.ascontiguousarray(np.where(usable[..., None], seen, 0.0))
     weights = np.ascontiguousarray(np.where(usable, weights, 0.0))
     units = unit_px(cameras, limits)
     views, count = usable.shape
     points, covariance = np.full((count, 3), np.nan), np.full((count, 3, 3), np.inf)
-    error_px, inliers, state = (
-        np.full((views, count), np.nan),
-        np.zeros((views, count), dtype=bool),
-        np.zeros(count, dtype=np.int64),
-    )
-    noise = float(np.mean(units)) / 3 if noise_px is None else float(noise_px)
+    error_px, inliers = np.full((views, count), np.nan), np.zeros((views, count), dtype=bool)
+    state = np.zeros(count, dtype=np.int64)
     # All floats: an integer setting would compile the kernels again.
+    noise = float(np.mean(units) / 3 if noise_px is None else noise_px)
     gates = (float(limits.outlier_units), float(limits.near_m), float(np.sin(np.radians(limits.min_angle_deg))), noise)
     filled = (points, covariance, error_px, inliers, state)
     if solver == "robust":

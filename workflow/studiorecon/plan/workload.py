@@ -118,57 +118,71 @@ def workload(
     training, frames, people = footage.training, footage.frames, footage.people
     everyone = training + footage.held_out
     picture_mpx, filmed_mpx = width * height / _MEGA, footage.wh[0] * footage.wh[1] / _MEGA
-    depth, views, room, human = config["depth"], config["views"], config["background"], config["humans"]
-    planes = sum(base / depth[name] for base, name in zip(_PLANE_STEPS_M, ("horizontal_step_m", "wall_step_m"))) / 2
-    sweep_mpx = _mpx(width, height, depth["sweep_width"])
-    refine_mpx = _mpx(width, height, depth["refine_width"])
+    views, room, human = config["views"], config["background"], config["humans"]
     seeds = _OWN * training * picture_mpx / room["stride"] ** 2
     gaussians = _gaussians(room, seeds)
-    films = {shot: _pictures(shot, given, footage) for shot, given in config["render"]["shots"].items()}
-    films = {shot: pictures for shot, pictures in films.items() if pictures}
-    drawn = sum(films.values()) + training * frames
-    mean_drawn, mean_film = drawn / (len(films) + 1), sum(films.values()) / max(len(films), 1)
     heavy = 1.0 if config["detect"]["detector"] == "blazepose_heavy" else 1 / 3
+    # Work of an observer of every frame of every camera, and of its pixels.
+    looked_at = training * frames
+    looked_at_mpx, scene_people = looked_at * picture_mpx, int(people > 0)
     work = {
         "studio_capture": Work(int(footage.made), everyone * frames * filmed_mpx),
         "detect_people": Work(footage.detected, frames * max(people, 1) * heavy),
         "detect_keypoints": Work(training, frames),
-        "clocks_offsets": Work(1, training * frames),
+        "clocks_offsets": Work(1, looked_at),
         "capture_frames": Work(everyone, frames * filmed_mpx),
         "tracks_keypoints": Work(training, frames),
         "plates_clean": Work(training, min(config["plates"]["frames"], frames) * picture_mpx),
-        "cameras_refine": Work(1, training * frames * people),
+        "cameras_refine": Work(1, looked_at * people),
         "cameras_held_out": Work(1, footage.held_out * frames * people),
+        "people_first_associate": Work(1, looked_at * people),
+        "people_second_look": Work(footage.detected, frames * people),
+        "people_associate": Work(1, looked_at * people),
+        "people_fit": Work(people, frames),
+        "people_overlay": Work(training * scene_people, frames * picture_mpx),
+        "survey_decide": Work(1, looked_at_mpx),
+        "objects_find": Work(scene_people, looked_at_mpx),
+        "masks_segment": Work(training * scene_people, frames * picture_mpx),
+        "views_synthesize": Work(segments, views["views_per_segment"] * picture_mpx),
+        "background_train": Work(1, room["training"]["iterations"] * (gaussians + picture_mpx / 10)),
+        "humans_train": Work(people, human["iterations"] * picture_mpx * (1 + human["gaussians"] / 1e4)),
+        "render_light": Work(scene_people, looked_at_mpx),
+        "render_shade": Work(scene_people, gaussians),
+        **{rule: Work(1, seeds) for rule in ("deliver_player", "deliver_scene_glb", "deliver_export")},
+        **_depth_work(training, (width, height), config["depth"]),
+        **_film_work(footage, picture_mpx, config["render"]["shots"]),
+    }
+    wanted = {rule: (forced or {}).get(effect) == "on" for rule, effect in ON_DEMAND.items()}
+    return {rule: asked for rule, asked in work.items() if asked.jobs and wanted.get(rule, True)}
+
+
+def _depth_work(training: int, wh: tuple[int, int], depth: Mapping[str, Any]) -> dict[str, Work]:
+    planes = sum(base / depth[name] for base, name in zip(_PLANE_STEPS_M, ("horizontal_step_m", "wall_step_m"))) / 2
+    sweep_mpx, refine_mpx = _mpx(*wh, depth["sweep_width"]), _mpx(*wh, depth["refine_width"])
+    return {
         "depth_sweep": Work(training, training * sweep_mpx * planes),
         "depth_box": Work(1, training**2 * sweep_mpx * depth["candidates"]),
         "depth_preview": Work(1, training * sweep_mpx),
         "depth_room": Work(1, training**2 * (sweep_mpx * depth["passes"] + depth["primitives"] * 0.014)),
         "depth_refine": Work(training, training * refine_mpx * depth["candidates"] * depth["passes"]),
-        "people_first_associate": Work(1, training * frames * people),
-        "people_second_look": Work(footage.detected, frames * people),
-        "people_associate": Work(1, training * frames * people),
-        "people_fit": Work(people, frames),
-        "people_overlay": Work(training if people else 0, frames * picture_mpx),
-        "survey_decide": Work(1, training * frames * picture_mpx),
-        "objects_find": Work(int(people > 0), training * frames * picture_mpx),
-        "masks_segment": Work(training if people else 0, frames * picture_mpx),
-        "views_synthesize": Work(segments, views["views_per_segment"] * picture_mpx),
-        "background_train": Work(1, room["training"]["iterations"] * (gaussians + picture_mpx / 10)),
-        "humans_train": Work(people, human["iterations"] * picture_mpx * (1 + human["gaussians"] / 1e4)),
-        "render_light": Work(int(people > 0), training * frames * picture_mpx),
-        "render_shade": Work(int(people > 0), gaussians),
+    }
+
+
+def _film_work(footage: Footage, picture_mpx: float, shots: Mapping[str, Any]) -> dict[str, Work]:
+    looked_at = footage.training * footage.frames
+    films = {shot: _pictures(shot, given, footage) for shot, given in shots.items()}
+    films = {shot: pictures for shot, pictures in films.items() if pictures}
+    drawn = sum(films.values()) + looked_at
+    mean_drawn, mean_film = drawn / (len(films) + 1), sum(films.values()) / max(len(films), 1)
+    scored = films.get("heldout", looked_at)
+    return {
         "render_shot": Work(len(films) + 1, mean_drawn * picture_mpx),
         "enhance_shot": Work(len(films), mean_film * picture_mpx),
         "enhance_comparison": Work(len(films), mean_film * picture_mpx),
-        "report_recognition": Work(1 if people else 0, films.get("heldout", training * frames) * picture_mpx),
-        "report_evaluate": Work(1, films.get("heldout", training * frames) * picture_mpx),
-        "deliver_player": Work(1, seeds),
-        "deliver_scene_glb": Work(1, seeds),
-        "deliver_export": Work(1, seeds),
+        "report_recognition": Work(int(footage.people > 0), scored * picture_mpx),
+        "report_evaluate": Work(1, scored * picture_mpx),
         "report_page": Work(1, drawn * picture_mpx),
     }
-    wanted = {rule: (forced or {}).get(effect) == "on" for rule, effect in ON_DEMAND.items()}
-    return {rule: asked for rule, asked in work.items() if asked.jobs and wanted.get(rule, True)}
 
 
 def _working(wh: tuple[int, int], longer_side: int) -> tuple[int, int]:

@@ -102,6 +102,24 @@ def _turn_sh(r, sh, i, out):
 
 
 @numba.njit(**_KERNEL)
+def _blend(bones, weights, world_from_rest):
+    """The blended transform of one Gaussian, row-major: its nine numbers, its translation, and the strongest bone."""
+    a = b = c = d = e = f = g = h = j = x = y = z = 0.0
+    strongest = 0
+    for k in range(bones.shape[0]):
+        share = weights[k]
+        if share == 0:
+            continue
+        if share > weights[strongest]:
+            strongest = k
+        m = world_from_rest[bones[k]]
+        a, b, c, x = a + share * m[0, 0], b + share * m[0, 1], c + share * m[0, 2], x + share * m[0, 3]
+        d, e, f, y = d + share * m[1, 0], e + share * m[1, 1], f + share * m[1, 2], y + share * m[1, 3]
+        g, h, j, z = g + share * m[2, 0], h + share * m[2, 1], j + share * m[2, 2], z + share * m[2, 3]
+    return (a, b, c, d, e, f, g, h, j), (x, y, z), bones[strongest]
+
+
+@numba.njit(**_KERNEL)
 def pose_gaussians(
     bones,
     weights,
@@ -122,48 +140,12 @@ def pose_gaussians(
     3, 3) and that as ``turn_quaternions`` (N, 4).
     """
     for i in range(bones.shape[0]):
-        a = b = c = d = e = f = g = h = j = x = y = z = 0.0
-        strongest = 0
-        for k in range(bones.shape[1]):
-            share = weights[i, k]
-            if share == 0:
-                continue
-            if share > weights[i, strongest]:
-                strongest = k
-            bone = bones[i, k]
-            a, b, c, x = (
-                a + share * world_from_rest[bone, 0, 0],
-                b + share * world_from_rest[bone, 0, 1],
-                c + share * world_from_rest[bone, 0, 2],
-                x + share * world_from_rest[bone, 0, 3],
-            )
-            d, e, f, y = (
-                d + share * world_from_rest[bone, 1, 0],
-                e + share * world_from_rest[bone, 1, 1],
-                f + share * world_from_rest[bone, 1, 2],
-                y + share * world_from_rest[bone, 1, 3],
-            )
-            g, h, j, z = (
-                g + share * world_from_rest[bone, 2, 0],
-                h + share * world_from_rest[bone, 2, 1],
-                j + share * world_from_rest[bone, 2, 2],
-                z + share * world_from_rest[bone, 2, 3],
-            )
-        blended = (a, b, c, d, e, f, g, h, j)
+        blended, (x, y, z), strongest = _blend(bones[i], weights[i], world_from_rest)
+        a, b, c, d, e, f, g, h, j = blended
         own, found = _polar(blended)
         if not found:
-            bone = world_from_rest[bones[i, strongest]]
-            own = (
-                bone[0, 0],
-                bone[0, 1],
-                bone[0, 2],
-                bone[1, 0],
-                bone[1, 1],
-                bone[1, 2],
-                bone[2, 0],
-                bone[2, 1],
-                bone[2, 2],
-            )
+            m = world_from_rest[strongest]
+            own = m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2]
         for r in range(3):
             for s in range(3):
                 linear[i, r, s], turn[i, r, s] = blended[3 * r + s], own[3 * r + s]

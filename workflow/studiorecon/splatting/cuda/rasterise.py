@@ -106,15 +106,10 @@ def view(
     chosen = {
         name: torch.where(sane.reshape(-1, *[1] * (value.ndim - 1)), value, 0.0) for name, value in parameters.items()
     }
-    quaternions = chosen["quaternions"]
-    turned = quaternions.square().sum(-1, keepdim=True) > 1e-24
-    quaternions = torch.nn.functional.normalize(
-        torch.where(turned, quaternions, quaternions.new_tensor([1.0, 0, 0, 0])), dim=-1
-    )
     opacities = torch.sigmoid(chosen["logit_opacities"]) * sane
     drawn, alpha, meta = function(
         means=chosen["means_m"],
-        quats=quaternions,
+        quats=_unit(chosen["quaternions"]),
         scales=torch.exp(chosen["log_scales"]),
         opacities=opacities,
         colors=chosen["sh"] if values is None else values,
@@ -142,6 +137,15 @@ def view(
         visible,
         (~sane).sum(),
     )
+
+
+def _unit(quaternions: torch.Tensor) -> torch.Tensor:
+    """Quaternions of length one; one without a length is no turn."""
+    import torch
+
+    turned = quaternions.square().sum(-1, keepdim=True) > 1e-24
+    whole = torch.where(turned, quaternions, quaternions.new_tensor([1.0, 0, 0, 0]))
+    return torch.nn.functional.normalize(whole, dim=-1)
 
 
 def _sane(parameters: dict[str, torch.Tensor], camera: Camera, near_m: float) -> torch.Tensor:
