@@ -16,7 +16,12 @@ from studiorecon.camera_files.raw_camera import RawCamera
 from studiorecon.errors import UserError
 from studiorecon.geometry.crop_hypotheses import crop_hypotheses, rotate_lens_90
 from studiorecon.geometry.distortion import distort
-from studiorecon.geometry.lens import normalised_from_calibration, unseen_share, video_from_working, working_view
+from studiorecon.geometry.lens import (
+    normalised_from_calibration,
+    unseen_share,
+    video_from_working,
+    working_view,
+)
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.people import Detections
 

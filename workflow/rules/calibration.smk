@@ -82,6 +82,7 @@ else:
             cameras=PLAN.cameras,
             pixel_maps=json.dumps(dict(PLAN.dataset.pixel_maps)),
             picture_fps=config["capture"]["picture_fps"],
+            recorded=PLAN.person_sources.recorded if config["detect"]["keypoint_pixels"] == "auto" else [],
         shell:
             command("calibration.choose")
 

@@ -7,19 +7,27 @@ other way round, and some exports centre or scale the rest. A turned film has it
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.lens import calibration_from_video_pixels, same_shape
+from studiorecon.geometry.lens import calibration_from_video, calibration_from_video_pixels, same_shape
 from studiorecon.scene.camera import Lens
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
 
 # Pixels of a block: no codec pads by more than one less.
 _BLOCK = 16
 # Films are scaled by ratios of small integers.
 _LARGEST_RATIO = 8
+# Levels (0 to 255) of a bar: black plus a codec's noise.
+_MAX_BLACK = 32
+# Pixels by which the part between bars may miss the calibrated shape: their edges are blurred.
+_BAR_TOLERANCE_PX = 2.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +55,40 @@ def crop_hypotheses(lens: Lens, source_wh: tuple[int, int]) -> list[CropHypothes
     if not found:
         calibration_from_video_pixels(lens, source_wh)  # raises the error
     return found
+
+
+def without_bars(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Float[np.ndarray, " 4"]:
+    """(left, top, right, bottom) in pixels of the part of a film's ``pictures`` inside of black bars.
+
+    The whole picture where there are none, or where everything is black.
+    """
+    brightest = np.stack([picture.max(-1) for picture in pictures])
+    area = []
+    for axis, side in ((1, brightest.shape[2]), (2, brightest.shape[1])):
+        lit = np.flatnonzero(np.median(brightest, axis=(0, axis)) > _MAX_BLACK)
+        area.append((lit[0], lit[-1] + 1) if len(lit) else (0, side))
+    (left, right), (top, bottom) = area
+    return np.array([left, top, right, bottom], dtype=np.float64)
+
+
+def inside_bars(lens: Lens, area: Num[np.ndarray, " 4"], source_wh: tuple[int, int]) -> CropHypothesis | None:
+    """The calibrated picture in the part ``area`` of a film with black bars; None where the shapes differ or there are
+    no bars."""
+    low, size = area[:2], area[2:] - area[:2]
+    whole = size == source_wh
+    if whole.all() or lens.has_place or 0 in lens.wh:
+        return None
+    ratios = size / lens.wh
+    # A side without bars has no blurred edges.
+    scale = float(ratios[whole].mean() if whole.any() else ratios.mean())
+    if np.abs(scale * np.array(lens.wh) - size).max() > _BAR_TOLERANCE_PX:
+        return None
+    offset = low + size / 2 - scale * np.array(lens.wh) / 2
+    bars = f"{np.max([low, source_wh - area[2:]]):.0f}"
+    how = f"the calibration's {lens.wh[0]}×{lens.wh[1]} picture inside of the film's black bars of {bars} pixels"
+    how += "" if abs(scale - 1) < 1e-9 else f", scaled by {scale:.4g}"
+    affine = calibration_from_video((scale, *offset))
+    return CropHypothesis(replace(lens, calibration_from_video=affine, placed=how), how)
 
 
 def for_square_pixels(lens: Lens, stored_wh: tuple[int, int], shown_wh: tuple[int, int]) -> tuple[Lens, str]:

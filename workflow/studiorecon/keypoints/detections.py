@@ -61,7 +61,9 @@ def to_working_pixels(
     present = (confidence >= settings.min_confidence) & (confidence > 0) & (recorded != 0).any(-1)
     pixels = np.where(present[..., None], recorded, 1.0) + (0.5 - settings.keypoint_centres)
     mapped = not (lens.placed or np.array_equal(lens.calibration_from_video, np.eye(2, 3)))
-    if settings.keypoint_pixels == "calibration" or (settings.keypoint_pixels == "auto" and mapped):
+    if settings.keypoint_pixels == "calibration" or (
+        settings.keypoint_pixels == "auto" and (mapped or lens.keypoints_calibrated)
+    ):
         working, valid = working_from_calibration(pixels, lens, np.array(footage.intrinsics))
     else:
         working, valid = working_from_video(pixels, lens, footage.source_wh, np.array(footage.intrinsics))
@@ -114,7 +116,11 @@ def to_pinhole(seen: Detections, lens: Lens, wh: tuple[int, int]) -> tuple[Camer
     intrinsics = np.diag([lens.intrinsics[0, 0] / affine[0, 0], lens.intrinsics[1, 1] / affine[1, 1], 1.0])
     intrinsics[:2, 2] = (lens.intrinsics[:2, 2] - affine[:, 2]) / np.diag(affine)
     present = seen.keypoints[..., 2] > 0
-    pixels, valid = working_from_video(np.where(present[..., None], seen.keypoints[..., :2], 1.0), lens, wh, intrinsics)
+    given = np.where(present[..., None], seen.keypoints[..., :2], 1.0)
+    if lens.keypoints_calibrated:
+        pixels, valid = working_from_calibration(given, lens, intrinsics)
+    else:
+        pixels, valid = working_from_video(given, lens, wh, intrinsics)
     points = np.concatenate(
         [
             np.where((present & valid)[..., None], pixels, np.nan),

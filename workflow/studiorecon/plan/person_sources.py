@@ -23,6 +23,7 @@ class PersonSources:
         measured: cameras in which it runs only to scale a network's calibration to metres: bodies come from another
             network, which needs the calibration first.
         watched: cameras with detections of people before there is a calibration.
+        recorded: those of them with keypoints from files.
         checked: those of them that the doctor checks: the detector never runs in held-out cameras only for a check.
         timed: those whose people determine the time offsets before there is a calibration.
         part_used: only a part of the footage is used, and the detector reads only that part.
@@ -34,6 +35,7 @@ class PersonSources:
     detected: list[str]
     measured: list[str]
     watched: list[str]
+    recorded: list[str]
     checked: list[str]
     timed: list[str]
     part_used: bool
@@ -61,6 +63,7 @@ def choose_person_sources(dataset: Dataset, config: Mapping[str, Any]) -> Person
         detected=detected,
         measured=measured,
         watched=watched,
+        recorded=[c for c in watched if c not in looked_for],
         checked=checked,
         # Where only a part is used, the clocks must first determine which part the detector reads.
         timed=[c for c in checked if c not in looked_for or not part_used] if asked else [],

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.scene.schema import INTRINSIC, RIGID, OptionalField, Schema, metres, real, text, whole
+from studiorecon.scene.schema import INTRINSIC, RIGID, OptionalField, Schema, flag, metres, real, text, whole
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
@@ -27,6 +27,7 @@ LENS: dict[str, Schema] = CAMERA | {
     "distortion": real("..."),
     "calibration_from_video": real("2 3"),
     "placed": OptionalField(text()),
+    "keypoints_calibrated": OptionalField(flag()),
 }
 """The schema of ``as_json`` of a camera and of a lens."""
 
@@ -168,6 +169,7 @@ class Lens:
             when the video has the calibrated size; a pure scaling when it was resized).
         placed: how that map was determined, in words; "" where capture.yaml gives one other than the identity, and
             where there is none.
+        keypoints_calibrated: whether recorded keypoints are in pixels of the calibration, not of the video.
     """
 
     name: str
@@ -178,6 +180,7 @@ class Lens:
     camera_from_world: Float[np.ndarray, "4 4"]
     calibration_from_video: Num[np.ndarray, "2 3"]
     placed: str = ""
+    keypoints_calibrated: bool = False
 
     @property
     def has_place(self) -> bool:
@@ -194,6 +197,7 @@ class Lens:
             "camera_from_world": self.camera_from_world,
             "calibration_from_video": self.calibration_from_video,
             "placed": self.placed,
+            "keypoints_calibrated": self.keypoints_calibrated,
         }
 
     @staticmethod
@@ -207,4 +211,5 @@ class Lens:
             camera_from_world=np.asarray(value["camera_from_world"], dtype=np.float64),
             calibration_from_video=np.asarray(value["calibration_from_video"], dtype=np.float64),
             placed=str(value.get("placed", "")),
+            keypoints_calibrated=bool(value.get("keypoints_calibrated", False)),
         )

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where films lie in the calibrated picture: black bars, films that are already undistorted, and a real take of both
+kinds of pixels."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from studiorecon.calibration.choose import choose_lenses
+from studiorecon.calibration.files import Settings, read_calibration
+from studiorecon.calibration.formats.reading import Reading
+from studiorecon.camera_files.raw_camera import RawCamera
+from studiorecon.footage.frames import glimpses
+from studiorecon.footage.source import open_source
+from studiorecon.geometry.crop_hypotheses import without_bars
+from studiorecon.geometry.distortion import distort
+from studiorecon.geometry.lens import calibration_from_video
+from studiorecon.keypoints.detections import to_pinhole
+from studiorecon.keypoints.numbering import numberings
+from studiorecon.keypoints.readers import read_keypoints
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+from tests.calibration.test_calibration_choices import PEOPLE, reading, rig
+from tests.made.cameras import detect, walk
+
+
+def test_black_bars_are_found_in_bright_and_dark_pictures():
+    pictures = [np.full((60, 80, 3), level, np.uint8) for level in (5, 90, 200)]
+    assert without_bars(pictures).tolist() == [0, 0, 80, 60]
+    for picture in pictures:
+        picture[:7] = picture[54:] = 9
+    assert without_bars(pictures).tolist() == [0, 7, 80, 54]
+    assert without_bars(pictures[:1]).tolist() == [0, 0, 80, 60]
+
+
+@pytest.mark.parametrize("in_calibration", [False, True])
+@pytest.mark.parametrize(
+    ("film_wh", "scale", "offset"),
+    [
+        (
+            (1080, 1920),
+            1080 / 1088,
+            (0.0, (1920 - 1920 * 1080 / 1088) / 2),
+        ),
+        ((1920, 1920), 1.0, (416.0, 0.0)),
+    ],
+)
+def test_black_bars_place_a_film_and_people_tell_whose_pixels_keypoints_are_in(film_wh, scale, offset, in_calibration):
+    cameras, names = rig(("a", "b", "c", "d"), (1088, 1920)), list("abcd")
+    seen = detect(cameras, PEOPLE, 0.3, np.random.default_rng(0))
+    recorded = seen if in_calibration else [_placed_at(d, scale, offset) for d in seen]
+    size = np.array([1088, 1920]) * scale
+    area = np.array([*offset, *(offset + size)]).round()
+    found = choose_lenses(
+        reading(cameras),
+        "x.toml",
+        names,
+        [film_wh] * 4,
+        recorded,
+        {},
+        Settings(unit="m", up="z"),
+        areas=dict.fromkeys(names, area),
+        recorded=names,
+    )
+    for lens in found.lenses:
+        back = lens.calibration_from_video @ [*(np.array(offset) + 100 * scale), 1.0]
+        assert np.allclose(back, 100, atol=1.0)
+        assert lens.keypoints_calibrated == in_calibration
+        pixels = to_pinhole(recorded[0], found.lenses[0], film_wh)[1].keypoints
+        there = pixels[..., 2] > 0
+        assert np.allclose(pixels[there], _placed_at(seen[0], scale, offset).keypoints[there], atol=1.0)
+    assert sum("as people show" in note for note in found.notes) == 4
+
+
+def _placed_at(seen: Detections, scale: float, offset: tuple[float, float]) -> Detections:
+    return replace(seen, keypoints=seen.keypoints * [scale, scale, 1] + [*offset, 0])
+
+
+@pytest.mark.parametrize("undistorted", [False, True])
+def test_people_show_that_films_were_already_undistorted(undistorted):
+    cameras, names = rig(("a", "b", "c", "d")), list("abcd")
+    distortion = np.array([-0.35, 0.12, 0, 0, 0, 0, 0, 0])
+    raw = [RawCamera(c.name, c.wh, c.intrinsics, "opencv", distortion, c.camera_from_world) for c in cameras]
+    # A lens bends most near the edges, so these people walk there.
+    wide = [walk([-1.6, -1.0, 0], [0.05, 0.02, 0], 24), walk([1.4, 1.3, 0], [0.01, -0.08, 0], 24, 2.0)]
+    seen = detect(cameras, wide, 0.5, np.random.default_rng(0))
+    if not undistorted:
+        seen = [_bent(d, c, distortion) for d, c in zip(seen, cameras)]
+
+    def lenses(**how):
+        options = Settings(unit="m", up="z", **how)
+        return choose_lenses(Reading("t", tuple(raw), "m", ()), "x", names, [c.wh for c in cameras], seen, {}, options)
+
+    found = lenses()
+    assert all((lens.distortion == 0).all() == undistorted for lens in found.lenses)
+    assert any("already undistorted" in note for note in found.notes) == undistorted
+    # The remedy in that sentence.
+    assert all((lens.distortion == distortion).all() for lens in lenses(lens="opencv").lenses)
+
+
+def _bent(seen: Detections, camera: Camera, distortion: np.ndarray) -> Detections:
+    rays = (seen.keypoints[..., :2] - camera.principal_px) / camera.focal_px
+    pixels = distort(rays, "opencv", distortion) * camera.focal_px + camera.principal_px
+    return replace(seen, keypoints=np.concatenate([pixels, seen.keypoints[..., 2:]], -1))
+
+
+def test_films_of_a_real_take_that_were_scaled_and_padded_are_placed(real_data):
+    """Two of four films are scaled by 0.993 between bars of 7 pixels, and the keypoints are in calibrated pixels."""
+    take, names = real_data / "pose2sim_balancing", ["cam01", "cam02", "cam03", "cam04"]
+    films = [open_source(take / f"single/videos/{name}.mp4", 30.0) for name in names]
+    areas = {name: without_bars(glimpses(film, [0, 50, 99])) for name, film in zip(names[:2], films)}
+    people = []
+    for name, film in zip(names, films, strict=True):
+        own = read_keypoints(take / "pose2d_body25b_single" / name, film.wh)
+        usual = numberings(own.pictures, film.frames, film.fps, None, own.counted).possible[0]
+        own = own.renumbered(usual.frame_of, film.frames)
+        people.append(Detections(name, "body_25b", own.frame, np.zeros_like(own.frame), own.keypoints))
+    found = choose_lenses(
+        read_calibration([take / "calibration/Calib_scene.toml"]),
+        "Calib_scene.toml",
+        names,
+        [film.wh for film in films],
+        people,
+        {},
+        Settings(),
+        areas=areas,
+        recorded=names,
+    )
+    measured = json.loads((take / "derived/video_to_calibration_pixels.json").read_text())["single"]
+    for lens in found.lenses:
+        wanted = calibration_from_video([measured[lens.name][key] for key in ("s", "tx", "ty")])
+        assert np.abs(lens.calibration_from_video @ [540, 960, 1] - wanted @ [540, 960, 1]).max() < 0.5
+        assert lens.keypoints_calibrated == (lens.name in names[:2])
