@@ -25,7 +25,7 @@ from tests.made.cameras import LIMITS, ring
 
 CAMERAS = ring(2)
 MIDDLE = np.array([0.0, 0.0, 1.0])
-FPS = smoothing.Smoothing(0.05, 0.03, True, "rotations")
+FPS = smoothing.Smoothing(0.05, 0.03, "rotations")
 
 
 def zeros(*shape: int) -> np.ndarray:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -252,7 +253,7 @@ def test_without_offload_the_gpu_must_hold_everything(
     for name in ("staged_weights", "import_upstream", "attribute"):
         monkeypatch.setattr(gen3c, name, lambda *about: about[-1] if isinstance(about[-1], Path) else about)
     monkeypatch.setattr(gen3c, "device", device)
-    how = {"steps": 1, "guidance": 1.0, "seed": 0, "filter_points": 0.05}
+    how = {"steps": 1, "guidance": 1.0, "seed": 0, "filter_points_threshold": 0.05, "foreground_masking": True}
     with pytest.raises(UserError, match="no GPU here"):
         gen3c.Gen3c(gen3c.CARD, tmp_path, "cuda", offload=offload, **how)
     assert asked == [wanted]
@@ -271,7 +272,7 @@ def test_upstreams_own_cache_renders_our_request_as_our_check_does(
 
     frames = key_frames()
     made = preprocess(frames, way(frames))
-    cache = gen3c.warp_cache(Cache3D_BufferSelector, made, "cpu", 1.0)
+    cache = gen3c.warp_cache(partial(Cache3D_BufferSelector, filter_points_threshold=1.0), made, "cpu")
     targets = torch.from_numpy(made["w2cs_all"][[0, 40]])[None], torch.from_numpy(made["Ks_all"][[0, 40]])[None]
     pixels, masks = cache.render_cache(*targets)
     assert tuple(pixels.shape[:3]) == (1, 2, 2)

@@ -24,7 +24,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors
 from studiorecon.scene.path import read_path, write_path
 from studiorecon.scene.people import Person
-from studiorecon.scene.support import SOMEBODY, support_weight
+from studiorecon.scene.support import EXCLUDED, support_weight
 from studiorecon.views import fitted, generate, request
 from studiorecon.views import path as views_path
 from studiorecon.views import people as views_people
@@ -149,7 +149,7 @@ def test_a_segment_goes_to_the_network_and_comes_back(files: tuple, monkeypatch:
     inside = support[0] == 255
     assert inside.mean() > 0.6
     assert np.median(np.abs(views[0].astype(float) - to_bytes(truth))[inside]) < 8
-    assert not support[:, [0, -1]].any(), "rows that the network's frame cuts off are shown by nothing"
+    assert (support[:, [0, -1]] == EXCLUDED).all(), "rows that the network's frame cuts off do not count"
 
 
 def test_the_request_of_a_wrong_length_or_wrong_depth_stops_before_a_gpu(
@@ -277,13 +277,13 @@ def test_people_in_generated_views_are_left_out_of_the_training(files: tuple, so
     for step, level in list(zip(read_path(common[0])[0], levels))[::40]:
         there = around(standing, step.camera, 5)
         assert there.any()
-        np.testing.assert_array_equal(level == SOMEBODY, there)
+        np.testing.assert_array_equal(level == EXCLUDED, there)
         # However much unsupported pixels count (hole_weight), people count nothing.
         assert not support_weight(level, 1.0)[there].any()
         assert (support_weight(level, 1.0)[~there] == 1).all()
     # Of plates nobody is expected in the film.
     fitted.run(load(fitted.Settings, quick, "views"), "00", folder / "00.film.mkv", *common, [], None, [], *out)
-    assert not (read_stack(out[1]) == SOMEBODY).any()
+    assert not (read_stack(out[1]) == EXCLUDED).any()
 
 
 def test_depth_of_the_first_moment_is_taken_as_it_is_where_it_was_measured_then(files: tuple, someone: tuple) -> None:
@@ -332,12 +332,12 @@ def test_a_network_that_looks_for_people_says_what_the_training_leaves_out(
         fitted.Settings, {**section, "oversampling": 1, "key_frames": "first_frames", "dilation_px": 5}, "views"
     )
     seen = [folder / "00.people.mkv"]
+    inside = fit_network_frame((54, 96), hw).back(np.ones((*hw, 3)))[1] if hw == NETWORK_HW else np.ones((54, 96), bool)
     fitted.run(settings, "00", folder / "00.film.mkv", *common, [fit], body, seen, *out)
     for level in read_stack(out[1])[::40]:
-        somebody = level == SOMEBODY
+        somebody = (level == EXCLUDED) & inside
         # Half of the picture and two pixels about it, whoever stands where.
-        assert somebody[2:-2, 48:].all()
-        assert somebody[2:-2, 46:48].all()
+        assert somebody[4:-4, 46:].all()
         assert not somebody[:, :45].any()
     write_lossless(folder / "00.people.mkv", np.zeros((121, 30, 40), np.uint8), 24.0)
     with pytest.raises(UserError, match=r"00\.people\.mkv is not of the film whose views it is about"):

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 from studiorecon.body.model import BodyModel
+from studiorecon.plan.memory import ROOM_MB
 
 from tests.made.smpl import write_smpl
 from tests.workflow.conftest import ROOT, House
@@ -42,6 +44,33 @@ def test_the_whole_preset_is_planned_on_videos_alone(house: House, videos: Path)
     assert plan["people_lift"] == 4
     # What hangs on who is found is planned when association has run.
     assert not {"tracks_keypoints", "views_synthesize", "calibration_from_people"} & set(plan)
+
+
+@pytest.fixture(scope="module")
+def jobs(house: House, videos: Path) -> dict[str, str]:
+    """Rule → what the plan of the whole preset prints of its last job; rules with a message print that instead."""
+    text = House(house.folder, str(videos)).snakemake("--dry-run", "--configfile", *PRESETS).stdout
+    return {block.split(":")[0]: block for block in re.split(r"\n(?:local)?(?:rule|checkpoint) ", text)[1:]}
+
+
+def test_every_job_that_computes_on_a_gpu_asks_for_one(jobs: dict[str, str]) -> None:
+    on_gpu = {rule for rule, job in jobs.items() if "gpu=1" in job}
+    drawn = {"background_half", "report_evaluate"}
+    networks = {"calibration_network", "tracks_bodies", "people_lift", "views_generate", "views_people"}
+    assert drawn | networks | {"background_refined"} <= on_gpu
+
+
+def test_jobs_ask_for_the_memory_that_the_preset_needs(jobs: dict[str, str]) -> None:
+    asked = {rule: int(m.group(1)) for rule, job in jobs.items() if (m := re.search(r"mem_mb=(\d+)", job))}
+    # 4 photos, 480 views and 240 refined ones at 1280×720 with four float32 numbers a pixel.
+    assert asked["background_half"] == ROOM_MB + round(724 * 1280 * 720 * 16 / 1e6)
+
+
+def test_new_views_start_beside_people(jobs: dict[str, str]) -> None:
+    """Depth and cameras of the first moment are all that GEN3C takes; people only matter to what is trained on."""
+    inputs = re.search(r"input: (.*)", jobs["views_request"]).group(1)
+    assert "capture/front.mkv" in inputs
+    assert not re.search(r"people|masks/|npz", inputs)
 
 
 @pytest.mark.parametrize(

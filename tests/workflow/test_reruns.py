@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -12,6 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from studiorecon.plan.memory import ROOM_MB
+from studiorecon.report.sections.cost import cost
 
 from tests.workflow.conftest import House, make_house
 
@@ -54,6 +57,20 @@ def test_a_film_a_page_and_every_product_come_out(finished: House) -> None:
     ):
         assert (results(finished) / name).stat().st_size > 0
     assert len((results(finished) / "people/people.tsv").read_text().splitlines()) == 3, "two people and the header"
+
+
+def test_no_job_needed_more_memory_than_its_rule_asks_for(finished: House) -> None:
+    asks = r"(?:rule|checkpoint) (\w+):(?:(?!\n *(?:rule|checkpoint) ).)*?mem_mb=memory\((.*?)\),\n"
+    sizes = {"room_mb(PLAN, config)": ROOM_MB, "fit_mb(config)": 1000, "16000 if PLAN.networks.enhance else 1500": 1500}
+    rules = "\n".join(path.read_text() for path in sorted((finished.folder / "workflow/rules").glob("*.smk")))
+    asked = {rule: sizes.get(size) or int(size) for rule, size in re.findall(asks, rules, re.DOTALL)}
+    stages = cost(finished.folder / "timings/tiny")["stages"]
+    measured = {
+        f"{stage}_{step}": used["peak_memory_mb"] for stage in stages for step, used in stages[stage]["rules"].items()
+    }
+    peaks = {rule: peak for rule, peak in measured.items() if peak and rule in asked}
+    assert {"background_train", "humans_train", "render_shot", "people_fit"} <= set(peaks)
+    assert {rule: peak for rule, peak in peaks.items() if peak > asked[rule]} == {}
 
 
 def test_nothing_is_left_to_do(finished: House) -> None:

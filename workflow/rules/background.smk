@@ -23,7 +23,7 @@ rule background_kernels:
         image("core")
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         code=code("background.kernels"),
     shell:
@@ -74,7 +74,7 @@ if PLAN.networks.refiner:
             image(PLAN.networks.drawn_by)
         threads: 2
         resources:
-            mem_mb=3000,
+            mem_mb=memory(room_mb(PLAN, config)),
             gpu=PLAN.networks.drawing_gpus,
         params:
             settings=settings("background.half"),
@@ -106,7 +106,7 @@ if PLAN.networks.refiner:
             model_image(PLAN.networks.refiner)
         threads: 2
         resources:
-            mem_mb=16000,
+            mem_mb=memory(16000),
             gpu=gpus(PLAN.networks.refiner),
         params:
             code=code("background.refined"),
@@ -136,7 +136,7 @@ rule background_train:
         image(PLAN.networks.drawn_by)
     threads: threads_beside(2)  # people are trained meanwhile
     resources:
-        mem_mb=3000,
+        mem_mb=memory(room_mb(PLAN, config)),
         gpu=PLAN.networks.drawing_gpus,
     params:
         settings=settings("background.train"),

@@ -24,7 +24,7 @@ if PLAN.from_people:
             image("core")
         threads: 1
         resources:
-            mem_mb=1000,
+            mem_mb=memory(1000),
         params:
             settings=settings("calibration.from_people"),
             code=code("calibration.from_people"),
@@ -50,7 +50,7 @@ else:
             image("core")
         threads: 1
         resources:
-            mem_mb=500,
+            mem_mb=memory(500),
         params:
             settings=settings("calibration.files"),
             code=code("calibration.files"),
@@ -75,7 +75,7 @@ else:
             image("core")
         threads: 1
         resources:
-            mem_mb=500,
+            mem_mb=memory(500),
         params:
             settings=settings("calibration.choose"),
             code=code("calibration.choose"),
@@ -112,7 +112,7 @@ if PLAN.networks.cameras:
             model_image(PLAN.networks.cameras)
         threads: 1
         resources:
-            mem_mb=16000,
+            mem_mb=memory(16000),
             gpu=gpus(PLAN.networks.cameras),
         params:
             settings=settings("calibration.network"),
@@ -147,7 +147,7 @@ rule calibration_doctor:
         image("core")
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         settings=settings("calibration.doctor"),
         code=code("calibration.doctor"),

@@ -26,7 +26,7 @@ rule cameras_refine:
         image("core")
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=memory(1000),
     params:
         settings=settings("cameras.refine"),
         code=code("cameras.refine"),
@@ -57,7 +57,7 @@ rule cameras_held_out:
         image("core")
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=memory(1000),
     params:
         settings=settings("cameras.held_out"),
         code=code("cameras.held_out"),

@@ -14,7 +14,7 @@ rule capture_frames:
         image("core")
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=memory(1000),
     params:
         settings=settings("capture.frames"),
         code=code("capture.frames"),
@@ -37,7 +37,7 @@ rule capture_manifest:
         image("core")
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=memory(1000),
     params:
         code=code("capture.manifest"),
     shell:

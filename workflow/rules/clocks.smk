@@ -20,7 +20,7 @@ rule clocks_offsets:
         image("core")
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=memory(1000),
     params:
         settings=settings("clocks.offsets"),
         code=code("clocks.offsets"),

@@ -22,7 +22,7 @@ rule deliver_export:
         image("core")
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         settings=settings("deliver.export"),
         code=code("deliver.export"),
@@ -52,7 +52,7 @@ rule deliver_player:
         image("core")
     threads: 1
     resources:
-        mem_mb=2000,
+        mem_mb=memory(2000),
     params:
         code=code("deliver.player"),
     message:
@@ -77,7 +77,7 @@ rule deliver_scene_glb:
         image("core")
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         code=code("deliver.scene_glb"),
     message:
@@ -103,7 +103,7 @@ rule deliver_mesh:
         image("vision")
     threads: 2
     resources:
-        mem_mb=4000,
+        mem_mb=memory(4000),
     params:
         code=code("deliver.mesh"),
     shell:
@@ -132,7 +132,7 @@ rule deliver_usd:
         image("vision")
     threads: 1
     resources:
-        mem_mb=2000,
+        mem_mb=memory(2000),
     params:
         code=code("deliver.usd"),
     message:

@@ -34,7 +34,7 @@ rule depth_sweep:
         image("core")
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         settings=settings("depth.sweep"),
         code=code("depth.sweep"),
@@ -57,7 +57,7 @@ rule depth_kernels:
         image("core")
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=memory(1000),
     params:
         code=code("depth.kernels"),
     shell:
@@ -88,7 +88,7 @@ rule depth_box:
         image("core")
     threads: 1  # people are found meanwhile
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         settings=settings("depth.box"),
         code=code("depth.box"),
@@ -122,7 +122,7 @@ rule depth_preview:
         image("core")
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         settings=settings("depth.preview"),
         code=code("depth.preview"),
@@ -163,7 +163,7 @@ rule depth_room:
         image("core")
     threads: threads_beside(2)  # people are found meanwhile
     resources:
-        mem_mb=2500,
+        mem_mb=memory(2500),
     params:
         settings=settings("depth.room"),
         code=code("depth.room"),
@@ -198,7 +198,7 @@ rule depth_refine:
         image("core")
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         settings=settings("depth.refine"),
         code=code("depth.refine"),
@@ -222,7 +222,7 @@ rule depth_given:
         image("core")
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=memory(1000),
     params:
         settings=settings("depth.given"),
         code=code("depth.given"),
@@ -248,7 +248,7 @@ if PLAN.networks.first_depth:
             image("core")
         threads: 1
         resources:
-            mem_mb=1000,
+            mem_mb=memory(1000),
         params:
             code=code("depth.first"),
         shell:
@@ -272,7 +272,7 @@ if PLAN.networks.depth not in ("", "precomputed") and not PLAN.networks.first_de
             model_image(PLAN.networks.depth)
         threads: 1
         resources:
-            mem_mb=16000,
+            mem_mb=memory(16000),
             gpu=gpus(PLAN.networks.depth),
         params:
             settings=settings("depth.network"),
@@ -300,7 +300,7 @@ if PLAN.networks.depth and not PLAN.networks.first_depth:
             image("core")
         threads: 1
         resources:
-            mem_mb=1000,
+            mem_mb=memory(1000),
         params:
             settings=settings("depth.aligned"),
             code=code("depth.aligned"),

@@ -16,7 +16,7 @@ if PLAN.dataset.chapters:
             image("core")
         threads: 1
         resources:
-            mem_mb=500,
+            mem_mb=memory(500),
         params:
             code=code("detect.chapters"),
         shell:
@@ -41,7 +41,7 @@ if PLAN.person_sources.measured or not PLAN.person_sources.bodies:
             image("core")
         threads: 1
         resources:
-            mem_mb=2000,
+            mem_mb=memory(2000),
         params:
             code=code("detect.people"),
             layout=config["detect"]["network_layout"],
@@ -67,7 +67,7 @@ rule detect_keypoints:
         image("core")
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=memory(1000),
     params:
         settings=settings("detect.keypoints"),
         code=code("detect.keypoints"),

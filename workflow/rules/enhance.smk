@@ -29,7 +29,7 @@ rule enhance_shot:
         model_image(PLAN.networks.enhance)
     threads: threads_beside(len(PLAN.shots))
     resources:
-        mem_mb=1500,
+        mem_mb=memory(16000 if PLAN.networks.enhance else 1500),
         gpu=gpus(PLAN.networks.enhance),
     params:
         settings=settings("enhance.shot"),
@@ -59,7 +59,7 @@ rule enhance_comparison:
         image("core")
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=memory(1000),
     params:
         code=code("enhance.comparison"),
     shell:

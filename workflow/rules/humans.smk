@@ -31,7 +31,7 @@ rule humans_train:
         image(PLAN.networks.drawn_by)
     threads: 1
     resources:
-        mem_mb=3000,
+        mem_mb=memory(3000),
         gpu=PLAN.networks.drawing_gpus,
     params:
         settings=settings("humans.train"),
@@ -61,7 +61,7 @@ rule humans_photo:
         image("core")
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=memory(1000),
     params:
         code=code("humans.photo"),
     shell:
@@ -83,7 +83,7 @@ rule humans_stranger:
         image("core")
     threads: 1
     resources:
-        mem_mb=2000,
+        mem_mb=memory(2000),
     params:
         code=code("humans.stranger"),
     shell:
@@ -105,7 +105,7 @@ rule humans_canonical:
         model_image("lhm")
     threads: 4
     resources:
-        mem_mb=32000,
+        mem_mb=memory(32000),
         gpu=1,
     params:
         code=code("humans.canonical"),
@@ -129,7 +129,7 @@ rule humans_proxy:
         image("core")
     threads: 1
     resources:
-        mem_mb=500,
+        mem_mb=memory(500),
     params:
         settings=settings("humans.proxy"),
         code=code("humans.proxy"),
@@ -153,7 +153,7 @@ if files.body != files.given_body:
             image("core")
         threads: 1
         resources:
-            mem_mb=1000,
+            mem_mb=memory(1000),
         params:
             code=code("models.smpl"),
         shell:

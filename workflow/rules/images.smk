@@ -12,7 +12,7 @@ rule images:
         no_container
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=memory(1000),
     params:
         code=code("models.containers"),
         images=IMAGES.to_build(PLAN.networks.images),

@@ -22,7 +22,7 @@ rule masks_segment:
         image("core")
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         settings=settings("masks.segment"),
         code=code("masks.segment"),
@@ -46,7 +46,7 @@ if PLAN.networks.masks:
             model_image(PLAN.networks.masks)
         threads: 2
         resources:
-            mem_mb=16000,
+            mem_mb=memory(16000),
             gpu=gpus(PLAN.networks.masks),
         params:
             settings=settings("masks.network"),

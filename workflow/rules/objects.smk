@@ -22,7 +22,7 @@ rule objects_find:
         image("core")
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         settings=settings("objects.find"),
         code=code("objects.find"),

@@ -27,7 +27,7 @@ checkpoint people_associate:
         image("core")
     threads: 1
     resources:
-        mem_mb=2000,
+        mem_mb=memory(2000),
     params:
         settings=settings("people.associate"),
         code=code("people.associate"),
@@ -57,7 +57,7 @@ if PLAN.lifted:
             model_image(PLAN.networks.depth)
         threads: 1
         resources:
-            mem_mb=16000,
+            mem_mb=memory(16000),
             gpu=gpus(PLAN.networks.depth),
         params:
             settings=settings("people.lift"),
@@ -145,7 +145,7 @@ if PLAN.person_sources.detected:
             image("core")
         threads: 1
         resources:
-            mem_mb=1500,
+            mem_mb=memory(1500),
         params:
             settings=settings("people.second_look"),
             code=code("people.second_look"),
@@ -172,7 +172,7 @@ rule people_review:
         image("core")
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=memory(1000),
     params:
         code=code("people.review"),
     shell:
@@ -199,7 +199,7 @@ rule people_fit:
         image("core")
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=memory(fit_mb(config)),
     params:
         settings=settings("people.fit"),
         code=code("people.fit"),
@@ -225,7 +225,7 @@ rule people_overlay:
         image("core")
     threads: 1
     resources:
-        mem_mb=700,
+        mem_mb=memory(700),
     params:
         code=code("people.overlay"),
     shell:

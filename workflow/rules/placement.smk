@@ -16,7 +16,7 @@ rule placement_advise:
         image("core")
     threads: 1
     resources:
-        mem_mb=500,
+        mem_mb=memory(500),
     params:
         code=code("placement.advise"),
     shell:

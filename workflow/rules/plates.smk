@@ -18,7 +18,7 @@ rule plates_clean:
         image("core")
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         settings=settings("plates.clean"),
         code=code("plates.clean"),

@@ -22,7 +22,7 @@ rule render_light:
         image("core")
     threads: 2
     resources:
-        mem_mb=3000,
+        mem_mb=memory(3000),
     params:
         settings=settings("render.light"),
         code=code("render.light"),
@@ -57,7 +57,7 @@ rule render_shot:
         image(PLAN.networks.drawn_by)
     threads: threads_beside(len(PLAN.shots))
     resources:
-        mem_mb=2000,
+        mem_mb=memory(2000),
         gpu=PLAN.networks.drawing_gpus,
     params:
         settings=shot_settings("render.shot"),
@@ -86,7 +86,7 @@ rule render_layers:
         image(PLAN.networks.drawn_by)
     threads: 2
     resources:
-        mem_mb=2000,
+        mem_mb=memory(2000),
         gpu=PLAN.networks.drawing_gpus,
     params:
         settings=shot_settings("render.layers", "replace"),
@@ -112,7 +112,7 @@ rule render_shade:
         image("core")
     threads: 2
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         code=code("render.shade"),
     shell:

@@ -15,7 +15,7 @@ rule report_audit:
         image("core")
     threads: 1
     resources:
-        mem_mb=500,
+        mem_mb=memory(500),
     params:
         settings=settings("report.audit"),
         code=code("report.audit"),
@@ -46,7 +46,7 @@ rule report_recognition:
         image("core")
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         code=code("report.recognition"),
     shell:
@@ -88,7 +88,7 @@ rule report_evaluate:
         image(PLAN.networks.drawn_by)
     threads: 1  # of two, all but LPIPS would leave one idle
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
         gpu=PLAN.networks.drawing_gpus if PLAN.networks.lpips("report") != "none" else 0,
     params:
         settings=settings("report.evaluate"),
@@ -168,7 +168,7 @@ rule report_page:
         image("core")
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         settings=settings("report.page"),
         code=code("report.page"),
@@ -197,7 +197,7 @@ rule report_strict:
         image("core")
     threads: 1
     resources:
-        mem_mb=500,
+        mem_mb=memory(500),
     params:
         code=code("report.strict"),
         logs="logs/{scene}",

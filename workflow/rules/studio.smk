@@ -22,7 +22,7 @@ if PLAN.studio:
             image("core")
         threads: 2
         resources:
-            mem_mb=2500,
+            mem_mb=memory(2500),
         params:
             dataset=subpath(output.capture, parent=True),
             code=code("studio.capture"),

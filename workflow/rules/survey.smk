@@ -27,7 +27,7 @@ checkpoint survey_decide:
         image("core")
     threads: 1
     resources:
-        mem_mb=1500,
+        mem_mb=memory(1500),
     params:
         settings=settings("survey.decide"),
         code=code("survey.decide"),

@@ -19,7 +19,7 @@ rule sweep_row:
         None
     threads: every_core
     resources:
-        mem_mb=6000,
+        mem_mb=memory(6000),
     params:
         code=code("sweep.row"),
         configuration=json.dumps(config, sort_keys=True),
@@ -49,7 +49,7 @@ rule sweep_page:
         image("core")
     threads: 1
     resources:
-        mem_mb=500,
+        mem_mb=memory(500),
     params:
         code=code("sweep.page"),
     shell:

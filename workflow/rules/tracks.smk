@@ -19,7 +19,7 @@ if PLAN.person_sources.bodies:
             model_image(PLAN.person_sources.bodies)
         threads: 2
         resources:
-            mem_mb=8000,
+            mem_mb=memory(8000),
             gpu=gpus(PLAN.person_sources.bodies),
         params:
             settings=settings("tracks.bodies"),
@@ -47,7 +47,7 @@ else:
             image("core")
         threads: 1
         resources:
-            mem_mb=500,
+            mem_mb=memory(500),
         params:
             settings=settings("tracks.keypoints"),
             code=code("tracks.keypoints"),

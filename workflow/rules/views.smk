@@ -15,7 +15,7 @@ rule views_path:
         image("core")
     threads: 1
     resources:
-        mem_mb=500,
+        mem_mb=memory(500),
     params:
         settings=settings("views.path"),
         code=code("views.path"),
@@ -49,7 +49,7 @@ if PLAN.networks.views == "warp":
             image("core")
         threads: 1
         resources:
-            mem_mb=1500,
+            mem_mb=memory(1500),
         params:
             settings=settings("views.synthesize"),
             code=code("views.synthesize"),
@@ -69,7 +69,7 @@ if PLAN.networks.views not in ("warp", "precomputed"):
             videos=files.key_frames,
             masks=files.key_masks,
             fits=files.key_people,
-            body=files.body,
+            body=files.key_body,
         output:
             request="results/{scene}/views/{segment}.request.npz",
         log:
@@ -80,7 +80,7 @@ if PLAN.networks.views not in ("warp", "precomputed"):
             image("core")
         threads: 1
         resources:
-            mem_mb=3000,
+            mem_mb=memory(3000),
         params:
             settings=settings("views.request"),
             code=code("views.request"),
@@ -102,7 +102,7 @@ if PLAN.networks.views not in ("warp", "precomputed"):
             model_image(PLAN.networks.views)
         threads: 4
         resources:
-            mem_mb=64000,
+            mem_mb=memory(64000),
             gpu=1,
         params:
             settings=settings("views.generate"),
@@ -128,7 +128,7 @@ if PLAN.networks.people_in_views:
             model_image(PLAN.networks.people_in_views)
         threads: 2
         resources:
-            mem_mb=16000,
+            mem_mb=memory(16000),
             gpu=gpus(PLAN.networks.people_in_views),
         params:
             code=code("views.people"),
@@ -150,7 +150,7 @@ if PLAN.networks.views != "warp":
             plates=collect("results/{scene}/plates/{camera}.png", camera=files.training, allow_missing=True),
             depths=collect("results/{scene}/depth/{camera}.exr", camera=files.training, allow_missing=True),
             gains=files.gains,
-            fits=files.key_people,
+            fits=files.people_of_views,
             body=files.body,
             seen=files.people_in_views,
         output:
@@ -164,7 +164,7 @@ if PLAN.networks.views != "warp":
             image("core")
         threads: 1
         resources:
-            mem_mb=2000,
+            mem_mb=memory(2000),
         params:
             settings=settings("views.fitted"),
             code=code("views.fitted"),

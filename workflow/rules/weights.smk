@@ -12,7 +12,7 @@ rule weights_list:
         image("core")
     threads: 1
     resources:
-        mem_mb=500,
+        mem_mb=memory(500),
     params:
         code=code("models.weights"),
         models=PLAN.networks.selected,
@@ -32,7 +32,7 @@ rule weights:
         image("vision")
     threads: 1
     resources:
-        mem_mb=500,
+        mem_mb=memory(500),
     params:
         code=code("models.weights"),
         models=PLAN.networks.selected,

@@ -49,7 +49,6 @@ class Smoothing:
         paper="0.0333, 1 frame at 30 fps, appendix; U41",
         paper_value=0.0333,
     )
-    root: bool = setting(True, "Smooth the pelvis's turn and position too.", paper="false; U42", paper_value=False)
     smooth_in: Literal["rotations", "axis_angles"] = setting(
         "rotations",
         "rotations on SO(3), or the components of axis_angles, which break near half a turn (U42).",
@@ -71,9 +70,7 @@ class Smoothing:
             turns = rotations.exp(smooth_vectors(rotations.log(local), alpha, sigma))
         else:
             turns = smooth_rotations(local, alpha, sigma)
-        if self.root:
-            return turns, smooth_vectors(trans_m, alpha, sigma)
-        return np.concatenate([local[:, :1], turns[:, 1:]], axis=1), np.array(trans_m, dtype=np.float64)
+        return turns, smooth_vectors(trans_m, alpha, sigma)
 
 
 def at_frame_rate(smoothing: Smoothing, fps: float) -> tuple[float, float]:

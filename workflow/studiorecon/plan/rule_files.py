@@ -210,12 +210,20 @@ class Files(UserInputs):
         )
 
     def key_masks(self, wildcards: Any) -> list[str]:
-        """Masks of people in those pictures; none when there are no people."""
-        return self.masks(wildcards) if self.key_frames(wildcards) else []
+        """Masks of people in those pictures; none where depth of that moment has the people already."""
+        return self.masks(wildcards) if self.key_frames(wildcards) and not self.plan.networks.first_depth else []
 
     def key_people(self, wildcards: Any) -> list[str]:
-        """Bodies of the people in those pictures."""
-        return self.fits(wildcards) if self.key_frames(wildcards) else []
+        """Bodies of those people."""
+        return self.fits(wildcards) if self.key_frames(wildcards) and not self.plan.networks.first_depth else []
+
+    def key_body(self, wildcards: Any) -> list[str]:
+        """The body model of those people; none without them."""
+        return [self.body] if self.key_people(wildcards) else []
+
+    def people_of_views(self, wildcards: Any) -> list[str]:
+        """Bodies of the people whom views of those pictures show; none where a network masks them."""
+        return self.fits(wildcards) if self.key_frames(wildcards) and not self.plan.networks.people_in_views else []
 
     def people_in_views(self, wildcards: Any) -> list[str]:
         """Masks of people in one gap's film by the detecting network; none where bodies give the masks."""

@@ -106,10 +106,12 @@ PAPERS: Mapping[str, str] = {
     "injection": "on",
     "exposure": "off",
     "changing_light": "off",
+    "closed_path": "on",
     "dynamic_objects": "off",
     "moving_shadows": "off",
 }
-"""The paper's fixed choices: the effects that it always uses, and those that it lacks."""
+"""The paper's fixed choices: the effects that it always uses (its path has 481 views on every rig), and those that it
+lacks."""
 
 
 def thresholds(effects: Iterable[Effect]) -> Any:

@@ -22,7 +22,7 @@ from studiorecon.models.choices import Synthesizer
 from studiorecon.models.loading import adapter
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.support import SOMEBODY, support_levels
+from studiorecon.scene.support import EXCLUDED, support_levels
 from studiorecon.signature import Written
 from studiorecon.views.first_moment import FirstMomentPeople
 from studiorecon.views.forward_warp import WarpSource, blend
@@ -55,8 +55,8 @@ def fit_picture(
 ) -> tuple[Integer[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
     """(H, W, 3) uint8 working picture from a film's picture, and (H, W) bool: pixels that the film shows.
 
-    Other pixels are painted from the film's rim. ``sizes`` (h, w) are those of networks. Raises UserError for a picture
-    of another size than these or the camera's.
+    Other pixels are painted from the film's rim, for people to look at; the training leaves them out. ``sizes`` (h, w)
+    are those of networks. Raises UserError for a picture of another size than these or the camera's.
     """
     if picture.shape[:2] == camera.hw:
         return picture, np.ones(camera.hw, bool)
@@ -87,8 +87,10 @@ def fit_views(
         _, support, _ = blend(
             camera, photos, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg)
         )
-        somebody = dilate(people(camera, picture.shape[:2]), settings.dilation_px) if people else None
-        yield own, support_levels(np.where(inside, support, 0), somebody)
+        excluded = ~inside
+        if people:
+            excluded = excluded | dilate(people(camera, picture.shape[:2]), settings.dilation_px)
+        yield own, support_levels(support, excluded)
 
 
 def read_person_masks(film: Path) -> Callable[[Camera, tuple[int, int]], Bool[np.ndarray, "H W"]]:
@@ -147,7 +149,7 @@ def run(
     holes = np.mean([mask == 0 for _, mask in made])
     say(f"segment {segment}: {len(made)} generated views; {holes:.1%} of their pixels appear in no photo (mask 0)")
     if who:
-        covered = np.mean([mask == SOMEBODY for _, mask in made])
+        covered = np.mean([mask == EXCLUDED for _, mask in made])
         source = "people as a network sees them" if seen else f"{len(fits)} people"
         say(f"segment {segment}: {covered:.1%} of them is {source}, left out of the training")
     write_lossless(views, (picture for picture, _ in made), fps)

@@ -31,8 +31,8 @@ _FPS = 24.0
 
 @dataclass(frozen=True)
 class Gen3cSettings:
-    """Settings of GEN3C: denoising steps, guidance, seed, storage of parts in main memory, and the filter of the
-    cache's points.
+    """Settings of GEN3C: denoising steps, guidance, seed, storage of parts in main memory, and how its cache warps the
+    photos; defaults are those of upstream's command for several views.
     """
 
     steps: int = 35
@@ -43,7 +43,15 @@ class Gen3cSettings:
         "Keep parts of the network in main memory while others run: 48 GB of GPU memory instead of 80, some "
         "minutes more.",
     )
-    filter_points: float = 0.05
+    filter_points_threshold: float = setting(
+        0.05,
+        "Pixels whose depth differs from their neighbours' by a larger share are not warped; 1 = all are.",
+        minimum=0,
+        maximum=1,
+    )
+    foreground_masking: bool = setting(
+        True, "Near surfaces hide far points in the warps: their pixels are meshed, and points behind are dropped."
+    )
 
 
 @dataclass(frozen=True)

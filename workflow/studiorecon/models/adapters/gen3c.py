@@ -10,6 +10,7 @@ Depth is clipped to [0, 100] and infinite depth becomes a wall at 100: unknown d
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -210,14 +211,16 @@ class Gen3c:
         guidance: float,
         seed: int,
         offload: bool,
-        filter_points: float,
+        filter_points_threshold: float,
+        foreground_masking: bool,
     ) -> None:
         folder = staged_weights(card, weights) / "gen3c"
         pipeline = attribute(
             card, import_upstream(card, "cosmos_predict1.diffusion.inference.gen3c_pipeline"), "Gen3cPipeline"
         )
         cache = import_upstream(card, "cosmos_predict1.diffusion.inference.cache_3d")
-        self._cache, self._filter_points = attribute(card, cache, "Cache3D_BufferSelector"), filter_points
+        self._cache = attribute(card, cache, "Cache3D_BufferSelector")
+        self._filters = {"filter_points_threshold": filter_points_threshold, "foreground_masking": foreground_masking}
         self._device = device(card, where, _LOWER, None if offload else _WITHOUT_OFFLOAD_GB)
         # The paper uses no prompts: without the encoder 45 GB of weights are saved. Guardrail and prompt upsampler are
         # off as in GEN3C's own script; the licence's clause on guardrails is on the card.
@@ -264,12 +267,12 @@ class Gen3c:
 
     def views(self, request: dict[str, Shaped[np.ndarray, " ..."]]) -> Iterator[Integer[np.ndarray, "t 704 1280 3"]]:
         """The film in parts (t, 704, 1280, 3) uint8 as they are generated, without the frames that chunks share."""
-        cache = warp_cache(self._cache, request, self._device, self._filter_points)
+        cache = warp_cache(partial(self._cache, **self._filters), request, self._device)
         yield from chunks(self._pipeline.generate, cache, request, self._device)
 
 
-def warp_cache(selector: Any, request: dict[str, Shaped[np.ndarray, " ..."]], where: Any, filter_points: float) -> Any:
-    """Upstream's 3D cache (``Cache3D_BufferSelector``) of a request's key frames on a torch device."""
+def warp_cache(selector: Any, request: dict[str, Shaped[np.ndarray, " ..."]], where: Any) -> Any:
+    """Upstream's 3D cache of a request's key frames on a torch device; ``selector`` knows its filters already."""
     import torch
 
     def batch(name: str) -> Any:
@@ -282,7 +285,6 @@ def warp_cache(selector: Any, request: dict[str, Shaped[np.ndarray, " ..."]], wh
         input_mask=batch("mask_key_frames"),
         input_w2c=batch("w2cs_key_frames"),
         input_intrinsics=batch("K_key_frames"),
-        filter_points_threshold=filter_points,
         input_format=["B", "N", "C", "H", "W"],
         device=where,
     )

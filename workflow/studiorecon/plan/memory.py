@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The main memory that jobs ask for, in megabytes: as measured at the default sizes, plus the room's targets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from studiorecon.plan.decisions import Plan
+
+ROOM_MB = 3000
+"""A training of the room beside its targets: Gaussians, gradients, moments, and LPIPS on the CPU."""
+_TARGET_BYTES = 16
+"""Of one pixel of a target: three colours and a weight, float32."""
+_ASPECT = 9 / 16
+"""Height over width of most films; taller ones have the doubled memory of a second attempt."""
+FILMED_PX = 1920
+"""Width of pictures where ``capture.width`` is 0: a plan opens no film."""
+_FIT_MB, _FIT_ALL_VERTICES_MB = 1000, 2000
+"""A fit on surface points, and on all of SMPL's 6,890 vertices: 1,600 MB at 80 frames."""
+
+
+def memory(mb: int) -> Callable[[Any, int], int]:
+    """A rule's resource function: ``mb`` at the first attempt and twice as much at each further one."""
+    return lambda wildcards, attempt: mb * 2 ** (attempt - 1)
+
+
+def room_mb(plan: Plan, config: Mapping[str, Any]) -> int:
+    """Memory of a training of the room, which holds every target: photos, synthesised and refined views."""
+    width = config["capture"]["width"] or FILMED_PX
+    views = len(plan.segments) * config["views"]["views_per_segment"] if config["background"]["views_share"] else 0
+    targets = len(plan.training) + views + config["background"]["refinement"]["views"]
+    return ROOM_MB + round(targets * _TARGET_BYTES * _ASPECT * width**2 / 1e6)
+
+
+def fit_mb(config: Mapping[str, Any]) -> int:
+    """Memory of one person's fit; ``people.fit.vertices: 0`` fits all vertices."""
+    return _FIT_MB if config["people"]["fit"]["vertices"] else _FIT_ALL_VERTICES_MB
