@@ -57,17 +57,20 @@ GROUPS = {
     "E": "Enhancement",
     "V": "Evaluation",
 }
-MADE = "Made by `python -m tests.hard.table`; do not edit by hand."
+MADE = "Written by `python -m tests.hard.table`; do not edit by hand."
 CASES_HEAD = f"""# Hard cases
 
-{MADE} Every case in which the method's arithmetic is known to break, and the module that owns it.
-Comments in the code name them by their ids. Each is held by at least one test that carries the id:
-`uv run --group test pytest -m "" -k t13` runs those of T13.
+{MADE}
+
+Inputs at which the method's arithmetic is known to fail. Each has a test with its id:
+`uv run --group test pytest -m "" -k t13` runs T13. `git grep -w T13` lists the code and the test.
 """
 READINGS_HEAD = f"""# Readings
 
-{MADE} Every place where the paper leaves room, the reading that is taken, the setting that chooses it,
-and the setting of the paper's letter where that can be run. Comments in the code name them by their numbers.
+{MADE}
+
+Passages of the paper that allow several readings, each with the reading used here. In brackets: its setting with the
+default and, where it differs, the value for the paper's wording. `git grep -w U07` lists the code.
 """
 
 
@@ -152,25 +155,26 @@ def hard_cases() -> str:
     """The text of docs/hard-cases.md."""
     lines = [CASES_HEAD]
     for letter, title in GROUPS.items():
-        lines += [f"## {letter}: {title}\n", "| id | what | module |", "|---|---|---|"]
-        lines += [f"| {row.id} | {row.what} | `{row.module}` |" for row in rows() if row.id[0] == letter]
-        lines.append("")
+        lines += [f"## {letter}: {title}\n", *(f"- {row.id} {row.what}" for row in rows() if row.id[0] == letter), ""]
     return "\n".join(lines)
 
 
 def reading_table() -> str:
     """The text of docs/readings.md."""
-    lines = [
-        READINGS_HEAD,
-        "| id | reading | setting (default) | the paper's letter | module |",
-        "|---|---|---|---|---|",
-    ]
-    for reading in readings():
-        keys, letter = (
-            "<br>".join(f"`{one}`" for one in pairs(text)) or "–" for text in (reading.settings, reading.literal)
-        )
-        lines.append(f"| {reading.id} | {reading.reading} | {keys} | {letter} | `{reading.module}` |")
-    return "\n".join(lines) + "\n"
+    return "\n".join([READINGS_HEAD, *(f"- **{one.id}** {one.reading}{_settings(one)}" for one in readings()), ""])
+
+
+def _settings(reading: Reading) -> str:
+    """The settings of a reading in brackets, each with its default and, where it differs, the paper's value."""
+    defaults, letter = (
+        dict(pair.split("=", 1) for pair in pairs(text)) for text in (reading.settings, reading.literal)
+    )
+    words = []
+    for key in dict.fromkeys([*defaults, *letter]):
+        value, paper = defaults.get(key), letter.get(key)
+        shown = f"`{key}`" if value is None else f"`{key}={value}`"
+        words.append(shown if paper in (None, value) else f"{shown}, paper `{paper}`")
+    return f" ({'; '.join(words)})" if words else ""
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -40,11 +40,10 @@ class Refinement:
 
     views: int = setting(
         0,
-        "Views of the half-trained room, between the poses of the synthesized views, that the network of "
-        "enhance.enhancer repairs and that are learned from; 0 = none.",
+        "Views of the half-trained room that enhance.enhancer's network repairs and training then uses; 0 = none.",
         minimum=0,
         maximum=10000,
-        paper="240 poses interpolated between the synthesized ones, repaired by the recursive module, appendix C; U53",
+        paper="240, appendix C; U53",
         paper_value=240,
     )
     at: float = 0.5

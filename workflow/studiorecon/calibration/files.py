@@ -45,22 +45,20 @@ class Settings:
     format: FormatName = setting("auto", "Format of the calibration files; auto = the first that recognises them.")
     poses: Literal["as_read", "world_from_camera", "opengl", "world_from_camera_opengl"] = setting(
         "as_read",
-        "Convention of the poses in the files, if it differs from the format's; the doctor "
-        "reports which one fits people.",
+        "Convention of the poses, if it differs from the format's; the doctor reports which one fits people.",
     )
     lens: LensReading = setting("as_read", "Lens model of the distortion coefficients, if the files do not state it.")
     radial: dict[str, float] = setting(
         {},
-        "Added to the k1 of these cameras, {camera: number}: refinement reports it when people "
-        "fit another distortion better.",
+        "Added to k1 of these cameras, {camera: number}; the refinement's log suggests values.",
     )
     unit: Literal["auto", "m", "cm", "mm"] = setting(
-        "auto", "Unit of the calibration's lengths; auto believes the format, else reads spreads above 100 as mm."
+        "auto", "Unit of lengths; auto = the format's, else mm if cameras are over 100 apart."
     )
     up: Literal["auto", "x", "-x", "y", "-y", "z", "-z"] = setting(
-        "auto", "Axis of the calibration's world that points up; auto asks the cameras."
+        "auto", "World axis that points up; auto = from the cameras."
     )
-    scale: float = setting(1.0, "Factor on all lengths after that, for models of arbitrary scale.", above=0)
+    scale: float = setting(1.0, "Factor on all lengths, for models of arbitrary scale.", above=0)
 
 
 def read_calibration(files: Sequence[Path], wanted: str = "auto") -> Reading:

@@ -49,9 +49,9 @@ class Settings:
 
     source: CalibrationSource = setting(
         "auto",
-        "Where cameras come from: files, people (keypoints alone), a network that looks at the first frames, "
-        "or auto = files if there are any, else people.",
-        paper="Pi3, section on view synthesis",
+        "Source of cameras: files; people = keypoints alone; a network on the first pictures; auto "
+        "= files if there are any, else people.",
+        paper="Pi3",
         paper_value="pi3",
     )
     limits: Limits = Limits()

@@ -48,8 +48,8 @@ class Settings(AgreementLimits, CalibrationPrior):
 
     refine: bool = setting(
         True,
-        "Refine the camera poses on people's keypoints, kept only where it clearly helps.",
-        paper="not done; its cameras are uncalibrated",
+        "Refine camera poses on people's keypoints; kept only if frames outside the fit improve.",
+        paper="none; uncalibrated cameras",
         paper_value=False,
     )
     frames: int = 96

@@ -38,10 +38,10 @@ class Settings(PictureRate):
 
     width: int = setting(
         480,
-        "Pixels along the longer side of the working frames; never more than filmed, 0 = as filmed.",
+        "Longer side of the working frames, pixels, at most as filmed; 0 = as filmed.",
         minimum=0,
         maximum=16384,
-        paper="1280×704, appendix Implementation",
+        paper="1280×704",
         paper_value=1280,
     )
 

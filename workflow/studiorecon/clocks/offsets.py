@@ -55,9 +55,8 @@ class Settings(PictureRate):
 
     sync: Literal["auto", "report", "never"] = setting(
         "auto",
-        "Start times of the cameras from sound, people and motion: auto estimates and applies "
-        "them, report only reports them, never skips them; starts in capture.yaml takes "
-        "precedence.",
+        "Time offsets from sound, people and motion: auto applies them, report only reports, never "
+        "skips. starts in capture.yaml takes precedence.",
     )
 
 

@@ -116,8 +116,8 @@ def value_text(value: Any) -> str:
 
 def _table(settings: Iterable[Setting], above: str = "") -> Iterator[str]:
     if not above:
-        yield "| setting | default | may be | paper | meaning |"
-        yield "|---|---|---|---|---|"
+        yield "| setting | default | may be | meaning |"
+        yield "|---|---|---|---|"
     for setting in settings:
         name = f"{above}{setting.name}"
         if setting.is_section:
@@ -126,7 +126,7 @@ def _table(settings: Iterable[Setting], above: str = "") -> Iterator[str]:
         default = (
             "see below" if isinstance(setting.default, Mapping) and setting.default else value_text(setting.default)
         )
-        cells = [f"`{name}`", f"`{default}`", allowed(setting), setting.described.paper, setting.described.meaning]
+        cells = [f"`{name}`", f"`{default}`", allowed(setting), setting.described.meaning]
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 

@@ -23,19 +23,18 @@ PRESETS = ("paper.yaml", "networks.yaml")
 PAGE: Path = CONFIGURATION.parents[1] / "docs" / "paper.md"
 
 WITHOUT: Mapping[str, str] = {
-    "people.association.gate_m": "bounds rays; the paper's gate of 0.3 m on pelvises is a constant in the code",
-    "depth.sweep_width": "planes say where floor, walls and ceiling are, which nothing of the letter reads but "
-    "background.fill_unseen",
-    "render.shots": "which cameras are held out is the dataset's to say (held_out in capture.yaml)",
+    "people.association.gate_m": "bounds rays; 0.3 m between pelvises is a constant",
+    "depth.sweep_width": "only background.fill_unseen reads the planes then",
+    "render.shots": "held_out in capture.yaml selects these cameras",
 }
 """The reason why a setting that the paper mentions cannot have the paper's value."""
 
 BUT: Mapping[str, str] = {
-    "humans.gaussians": "read where humans.placed is evenly: SMPL has as many vertices",
-    "people.lift.surface_to_joint_m": "read where the position is scene",
-    "people.triangulation.solver": "points stay undetermined whose rays cross under 2° or that lie within 0.1 m of a "
-    "camera: there noise moves the minimum of Eq. 2 by metres",
-    "people.association.affinity": "σ_p 0.3 m and σ_θ 0.5 rad a joint are ours, the paper gives none",
+    "humans.gaussians": "with placed: evenly",
+    "people.lift.surface_to_joint_m": "with position: scene",
+    "people.triangulation.solver": "points with rays under 2° apart or within 0.1 m of a camera stay undetermined: "
+    "noise moves the minimum of Eq. 2 by metres there",
+    "people.association.affinity": "σ_p 0.3 m and σ_θ 0.5 rad a joint are ours",
 }
 """Remarks on settings that do have the paper's value."""
 
@@ -72,20 +71,19 @@ CONSTANTS: tuple[tuple[str, str, Any, str], ...] = (
 """The paper's numbers that are constants in the code: place, name, the paper's value, source."""
 
 _HEAD = """\
-# The paper to the letter
+# The paper's settings
 
-Made by `python -m studiorecon.configuration.paper_settings`; do not edit by hand. Every setting of which the paper
-speaks, from the setting's own declaration, and what `config/presets/paper.yaml` with `networks.yaml` over it makes of
-it. U-numbers are readings of ambiguous passages ([readings.md](readings.md)). "default" means that nothing has to be
-said.
+Written by `python -m studiorecon.configuration.paper_settings`; do not edit by hand.
+The table has every setting with a value in the paper, and the value that `config/presets/paper.yaml` and
+`networks.yaml` give it; empty = the default, which is the paper's. U-numbers are [readings](readings.md).
 
-| setting | the paper, and where | default | the letter | the presets | state |
-|---|---|---|---|---|---|
+| setting | the paper | default | presets |
+|---|---|---|---|
 """
 _BETWEEN = """
-Numbers that no setting turns; a test holds them to the paper's.
+Constants of the paper without a setting; a test compares them with the paper.
 
-| where | the paper's | value |
+| constant | source | value |
 |---|---|---|
 """
 
@@ -132,7 +130,7 @@ def state(name: str, setting: Setting, config: Mapping[str, Any]) -> str:
     """ "literal" or the difference from the paper, for one setting in a configuration."""
     letter = setting.described.paper_value
     if letter is None:
-        return f"no literal option: {WITHOUT[name]}"
+        return f"no such setting: {WITHOUT[name]}"
     if value_at(config, name) != letter:
         return "not taken"
     found = "literal (default)" if plain(setting.default) == letter else "literal"
@@ -148,17 +146,22 @@ def page() -> str:
     """The text of docs/paper.md."""
     config, rows = merged(), []
     for name, setting in paper_values():
-        about = setting.described
-        letter = "" if about.paper_value is None else f"`{value_text(about.paper_value)}`"
-        shown = "see config.yaml" if isinstance(setting.default, Mapping) else f"`{value_text(setting.default)}`"
-        here = "" if isinstance(setting.default, Mapping) else f"`{value_text(value_at(config, name))}`"
-        cells = [f"`{name}`", about.paper, shown, letter, here, state(name, setting, config)]
+        default, letter = plain(setting.default), value_at(config, name)
+        preset = "" if letter == default else _short(letter, "paper.yaml")
+        remark = state(name, setting, config).removeprefix("literal").removeprefix(" (default)").removeprefix("; ")
+        last = "; ".join(filter(None, [preset, remark]))
+        cells = [f"`{name}`", setting.described.paper, _short(default, "config.yaml"), last]
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
-    held = [
+    constants = [
         f"| `{place.partition(':')[0]}` `{name}` | {where} | `{value_text(constant(place, name))}` |\n"
         for place, name, _, where in CONSTANTS
     ]
-    return _HEAD + "".join(rows) + _BETWEEN + "".join(held)
+    return _HEAD + "".join(rows) + _BETWEEN + "".join(constants)
+
+
+def _short(value: Any, file: str) -> str:
+    """A value as a cell of the table; a mapping is left to its file."""
+    return f"in {file}" if isinstance(value, Mapping) else f"`{value_text(value)}`"
 
 
 def main() -> None:

@@ -21,44 +21,40 @@ class General:
 
     dataset: str = setting(
         "resources/studio/demo.yaml",
-        "A dataset directory, or the description of a synthetic studio (a .yaml file), which the workflow then makes "
-        "first.",
+        "Dataset folder, or the description of a synthetic studio (.yaml), which is made first.",
     )
-    scene: str | int = setting("", "Name of the results folder; empty = the name of the dataset.")
-    capture_yaml: str = setting("", "A capture.yaml outside the dataset directory; empty = the one inside it, if any.")
+    scene: str | int = setting("", "Name of the results folder; empty = the dataset's name.")
+    capture_yaml: str = setting("", "A capture.yaml outside the dataset folder; empty = the one in it, if any.")
     body: str = setting(
         "resources/body.npz",
-        "The body model: the bundled one, or an SMPL .npz or .pkl of your own (same joints, its own shape space).",
-        paper="SMPL, section on human pose estimation; its file is behind a registration",
+        "Body model: the bundled one, or an SMPL .npz or .pkl of your own.",
+        paper="SMPL, behind a registration",
         paper_value="resources/weights/smpl/SMPL_NEUTRAL.pkl",
     )
     device: Literal["auto", "cpu", "cuda"] = setting(
-        "auto", "What draws and trains Gaussians; auto = a CUDA device where gsplat is installed, else the CPU."
+        "auto", "Device that draws and trains Gaussians; auto = CUDA if gsplat is installed, else the CPU."
     )
     budget_min: float = setting(
         0.0,
-        "Time that a run may take: chooses the best-scoring preset that should finish in time; your own settings "
-        "take precedence. 0 = no limit.",
+        "Time limit: chooses the best preset that should finish in time; your own settings take "
+        "precedence. 0 = no limit.",
         unit="min",
         minimum=0,
     )
     strict: bool = setting(
         False,
-        "End with an error, after all results are made, if any step warned: for unattended runs.",
+        "Fail at the end if any step warned; all results are made.",
     )
-    sweep: str = setting(
-        "config/sweeps/one_at_a_time.tsv", "Table of the configurations that `snakemake sweep` runs and scores."
-    )
-    sweep_minutes: float = setting(60.0, "Longest that one configuration of a sweep may run.", unit="min", above=0)
-    weights: str = setting("resources/weights", "Folder of the weights of upstream networks, of which none is default.")
+    sweep: str = setting("config/sweeps/one_at_a_time.tsv", "Table of configurations for `snakemake sweep`.")
+    sweep_minutes: float = setting(60.0, "Time limit of one configuration of a sweep.", unit="min", above=0)
+    weights: str = setting("resources/weights", "Folder of the optional networks' weights.")
     licences: Literal["any", "commercial"] = setting(
         "any",
-        "Which licences may be used; commercial refuses networks that are for research only and names the one to take "
-        "instead.",
+        "Licences that may be used; commercial refuses research-only networks and names a substitute.",
     )
     images: str = setting(
         "resources/images",
-        "Folder of the container images that `snakemake images` builds and --sdm apptainer takes first.",
+        "Folder of the container images of `snakemake images`.",
     )
 
 
@@ -72,16 +68,14 @@ class Detect:
     )
     network: str = setting(
         "",
-        "Network that places the keypoints of detected people: rtmpose, vitpose or rtmo (fetched by snakemake "
-        "weights), or your own ONNX file.",
+        "Network for the keypoints of detected people: rtmpose, vitpose or rtmo (`snakemake "
+        "weights`), or your own ONNX file.",
     )
-    network_layout: NetworkLayout = setting(
-        "auto", "What the points of detect.network are; auto = as their number says."
-    )
+    network_layout: NetworkLayout = setting("auto", "Layout of that network's keypoints; auto = by their number.")
     precomputed: str = setting(
         "",
-        "Folder with <camera>.npz or .pt of CoMotion's rows on our capture/<camera>.mkv: id, frame_idx, pose, betas, "
-        "trans, pred_2d, pred_3d.",
+        "Folder with <camera>.npz or .pt, CoMotion's output for capture/<camera>.mkv: id, "
+        "frame_idx, pose, betas, trans, pred_2d, pred_3d.",
     )
 
 
@@ -91,8 +85,7 @@ class People:
 
     identities: str = setting(
         "",
-        "A corrected copy of people/identities.tsv, used unchanged; empty = the dataset's identities.tsv, if it has "
-        "one.",
+        "Corrected copy of people/identities.tsv; empty = the dataset's identities.tsv, if any.",
     )
 
 
@@ -100,7 +93,9 @@ class People:
 class Depth:
     """The path of a network's depth, and its input."""
 
-    precomputed: str = setting("", "Folder with <camera>.exr, .npy, .npz or 16-bit .png (millimetres) of every camera.")
+    precomputed: str = setting(
+        "", "Folder with <camera>.exr, .npy, .npz or 16-bit .png (millimetres) for every camera."
+    )
 
 
 @dataclass(frozen=True)
@@ -109,7 +104,7 @@ class Masks:
 
     precomputed: str = setting(
         "",
-        "Folder with <camera>.mkv, <camera>.mp4 or <camera>/ (pictures): 0 = background, else one number per person.",
+        "Folder with <camera>.mkv, .mp4 or <camera>/ (pictures): 0 = background, else one number per person.",
     )
 
 
@@ -126,9 +121,7 @@ class Views:
 class Enhance:
     """The path of an enhancer's films."""
 
-    precomputed: str = setting(
-        "", "Folder with <shot>.mkv or .mp4 of every shot, made from render/<shot>.mkv picture by picture."
-    )
+    precomputed: str = setting("", "Folder with <shot>.mkv or .mp4, made from render/<shot>.mkv picture by picture.")
 
 
 @dataclass(frozen=True)
@@ -137,6 +130,5 @@ class Render:
 
     exr: bool = setting(
         False,
-        "Take every film apart for compositing too: render/<shot>.layers/000000.exr … with colour, depth, normals, "
-        "truth and mattes.",
+        "Write OpenEXR layers too: render/<shot>.layers/000000.exr … with colour, depth, normals, truth and mattes.",
     )

@@ -39,12 +39,12 @@ class Settings:
 
     pictures: Literal["first", "all", "none"] = setting(
         "first",
-        "Undistorted pictures for COLMAP and nerfstudio: of the first frame; of all frames (about 1 MB per camera "
-        "and frame at 960 pixels); or none, and these programs stop at the first file.",
+        "Undistorted pictures for COLMAP and nerfstudio: first frame; all (about 1 MB per camera "
+        "and frame at 960 pixels); or none, and these programs cannot load the scene.",
     )
     bvh_unit: Literal["m", "cm"] = setting(
         "m",
-        "Unit of deliver/bodies/*.bvh, which the format cannot say: m for Blender, cm for Unreal and MotionBuilder.",
+        "Unit of deliver/bodies/*.bvh: m for Blender, cm for Unreal and MotionBuilder.",
     )
 
 

@@ -46,9 +46,7 @@ class Settings(Matching, FirstLook):
     wall_clearance_m: float = 0.3
     wall_votes: float = 0.004
     ceiling_default_m: float = 3.2
-    candidates: int = setting(
-        60, "Maximum number of planes inside the room that the second pass tries.", minimum=0, maximum=1000
-    )
+    candidates: int = setting(60, "Maximum number of planes in the room for the second pass.", minimum=0, maximum=1000)
 
 
 def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m: float, settings: Settings) -> RoomBox:

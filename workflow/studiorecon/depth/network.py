@@ -42,17 +42,16 @@ class Settings:
 
     source: DepthSource = setting(
         "embedded",
-        "Source of the final depth: embedded (planes), a network aligned to the planes' scale, or precomputed files "
-        "of a network's depth in any unit.",
+        "Source of the final depth: embedded (planes), a network aligned to the planes, or "
+        "precomputed files in any unit.",
         paper="Pi3, then MoGe; U21",
         paper_value="moge",
     )
     reference: Literal["planes", "calibration"] = setting(
         "planes",
-        "What measures the room: planes = plane sweep, to which a network's depth of the clean plates is aligned. "
-        "calibration = the network of calibration.source: its depth of the first frame is used unchanged, people "
-        "included; depth.source then serves later frames only.",
-        paper="Pi3's first-frame depth where its confidence is above 0.1; MoGe's later frames aligned to it; U21, U22",
+        "planes = plane sweep, to which network depth is aligned; calibration = first-frame depth "
+        "of calibration.source unchanged, depth.source for later frames only.",
+        paper="Pi3's first frame above confidence 0.1, MoGe later; U21, U22",
         paper_value="calibration",
     )
 

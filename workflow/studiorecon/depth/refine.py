@@ -48,7 +48,10 @@ class Settings(PassSettings, DefaultConfidence):
     """The size of the final pass."""
 
     refine_width: int = setting(
-        320, "Width at which the chosen planes are evaluated last, at most the working width.", minimum=32, maximum=4096
+        320,
+        "Picture width of the last evaluation of chosen planes, at most the working width.",
+        minimum=32,
+        maximum=4096,
     )
 
 

@@ -39,13 +39,13 @@ if TYPE_CHECKING:
 class Settings(PassSettings, FirstLook):
     """Size in pixels of the pictures for the furniture's fit, and the least gain of a primitive."""
 
-    passes: int = setting(2, "Rounds in which each camera is judged against the others' depth.", minimum=1, maximum=10)
+    passes: int = setting(2, "Rounds in which each camera is checked against the others' depth.", minimum=1, maximum=10)
     primitives: int = setting(
         40,
-        "Upright boxes and cylinders that are put into the room, at most; 0 = none.",
+        "Maximum number of boxes and cylinders in the room; 0 = none.",
         minimum=0,
         maximum=1000,
-        paper="none; its depth is a network's",
+        paper="none; network depth",
         paper_value=0,
     )
     primitives_width: int = 160

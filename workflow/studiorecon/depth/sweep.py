@@ -48,13 +48,15 @@ class Settings(Matching, FirstLook):
 
     horizontal_step_m: float = setting(
         0.04,
-        "Step between horizontal planes from the floor to furniture, and at twice the step through the "
-        "ceiling's range.",
+        "Step between horizontal planes up to table height; twice that near the ceiling.",
         unit="m",
         above=0,
     )
     wall_step_m: float = setting(
-        0.06, "Step between walls near the rig's centre; it grows with the square beyond 4.5 m.", unit="m", above=0
+        0.06,
+        "Step between walls near the cameras; grows with the square of the distance beyond 4.5 m.",
+        unit="m",
+        above=0,
     )
     furniture_m: float = 1.3
     ceiling_m: tuple[float, float] = (2.2, 3.2)

@@ -30,7 +30,7 @@ class Matching(NearLimit):
 
     far_m: float = setting(
         14.0,
-        "Maximum z-depth of a surface; default walls of an open place are this far beyond the cameras.",
+        "Maximum z-depth of a surface; distance of default walls in open places.",
         unit="m",
         above=0,
     )
@@ -44,7 +44,7 @@ class FirstLook:
 
     sweep_width: int = setting(
         240,
-        "Width at which every plane is tried first; planes are then evaluated at the working size.",
+        "Picture width of the first pass over all planes.",
         unit="px",
         minimum=32,
         maximum=4096,

@@ -19,8 +19,8 @@ class Enhancing:
 
     enhancer: EnhancerName = setting(
         "residual",
-        "Enhancer of pictures: residual = adds detail that renders miss at the training cameras; difix, fixer = "
-        "networks with weights; precomputed = films made by another program; none.",
+        "residual = detail that renders miss at the training cameras; difix, fixer = networks; "
+        "precomputed = films of another program; none.",
         paper="difix, one step at 199; U07",
         paper_value="difix",
     )
@@ -33,8 +33,8 @@ class Carrying:
 
     strength: float | Literal["auto"] = setting(
         "auto",
-        "Share of the carried-over residual that is added; auto = the factor that best predicts each training"
-        " camera from the others, and none where that is not worth it (effect enhancement).",
+        "Share of the residual that is added; auto = the share that best predicts each training "
+        "camera from the others.",
         minimum=0,
         maximum=1,
     )
@@ -52,7 +52,7 @@ class Injecting:
     flow: FlowName = setting(
         "dis",
         "dis = dense inverse search; raft needs weights.",
-        paper="raft, backward flow of the raw renders; U06",
+        paper="raft, backward, on raw renders; U06",
         paper_value="raft",
     )
-    flow_preset: Preset = setting("medium", "Effort of dis.")
+    flow_preset: Preset = setting("medium", "Quality of dis.")

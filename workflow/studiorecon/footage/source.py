@@ -35,7 +35,7 @@ _GAP_FRAMES = 1.5
 class PictureRate:
     """The frame rate of a folder of pictures, which has none itself; a setting of every step that opens footage."""
 
-    picture_fps: float = setting(30.0, "Frame rate of footage that is a folder of pictures.", above=0, maximum=1000)
+    picture_fps: float = setting(30.0, "Frame rate of footage given as pictures.", above=0, maximum=1000)
 
 
 @dataclass(frozen=True)

@@ -35,24 +35,24 @@ class Smoothing:
 
     forget_s: float = setting(
         0.0277,
-        "Time in which a sample is forgotten to 1/e; 0 = none.",
+        "Time constant of the recursive filter (1/e); 0 = none.",
         unit="s",
         minimum=0,
-        paper="0.0481, 0.5 per frame at 30 fps, appendix; U40",
+        paper="0.5 per frame at 30 fps; U40",
         paper_value=0.0481,
     )
     sigma_s: float = setting(
         0.0233,
-        "Deviation of the Gaussian; 0 = none.",
+        "Standard deviation of the Gaussian filter; 0 = none.",
         unit="s",
         minimum=0,
-        paper="0.0333, 1 frame at 30 fps, appendix; U41",
+        paper="1 frame at 30 fps; U41",
         paper_value=0.0333,
     )
     smooth_in: Literal["rotations", "axis_angles"] = setting(
         "rotations",
-        "rotations on SO(3), or the components of axis_angles, which break near half a turn (U42).",
-        paper="of the fitted pose parameters, appendix B; U42",
+        "rotations on SO(3), or axis_angles, which break near half a turn (U42).",
+        paper="pose parameters, appendix B; U42",
         paper_value="axis_angles",
     )
 

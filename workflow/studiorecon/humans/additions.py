@@ -15,21 +15,19 @@ class Additions:
 
     behind: Literal["random", "black"] = setting(
         "random",
-        "Background behind the person in training: random = another colour at every step, so that no colour passes "
-        "for transparent; black.",
-        paper="not said: the masked picture over black, as in the work it follows; U52",
+        "Background in training: another random colour at every step, or black.",
+        paper="not stated; U52",
         paper_value="black",
     )
     unseen: Literal["filled", "trained"] = setting(
         "filled",
-        "Gaussians that no camera saw: filled = coloured like the surrounding body, constant over time; trained = as "
-        "training leaves them, with the temporal network's residuals.",
+        "Unseen Gaussians: filled with the colour of the surrounding body, or as trained.",
         paper="trained, appendix D",
         paper_value="trained",
     )
     pose_joints: Literal["limbs", "all"] = setting(
         "limbs",
-        "Joints whose turns are refined: limbs = all but feet, head and hands, which move hardly any surface.",
+        "Joints that are refined: limbs = all but feet, head and hands.",
         paper="all, appendix D",
         paper_value="all",
     )
@@ -43,7 +41,7 @@ class Additions:
     )
     scales_held: bool = setting(
         True,
-        "Standard deviations stay between 0.08 and 1.6 of the Gaussians' spacing.",
+        "Keep standard deviations between 0.08 and 1.6 of the Gaussians' spacing.",
         paper="no such limit",
         paper_value=False,
     )

@@ -25,26 +25,26 @@ class OverTime:
 
     use: Literal["auto", "always", "never"] = setting(
         "auto",
-        "Colour and opacity that change over time independently of the pose; auto = when the colours of a tenth of "
-        "the body drift over time once the poses are refined.",
+        "Temporal network: colour and opacity that change independently of the pose; auto = where a"
+        " tenth of the body changes colour over time.",
         paper="always, appendix D; U47 to U49",
         paper_value="always",
     )
-    start: int = setting(450, "Step from which it takes part.", minimum=0, paper="3,000 of 10,000", paper_value=3000)
+    start: int = setting(
+        450, "First step with the temporal network.", minimum=0, paper="3,000 of 10,000", paper_value=3000
+    )
     width: int = setting(64, "Units of a hidden layer.", minimum=1, paper="256", paper_value=256)
     points: int = setting(
         512,
-        "Points on the body at which the network is evaluated; Gaussians between them are interpolated. "
-        "0 = at every Gaussian, which takes about twice as long.",
+        "Body points where the network is evaluated, interpolated between; 0 = every Gaussian, twice as slow.",
         minimum=0,
         paper="at every Gaussian",
         paper_value=0,
     )
     bands: Literal["below_nyquist", "all"] = setting(
         "below_nyquist",
-        "Frequencies of time in the network's input: below_nyquist = those that frames can represent; all = ten, the "
-        "fastest of which alias.",
-        paper="all of multires 10, appendix D",
+        "Time frequencies of the input: those that the frames can represent, or all ten, the highest of which alias.",
+        paper="all ten, appendix D",
         paper_value="all",
     )
     layers: int = 8

@@ -15,16 +15,15 @@ class StartSettings:
 
     gaussians: int = setting(
         10000,
-        "Gaussians per person, on the body's surface.",
+        "Gaussians per person.",
         minimum=16,
-        paper="one per SMPL vertex, 6890, appendix D",
+        paper="6890, appendix D",
         paper_value=6890,
     )
     placed: Literal["evenly", "vertices"] = setting(
         "evenly",
-        "Where Gaussians start: evenly over the body's surface, as many as humans.gaussians says, or one at every "
-        "vertex of the body model, however many it has.",
+        "Start of Gaussians: evenly over the surface, or one at every vertex of the body model.",
         paper="at SMPL's vertices, appendix D",
         paper_value="vertices",
     )
-    seed: int = setting(0, "Seed of all draws.", minimum=0)
+    seed: int = setting(0, "Random seed.", minimum=0)

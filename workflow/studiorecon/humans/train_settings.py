@@ -29,21 +29,21 @@ class TrainSettings(StartSettings):
     )
     limit_sh_to_views: bool = setting(
         True,
-        "Lower sh_degree to what the viewing directions of the turning body can resolve.",
+        "Limit sh_degree to what the viewing directions of the turning body resolve.",
         paper="no limit",
         paper_value=False,
     )
     skinning: Literal["surface", "grid"] = setting(
         "surface",
-        "Where skinning weights come from: surface = the body's own where a Gaussian starts, the four strongest; "
-        "grid = all of a voxel grid's where it is now.",
+        "Skinning weights: surface = the body's four strongest at the start; grid = all of a voxel "
+        "grid at the current position.",
         paper="grid, appendix D; U45",
         paper_value="grid",
     )
     grid_resolution: int = 64
     grid_margin: float = 0.15
     iterations: int = setting(1500, "Training steps.", minimum=1, paper="10,000, appendix D", paper_value=10000)
-    pose_from: int = setting(300, "Step from which poses are refined together with the Gaussians.", minimum=0)
+    pose_from: int = setting(300, "Step from which poses are refined too.", minimum=0)
     margin_px: int = 12
     occluder_px: int = 6
     smallest_px: int = 60

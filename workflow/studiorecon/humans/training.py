@@ -48,16 +48,26 @@ class Losses:
     l1: float = 0.8
     ssim: float = 0.2
     lpips: PerceptualSettings = setting(PerceptualSettings(), "The perceptual term.")
-    mask: float = setting(0.1, "L1 on the silhouette.", minimum=0, paper="0.01, appendix D; U50", paper_value=0.01)
+    mask: float = setting(
+        0.1, "Weight of L1 on the silhouette.", minimum=0, paper="0.01, appendix D; U50", paper_value=0.01
+    )
     density: float = setting(
-        0.0, "Pull of the rendered alpha to 0 or 1.", minimum=0, paper="0.1, appendix D; U13", paper_value=0.1
+        0.0,
+        "Weight of the prior that pulls rendered alpha to 0 or 1.",
+        minimum=0,
+        paper="0.1, appendix D; U13",
+        paper_value=0.1,
     )
     surface: float = setting(
-        0.01, "Pull of Gaussians to their start on the body.", minimum=0, paper="none, appendix D", paper_value=0.0
+        0.01,
+        "Weight of the pull of Gaussians to their start on the body.",
+        minimum=0,
+        paper="none, appendix D",
+        paper_value=0.0,
     )
     pose: float = setting(
         0.05,
-        "Smoothness of refined poses over time, at 30 frames per second; scaled to give equal speeds at other rates.",
+        "Weight of smooth poses, at 30 frames per second; other rates are scaled to equal speeds.",
         minimum=0,
         paper="50, appendix D; U51",
         paper_value=50.0,
@@ -69,10 +79,10 @@ class Rates:
     """Learning rates."""
 
     position_m: float = setting(
-        0.0005, "Step of positions at the start.", unit="m", above=0, paper="1e-3, appendix D", paper_value=1e-3
+        0.0005, "Step size of positions at the start.", unit="m", above=0, paper="1e-3, appendix D", paper_value=1e-3
     )
     position_end_m: float = setting(
-        5e-06, "Step of positions at the end.", unit="m", above=0, paper="2e-6, appendix D", paper_value=2e-6
+        5e-06, "Step size of positions at the end.", unit="m", above=0, paper="2e-6, appendix D", paper_value=2e-6
     )
     rotation: float = 0.001
     scale: float = 0.005
@@ -116,7 +126,7 @@ class Growing:
 
     use: Literal["none", "gradient"] = setting(
         "none",
-        "none = as many as at the start; gradient = clone and split where the picture asks for it.",
+        "none; gradient = clone and split where the picture needs it.",
         paper="densified, appendix D",
         paper_value="gradient",
     )
@@ -126,7 +136,11 @@ class Growing:
     prune_opacity: float = 0.005
     scale: float = 0.01
     cap: int = setting(
-        100000, "Most Gaussians of one person; 0 = no limit.", minimum=0, paper="no limit, appendix D", paper_value=0
+        100000,
+        "Maximum number of Gaussians per person; 0 = no limit.",
+        minimum=0,
+        paper="no limit, appendix D",
+        paper_value=0,
     )
 
     def watched(self, done: int, iterations: int) -> bool:

@@ -41,7 +41,7 @@ class Settings(DetectionLimits):
 
     keypoint_pixels: Literal["auto", "video", "calibration"] = setting(
         "auto",
-        "Picture that keypoint coordinates refer to; auto = the calibration's where the footage has a pixel "
+        "Picture of the keypoint coordinates; auto = the calibration's if the footage has a pixel "
         "map, else the video's.",
     )
     keypoint_centres: float = 0.0

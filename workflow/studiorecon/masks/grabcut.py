@@ -31,7 +31,7 @@ class CutSettings:
         weight: log-odds of the cut.
     """
 
-    rounds: int = setting(2, "Rounds of learning colours and cutting; 0 = none.", minimum=0, maximum=50)
+    rounds: int = setting(2, "Rounds of colour learning and graph cut; 0 = none.", minimum=0, maximum=50)
     sure: float = 1.5
     weight: float = 0.7
 

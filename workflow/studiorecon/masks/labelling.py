@@ -78,7 +78,7 @@ class Settings:
     outline: OutlineSettings = OutlineSettings()
     smooth_px: int = setting(
         1,
-        "Radius over which evidence is averaged without crossing edges of the picture; 0 = not at all.",
+        "Radius of the edge-preserving average of the evidence; 0 = none.",
         unit="px",
         minimum=0,
         maximum=100,

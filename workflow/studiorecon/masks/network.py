@@ -33,9 +33,7 @@ _MAX = 254
 class Sam3Settings:
     """Settings of SAM 3: frames per chunk, and its text prompt."""
 
-    chunk: int = setting(
-        200, "Frames that go through at once; chunks share a frame, memory grows with them.", minimum=1
-    )
+    chunk: int = setting(200, "Frames per call; memory grows with them.", minimum=1)
     prompt: str = "person"
 
 
@@ -45,8 +43,8 @@ class Settings:
 
     source: MaskSource = setting(
         "embedded",
-        "Who finds people's pixels: embedded (plate difference and bodies), sam3 or precomputed masks; masks "
-        "in the dataset itself always count first.",
+        "Source of people's masks: embedded (plate difference and bodies), sam3, or precomputed; "
+        "masks in the dataset take precedence.",
         paper="sam3",
         paper_value="sam3",
     )

@@ -54,8 +54,7 @@ class TurnSettings:
     rad_s2: float = 60.0
     gain_db: float = setting(
         1.0,
-        "Minimum gain on validation crops for an object to turn; 100 = no rotation is estimated, which saves most of "
-        "the time.",
+        "Minimum gain on validation crops for an object to rotate; 100 = no rotation, the fastest.",
         unit="dB",
         minimum=0,
         maximum=100,

@@ -61,16 +61,16 @@ class BodyFit:
 
     solver: Literal["levenberg_marquardt", "paper"] = setting(
         "levenberg_marquardt",
-        "levenberg_marquardt; or the paper's loss to the letter, each frame alone.",
+        "levenberg_marquardt; paper = the paper's loss, each frame alone.",
         paper="paper; U38",
         paper_value="paper",
     )
     iterations: int = setting(
         30,
-        "Most steps; it ends at convergence, usually after 6.",
+        "Maximum number of steps; converges after about 6.",
         minimum=1,
         maximum=1000,
-        paper="30, section on fitting; U38",
+        paper="30; U38",
         paper_value=30,
     )
     tolerance: float = 0.0001
@@ -80,38 +80,35 @@ class BodyFit:
     pose_weight: float = 1.0
     limit_weight: float = 1.0
     beta_weight: float = setting(
-        1.0, "Pull of the mean shape in every frame.", above=0, paper="10, appendix; U39", paper_value=10.0
+        1.0, "Weight of the mean-shape prior in every frame.", above=0, paper="10; U39", paper_value=10.0
     )
     vertex_weight: float = setting(
         0.5,
-        "What all surface points of a frame count for together, as a share of its keypoints; sources of "
-        "keypoints alone bring none.",
+        "Weight of all surface points of a frame relative to its keypoints; for sources of bodies.",
         minimum=0,
         maximum=1,
-        paper="every vertex as much as a joint; U33",
+        paper="a vertex weighs as much as a joint; U33",
         paper_value=1.0,
     )
     vertices: int = setting(
         100,
-        "Surface points that stand for the whole skin, of sources that bring bodies; 0 = every vertex of the model.",
+        "Surface points that represent the skin, for sources of bodies; 0 = all vertices.",
         minimum=0,
-        paper="every vertex, Eq. 4; U33",
+        paper="all, Eq. 4; U33",
         paper_value=0,
     )
     shape: Literal["shared", "per_frame"] = setting(
-        "shared", "Whether the frames share one shape.", paper="per_frame; U39", paper_value="per_frame"
+        "shared", "One shape for all frames, or one per frame.", paper="per_frame; U39", paper_value="per_frame"
     )
     scale: Literal["none", "bones"] = setting(
         "none",
-        "Whether a person's body is the model times a factor of its own, from the lengths of bones, before "
-        "shape is fitted; shape alone otherwise says how tall somebody is.",
+        "bones = scale the body model per person from bone lengths before its shape is fitted.",
         paper="bones: s* per person, Eq. 3; U36",
         paper_value="bones",
     )
     rolling_shutter: bool = setting(
         True,
-        "Whether keypoints are moved by the time that a camera's rows take one after the other, where people who move "
-        "show it in the whole clip and in both halves of it.",
+        "Correct keypoints for rolling shutter where both halves of the clip show it.",
         paper="not treated",
         paper_value=False,
     )

@@ -53,11 +53,11 @@ class Lifting:
 
     surface_to_joint_m: float = setting(
         SURFACE_TO_PELVIS_M,
-        "With position scene: how far behind the surface that a depth map shows the pelvis lies, along the ray.",
+        "Distance from the visible surface to the pelvis, along the ray; for association.position scene.",
         unit="m",
         minimum=0,
         maximum=0.5,
-        paper="none, the depth as it is, Eq. S1; U26",
+        paper="0, Eq. S1; U26",
         paper_value=0.0,
     )
     patch_px: int = 1

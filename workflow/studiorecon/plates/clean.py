@@ -72,7 +72,7 @@ class Settings:
             another room or another light differs by more.
     """
 
-    frames: int = setting(60, "Pictures that are looked at, evenly over the clip.", minimum=2, maximum=1000)
+    frames: int = setting(60, "Pictures used per camera, evenly over the clip.", minimum=2, maximum=1000)
     agree_levels: float = 8.0
     min_share: float = 0.1
     min_agreement: float = 0.5

@@ -39,17 +39,17 @@ class Injection:
 
     history: int = setting(
         3,
-        "Earlier outputs that enter the enhancer's input; 0 = every picture on its own.",
+        "Earlier outputs in the enhancer's input; 0 = none.",
         minimum=0,
         maximum=30,
-        paper="3, appendix Recursive Enhancement Module; U03",
+        paper="3; U03",
         paper_value=3,
     )
     strength: float = setting(
-        0.9, "Overall share of history at full confidence.", minimum=0, below=1, paper="0.3; U02", paper_value=0.3
+        0.9, "Share of history at full confidence.", minimum=0, below=1, paper="0.3; U02", paper_value=0.3
     )
     moving_strength: float = setting(
-        0.6, "The same in films whose camera moves.", minimum=0, below=1, paper="0.3", paper_value=0.3
+        0.6, "The same for films with a moving camera.", minimum=0, below=1, paper="0.3", paper_value=0.3
     )
     decay: float = 0.5
     error_threshold: float = setting(
@@ -70,11 +70,13 @@ class Injection:
     )
     settle: bool = setting(
         True,
-        "Inject whole levels only, so that eight-bit feedback forgets what has moved on.",
+        "Inject whole levels only, so that 8-bit feedback forgets moved content.",
         paper="false",
         paper_value=False,
     )
-    check: bool = setting(True, "Trust only flow that leads back.", paper="false; U06", paper_value=False)
+    check: bool = setting(
+        True, "Use only flow that passes the forward-backward check.", paper="false; U06", paper_value=False
+    )
     cut_share: float = 0.1
 
 

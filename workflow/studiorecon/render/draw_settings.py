@@ -39,10 +39,10 @@ class DrawSettings:
 
     shots: dict[str, Any] = setting(
         {"orbit": {"kind": "orbit"}, "heldout": {"kind": "heldout"}},
-        "Films to make, by name; a film needs only its kind. orbit goes once around the scene inside the ring of "
-        "training cameras, heldout is every held-out camera at every frame: what metrics are measured on. The training "
-        "cameras' own views are always rendered.",
+        "Films by name. orbit circles the scene inside the ring of training cameras; heldout is "
+        "every held-out camera at every frame, for the metrics. Training cameras are always "
+        "rendered.",
         shape=_FILMS,
-        paper="4 cameras at 45 degrees between the training ones held out",
+        paper="4 held-out cameras at 45 degrees",
     )
     near_m: float = 0.2

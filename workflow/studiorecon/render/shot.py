@@ -45,7 +45,7 @@ class Settings(DrawSettings):
 
     width: int = setting(
         0,
-        "Width of films; 0 = the training cameras' working width.",
+        "Width of films; 0 = the working width.",
         minimum=0,
         maximum=16384,
         paper="1280",

@@ -77,9 +77,7 @@ class Settings:
     flow_preset: Literal["ultrafast", "fast", "medium"] = "fast"
     bootstrap_samples: int = 1000
     seed: int = 0
-    lpips: Net = setting(
-        "none", "Network of LPIPS: alex is what papers call LPIPS, vgg is in the lineage of 3DGS; both need weights."
-    )
+    lpips: Net = setting("none", "Network of LPIPS: alex as in most papers, vgg as in 3DGS; both need weights.")
 
 
 def missing_reasons(have_truth: bool, net: str) -> dict[str, str]:

@@ -33,7 +33,7 @@ class Effect:
         on_above: on above the threshold; False: on below it.
         hidden_by: effects that are decided before, because they look like this one or spoil its measurement.
         voids: the reason for an effect that this one hides while it is on; empty: that one is measured all the same.
-        obeyed_by: the step or plan that acts on the verdict, and how; empty: it only informs, and cannot be forced.
+        obeyed_by: the steps that act when the effect is on, and how; empty: it only informs, and cannot be forced.
     """
 
     name: str
@@ -123,7 +123,7 @@ def thresholds(effects: Iterable[Effect]) -> Any:
     }
     return setting(
         {},
-        "From where an effect is called for, where that is not the effect's own threshold: {exposure: 0.02}.",
+        "Thresholds that differ from the effects' own: {exposure: 0.02}.",
         shape={"type": "object", "additionalProperties": False, "properties": known},
     )
 
@@ -133,14 +133,14 @@ def force(effects: Iterable[Effect]) -> Any:
     names = [effect.name for effect in effects if effect.acts]
     return setting(
         {},
-        'Decisions made beforehand, e.g. {exposure: "on", view_synthesis: "off"}.',
-        paper="views, temporal network, enhancement and injection always; nothing else that a scene may call for",
+        'Verdicts set beforehand: {exposure: "on", view_synthesis: "off"}.',
+        paper="views, temporal network, enhancement, injection always; no other effect",
         paper_value=PAPERS,
         shape={
             "type": "object",
             "propertyNames": {
                 "enum": names,
-                "description": "only verdicts that something acts on can be forced, the others are findings",
+                "description": "only effects that a step uses can be forced",
             },
             "additionalProperties": {"enum": ["on", "off"]},
         },
@@ -154,25 +154,25 @@ def certain_decision(effect: Effect, on: bool, reason: str) -> Decision:
 
 TEMPORAL_APPEARANCE = Effect(
     name="temporal_appearance",
-    statistic="share of body points whose colour residual exceeds 3 times its noise and keeps its sign over time",
+    statistic="share of body points whose colour residual exceeds 3 times its noise with a constant sign over time",
     threshold=0.1,
     paper="always",
-    obeyed_by="humans.train, which measures it once poses are refined, and then trains the network or leaves it out",
+    obeyed_by="humans.train: trains the temporal network; measured after pose refinement",
 )
 ENHANCEMENT = Effect(
     name="enhancement",
-    statistic="gain at training cameras that took no part, of carrying over what photos show and renders miss",
+    statistic="gain at validation cameras from transferring detail that renders miss",
     unit="dB",
     threshold=0.1,
     paper="always",
-    obeyed_by="enhance.shot, which measures it before it enhances; a network that a setting names is always used",
+    obeyed_by="enhance.shot: measured before enhancement; a selected network always runs",
 )
 INJECTION = Effect(
     name="injection",
-    statistic="change between enhanced pictures along the flow of the renders, over that of the renders, less 1",
+    statistic="change between enhanced pictures along the renders' flow, relative to the renders' own, minus 1",
     threshold=0.2,
     paper="always",
-    obeyed_by="enhance.shot, which measures it on pairs of pictures of the film before it makes the film",
+    obeyed_by="enhance.shot: measured on pairs of the film's pictures before the film",
 )
 # Measured while the scene is trained, and by every film.
 TRAINED, FILMED = (TEMPORAL_APPEARANCE,), (ENHANCEMENT, INJECTION)

@@ -39,10 +39,10 @@ class Settings(DetectionLimits):
 
     source: DetectionSource = setting(
         "auto",
-        "Who is where: auto = keypoint files of the cameras that have them, else the detector; detector and "
-        "keypoints = always these; comotion = the paper's network, which brings bodies too; precomputed = "
-        "files of it.",
-        paper="CoMotion, section on detection",
+        "Source of people: auto = keypoint files where a camera has them, else the detector; "
+        "detector, keypoints = always these; comotion = the paper's network, with bodies; "
+        "precomputed = its files.",
+        paper="CoMotion",
         paper_value="comotion",
     )
 

@@ -40,8 +40,7 @@ class Gen3cSettings:
     seed: int = 0
     offload: bool = setting(
         True,
-        "Keep parts of the network in main memory while others run: 48 GB of GPU memory instead of 80, some "
-        "minutes more.",
+        "Keep idle parts in main memory: 48 GB of GPU memory instead of 80, minutes slower.",
     )
     filter_points_threshold: float = setting(
         0.05,

@@ -31,23 +31,22 @@ class Settings:
 
     views_per_segment: int = setting(
         12,
-        "New views between neighbouring cameras; a segment has one more of them and shares its ends with its "
-        "neighbours.",
+        "New views between neighbouring cameras.",
         minimum=1,
         maximum=10000,
-        paper="120, so L = 481 = 4·120 + 1, appendix A; U17",
+        paper="120 (L = 481), appendix A; U17",
         paper_value=120,
     )
     rotations: Literal["slerp", "look_at"] = setting(
         "slerp",
-        "slerp = as in the paper; look_at = every view faces the scene centre.",
-        paper="slerp, section on trajectories",
+        "slerp between the cameras; look_at = every view faces the scene centre.",
+        paper="slerp",
         paper_value="slerp",
     )
     clearance: float = setting(
         1.0,
-        "Minimum horizontal distance to the scene centre, as a share of the smaller of the two cameras' distances; "
-        "views use an arc where the straight line comes nearer: 1 = always.",
+        "Minimum distance to the scene centre, as a share of the nearer camera's; closer paths "
+        "become arcs (1 = always).",
         minimum=0,
         maximum=1,
         paper="0; U19",

@@ -22,9 +22,8 @@ class ViewSource:
     )
     key_frames: Literal["plates", "first_frames"] = setting(
         "plates",
-        "Input of a network per training camera: its clean plate, or its first picture with people, who then appear "
-        "in its views and are masked in the room's training.",
-        paper="first frames; humans in synthesized views are masked",
+        "Input of a network per camera: its clean plate, or its first picture, whose people are masked later.",
+        paper="first frames, people masked",
         paper_value="first_frames",
     )
 
@@ -35,9 +34,8 @@ class PeopleInViews:
 
     people: Literal["bodies", "network"] = setting(
         "bodies",
-        "With first_frames, source of people's masks in the views: bodies = the fitted bodies; network = the network "
-        "of masks.source on every view.",
-        paper="SAM 3 on every synthesized view, section on novel view synthesis",
+        "Masks of people in views from first_frames: the fitted bodies, or masks.source's network on every view.",
+        paper="SAM 3 on every view",
         paper_value="network",
     )
 

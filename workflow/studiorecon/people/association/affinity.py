@@ -41,38 +41,34 @@ class AssociationLimits:
 
     method: Literal["tracks", "star"] = setting(
         "tracks",
-        "tracks = whole tracks of all views together; star = one frame, a reference view, the Hungarian algorithm.",
-        paper="star, section on association; U30, U31",
+        "tracks = all views' whole tracks together; star = one frame, one reference view, Hungarian algorithm.",
+        paper="star; U30, U31",
         paper_value="star",
     )
     affinity: Literal["both", "position", "pose"] = setting(
         "both",
-        "What makes two detections alike: where they are, and how limbs are held, where a body or the detector's guess "
-        "says so.",
-        paper="both, ablation table of association",
+        "Similarity of two detections: position, body pose, or both where a pose is known.",
+        paper="both",
         paper_value="both",
     )
     position: Literal["rays", "pelvis", "scene"] = setting(
         "rays",
-        "rays = how close the rays of shared keypoints pass; pelvis = the monocular body's pelvis at its own depth; "
-        "scene = the pelvis at the depth of the scene there, which calibration.source and depth.source must be "
-        "networks for.",
-        paper="the pelvis lifted by the scene's depth, Eq. S1; U26, U28",
+        "rays = distance between rays of shared keypoints; pelvis = depth of the monocular body; "
+        "scene = depth of the scene at the pelvis, which needs networks for calibration and depth.",
+        paper="pelvis lifted by the scene's depth, Eq. S1; U26, U28",
         paper_value="scene",
     )
     gate_m: float = setting(
         0.15,
-        "Tracks of two cameras can be one person only when their rays pass closer than this.",
+        "Maximum distance between rays of one person.",
         unit="m",
         above=0,
-        paper="0.3 between pelvises lifted by depth; U28",
+        paper="0.3 between lifted pelvises; U28",
     )
     pose_distance: Literal["angle", "axis_angles"] = setting(
         "angle",
-        "How far apart the poses of two bodies are: angle = mean angle between the turns of their joints; "
-        "axis_angles = the norm of the difference of their pose parameters, to which one turn written in two ways is "
-        "two.",
-        paper="‖θa − θb‖ of SMPL's pose parameters, Eq. 1; U27",
+        "angle = mean angle between joint rotations; axis_angles = norm of the difference of pose parameters.",
+        paper="‖θa − θb‖ of pose parameters, Eq. 1; U27",
         paper_value="axis_angles",
     )
     pelvis_gate_m: float = 0.3

@@ -30,9 +30,9 @@ class Triangulation(Limits):
 
     solver: Solver = setting(
         "robust",
-        "Who makes points of keypoints: robust = pairs propose and only views that agree refine; huber = weighted "
-        "Huber refinement from DLT, outliers kept; dlt = homogeneous least squares.",
-        paper="huber, section on triangulation",
+        "robust = minimal pairs propose, views that agree refine; huber = weighted Huber refinement"
+        " from DLT with outliers; dlt = homogeneous least squares.",
+        paper="huber",
         paper_value="huber",
     )
     min_confidence: float = 0.2

@@ -31,16 +31,15 @@ class PerceptualSettings:
 
     weight: float = setting(
         0.0,
-        "Weight of LPIPS in the loss; above 0 it needs weights of VGG16 and LPIPS.",
+        "Weight of LPIPS in the loss; needs weights of VGG16 and LPIPS.",
         minimum=0,
         paper="0.1 at every step; U12",
         paper_value=0.1,
     )
     whole: bool = setting(
         False,
-        "Compare the whole picture at every step; else a random square of 96 px at every fourth, which counts four "
-        "times.",
-        paper="the whole picture at every step",
+        "LPIPS on the whole picture at every step; else on a random 96 px square at every fourth, weighted four times.",
+        paper="whole picture",
         paper_value=True,
     )
     every: int = 4

@@ -47,14 +47,17 @@ class TrainingSettings:
     l1: float = 0.7
     ssim: float = 0.3
     density: float = setting(
-        0.0, "Pull of the rendered alpha to 0 or 1.", minimum=0, paper="0.1, appendix C; U13", paper_value=0.1
+        0.0,
+        "Weight of the prior that pulls rendered alpha to 0 or 1.",
+        minimum=0,
+        paper="0.1, appendix C; U13",
+        paper_value=0.1,
     )
     weighing: Literal["picture", "photometric"] = setting(
         "picture",
-        "What the weights of pixels and views multiply: picture = L1, SSIM and the pull of alpha, LPIPS on the "
-        "masked picture alone; photometric = L1, SSIM and LPIPS, and the pull of alpha has the same weight "
-        "everywhere.",
-        paper="(1 - M) (L1 + SSIM + LPIPS) + L_den, Eq. 5; U15",
+        "Terms that pixel and view weights multiply: picture = L1, SSIM and alpha prior (LPIPS on "
+        "the masked picture); photometric = L1, SSIM and LPIPS (alpha prior everywhere).",
+        paper="Eq. 5; U15",
         paper_value="photometric",
     )
     position_lr_start: float = 0.00016
@@ -67,14 +70,14 @@ class TrainingSettings:
     adam_epsilon: float = 1e-08
     sh_degree: int = setting(
         1,
-        "Degree of harmonics; a diffuse room gains nothing beyond 1.",
+        "Degree of spherical harmonics; diffuse rooms gain nothing beyond 1.",
         minimum=0,
         maximum=3,
         paper="3, appendix C",
         paper_value=3,
     )
     sh_degree_every: int = setting(
-        0, "Steps between raising the degree by one, from 0; 0 = all from the start.", minimum=0
+        0, "Steps between increases of the degree, from 0; 0 = full from the start.", minimum=0
     )
     warmup_half_resolution: float = setting(
         0.3, "Share of the steps at half the image size.", minimum=0, maximum=1, paper="none", paper_value=0.0
@@ -83,13 +86,13 @@ class TrainingSettings:
     largest_scale_m: float = 0.5
     densify: Literal["none", "gradient"] = setting(
         "none",
-        "How Gaussians are added: none; gradient = clone and split them where the picture is not yet explained.",
+        "none; gradient = clone and split where the picture is not yet explained.",
         paper="gradient, appendix C",
         paper_value="gradient",
     )
     cap: int = setting(
         300000,
-        "Most Gaussians that densification may lead to; 0 = no limit.",
+        "Maximum number of Gaussians after densification; 0 = no limit.",
         minimum=0,
         paper="no limit, appendix C",
         paper_value=0,

@@ -63,10 +63,8 @@ class EffectSettings:
 
 def table() -> str:
     """The effects as a table in Markdown."""
-    rows = ["| effect | statistic | on | who acts |", "|---|---|---|---|"]
+    rows = ["| effect | statistic | on | when on |", "|---|---|---|---|"]
     for effect in EFFECTS:
         limit = f"{'above' if effect.on_above else 'below'} {effect.threshold:g} {effect.unit}".strip()
-        rows.append(
-            f"| `{effect.name}` | {effect.statistic} | {limit} | {effect.obeyed_by or 'nothing: for information'} |"
-        )
+        rows.append(f"| `{effect.name}` | {effect.statistic} | {limit} | {effect.obeyed_by or 'only reported'} |")
     return "\n".join(rows)

@@ -99,11 +99,11 @@ def _levels(
 
 EFFECT = SurveyedEffect(
     name="changing_light",
-    statistic="largest change of the room's brightness against the first picture, log",
+    statistic="largest log change of the room's brightness from the first picture",
     threshold=0.02,
     hidden_by=("moving_cameras",),
-    obeyed_by="masks.segment, humans.train and enhance.shot: when on they divide every frame by its brightness against "
-    "the plate; films are in the plates' constant light",
+    obeyed_by="masks.segment, humans.train, enhance.shot: frames are divided by their brightness; films have "
+    "constant light",
     measure=measure,
     artefact=Artefact("brightness.json", write),
 )

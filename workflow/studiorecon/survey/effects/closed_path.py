@@ -37,6 +37,6 @@ EFFECT = SurveyedEffect(
     threshold=150.0,
     paper="U18",
     on_above=False,
-    obeyed_by="the plan: the widest gap gets no new views unless on",
+    obeyed_by="the plan: views in the widest gap too",
     measure=measure,
 )

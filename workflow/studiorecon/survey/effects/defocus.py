@@ -115,7 +115,7 @@ def _neighbours(slope: np.ndarray, axis: int) -> np.ndarray:
 
 EFFECT = SurveyedEffect(
     name="defocus",
-    statistic="largest blur of a camera's sharpest edges beyond the median camera's, standard deviation",
+    statistic="largest blur (standard deviation) of a camera's sharpest edges beyond the median camera's",
     unit="px at 1280",
     threshold=2.0,
     hidden_by=("moving_cameras",),

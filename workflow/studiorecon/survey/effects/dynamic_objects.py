@@ -28,10 +28,9 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
 
 EFFECT = SurveyedEffect(
     name="dynamic_objects",
-    statistic="area of the largest thing that moves, share of the picture",
+    statistic="area of the largest moving object, share of the picture",
     threshold=0.0005,
     hidden_by=("moving_cameras", "changing_light", "moving_shadows"),
-    obeyed_by="the plan: things are followed (objects.find), shown in films and kept out of people's masks only when "
-    "on",
+    obeyed_by="the plan: objects are tracked (objects.find), shown in films and excluded from people's masks",
     measure=measure,
 )

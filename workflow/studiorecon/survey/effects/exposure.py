@@ -68,11 +68,10 @@ def gains_called_for(exposure: Decision) -> Mapping[str, Float[np.ndarray, "1 3"
 
 EFFECT = SurveyedEffect(
     name="exposure",
-    statistic="largest difference of a camera's gain from the mean, share",
+    statistic="largest relative difference of a camera's gain from the mean",
     threshold=0.01,
     hidden_by=("moving_cameras",),
-    obeyed_by="views, background.train, humans.train and enhance.shot: when on they divide every photo by its camera's "
-    "gain",
+    obeyed_by="views, background.train, humans.train, enhance.shot: photos are divided by their camera's gain",
     measure=measure,
     artefact=Artefact("gains.json", write),
 )

@@ -35,11 +35,11 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
 
 EFFECT = SurveyedEffect(
     name="moving_cameras",
-    statistic="largest median shift of a camera's room between the first and any picture",
+    statistic="largest median shift of a camera's background from the first picture",
     unit="px",
     threshold=0.3,
     voids="the cameras move, which voids this measurement: steady the footage, or leave the moving camera out with "
     "train: [...]",
-    obeyed_by="survey.decide, which leaves open what rests on still cameras while it is on",
+    obeyed_by="survey.decide: effects that need static cameras become undetermined",
     measure=measure,
 )

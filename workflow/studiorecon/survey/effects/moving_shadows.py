@@ -36,9 +36,9 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
 
 EFFECT = SurveyedEffect(
     name="moving_shadows",
-    statistic="share of the floor within 1 m of feet that darkens by 5 % for five frames without changing its colour",
+    statistic="share of the floor within 1 m of feet that darkens by 5 % for five frames without changing hue",
     threshold=0.02,
     hidden_by=("moving_cameras", "changing_light"),
-    obeyed_by="the plan: the light is estimated (render.light) and people throw shadows in films only when on",
+    obeyed_by="the plan: estimates the light (render.light), and people cast shadows in films",
     measure=measure,
 )

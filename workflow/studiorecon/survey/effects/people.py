@@ -22,9 +22,9 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
 
 EFFECT = SurveyedEffect(
     name="people",
-    statistic="persons followed by several cameras",
+    statistic="people tracked by several cameras",
     threshold=0.5,
     tunable=False,
-    obeyed_by="the plan: without people there are no masks, bodies and human training",
+    obeyed_by="the plan: without people no masks, bodies and human training",
     measure=measure,
 )

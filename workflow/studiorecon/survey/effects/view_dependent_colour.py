@@ -48,10 +48,10 @@ def write(path: Path, decision: Decision, evidence: Evidence, recordings: Record
 
 EFFECT = SurveyedEffect(
     name="view_dependent_colour",
-    statistic="share of covisible static points whose colour varies between views beyond the noise's 99 % limit",
+    statistic="share of covisible static points whose colour varies beyond the 99 % limit of noise",
     threshold=0.05,
     hidden_by=("moving_cameras", "exposure"),
-    obeyed_by="background.train: unless on, with limit_sh_to_views, the room's colours have no harmonics",
+    obeyed_by="background.train: harmonics for the room, if limit_sh_to_views",
     measure=measure,
     artefact=Artefact("specularity.json", write),
 )

@@ -53,10 +53,9 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
 
 EFFECT = SurveyedEffect(
     name="view_synthesis",
-    statistic="share of what two neighbours see of the stage that is not seen from two sides, nor from within "
-    f"{COVERED_DEG:.0f} degrees",
+    statistic=f"share of two neighbours' stage seen neither from two sides nor from within {COVERED_DEG:.0f} degrees",
     threshold=0.1,
     paper="always",
-    obeyed_by="the plan: views are made only between neighbours for which it is on",
+    obeyed_by="the plan: views between these neighbours",
     measure=measure,
 )
