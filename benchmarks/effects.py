@@ -32,9 +32,9 @@ from typing import Any
 
 import numpy as np
 from studiorecon.scene.files import write_json
+from studiorecon.survey.effect_decisions import Settings, decide_effects
 from studiorecon.survey.effects import EARLY
 from studiorecon.survey.evidence import Evidence
-from studiorecon.survey.judge import Settings, decide_effects
 
 from tests.defaults import loaded
 from tests.made.studio_world import OTHERWISE, PLANTED, scene

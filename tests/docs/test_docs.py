@@ -53,7 +53,7 @@ def test_pages_build_strictly(tmp_path: Path) -> None:
         [*site, "-d", str(tmp_path / "site")], cwd=ROOT, capture_output=True, text=True, check=False, env=told
     )
     assert built.returncode == 0, built.stdout + built.stderr
-    assert "Longest that one configuration of a sweep may run" in (tmp_path / "site/settings.html").read_text()
+    assert "Time limit of one configuration of a sweep" in (tmp_path / "site/settings.html").read_text()
 
 
 def test_every_page_is_in_the_table_of_contents() -> None:

@@ -29,18 +29,16 @@ def settings_of(card: Card) -> str:
 
 def table() -> str:
     """The table as Markdown, a row per card."""
-    head = ("network", "name", "setting", "code", "weights", "commercial use", "ran here", "not checked here")
+    head = ("network", "setting", "code", "weights", "commercial use", "ran here", "not checked here")
     rows = [head, ("---",) * len(head)]
     for card in MODELS.values():
         terms = card.terms
         gate = ", gated: request access" if any(file.gated for file in card.weights) else ""
         condition = f": {terms.condition}" if terms.condition else ""
         allowed = terms.commercial + condition
-        name = f"`{card.name}`"
         rows.append(
             (
-                card.title,
-                name,
+                f"{card.title}, `{card.name}`",
                 settings_of(card),
                 terms.code,
                 terms.weights + gate,

@@ -11,7 +11,7 @@ from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms,
 _RTMPOSE = "rtmposev1/onnx_sdk/rtmpose-m_simcc-body7_pt-body7-halpe26_700e-256x192-4d3e73dd_20230605.zip"
 _VITPOSE = "JunkyByte/easy_ViTPose/resolve/main/onnx/coco/vitpose-b-coco.onnx"
 _RTMO = "RTMO-m/resolve/3aba1280472b98ee2bf663482e27e243038d23fe/onnx/model.onnx"
-_UNCHECKED = "its real weights: networks of the same form, made for the tests, ran"
+_UNCHECKED = "networks of the same form ran"
 
 
 def _card(name: str, title: str, weights: str, file: WeightFile, layout: str) -> Card:
@@ -31,7 +31,7 @@ def _card(name: str, title: str, weights: str, file: WeightFile, layout: str) ->
 CARDS = (
     _card(
         "rtmpose",
-        "RTMPose-m (26 points, feet among them)",
+        "RTMPose-m (26 points with feet)",
         "Apache-2.0 (OpenMMLab's project list), trained on research data",
         WeightFile(
             "rtmpose/rtmpose-m-halpe26-256x192.onnx",
@@ -64,7 +64,7 @@ CARDS = (
     ),
     _card(
         "rtmo",
-        "RTMO-m (17 points, of everybody at once)",
+        "RTMO-m (17 points, whole picture)",
         "Apache-2.0 (RTMO, exported by Xenova), trained on research data",
         WeightFile(
             "rtmo/rtmo-m-640x640.onnx",

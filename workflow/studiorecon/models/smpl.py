@@ -38,7 +38,7 @@ CARD = Card(
     runtime=Runtime(image="comotion", python=">=3.10", torch=">=2.0", pins=("smplx==0.1.28",), commit="0.1.28"),
     memory=Memory(None, "runs on a CPU"),
     tried="random weights",
-    unchecked="SMPL's own file behind a registration",
+    unchecked="SMPL's file",
 )
 CARDS = (CARD,)
 

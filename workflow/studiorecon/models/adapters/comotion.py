@@ -36,7 +36,7 @@ CARD = Card(
         code="Apple sample code licence",
         weights="Apple machine learning research model licence",
         commercial="no",
-        condition="weights are for research; needs SMPL",
+        condition="research-only weights; needs SMPL",
         alternative="keypoints, with files of a detector whose terms allow it",
     ),
     weights=(
@@ -59,7 +59,7 @@ CARD = Card(
     ),
     memory=Memory(6.0, "one 512 pixel frame at a time; our estimate"),
     tried="random weights",
-    unchecked="its weights, and SMPL's file behind a registration",
+    unchecked="SMPL's file",
 )
 CARDS = (CARD,)
 

@@ -32,7 +32,7 @@ CARD = Card(
         code="NVIDIA non-commercial",
         weights="NVIDIA non-commercial, SD-Turbo licence",
         commercial="no",
-        condition="code and weights are for non-commercial use",
+        condition="non-commercial code and weights",
         alternative="fixer",
     ),
     weights=tuple(
@@ -61,7 +61,7 @@ CARD = Card(
     ),
     memory=Memory(10.0, "1280×704 in half precision; our estimate"),
     tried="random weights",
-    unchecked="its weights and the VAE's code with them, which only the hub verifies; bfloat16 on a GPU",
+    unchecked="the VAE's code on the hub; bfloat16",
 )
 CARDS = (CARD,)
 

@@ -33,7 +33,7 @@ CARD = Card(
         code="Apache-2.0",
         weights="NVIDIA Open Model License",
         commercial="with conditions",
-        condition="the licence has a clause on bypassing guardrails; trained on driving, takes no reference photo",
+        condition="clause on bypassing guardrails; trained on driving, no reference photo",
     ),
     weights=tuple(
         WeightFile(
@@ -46,7 +46,7 @@ CARD = Card(
     runtime=Runtime(image="fixer", python="3.12", torch=">=2.6", pins=("cosmos-predict2==1.0.9",), commit="b39dfca"),
     memory=Memory(16.0, "576×1024; our estimate"),
     tried="never",
-    unchecked="NVIDIA's base image, whose own packages it imports, and its weights",
+    unchecked="NVIDIA's base image",
 )
 CARDS = (CARD,)
 

@@ -35,7 +35,7 @@ CARD = Card(
         code="Apache-2.0",
         weights="NVIDIA Open Model License",
         commercial="with conditions",
-        condition="the licence has a clause on bypassing guardrails, and GEN3C's own scripts switch its guardrail off",
+        condition="clause on bypassing guardrails, which GEN3C's own scripts switch off",
     ),
     weights=(
         WeightFile(
@@ -77,7 +77,7 @@ CARD = Card(
         "704×1280, 121 frames, every offload on: 43 GB (upstream issue 33) and 5 GB of warps; without offload 80 GB",
     ),
     tried="parts",
-    unchecked="transformer-engine and apex, compiled in the image; the network, which needs 48 GB of GPU",
+    unchecked="transformer-engine and apex; 48 GB of GPU memory",
 )
 CARDS = (CARD,)
 

@@ -34,7 +34,7 @@ CARD = Card(
         code="Apache-2.0, vendors MPI's smplx",
         weights="CC BY-NC 4.0; needs SMPL-X",
         commercial="no",
-        condition="weights are for non-commercial use; SMPL-X needs registration",
+        condition="non-commercial weights; SMPL-X needs registration",
         alternative="a trained person of another capture (replace of a shot)",
     ),
     weights=(
@@ -68,7 +68,7 @@ CARD = Card(
     ),
     memory=Memory(24.0, "LHM-1B 22 GB, 500M 18 GB, MINI 16 GB (upstream)"),
     tried="never",
-    unchecked="parts compiled for a GPU (pytorch3d, the rasteriser, simple-knn); SMPL-X behind a registration",
+    unchecked="pytorch3d, rasteriser, simple-knn; SMPL-X",
 )
 CARDS = (CARD,)
 

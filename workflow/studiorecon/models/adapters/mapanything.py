@@ -53,7 +53,7 @@ CARD = Card(
     ),
     memory=Memory(12.0, "four to sixteen views; our estimate, not a published figure"),
     tried="never",
-    unchecked="its real weights on a GPU; its encoder is built of a checkout that only the image fetches",
+    unchecked="its encoder, which only the image fetches",
 )
 CARDS = (CARD,)
 

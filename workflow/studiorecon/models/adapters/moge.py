@@ -42,7 +42,7 @@ MOGE = Card(
     ),
     memory=Memory(6.0, "one picture at a time, ViT-L in half precision; our estimate"),
     tried="random weights",
-    unchecked="its real weights on a GPU",
+    unchecked="a GPU",
 )
 MOGE3 = Card(
     name="moge3",
@@ -65,7 +65,7 @@ MOGE3 = Card(
     ),
     memory=Memory(8.0, "one picture at a time; our estimate"),
     tried="never",
-    unchecked="its source, newer than any that could be read; FlexGEMM's kernels, which need a GPU",
+    unchecked="its newest source; FlexGEMM's kernels",
 )
 CARDS = (MOGE, MOGE3)
 

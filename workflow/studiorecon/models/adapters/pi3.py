@@ -33,7 +33,7 @@ PI3 = Card(
         code="BSD-3-Clause",
         weights="CC BY-NC 4.0",
         commercial="no",
-        condition="weights are for non-commercial use",
+        condition="non-commercial weights",
         alternative="mapanything",
     ),
     weights=(
@@ -58,7 +58,7 @@ PI3 = Card(
         8.0, "four to sixteen views of 255 000 pixels; weights 3.7 GB and 53 MB per view (upstream benchmark)"
     ),
     tried="random weights",
-    unchecked="its real weights on a GPU",
+    unchecked="a GPU",
 )
 PI3X = Card(
     name="pi3x",
@@ -68,7 +68,7 @@ PI3X = Card(
         code="BSD-3-Clause",
         weights="CC BY-NC 4.0",
         commercial="no",
-        condition="weights are for non-commercial use",
+        condition="non-commercial weights",
         alternative="mapanything",
     ),
     weights=(
@@ -91,7 +91,7 @@ PI3X = Card(
     ),
     memory=Memory(10.0, "four to sixteen views of 255 000 pixels; weights 5.4 GB (upstream benchmark)"),
     tried="random weights",
-    unchecked="its real weights on a GPU",
+    unchecked="a GPU",
 )
 CARDS = (PI3, PI3X)
 
