@@ -48,22 +48,12 @@ class Losses:
     l1: float = 0.8
     ssim: float = 0.2
     lpips: PerceptualSettings = setting(PerceptualSettings(), "The perceptual term.")
-    mask: float = setting(
-        0.1, "Weight of L1 on the silhouette.", minimum=0, paper="0.01, appendix D; U50", paper_value=0.01
-    )
+    mask: float = setting(0.1, "L1 on the silhouette.", minimum=0, paper="0.01, appendix D; U50", paper_value=0.01)
     density: float = setting(
-        0.0,
-        "Weight of the prior that pulls rendered alpha to 0 or 1.",
-        minimum=0,
-        paper="0.1, appendix D; U13",
-        paper_value=0.1,
+        0.0, "Pull of rendered alpha to 0 or 1.", minimum=0, paper="0.1, appendix D; U13", paper_value=0.1
     )
     surface: float = setting(
-        0.01,
-        "Weight of the pull of Gaussians to their start on the body.",
-        minimum=0,
-        paper="none, appendix D",
-        paper_value=0.0,
+        0.01, "Pull of Gaussians to their start on the body.", minimum=0, paper="none, appendix D", paper_value=0.0
     )
     pose: float = setting(
         0.05,
@@ -136,11 +126,7 @@ class Growing:
     prune_opacity: float = 0.005
     scale: float = 0.01
     cap: int = setting(
-        100000,
-        "Maximum number of Gaussians per person; 0 = no limit.",
-        minimum=0,
-        paper="no limit, appendix D",
-        paper_value=0,
+        100000, "Most Gaussians per person; 0 = no limit.", minimum=0, paper="no limit, appendix D", paper_value=0
     )
 
     def watched(self, done: int, iterations: int) -> bool:

@@ -48,7 +48,7 @@ class TrainingSettings:
     ssim: float = 0.3
     density: float = setting(
         0.0,
-        "Weight of the prior that pulls rendered alpha to 0 or 1.",
+        "Pull of rendered alpha to 0 or 1.",
         minimum=0,
         paper="0.1, appendix C; U13",
         paper_value=0.1,
