@@ -4,7 +4,7 @@
 ``python -m tests.faults.campaign [BYTES]`` (files with changed bytes per noun; 100). What a verdict means:
 
 * right: the reader gives what the whole file holds;
-* told: it gives something else, and says so; of a file between steps, that it changed after its step;
+* warned: it gives something else, and says so; of a file between steps, that it changed after its step;
 * refused: one sentence that names the file, and of a file between steps the cure;
 * unclear: a refusal that does neither, or has several lines;
 * silent: another result, without a word;
@@ -36,7 +36,7 @@ from tests.faults.rules import Variant, bytes_changed, variants
 from tests.made.nouns import NOUNS, Noun
 from tests.made.user_files import READERS, Reader
 
-VERDICTS = ("right", "told", "refused", "unclear", "silent", "traceback", "slow", "heavy")
+VERDICTS = ("right", "warned", "refused", "unclear", "silent", "traceback", "slow", "heavy")
 _SLOW_S, _HEAVY_MB = 10.0, 100.0
 # When a step wrote the whole file, long before it was damaged.
 _WRITTEN_S = 10**9
@@ -159,7 +159,7 @@ def verdict(subject: Subject, data: bytes | None, right: tuple[Any, set[str]]) -
     begun, before_mb = time.process_time(), most_held_mb(anew=True)
     try:
         value, said = reading(subject)
-        ended = "right" if same(value, right[0]) else "told" if said - right[1] or changed(subject) else "silent"
+        ended = "right" if same(value, right[0]) else "warned" if said - right[1] or changed(subject) else "silent"
     except UserError as refusal:
         sentence = str(refusal)
         named = subject.path.name in sentence or f"{subject.path.parent.name}/" in sentence
@@ -213,7 +213,7 @@ def table(counted: Mapping[str, Counter[str]], first: str) -> str:
 def wrong(name: str, rule: str, place: str, ended: str) -> bool:
     """Whether it is a fault of the project."""
     free = any(re.fullmatch(p, f"{name}: {rule} at {place}") for patterns in FREE.values() for p in patterns)
-    return ended not in ("right", "told", "refused") and not (ended == "silent" and free)
+    return ended not in ("right", "warned", "refused") and not (ended == "silent" and free)
 
 
 def main(changed: int) -> int:

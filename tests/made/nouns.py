@@ -33,6 +33,7 @@ from studiorecon.scene.factors import read_factors, write_factors
 from studiorecon.scene.files import write_json, write_npz
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
+from studiorecon.scene.keypoint_verdict import KeypointVerdict, read_keypoint_verdict, write_keypoint_verdict
 from studiorecon.scene.path import PathStep, read_path, write_path
 from studiorecon.scene.people import (
     Detections,
@@ -240,6 +241,11 @@ NOUNS = {
     "poses": Noun("images.txt", _model, lambda p: read_model(p.parent)),
     "points": Noun("points3D.txt", _model, lambda p: read_points(p.parent)),
     "detections": Noun("cam1.npz", _detections, read_detections),
+    "keypoint verdict": Noun(
+        "cam1.json",
+        lambda p, k: write_keypoint_verdict(p, KeypointVerdict(f"cam{k + 1}", WH, (1.5, 2.0, 3.0), "", ("a note",))),
+        read_keypoint_verdict,
+    ),
     "raw detections": Noun("cam1.npz", _raw, lambda p: read_raw_detections(p, True)),
     "people": Noun("people.tsv", _people, read_people),
     "identities": Noun(

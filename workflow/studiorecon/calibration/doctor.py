@@ -45,8 +45,9 @@ from studiorecon.rig.lens_model import LensReading, as_model
 from studiorecon.rig.outlier_camera import find_outlier_camera
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera, Lens
-from studiorecon.scene.clocks import Clocks, read_clocks
-from studiorecon.scene.files import read_json, write_json, write_text
+from studiorecon.scene.clocks import Clocks, read_clocks, read_sync_sentences
+from studiorecon.scene.files import write_json, write_text
+from studiorecon.scene.keypoint_verdict import read_keypoint_verdict
 from studiorecon.scene.people import Detections, read_detections
 from studiorecon.signature import Written
 
@@ -333,10 +334,9 @@ def run(
     cameras = [camera for camera in cameras if camera not in left_out]
     if unknown := [c for c in cameras if c not in lenses]:
         raise UserError(f"camera {unknown[0]} is not in {calibration} (that has {', '.join(lenses)})")
-    found, filmed = read_json(sync), read_clocks(clocks)
+    filmed, decided = read_clocks(clocks), [read_keypoint_verdict(path) for path in sizes]
     common = usable_clocks(filmed)
-    decided = [read_json(path) for path in sizes]
-    heights = {v["camera"]: int(v["wh"][1]) for v in decided}
+    heights = {v.camera: v.wh[1] for v in decided}
     seen = {d.camera: resample_keypoints(d, common, heights[d.camera]) for d in map(read_detections, sightings)}
     raw = [seen.get(c, empty_detections(c)) for c in cameras]
     moments = [common.source_frames(c) for c in cameras]
@@ -357,12 +357,12 @@ def run(
     readings = {
         name: read(model) for name, model in LENS_READINGS.items() if any(lenses[c].model != model for c in cameras)
     }
-    described = {"sentences": [f["sentence"] for f in found["cameras"]], "refusal": filmed.refusal}
+    described = {"sentences": read_sync_sentences(sync), "refusal": filmed.refusal}
     # Cameras that filmed people, or all: the room in held-out pictures is not used.
     asked = [c in seen or not seen for c in cameras]
     rooms = _rooms(sources, pinholes, [lenses[c] for c in cameras], moments, asked)
-    notes_of_films = [sentence for v in decided for sentence in v.get("notes", [])]
-    compared = {"refused": [v["refusal"] for v in decided if v.get("refusal")], "notes": notes_of_films}
+    notes_of_films = [sentence for v in decided for sentence in v.notes]
+    compared = {"refused": [v.refusal for v in decided if v.refusal], "notes": notes_of_films}
     doubts = calibrated.about["doubts"] or []
     result, points = examine(pinholes, detections, about, settings, readings, described, doubts, rooms, compared)
     frame = result["shown_frame"]

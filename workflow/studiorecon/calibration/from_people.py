@@ -32,7 +32,8 @@ from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.self_calibration import rotate_by_edges, self_calibrate
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import Clocks, read_clocks
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.files import write_json
+from studiorecon.scene.keypoint_verdict import read_keypoint_verdict
 from studiorecon.scene.numbered_files import pictures_in
 from studiorecon.scene.people import Detections, read_detections
 from studiorecon.signature import Written
@@ -280,14 +281,14 @@ def run(
     common = read_clocks(clocks)
     if common.refusal:
         raise UserError(common.refusal)
-    told_of = [read_json(path) for path in sizes]
-    if refused := [v["refusal"] for v in told_of if v.get("refusal")]:
+    verdicts = [read_keypoint_verdict(path) for path in sizes]
+    if refused := [v.refusal for v in verdicts if v.refusal]:
         raise UserError(refused[0])
-    size_of = {v["camera"]: (int(v["wh"][0]), int(v["wh"][1])) for v in told_of}
+    size_of = {v.camera: v.wh for v in verdicts}
     detections = _read_sightings(sightings, size_of, common, cameras)
     warn("there is no calibration: the cameras are estimated from people (calibration.source)")
     fitted = BodyModel.load(body)
-    maps = {v["camera"]: v.get("pixel_map") for v in told_of}
+    maps = {v.camera: v.pixel_map for v in verdicts}
     known = lenses_of_cameras(lenses, size_of, maps)
     detections = [
         undistort_detections(d, known[d.camera], size_of[d.camera]) if d.camera in known else d for d in detections

@@ -27,7 +27,7 @@ from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage
-from studiorecon.scene.files import write_json
+from studiorecon.scene.keypoint_verdict import KeypointVerdict, write_keypoint_verdict
 from studiorecon.scene.people import Detections, write_detections
 from studiorecon.scene.raw_detections import is_detector_file, read_raw_detections
 from studiorecon.scene.recorded_keypoints import RecordedKeypoints, write_recorded
@@ -64,7 +64,7 @@ def run(
     film's first frame in the keypoint files, or "auto". ``keypoints`` are one file or folder, or one for every chapter
     of ``source``. ``others``: keypoints of ``other_cameras``, compared when those of ``camera`` do not fit its film.
     """
-    about = {"camera": camera, "wh": [0, 0], "pixel_map": json.loads(pixel_map), "refusal": "", "notes": []}
+    about = KeypointVerdict(camera, (0, 0), json.loads(pixel_map))
     try:
         filmed = open_source(source, picture_fps)
     except UserError as refusal:
@@ -72,7 +72,7 @@ def run(
         warn(f"camera {camera}: {refusal}; until then it sees nobody")
         found, own = _nobody(camera), _none("", "")
     else:
-        about["wh"] = list(filmed.wh)
+        about = replace(about, wh=filmed.wh)
         if is_detector_file(keypoints[0]):
             whole = read_raw_detections(keypoints[0])
             found = detections_from_detector(whole, *_as_filmed(camera, filmed, sum(whole.looked), pixel_map), settings)
@@ -81,7 +81,7 @@ def run(
             rest = dict(zip(other_cameras, others, strict=True))
             first = None if first_frame == "auto" else int(first_frame)
             own, described = _compared(settings, camera, keypoints, rest, layout, first, filmed, pixel_map)
-            about |= {"refusal": own.refusal, "notes": described}
+            about = replace(about, refusal=own.refusal, notes=described)
             frames = int(own.pictures[-1]) + 1 if len(own.pictures) else 0
             found = detections_from_recorded(own, *_as_filmed(camera, filmed, frames, pixel_map), settings)
             found = _nobody(camera) if own.refusal else found
@@ -89,7 +89,7 @@ def run(
         say(f"camera {camera}: {len(found.frame)} sightings ({what}), {len(np.unique(found.track))} tracks")
     write_detections(sightings, found)
     write_recorded(recorded, own)
-    write_json(size, about)
+    write_keypoint_verdict(size, about)
 
 
 def _compared(

@@ -25,6 +25,7 @@ from studiorecon.machine.resource_errors import without_thread
 from studiorecon.scene.capture import read_footage
 from studiorecon.scene.files import complete
 from studiorecon.scene.step_files import expect, step_file_context
+from studiorecon.scene.user_files import read_bytes
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
@@ -240,6 +241,11 @@ def read_frame(path: Path, index: int) -> Integer[np.ndarray, "H W ..."]:
 def read_stack(path: Path, start: int = 0, stop: int | None = None) -> Integer[np.ndarray, "T H W ..."]:
     """(T, H, W[, 3]) all frames at once, as stored."""
     return np.stack(list(read_frames(path, start, stop)))
+
+
+def encoded_film(path: Path) -> bytes:
+    """The bytes of a step's film, for a page that holds it; raises UserError where they cannot be read."""
+    return read_bytes(path)
 
 
 class Playback:

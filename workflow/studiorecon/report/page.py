@@ -19,7 +19,8 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.footage.exr import read_depth
-from studiorecon.footage.video import read_frame
+from studiorecon.footage.stills import read_image
+from studiorecon.footage.video import encoded_film, read_frame
 from studiorecon.pages import html
 from studiorecon.pages.run_summary import read_warnings
 from studiorecon.progress import say, warn
@@ -30,10 +31,15 @@ from studiorecon.report.sections.cost import cost
 from studiorecon.report.sections.pictures import depth_picture, difference, mask_picture, truth_picture
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import Decision, read_decisions
-from studiorecon.scene.files import read_json, write_json, write_text
+from studiorecon.scene.files import write_json, write_text
 from studiorecon.scene.path import read_path
 from studiorecon.scene.people import read_detections, read_identities
+from studiorecon.scene.schema import Anything, MappingOf
+from studiorecon.scene.step_files import CURE, read
 from studiorecon.signature import Place, Written
+
+# Results of other steps, which the page shows and does not compute with.
+_SHOWN = MappingOf(Anything())
 
 
 @dataclass(frozen=True)
@@ -128,8 +134,7 @@ def strips(made: Made, frames: int, enhanced: bool, settings: Settings) -> tuple
 def player(poster: Path, page: Path) -> str:
     """A link with the player's picture; it opens ``player.html`` in the page's folder by a relative address."""
     address = html.text(Path(os.path.relpath(poster.with_suffix(".html"), page.parent)).as_posix())
-    picture_bgr = cv2.imread(str(poster))
-    assert picture_bgr is not None
+    picture_bgr = read_image(poster, cv2.IMREAD_COLOR, CURE)
     caption = "The scene in 3D: orbit, jump to a camera, stop time, show which pixels are measured or invented."
     figure = html.figure(html.jpeg(picture_bgr[..., ::-1], 1600), caption)
     return f'<a class="open" href="{address}"><b>▶ Open the scene</b>{figure}</a>'
@@ -146,8 +151,7 @@ def room_pictures(plates: Sequence[Path], depths: Sequence[Path], width: int) ->
     for plate, depth in zip(plates, depths, strict=True):
         camera = depth.stem
         picture, (near, far) = depth_picture(*read_depth(depth))
-        image = cv2.imread(str(plate), cv2.IMREAD_UNCHANGED)
-        assert image is not None
+        image = read_image(plate, cv2.IMREAD_UNCHANGED, CURE)
         figures.append(
             "<div>"
             + html.figure(html.jpeg(image[..., 2::-1], width), f"{camera}: clean plate, black where never seen empty")
@@ -202,7 +206,7 @@ def films_section(made: Made, frames: int, enhanced: bool, settings: Settings) -
     """The films with the slider between photo and picture, and the strips of the held-out cameras."""
     after = ", enhanced" if enhanced else ""
     films = [
-        html.film(film.read_bytes(), f"Shot {film.stem}{after}") for film in made.each("enhance/{}.mp4", made.shots)
+        html.film(encoded_film(film), f"Shot {film.stem}{after}") for film in made.each("enhance/{}.mp4", made.shots)
     ]
     slider, rows = "", list[str]()
     if "heldout" in made.shots and made.held_out:
@@ -225,7 +229,7 @@ def people_section(
         names, whose = [person.name for person in bodies], read_identities(people.identities[0])
         found = [read_detections(path) for path in people.detections]
         parts.append(timeline.strip(timeline.frames_with_detections(found, whose, names, frames), names))
-    parts += [sections.left_out(read_json(path)["left_out"]) for path in people.association]
+    parts += [sections.left_out(read(path, _SHOWN, lambda held: held["left_out"])) for path in people.association]
     if people.masks:
         videos = [made.folder / "capture" / f"{mask.stem}.mkv" for mask in people.masks]
         parts.append(html.row(mask_pictures(videos, people.masks, frames // 2, width), min(len(videos), 4)))
@@ -241,10 +245,9 @@ def room_section(made: Made, width: int) -> list[str]:
 
 def cameras_section(made: Made, measured: Mapping[str, Any], decided: Sequence[Mapping[str, Decision]]) -> list[str]:
     """The section on cameras: how well they explain the keypoints, and how much of the stage they see."""
-    sheet_bgr = cv2.imread(str(made.folder / "cameras/refinement.png"))
-    assert sheet_bgr is not None
+    sheet_bgr = read_image(made.folder / "cameras/refinement.png", cv2.IMREAD_COLOR, CURE)
     sheet = html.jpeg(sheet_bgr[..., ::-1], 1600)
-    refinement = read_json(made.folder / "cameras/refinement.json")
+    refinement = read(made.folder / "cameras/refinement.json", _SHOWN)
     return [
         sections.cameras(refinement, sheet),
         sections.overlap(measured["rig"]),
@@ -269,13 +272,13 @@ def run(
 
     Files that are not arguments have the names that the rules give them in ``results/<scene>``.
     """
-    capture, measured, chosen = read_manifest(manifest), read_json(measures.metrics), json.loads(ran.budget)
+    capture, measured, chosen = read_manifest(manifest), read(measures.metrics, _SHOWN), json.loads(ran.budget)
     spent = run_cost(ran.benchmarks)
     write_json(costs, spent)
     names = tuple(camera.name for camera in read_model(model.parent)), tuple(f.camera for f in capture.held_out)
     made = Made(manifest.parents[1], *names, tuple(film.stem for film in films))
     width, decided = settings.picture_width, [read_decisions(path) for path in measures.decisions]
-    recognised = read_json(measures.recognition[0]) if measures.recognition else {}
+    recognised = read(measures.recognition[0], _SHOWN) if measures.recognition else {}
     ledgers = made.each("render/{}.tsv", made.shots)
     shown, rows = films_section(made, capture.frames, len(sections.version_names(measured)) > 1, settings)
     of_films = appendix.film_warnings(ledgers, settings.min_measured, settings.max_angle_deg)

@@ -17,7 +17,8 @@ These modules import nothing of this package but errors, arrays and progress:
   reads such files and names a wrong field; ``spool``: arrays that do not fit into memory; ``dataset`` and
   ``capture_yaml``: the user's files;
 * ``camera``, ``path``, ``clocks``, ``readouts``, ``capture``: cameras, camera paths, times, and the working footage;
-* ``raw_detections``, ``recorded_keypoints``, ``people``: detections, identities, and bodies over time;
+* ``raw_detections``, ``recorded_keypoints``, ``keypoint_verdict``, ``people``: detections, how keypoints fit their
+  film, identities, and bodies over time;
 * ``room``, ``gaussians``, ``gaussians_ply``, ``provenance``: the room box, Gaussians, and their provenance;
 * ``replacement_photos``: how films name people of photos; ``support``: how well photos show a view;
 * ``effects``, ``decisions``, ``factors``: the type of an effect, the decisions of a scene, and gains of cameras and

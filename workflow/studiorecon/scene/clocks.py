@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import ASCENDING, ListOf, frame_rate, real, seconds, text, whole
+from studiorecon.scene.schema import ASCENDING, Anything, ListOf, MappingOf, frame_rate, real, seconds, text, whole
 from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
@@ -113,6 +113,12 @@ def write_clocks(path: Path, clocks: Clocks) -> None:
 def read_clocks(path: Path) -> Clocks:
     """All cameras on one clock; raises UserError as ``step_files.read`` does."""
     return read(path, _CLOCKS, _clocks)
+
+
+def read_sync_sentences(path: Path) -> list[str]:
+    """A sentence on every camera's clock, from ``clocks/sync.json``; raises UserError as ``step_files.read`` does."""
+    schema = {"sync": text(), "given": Anything(), "cameras": ListOf(MappingOf(Anything()))}
+    return read(path, schema, lambda value: [str(camera["sentence"]) for camera in value["cameras"]])
 
 
 def _clocks(value: dict[str, Any]) -> Clocks:
