@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 # Pictures that differ by less than this from the ones before them, in levels of 255 on average, make a static clip.
 _STILL_LEVELS = 0.25
 
-# Largest gain of an enhancer on brightness before its recursion drifts visibly (E14: 5 % becomes 7 %).
-_LARGEST_GAIN = 1.02
+# Brightness that feedback may add before it is worth a warning: two levels of 255, half of what is seen side by side.
+_MAX_SETTLED = 2 / 255
 # Change of brightness, of 1, in the test of an enhancer's gain: no more than exposures differ.
 _PROBE = np.float32(8 / 255)
 
@@ -171,12 +171,15 @@ def loop_gain(
 
 
 def check_gain(gain: float, strength: float) -> None:
-    """Raises UserError when outputs fed back with share ``strength`` would diverge (w·g ≥ 1) or visibly drift (g >
-    1.02).
+    """Raises UserError when outputs fed back with share ``strength`` would diverge (w·g ≥ 1).
+
+    Else a film settles at (g − 1)/(1 − w·g) above its renders (E14), of which g − 1 is the enhancer's own; a visible
+    rest is a warning.
     """
-    if not np.isfinite(gain) or strength * gain >= 1 or (strength > 0 and gain > _LARGEST_GAIN):
-        raise UserError(
-            f"the enhancer answers a brighter render {gain:.3f} times as brightly, so feeding its outputs "
-            f"back with share {strength} would brighten "
-            "the film frame by frame; set enhance.injection.history to 0 or use another enhancer"
-        )
+    answer = f"the enhancer answers a brighter render {gain:.3f} times as brightly, so feeding its outputs back"
+    remedy = "set enhance.injection.history to 0 or use another enhancer"
+    if not np.isfinite(gain) or strength * gain >= 1:
+        raise UserError(f"{answer} with share {strength} would change the film's brightness without end; {remedy}")
+    added = (gain - 1) / (1 - strength * gain) - (gain - 1)
+    if added > _MAX_SETTLED:
+        warn(f"{answer} with share {strength} makes the film {added:.1%} brighter than without; {remedy}")
