@@ -122,6 +122,7 @@ def test_adapters_import_upstream_names_only_inside_functions(path: Path) -> Non
         "pathlib",
         "collections",
         "contextlib",
+        "functools",
         "json",
         "math",
         "os",

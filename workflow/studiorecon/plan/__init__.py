@@ -11,6 +11,7 @@ data; they read both as ``PLAN`` and ``files`` (``workflow/rules/common.smk``). 
 * ``networks``: the selected upstream networks, their images and GPUs;
 * ``decisions``: the ``Plan`` itself; ``plan_checks``, ``dates``: inputs that cannot be run; ``make``: the whole plan;
 * ``budget``: the preset that fits into ``budget_min``, from ``workload`` (the work of every rule) and ``prices``;
+* ``memory``: what jobs ask for where it depends on sizes;
 * ``command``: the shell line of a rule, from the signature of its step;
 * ``step_config``: the settings that a step gets, including the decisions of ``survey.force``;
 * ``user_inputs``, ``rule_files``: input files of rules that depend on the plan, the people or the survey;

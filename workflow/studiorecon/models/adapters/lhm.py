@@ -56,6 +56,8 @@ CARD = Card(
                 ("voxel_grid/human_prior_constrain.npz", "the body's surroundings"),
                 ("dense_sample_points/1_20000.ply", "points on the body"),
                 ("human_model_files/smplx/SMPLX_NEUTRAL.npz", "SMPL-X, by registration with MPI"),
+                ("human_model_files/pose_estimate/multiHMR_896_L.pt", "the pose in the photo"),
+                ("sam2/sam2.1_hiera_large.pt", "SAM 2, the person's outline"),
             )
         ),
     ),
