@@ -24,8 +24,8 @@ from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
-from tests.calibration.test_calibration_choices import PEOPLE, reading, rig
 from tests.made.cameras import detect, walk
+from tests.made.readings import PEOPLE, reading, rig
 
 
 def test_black_bars_are_found_in_bright_and_dark_pictures():
