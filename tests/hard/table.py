@@ -155,7 +155,8 @@ def hard_cases() -> str:
     """The text of docs/hard-cases.md."""
     lines = [CASES_HEAD]
     for letter, title in GROUPS.items():
-        lines += [f"## {letter}: {title}\n", *(f"- {row.id} {row.what}" for row in rows() if row.id[0] == letter), ""]
+        listed = (f"{row.id} {row.what}" for row in rows() if row.id[0] == letter)
+        lines += [f"## {letter}: {title}\n", "```", *listed, "```\n"]
     return "\n".join(lines)
 
 

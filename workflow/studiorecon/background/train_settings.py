@@ -44,7 +44,7 @@ class Settings:
     )
     fill_unseen: bool = setting(
         True,
-        "Cover unseen parts of floor, walls and ceiling with discs painted from their surroundings (marked invented).",
+        "Cover unseen floor, walls and ceiling with discs painted from their surroundings (marked invented).",
         paper="none, appendix C",
         paper_value=False,
     )

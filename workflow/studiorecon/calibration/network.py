@@ -49,8 +49,7 @@ class Settings:
 
     source: CalibrationSource = setting(
         "auto",
-        "Source of cameras: files; people = keypoints alone; a network on the first pictures; auto "
-        "= files if there are any, else people.",
+        "files; people = keypoints alone; a network on the first pictures; auto = files if there are any, else people.",
         paper="Pi3",
         paper_value="pi3",
     )

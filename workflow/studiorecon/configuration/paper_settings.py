@@ -75,10 +75,11 @@ _HEAD = """\
 
 Written by `python -m studiorecon.configuration.paper_settings`; do not edit by hand.
 The table has every setting with a value in the paper, and the value that `config/presets/paper.yaml` and
-`networks.yaml` give it; empty = the default, which is the paper's. U-numbers are [readings](readings.md).
+`networks.yaml` give it; empty = the [default](settings.md), which is the paper's.
+U-numbers are [readings](readings.md).
 
-| setting | the paper | default | presets |
-|---|---|---|---|
+| setting | the paper | presets |
+|---|---|---|
 """
 _BETWEEN = """
 Constants of the paper without a setting; a test compares them with the paper.
@@ -147,10 +148,10 @@ def page() -> str:
     config, rows = merged(), []
     for name, setting in paper_values():
         default, letter = plain(setting.default), value_at(config, name)
-        preset = "" if letter == default else _short(letter, "paper.yaml")
+        preset = "" if letter == default else _short(letter)
         remark = state(name, setting, config).removeprefix("literal").removeprefix(" (default)").removeprefix("; ")
         last = "; ".join(filter(None, [preset, remark]))
-        cells = [f"`{name}`", setting.described.paper, _short(default, "config.yaml"), last]
+        cells = [f"`{name}`", setting.described.paper, last]
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
     constants = [
         f"| `{place.partition(':')[0]}` `{name}` | {where} | `{value_text(constant(place, name))}` |\n"
@@ -159,9 +160,9 @@ def page() -> str:
     return _HEAD + "".join(rows) + _BETWEEN + "".join(constants)
 
 
-def _short(value: Any, file: str) -> str:
-    """A value as a cell of the table; a mapping is left to its file."""
-    return f"in {file}" if isinstance(value, Mapping) else f"`{value_text(value)}`"
+def _short(value: Any) -> str:
+    """A value as a cell of the table; a mapping is left to the preset's file."""
+    return "in paper.yaml" if isinstance(value, Mapping) else f"`{value_text(value)}`"
 
 
 def main() -> None:

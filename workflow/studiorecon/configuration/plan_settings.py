@@ -74,8 +74,8 @@ class Detect:
     network_layout: NetworkLayout = setting("auto", "Layout of that network's keypoints; auto = by their number.")
     precomputed: str = setting(
         "",
-        "Folder with <camera>.npz or .pt, CoMotion's output for capture/<camera>.mkv: id, "
-        "frame_idx, pose, betas, trans, pred_2d, pred_3d.",
+        "Folder with CoMotion's <camera>.npz or .pt for capture/<camera>.mkv: id, frame_idx, pose, "
+        "betas, trans, pred_2d, pred_3d.",
     )
 
 

@@ -40,7 +40,7 @@ class Settings:
     pictures: Literal["first", "all", "none"] = setting(
         "first",
         "Undistorted pictures for COLMAP and nerfstudio: first frame; all (about 1 MB per camera "
-        "and frame at 960 pixels); or none, and these programs cannot load the scene.",
+        "and frame at 960 pixels); or none (these programs cannot load the scene).",
     )
     bvh_unit: Literal["m", "cm"] = setting(
         "m",

@@ -42,15 +42,14 @@ class Settings:
 
     source: DepthSource = setting(
         "embedded",
-        "Source of the final depth: embedded (planes), a network aligned to the planes, or "
-        "precomputed files in any unit.",
+        "embedded (planes), a network aligned to the planes, or precomputed files in any unit.",
         paper="Pi3, then MoGe; U21",
         paper_value="moge",
     )
     reference: Literal["planes", "calibration"] = setting(
         "planes",
         "planes = plane sweep, to which network depth is aligned; calibration = first-frame depth "
-        "of calibration.source unchanged, depth.source for later frames only.",
+        "of calibration.source, depth.source for later frames.",
         paper="Pi3's first frame above confidence 0.1, MoGe later; U21, U22",
         paper_value="calibration",
     )

@@ -19,8 +19,8 @@ class Enhancing:
 
     enhancer: EnhancerName = setting(
         "residual",
-        "residual = detail that renders miss at the training cameras; difix, fixer = networks; "
-        "precomputed = films of another program; none.",
+        "residual = detail that renders miss at the photos; difix, fixer = networks; precomputed = "
+        "films of another program; none.",
         paper="difix, one step at 199; U07",
         paper_value="difix",
     )
@@ -33,8 +33,7 @@ class Carrying:
 
     strength: float | Literal["auto"] = setting(
         "auto",
-        "Share of the residual that is added; auto = the share that best predicts each training "
-        "camera from the others.",
+        "Share of the residual; auto = the share that best predicts each training camera from the others.",
         minimum=0,
         maximum=1,
     )

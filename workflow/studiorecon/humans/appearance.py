@@ -25,8 +25,8 @@ class OverTime:
 
     use: Literal["auto", "always", "never"] = setting(
         "auto",
-        "Temporal network: colour and opacity that change independently of the pose; auto = where a"
-        " tenth of the body changes colour over time.",
+        "Temporal network: colour and opacity independent of the pose; auto = where a tenth of the "
+        "body changes colour.",
         paper="always, appendix D; U47 to U49",
         paper_value="always",
     )
@@ -36,14 +36,14 @@ class OverTime:
     width: int = setting(64, "Units of a hidden layer.", minimum=1, paper="256", paper_value=256)
     points: int = setting(
         512,
-        "Body points where the network is evaluated, interpolated between; 0 = every Gaussian, twice as slow.",
+        "Body points where it is evaluated; 0 = every Gaussian, twice as slow.",
         minimum=0,
         paper="at every Gaussian",
         paper_value=0,
     )
     bands: Literal["below_nyquist", "all"] = setting(
         "below_nyquist",
-        "Time frequencies of the input: those that the frames can represent, or all ten, the highest of which alias.",
+        "Time frequencies of its input: those that the frames can represent, or all ten.",
         paper="all ten, appendix D",
         paper_value="all",
     )

@@ -35,8 +35,7 @@ class TrainSettings(StartSettings):
     )
     skinning: Literal["surface", "grid"] = setting(
         "surface",
-        "Skinning weights: surface = the body's four strongest at the start; grid = all of a voxel "
-        "grid at the current position.",
+        "surface = the body's four strongest weights at the start; grid = all of a voxel grid at the current position.",
         paper="grid, appendix D; U45",
         paper_value="grid",
     )

@@ -41,8 +41,7 @@ class Settings(DetectionLimits):
 
     keypoint_pixels: Literal["auto", "video", "calibration"] = setting(
         "auto",
-        "Picture of the keypoint coordinates; auto = the calibration's if the footage has a pixel "
-        "map, else the video's.",
+        "Picture of the keypoint coordinates; auto = the one that people fit.",
     )
     keypoint_centres: float = 0.0
     tracking: TrackingLimits = TrackingLimits()

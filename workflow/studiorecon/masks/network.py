@@ -43,8 +43,7 @@ class Settings:
 
     source: MaskSource = setting(
         "embedded",
-        "Source of people's masks: embedded (plate difference and bodies), sam3, or precomputed; "
-        "masks in the dataset take precedence.",
+        "embedded (plate difference and bodies), sam3, or precomputed; masks in the dataset take precedence.",
         paper="sam3",
         paper_value="sam3",
     )

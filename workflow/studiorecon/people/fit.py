@@ -84,7 +84,7 @@ class BodyFit:
     )
     vertex_weight: float = setting(
         0.5,
-        "Weight of all surface points of a frame relative to its keypoints; for sources of bodies.",
+        "Weight of surface points relative to keypoints, for sources of bodies.",
         minimum=0,
         maximum=1,
         paper="a vertex weighs as much as a joint; U33",
@@ -92,7 +92,7 @@ class BodyFit:
     )
     vertices: int = setting(
         100,
-        "Surface points that represent the skin, for sources of bodies; 0 = all vertices.",
+        "Surface points of such sources; 0 = all vertices.",
         minimum=0,
         paper="all, Eq. 4; U33",
         paper_value=0,
@@ -102,7 +102,7 @@ class BodyFit:
     )
     scale: Literal["none", "bones"] = setting(
         "none",
-        "bones = scale the body model per person from bone lengths before its shape is fitted.",
+        "bones = scale the body model per person from bone lengths first.",
         paper="bones: s* per person, Eq. 3; U36",
         paper_value="bones",
     )

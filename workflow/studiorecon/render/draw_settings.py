@@ -39,9 +39,8 @@ class DrawSettings:
 
     shots: dict[str, Any] = setting(
         {"orbit": {"kind": "orbit"}, "heldout": {"kind": "heldout"}},
-        "Films by name. orbit circles the scene inside the ring of training cameras; heldout is "
-        "every held-out camera at every frame, for the metrics. Training cameras are always "
-        "rendered.",
+        "Films by name. orbit circles inside the ring of training cameras; heldout is every "
+        "held-out camera, for the metrics. Training cameras are always rendered.",
         shape=_FILMS,
         paper="4 held-out cameras at 45 degrees",
     )

@@ -39,9 +39,8 @@ class Settings(DetectionLimits):
 
     source: DetectionSource = setting(
         "auto",
-        "Source of people: auto = keypoint files where a camera has them, else the detector; "
-        "detector, keypoints = always these; comotion = the paper's network, with bodies; "
-        "precomputed = its files.",
+        "auto = keypoint files where a camera has them, else the detector; detector, keypoints = "
+        "always these; comotion = the paper's network; precomputed = its files.",
         paper="CoMotion",
         paper_value="comotion",
     )

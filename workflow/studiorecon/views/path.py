@@ -45,8 +45,7 @@ class Settings:
     )
     clearance: float = setting(
         1.0,
-        "Minimum distance to the scene centre, as a share of the nearer camera's; closer paths "
-        "become arcs (1 = always).",
+        "Minimum distance to the scene centre, as a share of the nearer camera's; closer paths become arcs.",
         minimum=0,
         maximum=1,
         paper="0; U19",

@@ -22,7 +22,7 @@ class ViewSource:
     )
     key_frames: Literal["plates", "first_frames"] = setting(
         "plates",
-        "Input of a network per camera: its clean plate, or its first picture, whose people are masked later.",
+        "Input of a network: clean plates, or first pictures, whose people are masked later.",
         paper="first frames, people masked",
         paper_value="first_frames",
     )
@@ -34,7 +34,7 @@ class PeopleInViews:
 
     people: Literal["bodies", "network"] = setting(
         "bodies",
-        "Masks of people in views from first_frames: the fitted bodies, or masks.source's network on every view.",
+        "With first_frames, masks from the fitted bodies or from masks.source's network.",
         paper="SAM 3 on every view",
         paper_value="network",
     )

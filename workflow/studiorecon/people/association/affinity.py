@@ -53,8 +53,8 @@ class AssociationLimits:
     )
     position: Literal["rays", "pelvis", "scene"] = setting(
         "rays",
-        "rays = distance between rays of shared keypoints; pelvis = depth of the monocular body; "
-        "scene = depth of the scene at the pelvis, which needs networks for calibration and depth.",
+        "rays = distance between rays; pelvis = depth of the monocular body; scene = depth of the "
+        "scene (needs networks for calibration and depth).",
         paper="pelvis lifted by the scene's depth, Eq. S1; U26, U28",
         paper_value="scene",
     )

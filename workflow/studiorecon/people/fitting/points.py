@@ -30,8 +30,7 @@ class Triangulation(Limits):
 
     solver: Solver = setting(
         "robust",
-        "robust = minimal pairs propose, views that agree refine; huber = weighted Huber refinement"
-        " from DLT with outliers; dlt = homogeneous least squares.",
+        "robust = views that agree; huber = weighted Huber refinement from DLT; dlt = homogeneous least squares.",
         paper="huber",
         paper_value="huber",
     )

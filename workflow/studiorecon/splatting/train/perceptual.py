@@ -38,7 +38,7 @@ class PerceptualSettings:
     )
     whole: bool = setting(
         False,
-        "LPIPS on the whole picture at every step; else on a random 96 px square at every fourth, weighted four times.",
+        "LPIPS on the whole picture at every step, not on a 96 px square at every fourth.",
         paper="whole picture",
         paper_value=True,
     )

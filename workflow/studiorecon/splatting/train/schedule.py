@@ -55,8 +55,7 @@ class TrainingSettings:
     )
     weighing: Literal["picture", "photometric"] = setting(
         "picture",
-        "Terms that pixel and view weights multiply: picture = L1, SSIM and alpha prior (LPIPS on "
-        "the masked picture); photometric = L1, SSIM and LPIPS (alpha prior everywhere).",
+        "Terms with pixel and view weights: picture = L1, SSIM, alpha prior; photometric = L1, SSIM, LPIPS.",
         paper="Eq. 5; U15",
         paper_value="photometric",
     )
