@@ -11,15 +11,18 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon import __main__ as command
+from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person, write_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
+from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import read_frame, write_lossless, write_watchable
 from studiorecon.models.adapters.lpips import read_lpips
 from studiorecon.report import compare, evaluate, score
 from studiorecon.report.metrics import films
 from studiorecon.report.metrics.bodies import align_by_similarity, compare_bodies, match
+from studiorecon.report.metrics.estimated import EstimatedFiles, estimated_regions
 from studiorecon.report.metrics.measures import Flicker, measure_sequence, summary
 from studiorecon.report.metrics.truth import TrueView, regions, true_joints
 from studiorecon.report.sections import paper
@@ -188,6 +191,40 @@ def test_a_surface_is_seen_while_nobody_stands_before_the_camera_that_sees_it(tm
     assert "people_seen" not in found[0], "this truth has no depth of people"
 
 
+def test_the_run_s_own_depth_and_bodies_say_what_is_seen_as_truth_does(tmp_path: Path, root: Path) -> None:
+    held, near, behind = ring([10, 0, 180], "c")
+    nobody, hidden = np.zeros((WH[1], WH[0]), np.uint8), np.ones((WH[1], WH[0]), np.uint8)
+    for name, masks in (("c0", [nobody] * 3), ("c1", [nobody, hidden, nobody]), ("c2", [nobody] * 3)):
+        write_lossless(tmp_path / f"masks/{name}.mkv", masks, FPS)
+    views = {camera.name: wall_view(camera, tmp_path / f"masks/{camera.name}.mkv") for camera in (held, near, behind)}
+    for name in ("c1", "c2"):
+        write_depth(tmp_path / f"depth/{name}.exr", views[name].room_depth_m, np.ones((WH[1], WH[0])))
+    # The camera's view begins at the third picture of a film that is larger than it.
+    film = np.zeros((5, WH[1] + 2, WH[0] + 4), np.uint16)
+    film[2:, : WH[1], : WH[0]] = np.rint(views["c0"].room_depth_m * 1000)
+    write_lossless(tmp_path / "heldout.depth.mkv", film, FPS)
+    files = EstimatedFiles(
+        [tmp_path / "heldout.depth.mkv"],
+        [tmp_path / f"depth/{name}.exr" for name in ("c1", "c2")],
+        [tmp_path / f"masks/{name}.mkv" for name in ("c1", "c2")],
+        [root / "resources/body.npz"],
+    )
+    arguments = held, [near, behind], 2, 3, (0.05, 0.02, 0.10)
+    for own, exact in zip(
+        estimated_regions(files, [], *arguments), regions(views, held, ["c1", "c2"], 0, 3, 0.05, (0.02, 0.10))
+    ):
+        for name in ("people", "background", "seen", "unseen", "seen_strict", "unseen_loose"):
+            assert (own[name] != exact[name]).mean() < 0.01, name
+    body = BodyModel.load(files.body[0])
+    poses, place, betas = np.zeros((3, 72)), np.tile([0.0, 0.0, 0.95], (3, 1)), np.zeros(body.shapes)
+    poses[:, 0] = np.pi / 2
+    motion = poses, place, betas, body.joints(poses, betas, place)
+    person = Person("p0", body.identity, FPS, *motion, np.ones(3, bool), np.full((3, 24), 0.01), True)
+    here = next(estimated_regions(files, [person], *arguments))
+    assert 0.01 < here["people"].mean() < 0.3
+    assert not (here["people"] & (here["seen"] | here["unseen"] | here["background"])).any()
+
+
 def test_truth_of_another_size_is_read_at_the_right_pixels(tmp_path: Path) -> None:
     camera = ring([0], "c")[0]
     mask = np.zeros((WH[1] * 2, WH[0] * 2), np.uint8)
@@ -318,7 +355,7 @@ def test_scores_equal_the_planted_error_and_say_what_is_missing(reported: Path) 
     assert metrics["pictures"]["enhanced"]["psnr"]["value"] == 100.0
     for name in ("psnr_people", "ssim_background", "psnr_seen"):
         assert metrics["pictures"]["raw"][name]["value"] is None
-        assert "truth" in metrics["pictures"]["raw"][name]["reason"]
+        assert "rendered depth" in metrics["pictures"]["raw"][name]["reason"]
     assert metrics["pictures"]["raw"]["temporal_l1"]["cameras"]["view0"]["skipped"] == 1
     assert metrics["bodies"]["mpjpe_world_mm"] is None
     assert metrics["pictures"]["raw"]["lpips"]["value"] is None

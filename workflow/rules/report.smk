@@ -77,6 +77,10 @@ rule report_evaluate:
         identities=files.identities,
         by_itself=files.by_itself,
         truth=files.truth,
+        film_depth=files.judged_depth,
+        room_depths=files.judging_depths,
+        room_masks=files.judging_masks,
+        body=files.judging_body,
     output:
         metrics="results/{scene}/report/metrics.json",
     log:

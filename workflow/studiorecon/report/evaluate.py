@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """``report.evaluate``: measures how good a run's result is, where it can be measured: ``metrics.json``.
 
-Pictures are compared with the held-out cameras' photos, bodies and identities with exact truth if there is any. Every
+Pictures are compared with the held-out cameras' photos, bodies and identities with exact truth if there is any. Regions
+of pictures come from exact truth, or else from the run's own depth and bodies. Every
 number comes with its definition, its raw values per frame, and the libraries and settings behind it. A value that could
 not be measured is null with the reason. Without a held-out camera the training cameras are compared, under
 ``training``; their scores say little about other views, because the scene was fitted to them.
@@ -27,6 +28,7 @@ from studiorecon.report.metrics.bodies import compare_bodies
 from studiorecon.report.metrics.bootstrap import Bootstrap
 from studiorecon.report.metrics.definitions import NO_LPIPS, PROTOCOL, SEEN_BY, definitions, provenance
 from studiorecon.report.metrics.distance import TOO_SMALL, Net, no_flip, opened
+from studiorecon.report.metrics.estimated import SOURCE, EstimatedFiles, estimated_regions
 from studiorecon.report.metrics.films import Judged, JudgedFiles
 from studiorecon.report.metrics.folders import digest
 from studiorecon.report.metrics.identities import score_against, score_bodies_in_pictures, score_identities
@@ -58,6 +60,7 @@ if TYPE_CHECKING:
 
 _NO_HELD_OUT = "no camera is held out: name some under held_out in capture.yaml"
 _NO_TRUTH = "there is no exact truth (only a synthetic studio has it)"
+_NO_REGIONS = "no held-out camera's rendered depth says which surfaces it shows"
 _NO_DEPTH = "the studio kept no depth of the people: truth: {depth_frames: true} in its description"
 
 
@@ -80,16 +83,14 @@ class Settings:
     lpips: Net = setting("none", "Network of LPIPS: alex as in most papers, vgg as in 3DGS; both need weights.")
 
 
-def missing_reasons(have_truth: bool, net: str) -> dict[str, str]:
+def missing_reasons(have_regions: bool, have_truth: bool, net: str) -> dict[str, str]:
     """The reasons why a measure of a region, of time, or LPIPS with ``net``, may be null."""
-    region = "no frame shows at least 256 pixels of it" if have_truth else _NO_TRUTH
+    region = "no frame shows at least 256 pixels of it" if have_regions else _NO_REGIONS
     reasons = {f"{measure}_{name}": region for name in (*REGIONS, *SENSITIVITY) for measure in ("psnr", "ssim")}
     reasons |= dict.fromkeys(SHARES, region)
-    if have_truth:
-        reasons |= dict.fromkeys(
-            ("psnr_people_seen", "psnr_people_unseen", "ssim_people_seen", "ssim_people_unseen"), _NO_DEPTH
-        )
-        reasons |= {"share_people_seen": _NO_DEPTH}
+    moving = _NO_DEPTH if have_truth else _NO_TRUTH
+    people = ("psnr_people_seen", "psnr_people_unseen", "ssim_people_seen", "ssim_people_unseen", "share_people_seen")
+    reasons |= dict.fromkeys(people, moving)
     reasons |= dict.fromkeys(TEMPORAL, "needs at least two frames of 24 pixels a side")
     reasons |= dict.fromkeys(("temporal_l1_seen", "temporal_l1_unseen"), region)
     reasons["flip"] = no_flip()
@@ -121,9 +122,16 @@ def measure_camera(
 
 
 def score_pictures(
-    judged: Judged, truth: Truth | None, settings: Settings, distance: PerceptualDistance | None
+    judged: Judged,
+    truth: Truth | None,
+    estimated: EstimatedFiles,
+    people: Sequence[Person],
+    settings: Settings,
+    distance: PerceptualDistance | None,
 ) -> dict[str, Any]:
-    """Measures of every version against the photos; by regions where there is truth of held-out cameras."""
+    """Measures of every version against the photos of held-out cameras by regions, which exact truth gives, or else
+    the run's own depth and ``people``.
+    """
     views = truth.views if truth is not None and judged.held_out else {}
     training, frames = [camera.name for camera in judged.training], judged.capture.frames
     tolerances = settings.seen_tolerance, settings.seen_sensitivity
@@ -132,9 +140,12 @@ def score_pictures(
         masks: Iterator[Mapping[str, np.ndarray]] = repeat({})
         if truth is not None and views:
             masks = regions(views, camera, training, truth.first_frame, frames, *tolerances)
+        elif estimated.film_depth:
+            start, all_tolerances = judged.starts[camera.name], (settings.seen_tolerance, *settings.seen_sensitivity)
+            masks = estimated_regions(estimated, people, camera, judged.training, start, frames, all_tolerances)
         for name, values in measure_camera(judged, camera.name, masks, settings.flow_preset, distance).items():
             measured.setdefault(name, {})[camera.name] = values
-    reasons = missing_reasons(bool(views), settings.lpips)
+    reasons = missing_reasons(bool(views or estimated.film_depth), bool(views), settings.lpips)
     bootstrap = Bootstrap(settings.bootstrap_samples, settings.seed)
     return {
         name: summaries(found, TEMPORAL if name == "photo" else NAMES, reasons, bootstrap)
@@ -187,6 +198,7 @@ def run(
     settings: Settings,
     films: JudgedFiles,
     people: PeopleFiles,
+    estimated: EstimatedFiles,
     poses: Path,
     truth_maps: list[Path],
     metrics: Written,
@@ -207,12 +219,13 @@ def run(
     exact = read_truth(truth[0], common_start(judged.capture.footage)) if truth else None
     with one_thread():
         distance = opened(settings.lpips, lpips, threads, "set report.lpips to none", where) if judged.films else None
-        found = score_pictures(judged, exact, settings, distance)
+        fitted = [read_person(path) for path in people.fits]
+        found = score_pictures(judged, exact, estimated, fitted, settings, distance)
     nothing = {name: {measure: missing_measure(_NO_HELD_OUT) for measure in NAMES} for name in ("raw", "enhanced")}
     pictures = found if judged.held_out and found else nothing
-    fitted = [read_person(path) for path in people.fits]
     bodies = score_bodies(fitted, None if exact is None else exact.joints)
     compared = [*films.render, *films.enhanced]
+    source = "exact truth" if exact is not None else SOURCE if estimated.film_depth else "none"
     write_json(
         metrics,
         {
@@ -226,8 +239,8 @@ def run(
             "identities": _identities(people, judged.training, {} if exact is None else exact.joints),
             "rig": overlap(judged.training),
             "coverage": coverage(truth_maps),
-            "definitions": definitions(settings.lpips),
-            "provenance": provenance(asdict(settings), "exact truth" if exact is not None else "none"),
+            "definitions": definitions(settings.lpips, exact is None),
+            "provenance": provenance(asdict(settings), source),
             "inputs": {path.name: digest(path) for path in (*films.videos, *people.fits)}
             | {f"{path.parent.name}/{path.name}": digest(path) for path in compared},
             "protocol": PROTOCOL + (SEEN_BY.format(calibrator) if judged.held_out and calibrator != "none" else ""),

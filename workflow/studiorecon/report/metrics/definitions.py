@@ -34,26 +34,31 @@ _SSIM = (
     "11×11 Gaussian, σ 1.5, K 0.01/0.03, range 1, population covariance, per channel, float64, variances clamped at 0"
 )
 _REGIONS = {
-    "people": "true person mask of the photo, undilated",
-    "people_wide": "true person mask dilated by 10 px, silhouettes included",
-    "background": "outside the true person mask",
-    "seen": "surfaces of the room that a training camera sees at that time, by the true depth, within seen_tolerance",
+    "people": "{people}, undilated",
+    "people_wide": "{people} dilated by 10 px, silhouettes included",
+    "background": "outside the {people}",
+    "seen": "surfaces of the room that a training camera sees at that time, by the {depth}, within seen_tolerance",
     "unseen": "surfaces of the room that no training camera sees at that time",
-    "people_seen": "pixels of people whose surface a training camera sees at that "
-    "time, by the true depth of that frame",
+    "people_seen": "pixels of people whose surface a training camera sees at that time, by the {depth} of that frame",
     "people_unseen": "pixels of people whose surface no training camera sees at that time",
     "seen_strict": "as seen, at the first value of seen_sensitivity",
     "unseen_strict": "as unseen, at the first value of seen_sensitivity",
     "seen_loose": "as seen, at the second value of seen_sensitivity",
     "unseen_loose": "as unseen, at the second value of seen_sensitivity",
 }
+_TRUE = {"people": "true person mask of the photo", "depth": "true depth"}
+_ESTIMATED = {"people": "outline of the fitted bodies", "depth": "run's own depth"}
 _CHANGE = (
     "O(t) − warp(O(t−1), F(t→t−1)), mean over channels; DIS flow of the true video; pixels where the flow leads back"
 )
 
 
-def definitions(net: str) -> dict[str, dict[str, str]]:
-    """measure → definition, unit, better (up or down), mask, library; ``net`` is what LPIPS was measured with."""
+def definitions(net: str, estimated: bool = False) -> dict[str, dict[str, str]]:
+    """measure → definition, unit, better (up or down), mask, library.
+
+    ``net`` is what LPIPS was measured with; ``estimated``: regions come from the run's own depth and bodies.
+    """
+    regions = {name: mask.format(**(_ESTIMATED if estimated else _TRUE)) for name, mask in _REGIONS.items()}
     ours, with_flow = "studiorecon, exact", f"studiorecon; DIS flow of OpenCV {cv2.__version__}"
     found = {
         "psnr": _entry(
@@ -75,19 +80,17 @@ def definitions(net: str) -> dict[str, dict[str, str]]:
             "temporal_l1 minus that of the photos on the same pixels", "", "down", "none", with_flow
         ),
     }
-    for region, mask in _REGIONS.items():
+    for region, mask in regions.items():
         found[f"psnr_{region}"] = _entry(
             "10 log10(1/MSE), MSE over the mask's pixels; at least 256", "dB", "up", mask, ours
         )
         found[f"ssim_{region}"] = _entry(f"{_SSIM}; windows wholly inside the mask (eroded 5 px)", "", "up", mask, ours)
     for region in ("seen", "unseen"):
         found[f"temporal_l1_{region}"] = _entry(
-            f"mean absolute value of {_CHANGE}", "", "down", _REGIONS[region], with_flow
+            f"mean absolute value of {_CHANGE}", "", "down", regions[region], with_flow
         )
     for region in ("seen", "seen_strict", "seen_loose", "people_seen"):
-        found[f"share_{region}"] = _entry(
-            "share of seen among seen and unseen pixels", "", "up", _REGIONS[region], ours
-        )
+        found[f"share_{region}"] = _entry("share of seen among seen and unseen pixels", "", "up", regions[region], ours)
     found["flip"] = _entry(
         f"mean LDR-ꟻLIP, 67 pixels per degree; of one frame in {FLIP_EVERY}", "", "down", "none", "flip-evaluator"
     )

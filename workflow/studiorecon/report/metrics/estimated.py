@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""People, and seen and unseen surfaces, in held-out pictures of a real capture, where no exact truth exists.
+
+As in the paper's Seen/Unseen Fidelity, depth is the run's own: a surface of the room is seen when a training camera's
+depth agrees with the rendered depth of the held-out view, and nobody's mask is in front of it there. People are the
+outlines of the fitted bodies: the run makes no masks of held-out cameras.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.body.model import BodyModel
+from studiorecon.footage.exr import read_depth
+from studiorecon.footage.video import read_frames, read_frames_from
+from studiorecon.images.regions import dilate
+from studiorecon.images.silhouette import mesh_depth
+from studiorecon.images.warp import nearest_pixels
+from studiorecon.report.metrics.truth import WIDE_PX, is_visible
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Person
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool
+
+SOURCE = "fitted bodies, and the run's own depth"
+_UNITS_PER_M = 1000  # of the rendered depth film
+
+
+@dataclass(frozen=True)
+class EstimatedFiles:
+    """Files of the run's own depth and people.
+
+    ``film_depth`` (one or none): rendered depth of the film that is compared. ``room_depths``, ``room_masks``: of the
+    training cameras, by their names; no masks without people. ``body``: the body model.
+    """
+
+    film_depth: list[Path] = field(default_factory=list)
+    room_depths: list[Path] = field(default_factory=list)
+    room_masks: list[Path] = field(default_factory=list)
+    body: list[Path] = field(default_factory=list)
+
+
+def body_outline(
+    people: Sequence[Person], body: BodyModel | None, camera: Camera, frame: int
+) -> Bool[np.ndarray, "H W"]:
+    """(H, W) bool: pixels that the bodies of the people who are present in a frame cover."""
+    covered = np.zeros(camera.hw, bool)
+    for person in (one for one in people if one.present[frame]):
+        assert body is not None
+        pose, place = person.poses[frame : frame + 1], person.trans[frame : frame + 1]
+        vertices = body.vertices(pose, person.betas, place, body.proxy_vertices)[0]
+        covered |= mesh_depth(vertices, body.proxy_faces, camera) > 0
+    return covered
+
+
+def estimated_regions(
+    files: EstimatedFiles,
+    people: Sequence[Person],
+    camera: Camera,
+    training: Sequence[Camera],
+    start: int,
+    frames: int,
+    tolerances: Sequence[float],
+) -> Iterator[dict[str, Bool[np.ndarray, "H W"]]]:
+    """Masks (H, W) bool of a held-out camera's frames: people, people_wide, background, and (un)seen at ``tolerances``.
+
+    ``start`` is the picture of the film at which the camera's own view begins. The tolerances are the usual, the
+    strict and the loose one.
+    """
+    body = BodyModel.load(files.body[0]) if people else None
+    room_m = {path.stem: read_depth(path)[0] for path in files.room_depths}
+    masks = {path.stem: read_frames(path, 0, frames) for path in files.room_masks}
+    height, width = camera.hw
+    for frame, units in enumerate(read_frames_from(files.film_depth[0], start, start + frames)):
+        depth_m = units[:height, :width].astype(np.float64) / _UNITS_PER_M
+        people_here = body_outline(people, body, camera, frame)
+        known = (depth_m > 0) & ~people_here
+        points = camera.unproject(camera.pixel_centres(), np.where(known, depth_m, 1.0))
+        seen = [np.zeros(camera.hw, bool) for _ in tolerances]
+        for other in training:
+            visible, pixels = is_visible(points, known, other, room_m[other.name], tolerances)
+            rows, columns, _ = nearest_pixels(pixels, other.hw)
+            clear = next(masks[other.name])[rows, columns] == 0 if other.name in masks else True
+            for total, each in zip(seen, visible):
+                total |= each & clear
+        regions = {"people": people_here, "people_wide": dilate(people_here, WIDE_PX), "background": ~people_here}
+        for suffix, each in zip(("", "_strict", "_loose"), seen):
+            regions |= {f"seen{suffix}": known & each, f"unseen{suffix}": known & ~each}
+        yield regions
