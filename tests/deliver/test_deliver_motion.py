@@ -107,6 +107,14 @@ def long_motion(person: Person, body: BodyModel, frames: int, fps: float = 120.0
     return Person("p0", body.identity, *about, np.ones(frames, bool))
 
 
+def test_without_ezc3d_a_warning_says_that_trc_has_the_markers(
+    tmp_path: Path, person: Person, body: BodyModel, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert motion_files.c3d(tmp_path / "p2.c3d", person, body) == []
+    assert "p2: no C3D file" in "".join(capsys.readouterr())
+
+
 @pytest.mark.parametrize(("frames", "files"), [(65_535, 1), (65_536, 2), (70_000, 2)])
 def test_a_long_motion_comes_back_whole_from_c3d(
     tmp_path: Path, person: Person, body: BodyModel, frames: int, files: int, capsys: pytest.CaptureFixture[str]

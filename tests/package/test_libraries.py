@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 from studiorecon.__main__ import _run
-from studiorecon.machine.libraries import missing_library
+from studiorecon.machine.libraries import missing_library, remedy
 
+ROOT = Path(__file__).resolve().parents[2]
 BROKEN = {
     # As open3d fails where the desktop's libraries are missing: Python itself says it, without a name.
     "extension": "raise ImportError('libnot-there.so.0: cannot open shared object file')",
@@ -36,6 +37,34 @@ def run_without(library: str, body: str, folder: Path, *words: str) -> subproces
     path = os.pathsep.join([str(broken(library, body, folder)), os.environ.get("PYTHONPATH", "")])
     command = [sys.executable, "-m", "studiorecon", *words]
     return subprocess.run(command, env={**os.environ, "PYTHONPATH": path}, text=True, capture_output=True, check=False)
+
+
+def test_a_library_without_a_wheel_for_this_processor_is_not_sought_on_the_registry(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("platform.machine", lambda: "aarch64")
+    assert "no wheel for this processor (aarch64)" in remedy("pycolmap")
+    assert "uv sync" in remedy("numpy")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("platform", "pythons"),
+    [
+        ("x86_64-manylinux_2_28", ("3.11", "3.13")),
+        ("aarch64-manylinux_2_28", ("3.11", "3.13")),
+        ("aarch64-apple-darwin", ("3.11", "3.13")),
+    ],
+)
+def test_the_plain_environment_has_wheels_on_other_machines(platform: str, pythons: tuple[str, ...]) -> None:
+    """connection-pool, which Snakemake needs, is pure Python without a wheel."""
+    for python in pythons:
+        where = ("--python-platform", platform, "--python-version", python)
+        wheels = ("--only-binary", ":all:", "--no-binary", "connection-pool")
+        command = ["uv", "pip", "compile", "--quiet", "pyproject.toml", "--extra", "run", *where, *wheels]
+        environment = {**os.environ, "MACOSX_DEPLOYMENT_TARGET": "14.0"}
+        done = subprocess.run(command, cwd=ROOT, env=environment, text=True, capture_output=True, check=False)
+        assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("how", BROKEN)

@@ -7,6 +7,7 @@ and say so.
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +18,8 @@ import numpy as np
 from studiorecon.body.model import BodyModel, shape_and_size
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
-from studiorecon.progress import say
+from studiorecon.machine.libraries import remedy
+from studiorecon.progress import say, warn
 from studiorecon.scene.files import complete, write_npz, write_text
 from studiorecon.scene.people import Person
 
@@ -134,8 +136,14 @@ def c3d(path: Path, person: Person, body: BodyModel) -> list[Path]:
 
     An unmeasured frame has NaN points with the residual -1 that marks them. Points come from pictures and have no
     residual of their own: 0. The format counts frames with 16 bits: a longer motion becomes several files that every
-    reader can read, ``<name>_frames_<first>-<last>.c3d``.
+    reader can read, ``<name>_frames_<first>-<last>.c3d``. Where ezc3d has no wheel a warning says so and no file is
+    written.
     """
+    if importlib.util.find_spec("ezc3d") is None:
+        warn(
+            f"{person.name}: no C3D file, because ezc3d is not installed ({remedy('ezc3d')}); .trc has the same markers"
+        )
+        return []
     frames = len(person.valid)
     if frames <= _C3D_FRAMES:
         _c3d_bytes(path, person, body, slice(0, frames))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import platform
 import traceback
 from pathlib import Path
 
@@ -21,6 +22,10 @@ EXTRAS = {
 """Library, by its import name → the extra that installs it; every other library of the package is in the plain
 environment.
 """
+
+
+SOME_MACHINES = ("pycolmap", "embreex", "ezc3d")
+"""Libraries without a wheel for every processor (pyproject.toml says which)."""
 
 
 def missing_library(error: BaseException) -> str | None:
@@ -50,8 +55,10 @@ def missing_library(error: BaseException) -> str | None:
 
 
 def remedy(library: str) -> str:
-    """The way to install a library: by its extra, or with the environment itself."""
+    """The way to install a library: by its extra, from its source, or with the environment itself."""
     extra = EXTRAS.get(library.partition(".")[0])
     if extra:
         return f"the extra {extra} brings it: uv sync --inexact --extra {extra}, or pip install 'studiorecon[{extra}]'"
+    if library in SOME_MACHINES and platform.machine() != "x86_64":
+        return f"it has no wheel for this processor ({platform.machine()}): build it from its source, or use another"
     return "it belongs to the plain environment: uv sync --inexact"
