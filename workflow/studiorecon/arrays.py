@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of array arguments, with messages that name the argument; and evenly spread indices."""
+"""Checks of array arguments, with messages that name the argument; evenly spread indices; means of what is known."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import EllipsisType
 from typing import TYPE_CHECKING
 
@@ -77,3 +77,9 @@ def _written(shape: tuple[Extent, ...]) -> str:
         + ("," if len(shape) == 1 else "")
         + ")"
     )
+
+
+def mean_of_measured(values: Iterable[float | None]) -> float | None:
+    """Mean of the measured values: None and values that are not finite are left out; None when none remains (V06)."""
+    used = [value for value in values if value is not None and np.isfinite(value)]
+    return float(np.mean(used)) if used else None

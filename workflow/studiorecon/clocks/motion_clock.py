@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import signal
-from scipy.ndimage import gaussian_filter1d
+import scipy
 
 from studiorecon.footage.frames import small_grey
 from studiorecon.footage.source import FootageSource
@@ -85,7 +84,8 @@ def compare(first: Float[np.ndarray, " T"], second: Float[np.ndarray, " t"], rat
     if first.std() == 0 or second.std() == 0:
         return _unknown("nothing moves in one of the two pictures")
     # A person near the camera moves more pixels: the time counts, not the amount.
-    a, b = (np.sqrt(e) - gaussian_filter1d(np.sqrt(e), _DETREND_S * rate, mode="nearest") for e in (first, second))
+    slow, sigma = scipy.ndimage.gaussian_filter1d, _DETREND_S * rate
+    a, b = (np.sqrt(e) - slow(np.sqrt(e), sigma, mode="nearest") for e in (first, second))
     lags, scores, overlap = _correlations(a, b)
     scores = np.where(overlap >= least, scores, -1.0)
     best = int(np.argmax(scores))
@@ -128,7 +128,7 @@ def _correlations(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
 
     def over(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return signal.correlate(y, x, "full", "fft")
+        return scipy.signal.correlate(y, x, "full", "fft")
 
     count = np.maximum(np.round(over(ones_a, ones_b)), 1)
     sum_a, sum_b = over(a, ones_b), over(ones_a, b)

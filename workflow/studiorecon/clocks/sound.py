@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from studiorecon.footage.sound_track import RATE_HZ
 
@@ -70,10 +70,10 @@ def onsets(samples: Float[np.ndarray, " N"]) -> Float[np.ndarray, "bands T"]:
     """(bands, T) rises of the loudness in octave-wide bands, one value per ``_HOP`` samples, standardised."""
     found = []
     for low, high in itertools.pairwise(_BANDS_HZ):
-        sos = signal.butter(2, (low, min(high, 0.49 * RATE_HZ)), "bandpass", fs=RATE_HZ, output="sos")
-        power = signal.sosfilt(sos, samples) ** 2
+        sos = scipy.signal.butter(2, (low, min(high, 0.49 * RATE_HZ)), "bandpass", fs=RATE_HZ, output="sos")
+        power = scipy.signal.sosfilt(sos, samples) ** 2
         steps = power[: len(power) // _HOP * _HOP].reshape(-1, _HOP).mean(1)
-        smooth = signal.lfilter([0.4], [1, -0.6], steps)
+        smooth = scipy.signal.lfilter([0.4], [1, -0.6], steps)
         floor = max(float(np.median(smooth)), 1e-12)
         rise = np.maximum(np.diff(np.log(smooth + floor), prepend=np.log(smooth[0] + floor)), 0)
         found.append((rise - rise.mean()) / max(rise.std(), 1e-9))
@@ -105,15 +105,15 @@ def compare(first: Float[np.ndarray, " N"], second: Float[np.ndarray, " M"]) -> 
 
 
 def _limited(samples: np.ndarray) -> np.ndarray:
-    sos = signal.butter(4, _BAND_HZ, "bandpass", fs=RATE_HZ, output="sos")
-    return signal.sosfiltfilt(sos, samples).astype(np.float32) if len(samples) > 100 else samples
+    sos = scipy.signal.butter(4, _BAND_HZ, "bandpass", fs=RATE_HZ, output="sos")
+    return scipy.signal.sosfiltfilt(sos, samples).astype(np.float32) if len(samples) > 100 else samples
 
 
 def _coarse(first: np.ndarray, second: np.ndarray) -> list[float]:
     """Seconds to add to the second one's time, best first: peaks of the correlation of loudness."""
     most = round(_SEARCHED_S * RATE_HZ)
     a, b = onsets(first[:most]), onsets(second[:most])
-    score = sum(signal.correlate(x, y, "full", "fft") for x, y in zip(a, b))
+    score = sum(scipy.signal.correlate(x, y, "full", "fft") for x, y in zip(a, b))
     lags = np.arange(-b.shape[1] + 1, a.shape[1])
     overlap = np.minimum(np.minimum(lags + b.shape[1], a.shape[1]), np.minimum(a.shape[1] - lags, b.shape[1])).astype(
         float

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
-from scipy.spatial import KDTree
 
 from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.scene.gaussians import SH_C0
@@ -43,7 +42,7 @@ def body_colours(avatar: Avatar) -> BodyColours | None:
     if not own.count:
         return None
     vertices_m = avatar.model.rest_vertices(avatar.betas)
-    _, near = KDTree(own.means_m).query(vertices_m, min(_NEAREST, own.count))
+    _, near = scipy.spatial.KDTree(own.means_m).query(vertices_m, min(_NEAREST, own.count))
     near = near.reshape(len(vertices_m), -1)
     shares = np.maximum(scipy.special.expit(own.logit_opacities.astype(np.float64)), _MIN_WEIGHT)[near]
     shares /= shares.sum(axis=1, keepdims=True)

@@ -8,8 +8,7 @@ import heapq
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from studiorecon.arrays import require
 
@@ -54,7 +53,8 @@ def groups_by_affinity(affinity: Num[np.ndarray, "M M"], forbidden: Bool[np.ndar
 def _connected(nodes: np.ndarray, affinity: np.ndarray, forbidden: np.ndarray) -> list[np.ndarray]:
     """The connected parts of the nodes, every part ascending."""
     block = np.ix_(nodes, nodes)
-    labels = connected_components(csr_array((affinity[block] > 0) & ~forbidden[block]), directed=False)[1]
+    graph = scipy.sparse.csr_array((affinity[block] > 0) & ~forbidden[block])
+    labels = scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
     return [nodes[labels == label] for label in range(labels.max(initial=-1) + 1)]
 
 

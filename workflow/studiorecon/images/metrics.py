@@ -9,7 +9,6 @@ never a number.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import cv2
@@ -165,9 +164,3 @@ def mean_inside(values: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"]) -
     require("mask", mask, ("H", "W"), require("values", values, ("H", "W")))
     total, count = masked_sum(values, mask)
     return total / count if count >= SMALLEST_MASK_PX else None
-
-
-def mean_of_measured(values: Iterable[float | None]) -> float | None:
-    """Mean of the measured values: None and values that are not finite are left out; None when none remains (V06)."""
-    used = [value for value in values if value is not None and np.isfinite(value)]
-    return float(np.mean(used)) if used else None

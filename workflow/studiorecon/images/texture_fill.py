@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+import scipy
 from numba import njit
-from scipy.ndimage import minimum_filter
-from scipy.spatial import cKDTree
 
 from studiorecon.arrays import require
 
@@ -119,7 +118,7 @@ def texture_periods(
     """(K, 2) rows and columns by which the surface repeats, the commonest first; none where too little of it is
     known."""
     half = scale.patch // 2
-    rows, columns = np.nonzero(minimum_filter(known, scale.patch, mode="constant", cval=False))
+    rows, columns = np.nonzero(scipy.ndimage.minimum_filter(known, scale.patch, mode="constant", cval=False))
     if len(rows) < _MIN_PATCHES:
         return np.zeros((0, 2), np.int64)
     reach = range(-half, half + 1)
@@ -128,7 +127,7 @@ def texture_periods(
     _, directions = np.linalg.eigh(patches.T @ patches)
     described = patches @ directions[:, -_COMPONENTS:]
     asking = rng.permutation(len(rows))[:_ASKING]
-    _, alike = cKDTree(described).query(described[asking], k=min(_NEIGHBOURS, len(rows)))
+    _, alike = scipy.spatial.cKDTree(described).query(described[asking], k=min(_NEIGHBOURS, len(rows)))
     apart = np.stack([at[alike] - at[asking][:, None] for at in (rows, columns)], axis=-1)
     far = np.abs(apart).max(axis=-1) >= scale.shift
     first = apart[np.arange(len(asking)), far.argmax(axis=1)][far.any(axis=1)]

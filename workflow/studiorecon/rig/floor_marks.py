@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from scipy import fft
+import scipy
 
 from studiorecon.arrays import require
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
@@ -242,18 +242,20 @@ def _coarse(
 
 def _spectra(laid: _Laid) -> np.ndarray:
     """(4, H', W') padded Fourier transforms of the edges' two parts, of their squared strength and of known cells."""
-    shape = [fft.next_fast_len(2 * n, real=True) for n in laid.known.shape]
+    shape = [scipy.fft.next_fast_len(2 * n, real=True) for n in laid.known.shape]
     across, down = np.moveaxis(laid.edges, -1, 0)
-    spectra: np.ndarray = fft.rfft2(np.stack([across, down, across**2 + down**2, laid.known.astype(np.float32)]), shape)
+    spectra: np.ndarray = scipy.fft.rfft2(
+        np.stack([across, down, across**2 + down**2, laid.known.astype(np.float32)]), shape
+    )
     return spectra
 
 
 def _correlate(first: np.ndarray, second: np.ndarray, shape: Sequence[int], reach: int) -> np.ndarray:
     """(2 reach + 1, 2 reach + 1) correlation of floors of ``shape`` by the second's shift; -1 with little overlap."""
-    padded, at = [fft.next_fast_len(2 * n, real=True) for n in shape], np.arange(-reach, reach + 1)
+    padded, at = [scipy.fft.next_fast_len(2 * n, real=True) for n in shape], np.arange(-reach, reach + 1)
     (across, down, strength, known), (other_across, other_down, other_strength, other_known) = np.conj(first), second
     products = across * other_across + down * other_down, strength * other_known, known * other_strength
-    edges, of_first, of_second, shared = fft.irfft2(np.stack([*products, known * other_known]), padded)[
+    edges, of_first, of_second, shared = scipy.fft.irfft2(np.stack([*products, known * other_known]), padded)[
         :, at[:, None], at
     ]
     alike = edges / np.sqrt(np.maximum(of_first, 1.0) * np.maximum(of_second, 1.0))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from studiorecon.arrays import require
 from studiorecon.geometry.rotations import angle, exp, log
@@ -149,7 +149,7 @@ def support(edges: _Edges, camera_from_room: Num[np.ndarray, "... 3 3"], width_d
 
 def _room(edges: Sequence[_Edges], rotations: Sequence[np.ndarray]) -> np.ndarray:
     """(3, 3) world_from_room with the best support of all cameras' edges, by their given rotations."""
-    tried = Rotation.random(_FRAMES, np.random.default_rng(0)).as_matrix()
+    tried = scipy.spatial.transform.Rotation.random(_FRAMES, np.random.default_rng(0)).as_matrix()
     wide, narrow = _ACROSS_DEG
 
     def total(frames: np.ndarray, width_deg: float) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from scipy.special import chdtri
+import scipy
 
 from studiorecon.arrays import require
 from studiorecon.geometry.statistics import NOTHING, Estimate, share
@@ -47,7 +47,7 @@ def varying_share(colours: Float[np.ndarray, "V N 3"], noise: Float[np.ndarray, 
     value = np.where(known, level, 0.0)[:, enough]
     mean = (weight * value).sum(axis=0) / weight.sum(axis=0)
     statistic = (weight * (value - mean) ** 2).sum(axis=0)
-    varies = statistic > chdtri(count[enough] - 1, 1 - _LIMIT)
+    varies = statistic > scipy.special.chdtri(count[enough] - 1, 1 - _LIMIT)
     return share(int(varies.sum()), int(enough.sum()), enough.sum() / 4)
 
 

@@ -22,8 +22,8 @@ from typing import Any
 import psutil
 import yaml
 
+from studiorecon.arrays import mean_of_measured
 from studiorecon.errors import UserError
-from studiorecon.images.metrics import mean_of_measured
 from studiorecon.progress import say
 from studiorecon.report.sections.cost import read_benchmark
 from studiorecon.scene.files import read_json, write_json, write_text

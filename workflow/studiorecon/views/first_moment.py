@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.ndimage
+import scipy
 
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person

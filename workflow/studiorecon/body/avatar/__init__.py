@@ -4,4 +4,5 @@
 ``weight_grid`` and ``binding`` tie Gaussians to the body. ``posing`` moves them and returns gradients. ``temporal``
 changes their colour and opacity over time: ``encoding`` encodes position and time, ``control_points`` are where the
 network is evaluated, ``drift`` evaluates it at the times of a film. ``avatar_files`` reads and writes all of it.
+``kernels`` has their loops.
 """

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 import scipy
 
@@ -61,14 +60,18 @@ class ControlPoints:
 
     def spread(self, values: Num[np.ndarray, "M C"]) -> Float[np.ndarray, "N C"]:
         """Values at the Gaussians, float32, interpolated from those at the points."""
+        from studiorecon.body.avatar import kernels
+
         out = np.empty((len(self.near), values.shape[1]), np.float32)
-        _spread(self.near, self.shares, np.ascontiguousarray(values, np.float32), out)
+        kernels.spread(self.near, self.shares, np.ascontiguousarray(values, np.float32), out)
         return out
 
     def gathered(self, gradient: Num[np.ndarray, "N C"]) -> Float[np.ndarray, "M C"]:
         """Gradient by the points' values, float32, from that by the Gaussians'; NaN and inf count 0."""
+        from studiorecon.body.avatar import kernels
+
         out = np.zeros((len(self.points_m), gradient.shape[1]), np.float32)
-        _gather(self.near, self.shares, np.ascontiguousarray(gradient, np.float32), out)
+        kernels.gather(self.near, self.shares, np.ascontiguousarray(gradient, np.float32), out)
         return out
 
     def to_arrays(self) -> dict[str, Shaped[np.ndarray, " ..."]]:
@@ -98,23 +101,3 @@ def farthest_point_sample(points_m: Num[np.ndarray, "N 3"], count: int) -> Integ
         gap = np.minimum(gap, np.square(points_m - points_m[chosen[k - 1]]).sum(axis=1))
         chosen[k] = gap.argmax()
     return chosen
-
-
-@numba.njit(cache=True)
-def _spread(near, shares, values, out):
-    for i in range(near.shape[0]):
-        for c in range(values.shape[1]):
-            total = np.float32(0)
-            for k in range(near.shape[1]):
-                total += shares[i, k] * values[near[i, k], c]
-            out[i, c] = total
-
-
-@numba.njit(cache=True)
-def _gather(near, shares, gradient, out):
-    for i in range(near.shape[0]):
-        for c in range(gradient.shape[1]):
-            value = gradient[i, c]
-            if np.isfinite(value):
-                for k in range(near.shape[1]):
-                    out[near[i, k], c] += shares[i, k] * value

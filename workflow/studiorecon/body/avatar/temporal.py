@@ -14,7 +14,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
 from studiorecon.arrays import require
@@ -215,19 +214,9 @@ def with_residuals(
         return colour, logits
     more_colour, more_logit = network.residuals(means_m[seen], frame)
     colour, logits = colour.copy(), logits.copy()
-    _add_to_rows(seen, more_colour, more_logit, colour, logits)
+    colour[seen, 0] += more_colour
+    logits[seen] += more_logit
     return colour, logits
-
-
-@numba.njit(cache=True)
-def _add_to_rows(seen, more_colour, more_logit, colour, logits):
-    row = 0
-    for i in range(len(seen)):
-        if seen[i]:
-            for channel in range(3):
-                colour[i, 0, channel] += more_colour[row, channel]
-            logits[i] += more_logit[row]
-            row += 1
 
 
 def _shapes(width: int, layers: int) -> list[tuple[int, int]]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+import scipy
 
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.room import Face, RoomBox
@@ -77,7 +77,7 @@ def _pieces(picture: Picture, on_face: np.ndarray, nodes: np.ndarray) -> tuple[n
         return at, np.zeros((0, 3 * (2 * _HALF + 1) ** 2), np.float32)
     rgb = cv2.remap(picture.rgb.astype(np.float32), columns, rows, cv2.INTER_LINEAR)
     # Near a rim a patch is continued with its nearest pixels.
-    nearest = distance_transform_edt(~seen, return_distances=False, return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
     wide = np.pad(rgb[tuple(nearest)], ((_HALF, _HALF), (_HALF, _HALF), (0, 0)), mode="edge")
     side = range(2 * _HALF + 1)
     return at, np.concatenate([wide[at[:, 0] + a, at[:, 1] + b] for a in side for b in side], axis=1)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from studiorecon.arrays import mean_of_measured
 from studiorecon.images.flip import available, flip
 from studiorecon.images.flow import dis_flow, grey_levels
 from studiorecon.images.metrics import (
@@ -21,7 +22,6 @@ from studiorecon.images.metrics import (
     error_map,
     levels,
     mean_inside,
-    mean_of_measured,
     psnr_from_error_map,
     ssim,
     ssim_3dgs,

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from studiorecon.images.metrics import mean_of_measured
+from studiorecon.arrays import mean_of_measured
 from studiorecon.scene.files import read_table
 
 COLUMNS = ("table", "data", "method", "measure", "value")
