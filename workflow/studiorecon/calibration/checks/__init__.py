@@ -3,5 +3,6 @@
 sentences.
 
 ``sanity`` checks the files, ``clocks`` and ``coverage`` follow. ``refined`` and ``edges`` predict how people and the
-room's straight edges would refine the cameras. ``advice`` gives the verdict and remedies, ``doctor_page`` shows them.
+room's straight edges would refine the cameras. ``examination`` does all of them,
+``advice`` gives the verdict and remedies, ``doctor_page`` shows them.
 """

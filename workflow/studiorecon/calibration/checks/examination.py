@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What cameras, people and pictures of the room say of a calibration: the doctor's report, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from studiorecon.arrays import evenly_spread
+from studiorecon.calibration.checks import clocks, sanity
+from studiorecon.calibration.checks import coverage as health
+from studiorecon.calibration.checks.advice import verdict
+from studiorecon.calibration.checks.edges import compare_edges
+from studiorecon.calibration.checks.refined import refined_on_people
+from studiorecon.errors import UserError
+from studiorecon.geometry.triangulation import Limits
+from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
+from studiorecon.rig.bundle import AgreementLimits, CalibrationPrior, error_medians
+from studiorecon.rig.correspondences import Observations, make_observations
+from studiorecon.rig.human_size import check_human_size, check_units
+from studiorecon.rig.hypotheses import best_swap, score_conventions, score_lens_model
+from studiorecon.rig.outlier_camera import find_outlier_camera
+from studiorecon.rig.room_picture import RoomPicture
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_FRAMES = 24
+_LAG_FRAMES = 6
+# Frames of a long take on which the clocks are compared: enough for any lag, and a second of work.
+_CLOCK_FRAMES = 200
+_NOBODY_REACH_M = 2.0
+Readings = Mapping[str, tuple[Sequence[Camera], Sequence[Detections]]]
+
+
+@dataclass(frozen=True)
+class Settings(AgreementLimits, CalibrationPrior):
+    """Limits of agreement between cameras and people, and the trust in given cameras."""
+
+
+def examine(
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    about: Sequence[dict[str, Any]],
+    settings: Settings,
+    lens_readings: Readings | None = None,
+    sync: Mapping[str, Any] | None = None,
+    doubts: Sequence[str] = (),
+    rooms: Sequence[RoomPicture | None] = (),
+    keypoints: Mapping[str, Sequence[str]] | None = None,
+) -> tuple[dict[str, Any], Float[np.ndarray, "N 3"]]:
+    """The report (written to doctor.json) and the triangulated points (N, 3) of the frame with most of them.
+
+    ``detections`` of cameras without keypoints are empty. ``lens_readings``: by the names of
+    ``hypotheses.LENS_READINGS``. ``sync``: ``sentences`` about clocks, and the ``refusal`` that the footage will raise,
+    or "". ``keypoints``: sentences from their comparison with the films, ``refused`` and ``notes``. ``rooms``: without
+    people, None where it was not computed.
+    """
+    names = [c.name for c in cameras]
+    frames = min(int(a["frames"]) for a in about)
+    chosen, people = evenly_spread(frames, _FRAMES), any(len(d.frame) for d in detections)
+    few = chosen[:: max(1, len(chosen) // 6)]
+    fit = _fit_of_people(cameras, detections, chosen, settings)
+    limit_px = settings.max_error_share * max(max(c.wh) for c in cameras)
+    fps = max(float(a["fps"]) for a in about)
+    table, margins = score_conventions(cameras, detections, few, settings.gate_m, settings.limits)
+    if people and (fit.median_px is None or fit.median_px > 0.5 * limit_px):
+        table += _swapped_cameras(cameras, detections, chosen, few, fit, settings)
+    table += _lens_models(lens_readings or {}, chosen, few, settings)
+    refined, odd = None, None
+    described = settings.gate_m, settings.limits
+    if people:
+        watched, good_px = active_cameras(detections, fps), 0.5 * limit_px
+        refined = refined_on_people(
+            *(cameras, detections, watched, frames, fit.median_px, good_px), *described, settings.bundle, rooms
+        )
+    if people and (fit.median_px is None or any(e is None or e > limit_px for e in fit.each_px)):
+        odd = find_outlier_camera(cameras, detections, chosen, *described)
+        if odd is not None and (not odd.cause or odd.turned) and refined is not None and refined.elsewhere:
+            odd = None  # moved cameras explain it
+    shown, shown_points = _best_frame(cameras, fit.seen, settings.limits)
+    middle, reach = _volume(cameras, fit.points_m)
+    report: dict[str, Any] = {
+        "cameras": names,
+        "notes": [],
+        "lengths": _wrong_lengths(cameras, detections, fit.seen, few, settings) if people else None,
+        "people": people,
+        "without_keypoints": [a["camera"] for a in about if not a["keypoints"]],
+        "inactive_cameras": inactive_camera_notes([d for d, a in zip(detections, about) if a["keypoints"]], fps),
+        "hypotheses": table,
+        "margin": dict(zip(names, margins)),
+        "outlier_camera": None if odd is None else odd.sentence(),
+        "median_px": fit.median_px,
+        "median_mm": fit.median_mm(cameras),
+        "refined": None if refined is None else refined.as_json(cameras),
+        "edges": compare_edges(cameras, refined, fit.seen, rooms, settings.limits, settings.bundle),
+        "px_per_camera": dict(zip(names, fit.each_px)),
+        "shown_frame": shown,
+        "lags_frames": _lags(cameras, detections, frames, settings.gate_m) if people else {},
+        "sync": dict(sync or {"sentences": [], "refusal": ""}),
+        "keypoints": {key: list((keypoints or {}).get(key, [])) for key in ("refused", "notes")},
+        "footage": {a["camera"]: dict(a) for a in about},
+        "facts": sanity.camera_facts(cameras),
+        "oddities": [*doubts, *sanity.calibration_notes(cameras)],
+        "coverage": dict(zip(("1", "2", "3", "4"), health.coverage(cameras, middle, reach))),
+        "reach_m": reach,
+        "blind_sectors_deg": health.blind_sectors(cameras, middle),
+    }
+    report["verdict"], report["advice"] = verdict(report, limit_px)
+    return report, shown_points
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """How well people fit the cameras: the median error, of each camera too, and the points (N, 3) that it is of."""
+
+    seen: Observations
+    median_px: float | None
+    each_px: Sequence[float | None]
+    points_m: np.ndarray
+
+    def median_mm(self, cameras: Sequence[Camera]) -> float | None:
+        if self.median_px is None:
+            return None
+        return 1000 * self.median_px * float(np.median(_metres_per_px(cameras, self.points_m)))
+
+
+def _fit_of_people(
+    cameras: Sequence[Camera], detections: Sequence[Detections], chosen: np.ndarray, settings: Settings
+) -> _Fit:
+    seen, _ = make_observations(detections, cameras, chosen, settings.gate_m)
+    if not len(seen.frame):
+        return _Fit(seen, None, [None] * len(cameras), np.zeros((0, 3)))
+    median, each, points = error_medians(cameras, seen, settings.limits)
+    return _Fit(seen, median if len(points) else None, each, points)
+
+
+def _swapped_cameras(
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    chosen: np.ndarray,
+    few: np.ndarray,
+    fit: _Fit,
+    settings: Settings,
+) -> list[dict[str, Any]]:
+    """The row of the best swap of two cameras, if there is one."""
+    swap = best_swap(cameras, detections, few, settings.gate_m)
+    if swap is None:
+        return []
+    # On a regular ring a swap is nearly a mirror image: rays agree about as well, pixels decide.
+    px = None if fit.median_px is None else _median_px(swap[1], detections, chosen, settings)
+    return [{**swap[0], **({} if px is None else {"median_px": px})}]
+
+
+def _lens_models(readings: Readings, chosen: np.ndarray, few: np.ndarray, settings: Settings) -> list[dict[str, Any]]:
+    """A row of every other reading of the lenses."""
+    return [
+        score_lens_model(name, cameras, detections, few, settings.gate_m)
+        | {"median_px": _median_px(cameras, detections, chosen, settings)}
+        for name, (cameras, detections) in readings.items()
+    ]
+
+
+def _lags(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: int, gate_m: float
+) -> dict[str, dict[str, Any]]:
+    half = min(frames, _CLOCK_FRAMES) // 2
+    window = [replace_frames(d, frames // 2 - half, frames // 2 + half + 1) for d in detections]
+    return {
+        lag.camera: {"frames": lag.frames, "low": lag.low, "high": lag.high, "valid": lag.valid}
+        for lag in clocks.lags(window, cameras, _LAG_FRAMES, gate_m)
+    }
+
+
+def _wrong_lengths(
+    cameras: Sequence[Camera], detections: Sequence[Detections], seen: Observations, few: np.ndarray, settings: Settings
+) -> str | None:
+    """The refusal of ``cameras.refine`` about people's size, or None."""
+    try:
+        if check_human_size(cameras, seen, settings.limits) is None:
+            check_units(cameras, detections, few, settings.gate_m, settings.limits)
+    except UserError as refusal:
+        return str(refusal)
+    return None
+
+
+def _metres_per_px(cameras: Sequence[Camera], points_m: np.ndarray) -> list[float]:
+    """Size of a pixel of every camera at the points, metres."""
+    return [float(np.median(c.project(points_m)[1])) / float(np.mean(c.focal_px)) for c in cameras]
+
+
+def _median_px(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, settings: Settings
+) -> float | None:
+    seen, _ = make_observations(detections, cameras, frames, settings.gate_m)
+    px = error_medians(cameras, seen, settings.limits)[0] if len(seen.frame) else float("nan")
+    return px if np.isfinite(px) else None
+
+
+def replace_frames(seen: Detections, first: int, stop: int) -> Detections:
+    """The detections in frames ``first`` … ``stop`` - 1."""
+    inside = (seen.frame >= first) & (seen.frame < stop)
+    return replace(seen, frame=seen.frame[inside], track=seen.track[inside], keypoints=seen.keypoints[inside])
+
+
+def _best_frame(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[int | None, np.ndarray]:
+    """The frame with most triangulated joints, and those joints (N, 3)."""
+    best: tuple[int | None, np.ndarray] = (None, np.zeros((0, 3)))
+    for frame in np.unique(seen.frame):
+        of_frame = seen.of(seen.frame == frame)
+        _, _, points = error_medians(cameras, of_frame, limits)
+        if len(points) > len(best[1]):
+            best = int(frame), points
+    return best
+
+
+def _volume(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Middle (2,) and radius in metres of the people's volume, or of the cameras' common view."""
+    if len(points):
+        middle = np.median(points[:, :2], axis=0)
+        return middle, float(np.quantile(np.linalg.norm(points[:, :2] - middle, axis=-1), 0.95)) + 0.5
+    looked_at = sanity.common_point(cameras)
+    return (looked_at if looked_at is not None else np.mean([c.centre_m for c in cameras], axis=0))[:2], _NOBODY_REACH_M
