@@ -107,7 +107,10 @@ def _steps(data: Dataset, work: Path) -> tuple[dict[str, np.ndarray], list[str]]
     sightings, sizes = [seen for seen, _ in told_by.values()], [size for _, size in told_by.values()]
     pixel_maps = json.dumps(dict(data.pixel_maps))
     calibration, clocks, sync = work / "calibration.json", work / "clocks.json", work / "sync.json"
-    choose.run(loaded(choose.Settings), work / "read.json", cameras, films, sightings, pixel_maps, 30.0, calibration)
+    choose.run(
+        loaded(choose.Settings), work / "read.json", cameras, films, sightings, pixel_maps, 30.0, list(told_by),
+        calibration,
+    )  # fmt: skip
     offsets.run(
         loaded(offsets.Settings), cameras, films, sightings, json.dumps(dict(data.starts)), data.first_frame,
         data.frame_count, clocks, sync, [calibration],

@@ -48,10 +48,8 @@ def choose_layout(keypoints: Num[np.ndarray, "D K 3"], given: str, where: str) -
         return given, None
     candidates = BY_COUNT.get(count, ())
     if not candidates:
-        raise UserError(
-            f"{where}: no layout has {count} keypoints; name one in capture.yaml: "
-            f"keypoint_layout: {', '.join(sorted(LAYOUTS))}"
-        )
+        listed = ", ".join(f"{name} ({len(LAYOUTS[name].keypoints)})" for name in sorted(LAYOUTS))
+        raise UserError(f"{where}: no layout has {count} keypoints; write them in the order of one of {listed}")
     if len(candidates) == 1:
         return candidates[0], None
     lengths = {name: _limb_length(keypoints, LAYOUTS[name].keypoints) for name in candidates}

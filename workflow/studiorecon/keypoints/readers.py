@@ -66,8 +66,8 @@ def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> Recorded
         found = read_results(path, picture_wh)
     elif path.suffix.lower() == ".csv":
         found = Pictures("DeepLabCut", read_deeplabcut(path))
-    elif path.suffix in _REFUSED:
-        raise UserError(f"{path} {_REFUSED[path.suffix]}")
+    elif path.suffix.lower() in _REFUSED:
+        raise UserError(f"{path} {_REFUSED[path.suffix.lower()]}")
     else:
         raise UserError(
             f"{path} is no keypoint file; bring a folder of OpenPose JSON files, an AlphaPose, MMPose or "

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a sentence about a keypoint file advises is done here, and then the same people are read without a word."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from studiorecon.errors import UserError
+from studiorecon.keypoints.layout_choice import choose_layout
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.keypoints.readers import read_keypoints
+
+FRAMES = 3
+COCO = LAYOUTS["coco17"].keypoints
+Write = Callable[[Path], Path]
+
+
+def person(points: int = 17, score: float = 0.9, at: int = 0) -> np.ndarray:
+    grid = np.stack([np.arange(points) * 5.0 + 20 + at, 200 - np.arange(points) * 3.0 + at], -1)
+    return np.column_stack([grid, np.full(points, score)])
+
+
+def flat(points: int = 17, score: float = 0.9, at: int = 0) -> list[float]:
+    return person(points, score, at).ravel().tolist()
+
+
+def text(name: str, content: str) -> Write:
+    def write(folder: Path) -> Path:
+        (folder / name).write_text(content)
+        return folder / name
+
+    return write
+
+
+def js(content: Any) -> Write:
+    return text("cam.json", json.dumps(content))
+
+
+def coco(points: int = 17, score: float = 0.9, people: int = 1, **more: Any) -> Write:
+    return js(
+        [
+            {"image_id": frame, "keypoints": flat(points, score, at), **more}
+            for frame in range(FRAMES)
+            for at in range(people)
+        ]
+    )
+
+
+def npz(folder: Path) -> Path:
+    np.savez(folder / "cam.npz", keypoints=np.tile(person(), (FRAMES, 1, 1, 1)))
+    return folder / "cam.npz"
+
+
+def deeplabcut(names: tuple[str, ...] = COCO, frames: tuple[int, ...] = tuple(range(FRAMES))) -> Write:
+    head = [["scorer", *["DLC"] * 51], ["bodyparts", *(n for n in names for _ in "xyl")]]
+    head += [["coords", *["x", "y", "likelihood"] * 17]]
+    rows = [[str(frame), *map(str, flat())] for frame in frames]
+    return text("cam.csv", "\n".join(",".join(row) for row in [*head, *rows]))
+
+
+def mmpose(second: dict[str, Any]) -> Write:
+    shown = {"instances": [{"keypoints": person()[:, :2].tolist(), "keypoint_scores": [0.9] * 17}]}
+    return js([{"frame_id": 0, **shown}, {"frame_id": 1, **shown}, {"frame_id": 2, **shown} | second])
+
+
+def mediapipe(landmark: dict[str, float]) -> Write:
+    row = {"x": 0.5, "y": 0.5, "visibility": 0.9}
+    return js([{"frame": f, "pose_landmarks": [[landmark, *[row] * 32]]} for f in range(FRAMES)])
+
+
+COCO_OK = coco()
+
+# What is brought, what is said, and what the sentence advises, done.
+ROWS: dict[str, tuple[Write, str, Write]] = {
+    "HDF5": (text("cam.h5", "x"), "CSV", deeplabcut()),
+    "HDF5 of Windows": (text("cam.H5", "x"), r"an \.npz", npz),
+    "SLEAP": (text("cam.slp", "x"), r"array keypoints .* of an \.npz", npz),
+    "pickle": (text("cam.pickle", "x"), "CSV", deeplabcut()),
+    "npy": (text("cam.npy", "x"), r"write it as keypoints .* \.npz", npz),
+    "unknown": (text("cam.txt", "x"), r"or an \.npz", npz),
+    "two models": (
+        js([{"image_id": 0, "keypoints": flat()}, {"image_id": 1, "keypoints": flat(18)}]),
+        "one model on all frames",
+        COCO_OK,
+    ),
+    "crowd": (coco(people=501), "higher threshold", COCO_OK),
+    "no such layout": (coco(12), r"in the order of one of .*coco17 \(17\)", COCO_OK),
+    "scores of nobody": (coco(score=-2.0), "write scores from 0 to 1", COCO_OK),
+    "per cent": (coco(score=90.0), "write them from 0 to 1", COCO_OK),
+    "an animal": (deeplabcut(tuple(f"tail{k}" for k in range(17))), "name at least shoulders", deeplabcut()),
+    "two noses": (deeplabcut(("nose", "Nose", *COCO[2:])), "rename one", deeplabcut()),
+    "a row twice": (deeplabcut(frames=(0, 1, 1)), "keep one row per frame", deeplabcut()),
+    "SLEAP's table": (text("cam.csv", "track,frame_idx,nose.x\n1,0,2\n"), r"of an \.npz", npz),
+    "no instances": (js([{"frame_id": 0}]), r"write \[\]", mmpose({})),
+    "a frame twice": (mmpose({"frame_id": 1}), "keep one entry per picture", mmpose({})),
+    "hands only": (
+        js({"people": [{"hand_keypoints": flat()}]}),
+        "known results|write the body's keypoints",
+        COCO_OK,
+    ),
+    "scores apart": (mmpose({"instances": [{"keypoints": person()[:, :2].tolist(), "keypoint_scores": [1]}]}),
+                     "one for each", mmpose({})),
+    "a landmark's name": (mediapipe({"X": 0.5}), "write what MediaPipe returns", mediapipe({"x": 0.5, "y": 0.5, "visibility": 0.9})),
+    "landmarks in pixels": (mediapipe({"x": 640.0, "y": 300.0}), "shares, 0 to 1", mediapipe({"x": 0.5, "y": 0.5, "visibility": 0.9})),
+}  # fmt: skip
+
+
+def read(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """(people, what was said of them) of a file, once its layout is chosen."""
+    found = read_keypoints(path, (640, 360))
+    choose_layout(found.keypoints, "auto", path.name)
+    return len(found.frame), capsys.readouterr().out + capsys.readouterr().err
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_a_keypoint_file_changed_as_advised_is_read(
+    row: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    brought, said, done = ROWS[row]
+    for name in ("before", "after"):
+        (tmp_path / name).mkdir()
+    try:
+        _, message = read(brought(tmp_path / "before"), capsys)
+    except UserError as refusal:
+        message = str(refusal)
+    assert re.search(said, message)
+    people, message = read(done(tmp_path / "after"), capsys)
+    assert people == FRAMES
+    assert not message
+
+
+@pytest.mark.parametrize(
+    ("given", "points", "said", "advised"),
+    [
+        ("openpose", 17, "known layouts are .*coco17", "coco17"),
+        ("body_25", 17, "body_25 has 25", "auto"),
+        ("auto", 25, "set keypoint_layout in capture.yaml", "body_25b"),
+    ],
+)
+def test_a_layout_named_as_advised_is_taken(given: str, points: int, said: str, advised: str) -> None:
+    keypoints = np.tile(np.array([50.0, 50.0, 0.9]), (4, points, 1))
+    with pytest.raises(UserError, match=said):
+        choose_layout(keypoints, given, "cam.json")
+    assert choose_layout(keypoints, advised, "cam.json")[0] in LAYOUTS
