@@ -108,7 +108,11 @@ SIDEWAYS = {"settings": {"up": "z"}}
 # What is brought, what is said of it, and the same once that was done.
 ROWS = {
     "scale": (Capture(cameras=moved(0.2)), r"calibration\.scale by", {"settings": {"scale": 5.0}}),
-    "unit cm": (Capture(cameras=moved(100.0)), r"calibration\.unit: cm", {"settings": {"unit": "cm"}}),
+    "unit cm": (
+        Capture(cameras=moved(100.0), settings={"unit": "mm"}),
+        r"calibration\.unit: cm",
+        {"settings": {"unit": "cm"}},
+    ),
     "unit mm": (
         Capture(cameras=moved(1000.0), settings={"unit": "m"}),
         r"calibration\.unit: mm|millimetres; multiply",
@@ -169,3 +173,14 @@ def test_who_does_what_the_sentence_says_has_the_cameras(row: str, tmp_path: Pat
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
     truth = np.array(PLACES[: len(lenses)])
     np.testing.assert_allclose(apart, np.linalg.norm(truth[:, None] - truth[None], axis=-1), atol=1e-6)
+
+
+@pytest.mark.parametrize("per_metre", [1.0, 100.0, 1000.0])
+def test_a_file_without_unit_is_read_in_the_one_that_makes_people_human(per_metre: float, tmp_path: Path) -> None:
+    brought = Capture(cameras=moved(per_metre))
+    brought.judged(tmp_path)
+    centres = [
+        -np.linalg.inv(lens.camera_from_world[:3, :3]) @ lens.camera_from_world[:3, 3]
+        for lens in brought.lenses(tmp_path)
+    ]
+    assert np.linalg.norm(centres[1] - centres[0]) == pytest.approx(np.linalg.norm(np.subtract(PLACES[1], PLACES[0])))

@@ -69,9 +69,11 @@ def mmpose(second: dict[str, Any]) -> Write:
     return js([{"frame_id": 0, **shown}, {"frame_id": 1, **shown}, {"frame_id": 2, **shown} | second])
 
 
-def mediapipe(landmark: dict[str, float]) -> Write:
-    row = {"x": 0.5, "y": 0.5, "visibility": 0.9}
-    return js([{"frame": f, "pose_landmarks": [[landmark, *[row] * 32]]} for f in range(FRAMES)])
+LANDMARK = {"x": 0.5, "y": 0.5, "visibility": 0.9}
+
+
+def mediapipe(landmark: dict[str, float] = LANDMARK) -> Write:
+    return js([{"frame": f, "pose_landmarks": [[landmark, *[LANDMARK] * 32]]} for f in range(FRAMES)])
 
 
 COCO_OK = coco()
@@ -106,8 +108,8 @@ ROWS: dict[str, tuple[Write, str, Write]] = {
     ),
     "scores apart": (mmpose({"instances": [{"keypoints": person()[:, :2].tolist(), "keypoint_scores": [1]}]}),
                      "one for each", mmpose({})),
-    "a landmark's name": (mediapipe({"X": 0.5}), "write what MediaPipe returns", mediapipe({"x": 0.5, "y": 0.5, "visibility": 0.9})),
-    "landmarks in pixels": (mediapipe({"x": 640.0, "y": 300.0}), "shares, 0 to 1", mediapipe({"x": 0.5, "y": 0.5, "visibility": 0.9})),
+    "a landmark's name": (mediapipe({"X": 0.5}), "write what MediaPipe returns", mediapipe()),
+    "landmarks in pixels": (mediapipe({"x": 640.0, "y": 300.0}), "shares, 0 to 1", mediapipe()),
 }  # fmt: skip
 
 

@@ -49,6 +49,10 @@ def made(tmp_path: Path) -> Callable[..., Path]:
         ("a.mp4 b.MOV", "a.JSON b.csv", 2),
         ("a.mp4 b.mp4", "a.mp4.json b_keypoints.json", 2),
         ("a.mp4 b.mp4", "A.json B.json", 2),
+        ("cam01.mp4 cam02.mp4", "cam1.json cam2.json", 2),
+        ("Cam_1.mp4 Cam_2.mp4", "cam-01.json cam-02.json", 2),
+        ("cam1.mp4 cam2.mp4 cam12.mp4", "01.npz 02.npz 12.npz", 3),
+        ("Walk0003_Miqus_1.mp4 Walk0003_Miqus_2.mp4", "3.npz 4.npz", 0),
         ("a.mp4 b.mp4", "aDLC_resnet50_x.csv bDLC_resnet50_x.csv", 2),
         ("a.mp4 b.mp4", "a_json/ b_json/", 2),
         ("2024-05-11_take2_cam1.mp4 2024-05-11_take2_cam2.mp4", "cam1.json cam2.json", 2),
@@ -237,3 +241,11 @@ def test_films_of_two_sizes_are_no_chapters(tmp_path: Path) -> None:
     write_watchable(films[1], (np.zeros((72, 128, 3), np.uint8) for _ in range(3)), 25.0)
     with pytest.raises(UserError, match="differ"):
         write_chapters(tmp_path / "joined.ffconcat", films)
+
+
+def test_paths_may_have_the_separators_of_windows(made: Callable[..., Path]) -> None:
+    folder = made(f"{FILMS} out/2d/a.json out/2d/b.json cal/intri.yml cal/extri.yml")
+    (folder / "capture.yaml").write_text("keypoints: out\\2d\ncalibration: [cal\\intri.yml, cal\\extri.yml]\r\n")
+    found = open_dataset(folder)
+    assert set(found.keypoints) == {"a", "b"}
+    assert [path.name for path in found.calibration] == ["intri.yml", "extri.yml"]

@@ -9,19 +9,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.calibration.files import LengthUnit, paired_lenses, possible_pairings
 from studiorecon.calibration.files import Settings as Settings
-from studiorecon.calibration.files import paired_lenses, possible_pairings
 from studiorecon.calibration.film_places import choose_places, possible_places, without_second_undistortion
 from studiorecon.calibration.formats.reading import Reading
 from studiorecon.calibration.names import Pairing, mismatch_error
-from studiorecon.calibration.people_evidence import agreement, best_candidate
+from studiorecon.calibration.people_evidence import agreement, best_candidate, is_in_metres
 from studiorecon.footage.frames import glimpses
 from studiorecon.footage.source import open_source
 from studiorecon.geometry.crop_hypotheses import (
@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 # Pictures of a film in which black bars are measured: a dark one among them hides no bar.
 _PICTURES = 5
+# Units a factor of ten apart: people have an adult's stature in one of them at most.
+_UNITS: tuple[LengthUnit, ...] = ("m", "cm", "mm")
 
 
 @dataclass(frozen=True)
@@ -74,8 +76,9 @@ def choose_lenses(
     and for sizes of other shapes.
     """
 
-    def read(pairing: Pairing) -> tuple[list[Lens], list[str], bool]:
-        lenses, notes, floor_known = paired_lenses(reading, source, cameras, pixel_maps, settings, pairing)
+    def read(pairing: Pairing, unit: LengthUnit = settings.unit) -> tuple[list[Lens], list[str], bool]:
+        chosen = replace(settings, unit=unit)
+        lenses, notes, floor_known = paired_lenses(reading, source, cameras, pixel_maps, chosen, pairing)
         square = [for_square_pixels(lens, *both) for lens, *both in zip(lenses, stored or sizes, sizes, strict=True)]
         return [lens for lens, _ in square], notes + [note for _, note in square if note], floor_known
 
@@ -95,6 +98,16 @@ def choose_lenses(
     if not (ways[index].sure or shown):
         raise mismatch_error(cameras, [c.name for c in reading.cameras], source)
     lenses, notes, floor_known = read(ways[index])
+    guessed = reading.unit == "unknown" and settings.unit == "auto" and settings.scale == 1.0
+    if guessed and is_in_metres(usual(lenses), sizes, people) is False:
+        for unit in _UNITS:
+            other = read(ways[index], unit)
+            if is_in_metres(usual(other[0]), sizes, people):
+                lenses, notes, floor_known = other
+                notes = [note for note in notes if "calibration.unit" not in note] + [
+                    f"the file does not state its unit; people are of human size if lengths are {unit}; set "
+                    "calibration.unit if that is wrong"
+                ]
     if len(ways) > 1:
         notes.append(
             f"people show that this is the right one of {len(ways)} ways of pairing videos and cameras"

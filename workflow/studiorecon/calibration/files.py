@@ -28,6 +28,7 @@ from studiorecon.scene.files import write_json
 from studiorecon.scene.user_files import file_size, user_file_context
 from studiorecon.signature import Written
 
+LengthUnit = Literal["auto", "m", "cm", "mm"]
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 if TYPE_CHECKING:
@@ -52,9 +53,7 @@ class Settings:
         {},
         "Added to k1 of these cameras, {camera: number}; the refinement's log suggests values.",
     )
-    unit: Literal["auto", "m", "cm", "mm"] = setting(
-        "auto", "Unit of lengths; auto = the format's, else mm if cameras are over 100 apart."
-    )
+    unit: LengthUnit = setting("auto", "Unit of lengths; auto = the format's, else mm if cameras are over 100 apart.")
     up: Literal["auto", "x", "-x", "y", "-y", "z", "-z"] = setting(
         "auto", "World axis that points up; auto = from the cameras."
     )

@@ -11,12 +11,13 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.detections import to_pinhole
-from studiorecon.rig.correspondences import make_observations
-from studiorecon.scene.camera import Lens
+from studiorecon.rig.correspondences import Observations, make_observations
+from studiorecon.rig.human_size import ADULTS_M, MIN_BONES, statures_m
+from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Integer
 
 T = TypeVar("T")
 _FRAMES = 24
@@ -34,15 +35,9 @@ def agreement(
 ) -> Float[np.ndarray, " F"]:
     """(F,) log-likelihood ratio of people's joints in each of 24 frames, lenses against chance, summed; 0 where no rays
     meet."""
-    last = max((int(d.frame.max()) for d in people if len(d.frame)), default=-1)
-    frames = evenly_spread(last + 1, _FRAMES) if last >= 0 else np.zeros(0, int)
+    frames, cameras, found = _observed(lenses, sizes, people)
     total = np.zeros(len(frames))
-    both = [to_pinhole(d, lens, wh) for d, lens, wh in zip(people, lenses, sizes, strict=True)]
-    cameras, seen = [c for c, _ in both], [d for _, d in both]
-    if not any(len(d.frame) for d in seen):
-        return total
-    found, _ = make_observations(seen, cameras, frames, _GATE_M)
-    if not len(found.frame):
+    if found is None:
         return total
     points = triangulate(found.pixels, found.confidence, cameras, _LIMITS)
     counted = points.inliers & (points.verified if len(cameras) > 2 else points.valid)
@@ -53,6 +48,29 @@ def agreement(
     fit = np.maximum(np.log((gate**2 + noise**2) / (error**2 + noise**2)), 0.0).sum(0)
     np.add.at(total, np.searchsorted(frames, found.frame), fit)
     return total
+
+
+def is_in_metres(lenses: Sequence[Lens], sizes: Sequence[tuple[int, int]], people: Sequence[Detections]) -> bool | None:
+    """Whether people have an adult's stature in the lenses' world; None where too few of their bones are seen."""
+    _, cameras, found = _observed(lenses, sizes, people)
+    statures = statures_m(cameras, found, _LIMITS) if found is not None else []
+    if len(statures) < MIN_BONES:
+        return None
+    return bool(ADULTS_M[0] <= np.median(statures) <= ADULTS_M[1])
+
+
+def _observed(
+    lenses: Sequence[Lens], sizes: Sequence[tuple[int, int]], people: Sequence[Detections]
+) -> tuple[Integer[np.ndarray, " F"], list[Camera], Observations | None]:
+    """Some frames, the lenses' pinholes, and what these see of people in those frames; None for nobody."""
+    last = max((int(d.frame.max()) for d in people if len(d.frame)), default=-1)
+    frames = evenly_spread(last + 1, _FRAMES) if last >= 0 else np.zeros(0, int)
+    both = [to_pinhole(d, lens, wh) for d, lens, wh in zip(people, lenses, sizes, strict=True)]
+    cameras, seen = [c for c, _ in both], [d for _, d in both]
+    if not any(len(d.frame) for d in seen):
+        return frames, cameras, None
+    found, _ = make_observations(seen, cameras, frames, _GATE_M)
+    return frames, cameras, found if len(found.frame) else None
 
 
 def best_candidate(candidates: Sequence[T], fit: Callable[[T], Float[np.ndarray, " F"]]) -> tuple[int, bool]:

@@ -25,6 +25,17 @@ def _holds(name: str, word: str) -> bool:
     return re.search(rf"(?<![^\W_]){re.escape(fold_name(word))}(?![^\W_])", fold_name(name)) is not None
 
 
+def _words(name: str) -> tuple[str, ...]:
+    """The words and numbers of a name, the latter without leading zeros: those of cam01 and Cam_1 are the same."""
+    return tuple(word.lstrip("0") or "0" for word in re.findall(r"\d+|[^\W\d_]+", fold_name(name)))
+
+
+def _numbered_alike(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
+    """Whether all words of one name, a number among them, are in the other: 2 and cam2."""
+    fewer, more = sorted((set(one), set(other)), key=len)
+    return fewer <= more and any(word.isdigit() for word in fewer)
+
+
 def _longer(pair: tuple[str, str], other: tuple[str, str]) -> bool:
     """Whether both pairs share one name, and the other name of ``other`` is longer and contains that of ``pair``."""
     return any(
@@ -38,16 +49,18 @@ def _longer(pair: tuple[str, str], other: tuple[str, str]) -> bool:
 _RULES: tuple[Callable[[str, str], bool], ...] = (
     lambda camera, entry: camera == entry,
     lambda camera, entry: fold_name(camera) == fold_name(entry),
+    lambda camera, entry: _words(camera) == _words(entry),
     lambda camera, entry: re.fullmatch(re.escape(fold_name(camera)) + _TAIL, fold_name(entry)) is not None,
     lambda camera, entry: _holds(entry, camera) or _holds(camera, entry),
+    lambda camera, entry: _numbered_alike(_words(camera), _words(entry)),
 )
 
 
 def pair_by_name(cameras: Sequence[str], entries: Iterable[Path]) -> dict[str, Path]:
     """camera → the entry that its name selects; of several entries of one name the first.
 
-    A weaker match (one name contains the other as a whole word, or they differ in case or Unicode form) counts only
-    where exactly one camera and one entry fit.
+    A weaker match (one name contains the other as a whole word, or they differ in case, Unicode form, separators or
+    leading zeros) counts only where exactly one camera and one entry fit.
     """
     left = {entry: camera_stem(entry) for entry in entries}
     found: dict[str, Path] = {}

@@ -24,9 +24,10 @@ _ADULT_M = 1.70
 _BONES = {("shoulder", "hip"): 0.52, ("hip", "knee"): 0.42, ("knee", "ankle"): 0.41}
 # A toddler, and the tallest person on record, with a margin of a third: bones of few keypoints are short or long.
 _SMALLEST_M, _LARGEST_M = 0.5, 3.0
-# Range of adults' statures, to identify the unit.
-_ADULTS_M = 1.3, 2.2
-_MIN_BONES = 30
+ADULTS_M = 1.3, 2.2
+"""Range of adults' statures, to identify the unit."""
+MIN_BONES = 30
+"""Number of bones that a median needs."""
 # Number of each unit in a metre.
 _TAKEN_FOR_METRES = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.3701, "feet": 3.28084}
 
@@ -36,7 +37,7 @@ def statures_m(cameras: Sequence[Camera], seen: Observations, limits: Limits) ->
     if not len(seen.frame):
         return np.zeros(0)
     found = triangulate(seen.pixels, seen.confidence, cameras, limits)
-    counted = found.verified if len(cameras) > 2 and found.verified.sum() >= _MIN_BONES else found.valid
+    counted = found.verified if len(cameras) > 2 and found.verified.sum() >= MIN_BONES else found.valid
     of_body = seen.group * (int(seen.frame.max()) + 1) + seen.frame
     bodies, row = np.unique(of_body, return_inverse=True)
     joints = np.full((len(bodies), len(STABLE_KEYPOINTS), 3), np.nan)
@@ -53,7 +54,7 @@ def statures_m(cameras: Sequence[Camera], seen: Observations, limits: Limits) ->
 def check_human_size(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> float | None:
     """The median stature in metres, None where too few bones are seen; raises UserError for an impossible one."""
     found_m = statures_m(cameras, seen, limits)
-    if len(found_m) < _MIN_BONES:
+    if len(found_m) < MIN_BONES:
         return None
     stature_m = float(np.median(found_m))
     if _SMALLEST_M <= stature_m <= _LARGEST_M:
@@ -72,18 +73,18 @@ def check_units(
     for factor in _TAKEN_FOR_METRES.values():
         smaller = [replace(c, camera_from_world=_scaled(c.camera_from_world, 1 / factor)) for c in cameras]
         found_m = statures_m(smaller, make_observations(detections, smaller, frames, gate_m)[0], limits)
-        if len(found_m) >= _MIN_BONES and _ADULTS_M[0] <= (stature_m := float(np.median(found_m))) <= _ADULTS_M[1]:
+        if len(found_m) >= MIN_BONES and ADULTS_M[0] <= (stature_m := float(np.median(found_m))) <= ADULTS_M[1]:
             raise UserError(_refusal(stature_m * factor))
 
 
 def _refusal(stature_m: float) -> str:
     cause, factor = "", _ADULT_M / stature_m
     for unit, per_metre in _TAKEN_FOR_METRES.items():
-        if _ADULTS_M[0] <= stature_m / per_metre <= _ADULTS_M[1]:
+        if ADULTS_M[0] <= stature_m / per_metre <= ADULTS_M[1]:
             cause, factor = f" but, it seems, {unit};", 1 / per_metre
-        elif _ADULTS_M[0] <= stature_m * per_metre <= _ADULTS_M[1]:
+        elif ADULTS_M[0] <= stature_m * per_metre <= ADULTS_M[1]:
             cause, factor = f", it seems that metres were taken for {unit};", per_metre
-    if _ADULTS_M[0] <= 10 * stature_m <= _ADULTS_M[1]:
+    if ADULTS_M[0] <= 10 * stature_m <= ADULTS_M[1]:
         cause, factor = ", it seems that centimetres were taken for millimetres: set calibration.unit: cm, or", 10.0
     return (
         f"people would be {stature_m:.3g} m tall by this calibration, so its lengths are not metres{cause or ';'} "

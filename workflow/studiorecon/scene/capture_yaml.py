@@ -103,8 +103,8 @@ def paths_under(description: dict[str, Any], key: str) -> list[str] | None:
     given = description.get(key)
     if given is None:
         return None
-    several = given if isinstance(given, str) else as_list(given, f"capture.yaml: {key}", "[intri.yml, extri.yml]")
-    found = [several] if isinstance(several, str) else [path(each, f"capture.yaml: {key}") for each in several]
+    several = [given] if isinstance(given, str) else as_list(given, f"capture.yaml: {key}", "[intri.yml, extri.yml]")
+    found = [path(each, f"capture.yaml: {key}") for each in several]
     if not found:
         raise UserError(f"capture.yaml: {key} names no file; name one, or take the line out")
     return found

@@ -59,8 +59,8 @@ def name(value: Any, where: str) -> str:
 
 
 def path(value: Any, where: str) -> str:
-    """``value`` as a path, whose parts are no longer than systems allow."""
-    found = name(value, where)
+    """``value`` as a path, with / for the \\ of Windows, whose parts are no longer than systems allow."""
+    found = name(value, where).replace("\\", "/")
     if max(map(len, found.split("/"))) > _LONGEST_NAME or "\0" in found:
         raise UserError(f"{where} is {short_text(found)}; no file can be called so")
     return found
