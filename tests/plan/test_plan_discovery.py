@@ -51,7 +51,7 @@ def made(tmp_path: Path) -> Callable[..., Path]:
         ("a.mp4 b.mp4", "A.json B.json", 2),
         ("cam01.mp4 cam02.mp4", "cam1.json cam2.json", 2),
         ("Cam_1.mp4 Cam_2.mp4", "cam-01.json cam-02.json", 2),
-        ("cam1.mp4 cam2.mp4 cam12.mp4", "01.npz 02.npz 12.npz", 3),
+        ("cam1.mp4 cam2.mp4 cam3.mp4", "01.npz 02.npz 03.npz", 3),
         ("Walk0003_Miqus_1.mp4 Walk0003_Miqus_2.mp4", "3.npz 4.npz", 0),
         ("a.mp4 b.mp4", "aDLC_resnet50_x.csv bDLC_resnet50_x.csv", 2),
         ("a.mp4 b.mp4", "a_json/ b_json/", 2),
