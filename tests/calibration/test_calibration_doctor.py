@@ -192,7 +192,7 @@ def test_what_people_leave_open_is_told_where_it_is_much(good):
 def test_a_camera_that_was_knocked_is_usable_and_its_move_is_named(options):
     report = examined([*ring()[:2], off(ring()[2], 1.0, 0.05), ring()[3]], options)
     assert report["verdict"] == "usable"
-    assert re.search(r"mm where they are\).*c2 by [01]\.\d° and \d+ cm", report["advice"][0]), report["advice"]
+    assert re.search(r"mm at their distance\).*c2 by [01]\.\d° and \d+ cm", report["advice"][0]), report["advice"]
 
 
 def test_a_calibration_that_is_degrees_old_is_usable_when_people_say_where_the_cameras_are(options):

@@ -171,7 +171,7 @@ def test_what_looks_like_a_calibration_and_was_not_used_is_named(tmp_path):
     (tmp_path / "intri.yml").write_text("%YAML:1.0\n---\n" + matrix("K_a", np.eye(3)))
     assert unused_reason(used[0], used) is None
     assert "c0.xml was used" in unused_reason(tmp_path / "transforms.json", used)
-    assert "no known format" in unused_reason(tmp_path / "rig.json", used)
+    assert "unknown format" in unused_reason(tmp_path / "rig.json", used)
     assert "extri.yml" in unused_reason(tmp_path / "intri.yml", used)
     assert unused_reason(tmp_path / "notes.txt", used) is None
 

@@ -86,9 +86,9 @@ def test_a_damaged_file_is_named_with_its_field_and_what_is_expected(tmp_path: P
 
 
 VALUES = {
-    "no number": ([np.nan, 2, 0.9], "1 of 40 keypoints are no numbers"),
-    "infinite score": ([1, 2, np.inf], "1 of 40 keypoints are no numbers"),
-    "beyond any picture": ([1e30, 2, 0.9], "1 of 40 keypoints are no numbers or beyond any picture"),
+    "no number": ([np.nan, 2, 0.9], "1 of 40 keypoints are not numbers"),
+    "infinite score": ([1, 2, np.inf], "1 of 40 keypoints are not numbers"),
+    "outside of any picture": ([1e30, 2, 0.9], "1 of 40 keypoints are not numbers or outside of any picture"),
     "score below 0": ([1, 2, -0.5], "1 of 40 scores are below 0"),
     "gap": ([np.nan, np.nan, np.nan], ""),
     "missing": ([0, 0, -1], ""),

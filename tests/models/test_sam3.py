@@ -135,4 +135,4 @@ def test_what_upstream_leaves_out_without_its_kernels_is_said(
         (tmp_path / file.path).parent.mkdir(exist_ok=True)
         (tmp_path / file.path).touch()
     load("person segmenter", "sam3", tmp_path, "cpu", chunk=200, prompt="person")
-    assert "SAM 3 runs without removing doubles and holes" in capsys.readouterr().out
+    assert "SAM 3 does not remove duplicates and holes" in capsys.readouterr().out

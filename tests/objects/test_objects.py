@@ -106,7 +106,7 @@ def test_nothing_is_found_where_nothing_is(settings: Settings, capsys: pytest.Ca
 def test_what_one_camera_sees_has_no_place(settings: Settings, capsys: pytest.CaptureFixture) -> None:
     assert found(settings, [Ball(bouncing())], showing=("c1",)) == []
     assert "c1: in" in (told := capsys.readouterr().out)
-    assert "confirmed by no second camera" in told
+    assert "no second camera confirms" in told
 
 
 def test_a_thing_that_stands_still_belongs_on_the_plate(settings: Settings, capsys: pytest.CaptureFixture) -> None:

@@ -74,7 +74,7 @@ def test_more_jobs_than_gpus_share_and_say_so(
     held = [gpu.first_free(["0", "1"], folder)[1] for _ in range(2)]
     gpu.claim()
     assert os.environ["CUDA_VISIBLE_DEVICES"] in ("0", "1")
-    assert "more jobs than GPUs run here; say --resources gpu=2" in capsys.readouterr().out
+    assert "more jobs than GPUs run here; use --resources gpu=2" in capsys.readouterr().out
     for lock in held:
         lock.close()
 

@@ -106,13 +106,12 @@ def test_whole_numbers_may_be_written_with_a_point_and_small_ones_without() -> N
         ("datset=x", "there is no setting datset; did you mean dataset?"),
         (
             "survey={force: {exposre: off}}",
-            "setting survey.force has exposre, but only verdicts that something acts on can be forced, the others are "
-            "findings; did you mean exposure?",
+            "setting survey.force has exposre, but only effects that a step uses can be forced; did you mean exposure?",
         ),
         (
             "survey={force: {defocus: on}}",
-            "setting survey.force has defocus, but only verdicts that something acts on can be forced, the others are "
-            "findings: moving_cameras, people, exposure, ",
+            "setting survey.force has defocus, but only effects that a step uses can be forced: moving_cameras, "
+            "people, exposure, ",
         ),
         (
             "render={shots: {a: {kind: orbit, targt: p0}}}",

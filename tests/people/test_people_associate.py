@@ -222,7 +222,7 @@ def test_keypoints_of_frames_that_are_not_used_are_told(capsys, tmp_path, people
     )
     detections.run(options, "cam", taken_over(tmp_path / "k", tmp_path / "k.npz", "coco17"), *files)
     assert not len(read_detections(files[-1]).frame)
-    assert "none of its 1 recorded people, in frames 5000 to 5000" in "".join(capsys.readouterr())
+    assert "its 1 recorded people, in frames 5000 to 5000" in "".join(capsys.readouterr())
     detections.run(options, "cam", taken_over(tmp_path / "k", tmp_path / "k.npz", "coco17", 4990), *files)
     assert read_detections(files[-1]).frame.tolist() == [10]
 
@@ -356,8 +356,8 @@ def test_keypoint_files_without_anybody_say_so(tmp_path, people_settings, capsys
         tmp_path, ring(), detect(ring(), [], 1.0, np.random.default_rng(0)), people_settings(associate.Settings)
     )
     told = capsys.readouterr().out
-    assert "warning: nobody was found in any camera" in told
-    assert "frames each of c0, c1, c2, c3 were looked at" in told
+    assert "warning: no camera has a detection" in told
+    assert "frames (c0, c1, c2, c3)" in told
 
 
 def test_people_in_two_frames_only_are_nobody_and_it_is_said(tmp_path, people_settings, two_people, capsys):
@@ -369,7 +369,7 @@ def test_people_in_two_frames_only_are_nobody_and_it_is_said(tmp_path, people_se
     people, _ = run_association(tmp_path, ring(), found, people_settings(associate.Settings))
     assert people == []
     told = capsys.readouterr().out
-    assert "warning: nobody of this scene was found: 16 detections" in told
+    assert "warning: no person was identified: 16 detections" in told
     assert "bring a longer clip" in told
 
 
@@ -411,7 +411,7 @@ def test_a_consistent_skeleton_of_nobody_is_rejected_by_the_pictures(tmp_path, p
     assert people == ["p0"]
     for (v, t), person in planted.items():
         assert identities[cameras[v].name, t] == ("p0" if person == 0 else "")
-    assert "the pictures show nobody there" in capsys.readouterr().out
+    assert "the pictures show no person there" in capsys.readouterr().out
 
 
 def test_pictures_that_confirm_nobody_contradict_nobody_and_one_camera_is_enough_for_somebody(people_settings):

@@ -179,7 +179,7 @@ def test_random_keypoints_are_no_person(body: BodyModel, made: Made, default_set
     rng = np.random.default_rng(5)
     for d in detections:
         d.keypoints[..., :2] = rng.uniform(0, 700, d.keypoints[..., :2].shape)
-    with pytest.raises(UserError, match=r"person p0: the body lies more than .* off the keypoints"):
+    with pytest.raises(UserError, match=r"person p0: the body is more than .* off the keypoints"):
         solve(body, made, detections, default_settings("people"))
 
 
@@ -351,8 +351,8 @@ def test_who_walks_in_or_comes_back_is_there_while_measured_and_told_when_not(
     assert np.isfinite(person.joints).all()
     fit.report_filled_frames(person)
     told = capsys.readouterr().out
-    assert "p0: frames 8–9, 20–21, 33–34 are filled from their neighbours" in told
-    assert "p0: frames 0–7, 22–32: cameras do not say where p0 is, who counts as away and is not drawn there" in told
+    assert "p0: frames 8–9, 20–21, 33–34 are interpolated" in told
+    assert "p0: frames 0–7, 22–32: no camera determines the position of p0" in told
     # One camera that keeps sight of them says that they were there all the time.
     between = np.zeros(FRAMES, bool)
     between[20:35:5] = True

@@ -221,7 +221,7 @@ def test_two_cameras_find_the_same_people_by_them(tmp_path: Path, monkeypatch: p
     # Beyond 0.3 m two pelvises are two people.
     assert alike[0, 1] == alike[1, 0] == 0
     nobody = [replace(one, pelvis=None) for one in found]
-    with pytest.raises(UserError, match="no pelvis lies where the scene's depth is known"):
+    with pytest.raises(UserError, match="depth is unknown at every pelvis"):
         sights(nobody, nobody, cameras, limits)
 
 

@@ -23,7 +23,7 @@ def test_a_poster_of_somebody_has_no_depth(root: Path, tmp_path: Path) -> None:
     poster = panel(portrait(1, 0.0), height_m=1.75, above_m=0.12)
     seen = looked_at(1, lambda t: [], [poster], tmp_path, root)
     assert seen.named(0) == seen.people == {"p0"}
-    assert "it has no depth: all its points lie in one plane" in seen.reasons
+    assert "it is flat" in seen.reasons
 
 
 @pytest.mark.slow
@@ -31,7 +31,7 @@ def test_somebody_who_walks_on_a_screen_has_no_depth(root: Path, tmp_path: Path)
     film = [portrait(0, t / FPS) for t in range(FRAMES)]
     seen = looked_at(1, lambda t: [panel(film[t], height_m=1.6, above_m=0.3, glow=0.6)], [], tmp_path, root)
     assert seen.named(0) == seen.people == {"p0"}
-    assert "it has no depth: all its points lie in one plane" in seen.reasons
+    assert "it is flat" in seen.reasons
 
 
 @pytest.mark.slow
@@ -39,7 +39,7 @@ def test_somebody_s_image_in_a_mirror_is_not_a_second_person(root: Path, tmp_pat
     mirror = panel(np.full((240, 450, 3), 0.02), height_m=2.4, above_m=0.0, mirror=4.0)
     seen = looked_at(1, lambda t: [mirror], [], tmp_path, root)
     assert seen.named(0) == seen.people == {"p0"}
-    assert "it is what a mirror makes of somebody else" in seen.reasons
+    assert "mirror image" in seen.reasons
 
 
 @pytest.mark.slow

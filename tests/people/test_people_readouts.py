@@ -86,7 +86,7 @@ def test_the_step_finds_it_and_keypoints_come_back_to_where_they_were(
         who=tmp_path / "who",
     )
     took_s = read_readouts(tmp_path / "who/readouts.json")
-    assert f"{cameras[-1].name} reads its rows in" in capsys.readouterr().out
+    assert f"{cameras[-1].name} has a rolling shutter of" in capsys.readouterr().out
     assert not any(took_s[c.name] for c in cameras[:-1])
     moved = correct_rolling_shutter(one, took_s[cameras[-1].name], cameras[-1].wh[1], FPS)
     wanted = straight.pixels[-1, 0]

@@ -147,7 +147,7 @@ def test_landmarks_that_tremble_over_somebody_still_are_a_person(room: Room) -> 
 def test_whom_one_camera_s_network_covers_is_a_person_though_nothing_changes(room: Room) -> None:
     alone, reasons = room.people([None] * 4)
     assert STANDS not in alone, "else there is nothing to confirm"
-    assert "the pictures show nobody there" in reasons
+    assert "the pictures show no person there" in reasons
     assert room.people([None, room.witness(1, masked=True), None, None])[0] == {*WALKERS, STANDS, SITS}
     beside, reasons = room.people([room.witness(v, masked=True, on=0.0) for v in range(4)])
     assert beside == alone

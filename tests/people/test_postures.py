@@ -88,5 +88,5 @@ def test_who_stands_where_rays_cannot_tell_is_told_by_posture(root: Path) -> Non
     other = (pairs.track[:, None] != pairs.track[None]) & (pairs.view[:, None] != pairs.view[None])
     assert pairs.affinity[same].min() > 2 * pairs.affinity[other].max()
     blind = [replace(one, points_m=None) for one in found]
-    with pytest.raises(UserError, match="no detection says how anybody holds their limbs"):
+    with pytest.raises(UserError, match="no detection has a body pose"):
         sights(blind, blind, CAMERAS, limits)

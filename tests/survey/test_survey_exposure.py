@@ -79,7 +79,7 @@ def test_forced_on_uses_what_was_measured_and_cannot_invent_what_was_not(
     step.run(replace(high, force={"exposure": "on"}, depth_tolerance=1e-9), **gained)
     assert read_decisions(gained["decisions"])["exposure"].value is None
     assert written(artefact(gained, "gains")) == {}
-    assert "every camera keeps its own" in "".join(capsys.readouterr())
+    assert "every camera keeps its exposure" in "".join(capsys.readouterr())
 
 
 def test_a_camera_that_shares_nothing_is_named_and_kept(settings: step.Settings) -> None:

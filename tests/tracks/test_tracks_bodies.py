@@ -123,4 +123,4 @@ def test_nobody_is_an_answer(
     monkeypatch.setattr(comotion, "ADAPTER", Blind)
     found = run(files, default_settings("tracks", source="comotion"), [])
     assert found.keypoints.shape == (0, 27, 3)
-    assert "nobody in any of 3 frames" in capsys.readouterr().out
+    assert "no person in 3 frames" in capsys.readouterr().out

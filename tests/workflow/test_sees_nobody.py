@@ -122,7 +122,7 @@ def test_people_whom_one_camera_alone_sees_are_told_and_the_room_is_made(studio:
     results, told = run(house, "people/people.tsv", "background/scene.ply")
     assert named(results) == {}
     assert "no person is visible in two cameras at once: the calibration is used as given, unchecked" in told
-    assert "nobody of this scene was found" in told
+    assert "no person was identified" in told
     doctor = json.loads((results / "calibration/doctor.json").read_text())
     assert doctor["verdict"] == "cannot tell"
     assert "people are seen by one camera alone" in doctor["advice"][0]

@@ -59,8 +59,8 @@ def refinement_cameras(cameras: Sequence[Camera], views: Sequence[Camera], setti
     """
     if len(views) < 2:
         raise UserError(
-            f"background.refinement.views looks between the synthesized views, and there are {len(views)} of them: "
-            "force view_synthesis on (survey.force), or set it to 0"
+            f"background.refinement.views needs at least two synthesized views, and there are {len(views)}: force "
+            "view_synthesis on (survey.force), or set it to 0"
         )
     radius_m = _radius_m(cameras)
     apart = [np.abs(a.camera_from_world - b.camera_from_world).max() > 1e-9 for a, b in itertools.pairwise(views)]

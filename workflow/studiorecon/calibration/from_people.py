@@ -48,8 +48,8 @@ _OF_A_MEAN_BODY = 0.05
 _NO_LENGTHS = GivenLengths()
 _MIN_CAMERAS = 2
 _WOULD_HELP = (
-    "let a person walk where it and another camera both look, or add a calibration; to leave it "
-    "out on purpose, list the others under train: in capture.yaml"
+    "let a person walk in view of it and another camera, or add a calibration; to leave it out, list the others "
+    "under train: in capture.yaml"
 )
 
 

@@ -50,7 +50,7 @@ def read_room_pictures(
             wanted = among[evenly_spread(len(among), _PICTURES)].tolist()
             seen = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in glimpses(source, wanted)]
         except UserError as refusal:
-            warn(f"the room is not looked at in camera {camera}: {refusal}")
+            warn(f"the room's edges in camera {camera} are not used: {refusal}")
             continue
         if camera in size and seen and seen[0].shape[::-1] == tuple(size[camera]):
             room = (_twice_the_median(seen) // 2).astype(np.uint8)

@@ -86,8 +86,8 @@ def check_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, 
         )
     if longer and not ((centre > 0) & (centre < camera.wh)).all():
         notes.append(
-            f"{where}: its principal point ({centre[0]:g}, {centre[1]:g}) lies outside of its pictures of "
-            f"{camera.wh[0]}×{camera.wh[1]}, as only a corner cut out of a picture has it"
+            f"{where}: its principal point ({centre[0]:g}, {centre[1]:g}) is outside of its pictures of "
+            f"{camera.wh[0]}×{camera.wh[1]}, which only happens for a cropped corner"
         )
     if not (np.isfinite(camera.distortion).all() and (np.abs(camera.distortion) < _MAX_COEFFICIENT).all()):
         raise UserError(f"{where}: its distortion {camera.distortion.tolist()} is no lens's; calibrate it again")

@@ -139,10 +139,9 @@ class Check:
             share = contradicted_share(self.given, self.seen, self.detections, settings.limits)
             if share > _MAX_CONTRADICTED:
                 raise UserError(
-                    "the calibration does not fit the footage: no keypoint agrees in three cameras, "
-                    "and where two agree a third one sees people "
-                    f"elsewhere in {share:.0%} of the cases; check that it is for these "
-                    "cameras, and that the videos are synchronised"
+                    "the calibration does not fit the footage: no keypoint agrees in three cameras, and in "
+                    f"{share:.0%} of the cases a third camera contradicts two that agree; check that it is for "
+                    "these cameras, and that the videos are synchronised"
                 )
 
 

@@ -191,9 +191,8 @@ def _try_refinement(
     report["lens"] = lens.report
     if not (helps or lens.focal or lens.radial):
         say(
-            "the cameras are kept as they are: on frames it had not seen, refinement "
-            "changed the median reprojection error from "
-            f"{judged_before:.2f} to {judged_after:.2f} px, less than the {gain:.0%} that would count"
+            "the cameras stay unchanged: on frames outside the fit, refinement changed the median reprojection "
+            f"error from {judged_before:.2f} to {judged_after:.2f} px, less than the required {gain:.0%}"
         )
         return training, seen, {**report, "reason": "refinement did not clearly help"}
     prior = LensPrior(
@@ -220,9 +219,8 @@ def _log_changes(report: dict[str, Any], focal: bool, radial: bool) -> None:
     )
     changes = report["changes"]
     say(
-        "the cameras were refined on people's keypoints: on frames it had not seen "
-        "the median reprojection error fell from "
-        f"{report['unseen_before_px']:.2f} to {after:.2f} px; "
+        "the cameras were refined on people's keypoints: on frames outside the fit the median reprojection error "
+        f"fell from {report['unseen_before_px']:.2f} to {after:.2f} px; "
         + ", ".join(f"{c['camera']} by {c['turned_deg']:.2f}° and {1000 * c['moved_m']:.0f} mm" for c in changes)
     )
     if focal:
@@ -233,8 +231,8 @@ def _log_changes(report: dict[str, Any], focal: bool, radial: bool) -> None:
     if radial:
         found = ", ".join(f"{c['camera']}: {c['radial_k1']:.3f}" for c in changes)
         say(
-            "keypoints show another lens distortion than the calibration that undistorted the pictures: set "
-            f"calibration.radial: {{{found}}} and run again"
+            f"keypoints show another lens distortion than the calibration: set calibration.radial: {{{found}}} and "
+            "run again"
         )
 
 
@@ -243,7 +241,7 @@ def _on_floor(
 ) -> tuple[list[Camera], list[Camera], np.ndarray]:
     """Cameras and points moved along z so that people's ankles, at their lowest, are on the floor."""
     floor = float(np.quantile(points[:, 2], 0.02)) - _FOOT_HEIGHT_M
-    say(f"the floor was put under people's feet: the world moved by {-floor:.3f} m along z")
+    say(f"the floor is at people's feet: the world moved by {-floor:.3f} m along z")
     shift = np.array([0.0, 0.0, floor])
     lowered = [
         [move_camera(c, c.camera_from_world[:3, :3], c.centre_m - shift) for c in group]

@@ -76,13 +76,11 @@ def describe_changes(
     if used[0]:
         changes.append(f"starts at frame {used[0]} of the source")
     if jumps := int((np.diff(used) != 1).sum()):
-        changes.append(
-            f"at {jumps} of {len(used) - 1} steps a frame of the source is left out or shown again, as its times say"
-        )
+        changes.append(f"{jumps} of {len(used) - 1} frames are skipped or repeated to match its time stamps")
     if np.abs(late_frames).max() > 0:
         most = np.abs(late_frames).max()
         changes.append(
-            f"its pictures come {late_frames.mean():+.2f} frames beside the scene's moments ({most:.2f} at most)"
+            f"its pictures are {late_frames.mean():+.2f} frames off the scene's moments ({most:.2f} at most)"
         )
     return changes
 

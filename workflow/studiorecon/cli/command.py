@@ -100,7 +100,7 @@ def _add_plan_arguments(plan: argparse.ArgumentParser) -> None:
     field = "horizontal field of view, one or one each (default: 65)"
     plan.add_argument("--hfov", nargs="+", default=["65"], metavar="DEG", help=field)
     plan.add_argument("--resolution", default="1920x1080", metavar="WxH", help="of the pictures (default: 1920x1080)")
-    above = "the room from above (default: plan.svg; plan.json beside it)"
+    above = "the room from above (default: plan.svg, with plan.json in the same folder)"
     plan.add_argument("--picture", default="plan.svg", metavar="FILE", help=above)
 
 

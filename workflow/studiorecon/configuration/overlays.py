@@ -19,4 +19,4 @@ def check_overlay(path: Path) -> None:
     """
     held = read_yaml(path, yaml.SafeLoader)
     if held is not None and not isinstance(held, Mapping):
-        raise UserError(f"{path} holds no settings; its lines look like capture: {{width: 960}}")
+        raise UserError(f"{path} holds no settings; write lines such as capture: {{width: 960}}")

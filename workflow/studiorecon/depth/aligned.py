@@ -133,10 +133,7 @@ def run(settings: Settings, camera: str, model: Path, estimate: Path, planes: Pa
             f"{gap:.0%} in the median: not the same view"
         )
     shift = f" + {found.shift_m:.2f} m" if found.model == "affine" else ""
-    say(
-        f"depth of {camera} = {found.scale:.4g} × {estimate.name}{shift}; {gap:.1%} "
-        "off what stereo measured, in the median"
-    )
+    say(f"depth of {camera} = {found.scale:.4g} × {estimate.name}{shift}; {gap:.1%} off stereo in the median")
     say(
         f"{np.mean(confidence > settings.default_confidence):.0%} agrees with stereo, "
         f"{np.mean(depth_m == 0):.0%} stays unknown"

@@ -172,8 +172,8 @@ def _on_lower_floor(box: RoomBox, raised: RaisedFloor, pictures: list[Picture], 
     """The box with its floor at the level around the people's platform."""
     size_m = raised.platform.high_m - raised.platform.low_m
     say(
-        f"people stand {raised.platform.top_m - raised.floor_m:.2f} m above the floor, on something of "
-        f"{size_m[0]:.1f} × {size_m[1]:.1f} m: around it photos agree on what lies lower"
+        f"people stand {raised.platform.top_m - raised.floor_m:.2f} m above the floor, on a platform of "
+        f"{size_m[0]:.1f} × {size_m[1]:.1f} m: around it the photos match a lower floor"
     )
     fitted, score = box.fitted.copy(), box.score.copy()
     fitted[4], score[4] = True, raised.score

@@ -69,7 +69,7 @@ def run(
         filmed = open_source(source, picture_fps)
     except UserError as refusal:
         # Decoding will raise an error with its name; the clocks of the other cameras need not wait for that.
-        warn(f"camera {camera}: {refusal}; until then it sees nobody")
+        warn(f"camera {camera}: {refusal}; until then it has no detections")
         found, own = _nobody(camera), _none("", "")
     else:
         about = replace(about, wh=filmed.wh)
@@ -86,7 +86,7 @@ def run(
             found = detections_from_recorded(own, *_as_filmed(camera, filmed, frames, pixel_map), settings)
             found = _nobody(camera) if own.refusal else found
             what = f"{own.program}, {own.layout}"
-        say(f"camera {camera}: {len(found.frame)} sightings ({what}), {len(np.unique(found.track))} tracks")
+        say(f"camera {camera}: {len(found.frame)} detections ({what}), {len(np.unique(found.track))} tracks")
     write_detections(sightings, found)
     write_recorded(recorded, own)
     write_keypoint_verdict(size, about)
@@ -105,7 +105,7 @@ def _compared(
     """The keypoints of a file in the frames and pixels of the film, if they fit it, and sentences about them."""
     given, path = _of_chapters(paths, filmed, first_frame), ", ".join(map(str, paths))
     if not len(given.frame):
-        warn(f"{path} ({given.program}) holds no person: camera {camera} sees nobody, and only shows the room")
+        warn(f"{path} ({given.program}) holds no person: camera {camera} only shows the room")
         return _none(given.program, layout), []
     chosen, note = choose_layout(given.keypoints, layout, path)
     if note:
@@ -130,7 +130,7 @@ def _compared(
     for sentence in [*verdict.notes, *filter(None, [verdict.refusal])]:
         warn(sentence)
     if verdict.lift is not None and verdict.lift > BORNE_OUT and not verdict.refusal:
-        say(f"camera {camera}: its keypoints follow what moves in its film (agreement {verdict.lift:.2f} of 1)")
+        say(f"camera {camera}: its keypoints agree with the motion in its film ({verdict.lift:.2f} of 1)")
     return replace(verdict.recorded, refusal=verdict.refusal), list(verdict.notes)
 
 

@@ -40,7 +40,7 @@ def run(
         footage = open_source(source, picture_fps)
     except UserError as refusal:
         # Decoding will raise an error with its name; the clocks of the other cameras need not wait for that.
-        warn(f"camera {camera}: {refusal}; until then it sees nobody")
+        warn(f"camera {camera}: {refusal}; until then it has no detections")
         write_raw_detections(
             found, RawDetections.of(camera, LAYOUT, LANDMARKS, [], (0, 0), "footage that cannot be read")
         )
@@ -52,7 +52,7 @@ def run(
     shown = [moments[k] for k in busiest(stills(footage, moments), _SHOW_UP)]
     turns = quarter_turns(network, glimpses(footage, shown))
     if turns:
-        say(f"camera {camera}: people are upright once its pictures are turned by {90 * turns}° counter-clockwise")
+        say(f"camera {camera}: its pictures are turned by {90 * turns}° counter-clockwise, so that people are upright")
     linear, offset = np.split(film_from_turned(footage.wh, turns), [2], axis=1)
     pictures = (rotate_picture(p, turns) for p in progress(decode(footage, start, count), f"frames of {camera}", total))
     width, height = footage.wh
@@ -72,4 +72,4 @@ def run(
     if rows:
         say(f"camera {camera}: {len(rows)} detections in {len({row[0] for row in rows})} of {frames} frames ({looked})")
     else:
-        warn(f"camera {camera}: nobody was found in any of its {frames} frames ({looked})")
+        warn(f"camera {camera}: no person was detected in its {frames} frames ({looked})")

@@ -96,7 +96,7 @@ def run(
     unknown = Camera(pictures.name, (1, 1), np.eye(3), np.eye(4))
     steps = [PathStep(unknown, float(index), "00") for index in range(total)]
     if injection.history and is_still(steps, read_pictures(pictures)):
-        say(f"{pictures} does not move, so there is nothing to steady: no earlier outputs are injected")
+        say(f"{pictures} does not move: no earlier outputs are injected")
         injection = replace(injection, history=0)
     if settings.enhancer == "difix" and not given:
         raise UserError(

@@ -151,7 +151,7 @@ def _colours(frame: av.VideoFrame) -> tuple[list[tuple[str, str]], list[str]]:
     if transfer not in _CONVERTED or primaries not in list(ColorPrimaries):
         return [], [f"its colours are {named}, which are not converted: it will differ in colour from other cameras"]
     # libswscale's own colour management: white of 203 cd/m² (BT.2408) becomes white, brighter values are clipped.
-    clipped = "; what is brighter than a white surface is clipped" * (transfer in _HDR)
+    clipped = "; colours brighter than white are clipped" * (transfer in _HDR)
     return [("scale", "out_primaries=bt709:out_transfer=bt709:out_range=pc"), ("format", "pix_fmts=rgb24")], [
         f"its colours are {named} and become BT.709{clipped}"
     ]

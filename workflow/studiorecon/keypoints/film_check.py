@@ -196,9 +196,9 @@ class _Judge:
             words = numbers.possible[index].words
             return numbers.possible[index], f"{span}: {words}{by}" if words else ""
         if not numbers.believed:
-            return None, f"{span}, which does not say which is its first frame: {remedy}, such as {first.first}"
-        how = first.words or "number 0 is taken for its first frame"
-        return first, f"{span}: {how}, and its pictures do not tell; where that is wrong, {remedy}"
+            return None, f"{span}, which leaves its first frame open: {remedy}, such as {first.first}"
+        how = first.words or "number 0 is used as its first frame"
+        return first, f"{span}: {how}, which its pictures do not confirm; if that is wrong, {remedy}"
 
     def alternative(self, now: _Hypothesis, as_read: Reading) -> _Hypothesis | None:
         """Another reading that clearly fits while ``now`` clearly does not; None without one."""
@@ -223,7 +223,7 @@ class _Judge:
                 return right, ""
             first = right.numbering.first + right.shift
             return now, (
-                f"the keypoints of camera {camera} lie on what moves in its pictures if they are numbered about "
+                f"the keypoints of camera {camera} match the motion in its pictures if they are numbered about "
                 f"{abs(right.shift)} frames {'later' if right.shift > 0 else 'earlier'}{self.evidence(right, now)}; "
                 f"write the number of its first frame into capture.yaml: keypoint_first_frame: {{{camera}: {first}}}"
             )
@@ -240,8 +240,8 @@ class _Judge:
                 f"{self.film.wh[0]}×{self.film.wh[1]}"
             )
         return now, (
-            f"the keypoints of camera {camera} look {right.reading.words}{self.evidence(right, now)}; write them as "
-            f"its film shows people, x from the left and y from the top, and run again"
+            f"the keypoints of camera {camera} seem {right.reading.words}{self.evidence(right, now)}; write them as "
+            "in its film, x from the left and y from the top, and run again"
         )
 
     def by_chance(self, found: Score) -> bool:
@@ -263,9 +263,9 @@ class _Judge:
             fits = score(movers(seen.keypoints, seen.frame), seen.frame, now.reading.film_from_recorded, motion)
             if _clearly_better(fits, now.score):
                 return (
-                    f"the film of camera {camera} shows what the keypoints of camera {other} say "
-                    f"({fits.hit:.0%} of them lie on what moves, {now.score.hit:.0%} of its own): exchange the films "
-                    "or the keypoints of the two"
+                    f"the film of camera {camera} matches the keypoints of camera {other} ({fits.hit:.0%} of them "
+                    f"are on moving pixels, {now.score.hit:.0%} of its own): exchange the films or the keypoints of "
+                    "the two"
                 )
         return ""
 
@@ -275,9 +275,10 @@ class _Judge:
             return ""
         camera = self.film.camera
         return (
-            f"the keypoints of camera {camera} do not lie on what moves in its pictures ({now.score.hit:.0%}, as by "
-            "chance), in no order of frames, size or turn that was tried: bring those of this film, in the order of "
-            "its frames, or leave the camera out (train: [...] in capture.yaml)"
+            f"the keypoints of camera {camera} do not match the motion in its pictures ({now.score.hit:.0%} on "
+            "moving pixels, as by chance), in any order of frames, size or rotation that was tried: bring the "
+            "keypoints of this film, in the order of its frames, or leave the camera out (train: [...] in "
+            "capture.yaml)"
         )
 
     def evidence(self, right: _Hypothesis, now: _Hypothesis | None = None) -> str:
@@ -285,7 +286,7 @@ class _Judge:
         if not right.score.enough:
             return ""
         before = f", {now.score.hit:.0%} as they are" if now else ""
-        return f" ({right.score.hit:.0%} of those who move lie on what moves in its pictures{before})"
+        return f" ({right.score.hit:.0%} of moving people are on moving pixels{before})"
 
     def shifted(self, right: _Hypothesis) -> str:
         """A sentence that frames were counted otherwise."""
@@ -314,8 +315,9 @@ def _outside(keypoints: Num[np.ndarray, "D K 3"], reading: Reading, film: Film) 
         return ""
     high = points.max(0)
     return (
-        f"{outside:.0%} of the keypoints of camera {film.camera} lie outside of its {film.wh[0]}×{film.wh[1]} film "
-        f"(they reach {high[0]:.0f}, {high[1]:.0f}): they are of another picture size; write them in pixels of the film"
+        f"{outside:.0%} of the keypoints of camera {film.camera} are outside of its {film.wh[0]}×{film.wh[1]} film "
+        f"(they reach {high[0]:.0f}, {high[1]:.0f}): they are of another picture size; write them in pixels of the "
+        "film"
     )
 
 
@@ -346,6 +348,6 @@ def _of_heads(recorded: RecordedKeypoints, camera: str) -> list[str]:
     if len(lower) < 10 or lower.mean() < _UPSIDE_DOWN:
         return []
     return [
-        f"{lower.mean():.0%} of the people in the keypoints of camera {camera} have their head below their feet, and "
-        "its pictures do not tell whether they stand so: see whether y is counted from the top"
+        f"{lower.mean():.0%} of the people in the keypoints of camera {camera} have their head below their feet, "
+        "and its pictures do not show whether that is right: check that y is counted from the top"
     ]

@@ -57,8 +57,8 @@ def choose_layout(keypoints: Num[np.ndarray, "D K 3"], given: str, where: str) -
     ratio = lengths[long] / max(lengths[short], 1e-9)
     if not (np.isfinite(ratio) and ratio > _CLEAR):
         raise UserError(
-            f"{where}: {count} keypoints may be {' or '.join(candidates)}, and the limbs do not tell which; "
-            "set keypoint_layout in capture.yaml"
+            f"{where}: {count} keypoints may be {' or '.join(candidates)}, and the limbs do not show which; set "
+            "keypoint_layout in capture.yaml"
         )
     return (
         short,

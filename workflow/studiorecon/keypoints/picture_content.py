@@ -53,7 +53,7 @@ def people_in(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]],
             continue
         who = f"{where}: entry {place} of {key or 'the list'}"
         if not isinstance(person, Mapping):
-            raise UserError(f"{who} is {short_text(person)}; it must be one person's keypoints, or null for nobody")
+            raise UserError(f"{who} is {short_text(person)}; it must be one person's keypoints, or null for no person")
         given = next((person[name] for name in keys if name in person), ...)
         if given is ... and (others := [k for k in person if "keypoint" in str(k) and str(k)[:4] not in _PARTS]):
             raise UserError(f"{who} has no {keys[0]}, but {others[0]}; write the body's keypoints under the former")

@@ -110,16 +110,18 @@ def _usable(keypoints: Num[np.ndarray, "D K 3"], path: Path) -> Float[np.ndarray
     place, score = keypoints[..., :2], keypoints[..., 2]
     there = (np.abs(place) < _MAX_PLACE).all(-1)
     if there.any() and not np.isfinite(score).any():
-        warn(f"{path} has no scores: all of its keypoints count as seen, also those that its program guessed")
+        warn(f"{path} has no scores: all of its keypoints are used, guessed ones too")
         score = np.where(there, 1.0, np.nan)
     seen = there & (place != 0).any(-1)
     lost = np.where(there, ~np.isfinite(score), ~(np.isnan(place).all(-1) & ~np.isfinite(score)) & ~(score <= 0))
     if lost.any():
-        warn(f"{path}: {lost.sum()} of {lost.size} keypoints are no numbers or beyond any picture, and were left out")
+        warn(
+            f"{path}: {lost.sum()} of {lost.size} keypoints are not numbers or outside of any picture, and were dropped"
+        )
     marked = ((place == 0) | (place == -1)).all(-1)  # what programs write for a keypoint that they do not see
     below = seen & (score < 0) & ~marked
     if seen.any() and not (score[seen] > 0).any():
-        warn(f"{path}: all scores are 0 or less, so nobody counts as seen; write scores from 0 to 1")
+        warn(f"{path}: all scores are 0 or less, so no keypoint is used; write scores from 0 to 1")
     elif below.any():
         warn(f"{path}: {below.sum()} of {below.size} scores are below 0 and count as unseen; write them from 0 to 1")
     if seen.any() and (top := float(np.max(score, initial=0, where=seen & np.isfinite(score)))) > _MAX_SCORE:

@@ -86,7 +86,7 @@ def _numbered(entries: list[Any], path: Path) -> Iterator[tuple[int, list[np.nda
             raise UserError(f"{path}: frame_id {number} comes twice; keep one entry per picture")
         known.add(number)
         if "instances" not in entry and "predictions" not in entry:
-            raise UserError(f"{path}: entry {place} has no instances; write [] where nobody is seen")
+            raise UserError(f"{path}: entry {place} has no instances; write [] for a picture without people")
         yield number, people_in(entry, f"{path}, frame {number}")[0]
 
 

@@ -28,7 +28,7 @@ def record_files(step: str, paths: Iterable[Path]) -> None:
             _record(path).unlink(missing_ok=True)
             _keep(path, {"step": step, "sha256": _sha256(path), **_state(path)})
     except OSError as error:  # the results are whole: a full disk must not cost them
-        warn(f"{RECORDS} cannot be written ({error}): changes of what this step wrote will not be noticed")
+        warn(f"{RECORDS} cannot be written ({error}): later changes of this step's files will not be noticed")
 
 
 def changed_files(paths: Iterable[Path]) -> Iterator[str]:

@@ -37,7 +37,7 @@ def claim() -> None:
     if held is None:
         device = devices[os.getpid() % len(devices)]
         warn(
-            f"GPU {device} is shared with another job: more jobs than GPUs run here; say --resources gpu={len(devices)}"
+            f"GPU {device} is shared with another job: more jobs than GPUs run here; use --resources gpu={len(devices)}"
         )
     else:
         _HELD.append(held)

@@ -168,6 +168,6 @@ def describe(pixels: Integer[np.ndarray, " 256"], names: Sequence[str], measured
     how = (
         "against the clean plate"
         if measured > 0.999
-        else f"against the plate where known ({measured:.0%}), GrabCut elsewhere"
+        else f"against the plate where known ({measured:.0%}), GrabCut for the rest"
     )
     return f"{', '.join(shares) or 'nobody'}, unassigned {pixels[UNASSIGNED] / pixels.sum():.2%} of the picture; {how}"

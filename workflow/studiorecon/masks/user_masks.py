@@ -109,8 +109,8 @@ def label_given_masks(
     overlap = overlaps(labels, depths_m, people)[values]
     if (on_people := overlap[:, 1:].sum() / overlap.sum()) < MIN_SHARE:
         warn(
-            f"only {on_people:.0%} of what the masks of camera {camera.name} mark lies on a person of the scene: are "
-            "they of this camera and these frames, upright, with 0 where nobody is?"
+            f"only {on_people:.0%} of the pixels in the masks of camera {camera.name} belong to a person of the "
+            "scene: check that they are of this camera and these frames, upright, with 0 for the background"
         )
     if len(values) == 1:
         by_body = (_by_body(label > 0, depth, gate_m, camera) for label, depth in zip(labels, depths_m, strict=True))

@@ -73,7 +73,7 @@ def run(models: list[str], weights: Place, fetching: str) -> None:
     Raises UserError when, with fetching, a file is still missing or wrong; a listing alone never fails.
     """
     if not models:
-        say("no setting uses an upstream network: every stage uses its own method, and nothing has to be fetched")
+        say("no setting uses an upstream network: nothing has to be fetched")
         return
     weights.mkdir(parents=True, exist_ok=True)
     pins = read_pins(weights)
@@ -98,7 +98,7 @@ def run(models: list[str], weights: Place, fetching: str) -> None:
     if failed and fetching == "yes":
         raise UserError(f"{len(failed)} of the files are not in place: {failed[0]}")
     if failed:
-        say(f"{len(failed)} files are missing or wrong; snakemake weights fetches those that a program may fetch")
+        say(f"{len(failed)} files are missing or wrong; snakemake weights fetches those that need no registration")
 
 
 def _files(card: Card, folder: Path) -> Iterator[WeightFile]:

@@ -122,8 +122,8 @@ def objects_in(
     for camera, count in zip(cameras, alone):
         if count:
             say(
-                f"{camera.name}: in {count} of {frames} frames a difference to the plate is confirmed by no second "
-                "camera; it is left out"
+                f"{camera.name}: in {count} of {frames} frames no second camera confirms a difference to the plate; "
+                "it is left out"
             )
     made_objects: list[RigidObject] = []
     for track in link_sightings(found, fps, settings.follow):

@@ -165,17 +165,15 @@ def _warn_of_nobody(found: Associated, given: Sequence[Detections], footage: Man
     cameras, detections = ", ".join(d.camera for d in given), sum(len(d.frame) for d in given)
     if not detections:
         warn(
-            f"nobody was found in any camera: {footage.frames} frames each of {cameras} were looked at; if "
-            "somebody is there, bring keypoints of another detector; write people: 0 "
-            "into capture.yaml if the room is empty"
+            f"no camera has a detection in {footage.frames} frames ({cameras}); if somebody is there, bring "
+            "keypoints of another detector; if the room is empty, write people: 0 into capture.yaml"
         )
     elif not found.missed:  # ``report_rejected`` names the others
         reasons = Counter(verdict.reason for verdict in found.verdicts.values())
         warn(
-            f"nobody of this scene was found: {detections} detections in {len(found.verdicts)} "
-            f"tracks of {cameras} belong to no person, most because "
-            f"{reasons.most_common(1)[0][0]}; let a person walk where two cameras look, bring a "
-            "longer clip, or keypoints of all its frames"
+            f"no person was identified: {detections} detections in {len(found.verdicts)} tracks of {cameras} were "
+            f"rejected, most because {reasons.most_common(1)[0][0]}; let a person walk in view of two cameras, "
+            "bring a longer clip, or keypoints of all its frames"
         )
 
 
@@ -189,8 +187,8 @@ def _readouts(
     for one in found:
         if one.used_s:
             say(
-                f"{one.camera} reads its rows in {1000 * one.used_s:.1f} ± {1000 * (one.sigma_s or 0):.1f} ms: its "
-                "keypoints are moved by as much"
+                f"{one.camera} has a rolling shutter of {1000 * one.used_s:.1f} ± {1000 * (one.sigma_s or 0):.1f} "
+                "ms, which is corrected in its keypoints"
             )
     return found
 

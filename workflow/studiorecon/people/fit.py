@@ -161,10 +161,9 @@ def fit_person(
     valid = result.valid & (median <= keys.max_frame_m)
     if valid.sum() < _MIN_PLAUSIBLE * result.valid.sum():
         raise UserError(
-            f"person {person}: the body lies more than "
-            f"{keys.max_frame_m:g} m off the keypoints in "
-            f"{result.valid.sum() - valid.sum()} of {result.valid.sum()} frames; check the "
-            "keypoint layout, calibration and identities"
+            f"person {person}: the body is more than {keys.max_frame_m:g} m off the keypoints in "
+            f"{result.valid.sum() - valid.sum()} of {result.valid.sum()} frames; check the keypoint layout, "
+            "calibration and identities"
         )
     worst = int(np.argmax(np.abs(result.betas)))
     if abs(result.betas[worst]) > keys.max_beta:
@@ -178,9 +177,8 @@ def fit_person(
     local, bent = bend_hidden_legs(result.rotations, result.trans_m, betas, points.names, points.points_m, body)
     if (valid[:, None] & bent).any():
         say(
-            f"{person}: no camera shows the legs in {(valid & bent.any(1)).sum()} frames, and "
-            "they cannot hang through the floor: they are "
-            "bent as somebody sits, a guess that the joints' deviations mark"
+            f"{person}: no camera shows the legs in {(valid & bent.any(1)).sum()} frames: they are bent as if "
+            "sitting, so that they stay above the floor, and sigma marks them as a guess"
         )
     parts = local, result.trans_m, betas, valid, points.cameras > 0, result.joint_sigma_m
     return _person(person, *parts, body, fps, settings), result
@@ -224,11 +222,11 @@ def report_filled_frames(fitted: Person) -> None:
     """Log in which frames a person's pose is interpolated, and in which they are away."""
     guessed = fitted.present & ~fitted.valid
     if guessed.any():
-        say(f"{fitted.name}: frames {frame_ranges(guessed)} are filled from their neighbours and marked not valid")
+        say(f"{fitted.name}: frames {frame_ranges(guessed)} are interpolated and marked not valid")
     if not fitted.present.all():
         say(
-            f"{fitted.name}: frames {frame_ranges(~fitted.present)}: cameras do not say where {fitted.name} is, who "
-            "counts as away and is not drawn there"
+            f"{fitted.name}: frames {frame_ranges(~fitted.present)}: no camera determines the position of "
+            f"{fitted.name}, who is not drawn there"
         )
 
 
@@ -269,10 +267,9 @@ def run(
     fitted, result = fit_person(person, points, body_model, footage.fps, settings, surface)
     residual_mm, sigma_mm = 1000 * np.nanmedian(result.residual_m), 1000 * np.median(fitted.sigma[fitted.valid])
     say(
-        f"{person}: body measured in {fitted.valid.sum()} of {footage.frames} frames, seen "
-        f"by up to {points.cameras.max()} cameras; "
-        f"keypoints lie {residual_mm:.0f} mm from it (median), joints are known to {sigma_mm:.0f} mm, after "
-        f"{result.iterations} steps"
+        f"{person}: body measured in {fitted.valid.sum()} of {footage.frames} frames, seen by up to "
+        f"{points.cameras.max()} cameras; keypoints are {residual_mm:.0f} mm from it (median), joints have a "
+        f"standard deviation of {sigma_mm:.0f} mm, after {result.iterations} steps"
     )
     if not result.converged:
         say(f"{person}: the fit was still improving after people.fit.iterations = {settings.fit.iterations} steps")

@@ -216,7 +216,7 @@ def run(
     say(
         f"camera {camera}: metres = {alignment.scale:.4g} × {title} + {alignment.shift_m:.2f}, one alignment for "
         f"{len(predicted)} frames, {gap:.1%} off the first moment's depth; {known} of {len(seen.frame)} pelvises "
-        "lifted, the others lie where no depth is known"
+        "lifted; the depth of the others is unknown"
     )
     write_detections(lifted_detections, result)
 

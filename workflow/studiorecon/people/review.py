@@ -38,7 +38,7 @@ _HEIGHT_PX = 150
 # Rejected tracks that are shown, the longest first.
 _MAX_REJECTED = 40
 _SOURCES = {
-    "keypoints": "found by keypoints",
+    "keypoints": "associated by keypoints",
     "corrected": "corrected by hand",
 }
 _STYLE = """
@@ -68,13 +68,13 @@ _BODY = """
 frames {{ t.first }}–{{ t.last }}
 ({{ t.detections }} detections): <span class="soft">{{ t.reason }}</span></p>{{ shown[where] }}</div>
 {% endmacro %}
-<h1>Who is who</h1>
+<h1>Identities</h1>
 <p>{{ rows | length }} people; {{ doubtful | length }} doubtful and {{ rejected | length }} rejected of
 {{ info.tracks | length }} tracks.
 {% if info.corrected %}These identities were corrected by hand and are used unchanged. {% endif %}
 Numbers below the pictures are frames and track ids.</p>
 <p>To correct: copy <code>people/identities.tsv</code> (below) into the dataset folder as <code>identities.tsv</code>,
-or name the copy in <code>people.identities</code>; change the person of a line (empty = nobody) and run again. Only
+or name the copy in <code>people.identities</code>; change the person of a line (empty = no person) and run again. Only
 people whose lines changed are fitted again.</p>
 <h2>Doubtful tracks first</h2>
 {% for t in doubtful %}{{ track(t) }}{% else %}
@@ -90,8 +90,8 @@ confidence {{ row.confidence }}, {{ sources[row.source] }}; seen by {{ row.camer
 <h2 style="--c:{{ nobody }}"><span class="who">{{ one.name }}</span>
 <span class="soft">left out: {{ one.reason }}</span></h2>
 {{ cameras_of(one.name) }}
-<p>If this is somebody, these lines of <code>identities.tsv</code> take them in, in place of those of the same tracks
-(with the next free number where you take in several):</p><pre>{{ one.lines | join("\n") }}</pre>
+<p>To accept this person, replace the lines of the same tracks in <code>identities.tsv</code> by these
+(with the next free number if you accept several):</p><pre>{{ one.lines | join("\n") }}</pre>
 {% endfor %}
 <h2>Rejected tracks</h2>
 {% for t in rejected[:most] %}{{ track(t) }}{% endfor %}

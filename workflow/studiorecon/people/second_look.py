@@ -253,11 +253,9 @@ def run(
     counts = _counts(own, plan, looks, result)
     write_json(report, {"camera": camera, **counts})
     say(
-        f"camera {camera}: {counts['detections']} detections; looked again at "
-        f"{counts['looked']} places: {counts['added']} were added, "
-        f"{counts['replaced']} replaced, {counts['removed']} removed; {counts['sides_exchanged']} had "
-        f"left and right swap_left_right, {counts['adopted']} "
-        "were given to the person they agree with"
+        f"camera {camera}: {counts['detections']} detections; searched again at {counts['looked']} predicted "
+        f"places: {counts['added']} added, {counts['replaced']} replaced, {counts['removed']} removed; left and "
+        f"right exchanged in {counts['sides_exchanged']}; {counts['adopted']} assigned to the person they fit"
     )
 
 

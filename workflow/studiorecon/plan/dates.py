@@ -30,9 +30,9 @@ def refuse_future(dataset: Path, results: Path, now_s: float) -> None:
             latest_s, latest = max(dated)
             date = time.strftime("%Y-%m-%d %H:%M", time.localtime(latest_s))
             raise UserError(
-                f"{folder} holds files of the future ({len(dated)}, {latest} of {date}): the clock of the recorder or "
-                "of this machine was wrong, and what is made now would count as older; set the clock right, or date "
-                f"them today: find {folder} -newermt now -exec touch -t {today} {{}} +"
+                f"{folder} holds files of the future ({len(dated)}, {latest} of {date}): the clock of the recorder "
+                "or of this machine was wrong, and new results would seem older; correct the clock, or date the "
+                f"files today: find {folder} -newermt now -exec touch -t {today} {{}} +"
             )
 
 

@@ -105,7 +105,7 @@ def _reason(path: Path, dataset: Dataset, place: Path, left_out: set[str]) -> st
     return (
         _BY_SUFFIX.get(suffix)
         or _reason_of_name(path, dataset)
-        or (f"pictures are read from images/<camera>/{', not beside films' * (place in path.parents)}")
+        or (f"pictures are read from images/<camera>/{', not from a folder of films' * (place in path.parents)}")
         * (suffix in PICTURE_SUFFIXES)
         or unused_reason(path, dataset.calibration)
         or _reason_of_calibration(path, dataset) * (suffix in _CALIBRATION_SUFFIXES)

@@ -290,8 +290,8 @@ def run(
     if measured.mean() < 0.8:
         unknown = 1 - measured.mean()
         warn(
-            f"{about.camera}: {unknown:.1%} is always covered and stays unknown; a picture "
-            "of the empty room in plates/ would help"
+            f"{about.camera}: {unknown:.1%} is always hidden and stays unknown; add a picture of the empty room in "
+            "plates/"
         )
     write_plate(plate, np.clip(np.rint(colour), 0, 255).astype(np.uint8), measured)
 

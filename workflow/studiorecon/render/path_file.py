@@ -54,7 +54,7 @@ def path_steps(shot: GivenPath, name: str, wh: tuple[int, int], frames: int) -> 
     if not cameras:
         raise UserError(f"shot {name} follows {file}, which holds no camera")
     if distorted:
-        say(f"shot {name} follows {file} without the distortion of its lenses: films are drawn by pinholes")
+        say(f"shot {name} follows {file} without the distortion of its lenses: films use pinhole cameras")
     own = cameras[0].wh
     size = wh[0], round(wh[0] * own[1] / own[0] / 2) * 2
     times = film_times(shot.time, len(cameras), frames) if given is None else np.clip(given, 0, frames - 1)

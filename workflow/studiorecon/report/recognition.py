@@ -65,7 +65,7 @@ def run(files: JudgedFiles, networks: list[Path], recognition: Written) -> None:
     for name, one in scores.items():
         if one["people"]:
             say(
-                f"{name}: the detector finds {one['detection_rate']:.0%} of the photos' people in the film, "
+                f"{name}: the detector detects {one['detection_rate']:.0%} of the photos' people in the film, "
                 f"{one['pck_0.05']:.1%} of their points within 5 % of their size"
             )
     write_json(

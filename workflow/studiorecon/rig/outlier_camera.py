@@ -74,8 +74,8 @@ class OutlierCamera:
         """The problem and its remedy."""
         then = f", {self.share_then:.0%} would if {self.cause}" if self.cause else ""
         return (
-            f"camera {self.camera} disagrees with all others: {self.share:.0%} of its keypoints "
-            f"are where they see people{then}; {self.remedy}"
+            f"camera {self.camera} disagrees with all others: {self.share:.0%} of its keypoints agree with "
+            f"theirs{then}; {self.remedy}"
         )
 
 
@@ -200,7 +200,7 @@ def _readings(
     camera, seen = cameras[v], own[v]
     for k in range(len(cameras)):
         if k != v and _same(seen, own[k]):
-            cause = f"they stood for {cameras[k].name}, whose keypoints they are"
+            cause = f"they belonged to {cameras[k].name}, whose keypoints they are"
             yield _Reading(cause, f"bring the footage or keypoints of {camera.name}", cameras[k], seen)
     width, height = camera.wh
     check_video = "bring its video and keypoints as the camera that was calibrated saw them"
@@ -303,17 +303,17 @@ def warn_of_outlier_cameras(
     """
     if len(cameras) < 3:
         return
-    help_ = "see whether its video, keypoints and calibration belong together, or leave it out (train in capture.yaml)"
+    help_ = "check that its video, keypoints and calibration belong together, or leave it out (train in capture.yaml)"
     for camera, own, px, already in zip(cameras, detections, each_px, told_already):
         if not already and len(own.frame) and (px is None or px > limit_px):
             how = (
-                ("no person seen by two others") if px is None else f"people {px:.0f} px from where the others see them"
+                ("no person seen by two others") if px is None else f"people {px:.0f} px off the other cameras' people"
             )
             warn(f"camera {camera.name} shows {how}; {help_}")
     share = contradicted_share(cameras, seen, detections, limits) if len(seen.frame) else 0.0
     if share > _WRONG_SOMEWHERE:
         warn(
-            "where two cameras agree on a person, another one shows people elsewhere in "
-            f"{share:.0%} of the cases; one of {', '.join(c.name for c in cameras)} is probably "
-            "of another take, mirrored, late or calibrated in another unit"
+            f"in {share:.0%} of the cases another camera contradicts two that agree on a person; one of "
+            f"{', '.join(c.name for c in cameras)} is probably of another take, mirrored, late or calibrated in "
+            "another unit"
         )

@@ -165,7 +165,7 @@ UNIT_NORMALS = ArrayProperty(
     "normals of length 1 in front", lambda planes: bool((np.abs((planes[:, :3] ** 2).sum(-1) - 1) < _ROTATION).all())
 )
 CONFIDENT = ArrayProperty(
-    "confidences from 0 to 1 in the last column, and finite places where they are above 0",
+    "confidences from 0 to 1 in the last column, and finite positions where they are above 0",
     lambda keypoints: bool(
         (np.abs(keypoints[..., 2] - 0.5) <= 0.5).all() and np.isfinite(keypoints[keypoints[..., 2] > 0]).all()
     ),

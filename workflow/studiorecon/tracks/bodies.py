@@ -78,10 +78,7 @@ def detections_from_bodies(
             pelvises.append([*found.joints_px[k, 0], found.pelvises_m[k, 2]])
     count = len(frames)
     if outside or behind:
-        warn(
-            f"camera {footage.camera}: {outside} bodies lie outside of its picture and {behind} behind it, and were "
-            "left out"
-        )
+        warn(f"camera {footage.camera}: {outside} bodies outside of its picture and {behind} behind it were left out")
     turned = np.array(poses, dtype=np.float64).reshape(count, 24, 3)
     return Detections(
         footage.camera,
@@ -112,7 +109,7 @@ def read_bodies(path: Path, estimator: type[BodyEstimator]) -> list[tuple[int, B
     rows = _rows(path)
     for name, values in rows.items():
         if values.dtype.kind not in "biuf" or not np.isfinite(values).all():
-            raise UserError(f"{path}: {name} holds what is no finite number; leave out the rows that are none")
+            raise UserError(f"{path}: {name} holds numbers that are not finite; remove those rows")
     with user_file_context(path, "a file of one row per person and frame"):
         return estimator.stored(rows, str(path))
 
@@ -165,7 +162,7 @@ def run(
     seen_in_pictures = detections_from_bodies(within, estimator.layout, about, settings)
     result = at_working_moments(seen_in_pictures, read_clocks(clocks), about.wh[1])
     if not len(result.frame):
-        say(f"camera {camera}: nobody in any of {about.frames} frames")
+        say(f"camera {camera}: no person in {about.frames} frames")
     seen = len(np.unique(result.frame))
     say(
         f"camera {camera}: {len(result.frame)} bodies in {seen} of {about.frames} "

@@ -50,8 +50,8 @@ def run(
         found, kind = detections_from_recorded(recorded, lens, part, settings), recorded.program
         if len(recorded.frame) and not len(found.frame):
             warn(
-                f"camera {camera}: none of its {len(recorded.frame)} recorded people, in frames {recorded.frame[0]} to "
-                f"{recorded.frame[-1]} of its film, is in the part that is used; it only shows the room"
+                f"camera {camera}: its {len(recorded.frame)} recorded people, in frames {recorded.frame[0]} to "
+                f"{recorded.frame[-1]} of its film, are outside the frames in use; it only shows the room"
             )
     result = at_working_frames(found, used, common)
     _log_detections(result, kind, used)

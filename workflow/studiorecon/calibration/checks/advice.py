@@ -30,10 +30,10 @@ HEADLINES = {
     "good": "This capture is ready: calibration, clocks and footage agree.",
     "usable": "The calibration is roughly right: refinement will correct the cameras from people "
     "and the room's edges. The error is given below.",
-    "check": "The calibration fits the people. Some things are worth a look before the long run.",
+    "check": "The calibration fits the people. Check the points below before the long run.",
     "cannot tell": "This calibration cannot be verified: the evidence also fits a wrong one, or there "
     "is nothing to compare.",
-    "wrong": "Calibration, keypoints and pictures do not fit as they were read. The long run would refuse them.",
+    "wrong": "Calibration, keypoints and pictures contradict each other. The long run would stop.",
 }
 
 
@@ -141,13 +141,13 @@ def _off(report: dict[str, Any]) -> list[str]:
     width = max(max(a["wh"]) for a in report["footage"].values())
     better = refined is not None and refined["better"]
     if px is None:
-        size = "no three cameras agree on anybody as the calibration was read"
+        size = "no three cameras agree on a person with this calibration"
     elif not better and px <= _NOISE_SHARE * width:
         return []
     else:
         size = (
-            f"people are {px:.1f} px off in the median ({px / width:.2%} of the picture, "
-            f"{report['median_mm']:.0f} mm where they are)"
+            f"people are {px:.1f} px off in the median ({px / width:.2%} of the picture, {report['median_mm']:.0f} "
+            "mm at their distance)"
         )
     if not better:
         return [
@@ -247,8 +247,8 @@ def _footage(report: dict[str, Any]) -> list[str]:
     found = footage_notes(list(report["footage"].values()))
     if report["coverage"]["2"] < 0.5:
         found.append(
-            f"only {report['coverage']['2']:.0%} of the volume is seen by two "
-            "cameras: people elsewhere cannot be measured"
+            f"only {report['coverage']['2']:.0%} of the volume is seen by two cameras: people outside of it cannot "
+            "be measured"
         )
     return found
 

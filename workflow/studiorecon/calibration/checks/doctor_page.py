@@ -40,19 +40,19 @@ src="{{ sheet }}"></p>
 <td>{% if bad %}<span class="bad">{{ cell }}</span>{% else %}{{ cell }}{% endif %}</td>{% endfor %}</tr>
 {% endfor %}
 </table></div>
-<p class="soft">Margin: how many times better this camera fits the people as read than under the best other reading of
-its pose; from {{ clear }} on it is clear. Lag: how much later than the others its people still come with these clocks,
-with the interval that fits as well.</p>
-<h2>How the calibration could be read</h2>
+<p class="soft">Margin: how many times better this camera fits the people as read than with the best other convention of
+its pose; {{ clear }} or more is clear. Lag: the camera's remaining time offset from the others,
+with its interval.</p>
+<h2>Possible conventions of the calibration</h2>
 <div class="scroll"><table>
-<tr><th>reading</th><th>agreement of people's rays, 0 to 1</th><th>px off</th><th>if this is the right one</th></tr>
+<tr><th>reading</th><th>agreement of people's rays, 0 to 1</th><th>px off</th><th>to use it</th></tr>
 {% for r in readings %}
 <tr><td>{% if r.best %}<b>{{ r.name }}</b>{% else %}{{ r.name }}{% endif %}</td><td>{{ r.score }}</td>
 <td>{{ r.px }}</td><td>{{ r.remedy }}</td></tr>
 {% endfor %}
 </table></div>
 <h2>Coverage</h2>
-<p>Share of the volume around the {{ "people" if report.people else "place the cameras look at" }}
+<p>Share of the volume around the {{ "people" if report.people else "point the cameras face" }}
 (radius {{ "%.1f" % report.reach_m }} m, 2.2 m high) that so many cameras see: {{ covered }}.</p>
 <p>Sectors wider than 90° without a camera (counter-clockwise from x): {{ blind }}.</p>
 """
@@ -85,14 +85,12 @@ def page(scene: str, report: dict[str, Any], sheet_png: bytes) -> str:
 
 def _caption(report: dict[str, Any]) -> str:
     if report["shown_frame"] is None:
-        return "No joints could be measured. From above: where the calibration says the cameras stand and look."
+        return "No joints could be measured. From above: the cameras' calibrated positions and directions."
     return (
-        f"Frame {report['shown_frame']} without lens distortion. Rings: the keypoints that were "
-        "given. Green dots: joints measured by all "
-        "cameras together and projected back. Rings off the joints: keypoints of another "
-        "size, frame or camera. Dots off the rings: "
-        "the calibration or a clock is off. From above: where the calibration says the "
-        "cameras stand and look, and the measured joints."
+        f"Frame {report['shown_frame']} without lens distortion. Rings: the keypoints. Green dots: joints "
+        "triangulated from all cameras and projected back. If rings miss the joints, the keypoints are of another "
+        "size, frame or camera. If dots miss the rings, the calibration or a time offset is wrong. From above: the "
+        "cameras' calibrated positions and directions, and the triangulated joints."
     )
 
 

@@ -84,12 +84,12 @@ def edge_sentence(edges: dict[str, Any]) -> str:
     pair, off, sigma = " and ".join(edges["cameras"]), edges["off_deg"], edges["sigma_deg"]
     if not edges["clear"]:
         return (
-            f"the room's straight edges agree with the calibration: {off:.1f}° off at most in how two cameras are "
-            f"turned to one another ({pair}), where they err by {sigma:.1f}°"
+            "the room's straight edges agree with the calibration: the rotation between two cameras differs by "
+            f"{off:.1f}° at most ({pair}; standard deviation {sigma:.1f}°)"
         )
     said = (
-        f"the room's straight edges contradict how cameras {pair} are turned to one another by {off:.1f}°, where they "
-        f"err by {sigma:.1f}°"
+        f"the room's straight edges contradict the rotation between cameras {pair} by {off:.1f}° (standard "
+        f"deviation {sigma:.1f}°)"
     )
     if not edges["mended"]:
         worse = edges["people_worse"]

@@ -79,8 +79,8 @@ def _looking_elsewhere(cameras: Sequence[Camera]) -> list[str]:
             continue
         if not _in_picture(camera, point):
             found.append(
-                f"camera {camera.name} does not look at the place that all the others look at; its "
-                "pose may be inverted or another camera's"
+                f"camera {camera.name} does not face the point that all others face; its pose may be inverted or "
+                "another camera's"
             )
     return found
 

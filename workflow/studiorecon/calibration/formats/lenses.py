@@ -62,7 +62,7 @@ def unused_reason(path: Path, used: Sequence[Path]) -> str | None:
     if _recognised(_holds_lenses, path):
         return f"it holds lenses without poses; {instead}" if used else None
     if _speaks_of_cameras(path):
-        return "it looks like a calibration of no known format: docs/capture.md lists those that are read"
+        return "it may be a calibration in an unknown format; docs/capture.md lists the known ones"
     return None
 
 

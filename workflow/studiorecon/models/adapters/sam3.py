@@ -159,8 +159,8 @@ class Sam3:
         self._network = network.from_pretrained(folder, dtype=kind, local_files_only=True).to(self._device).eval()
         self._processor = processor.from_pretrained(folder, local_files_only=True)
         warn(
-            f"{card.title} runs without removing doubles and holes, whose kernels it would fetch from a hub: a person "
-            "may come under two numbers, which both count as the body that they lie on"
+            f"{card.title} does not remove duplicates and holes, because it would fetch code from a hub: a person "
+            "may have two numbers, which are joined by the body below them"
         )
 
     def segment(self, frames: Iterable[Integer[np.ndarray, "H W 3"]]) -> Iterator[Integer[np.ndarray, "H W"]]:

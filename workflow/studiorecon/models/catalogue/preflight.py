@@ -49,8 +49,8 @@ def staged_weights(card: Card, folder: Path) -> Path:
     for file in code_in(folder, card.weights):
         if file.path not in pins:
             raise UserError(
-                f"{folder / file.path} is code that {card.title} would run, and nobody has said that it is what was "
-                "fetched; read it, and run snakemake weights, which holds it to what it is now"
+                f"{folder / file.path} is code that {card.title} would run, and its checksum is not recorded; read "
+                "it, then run snakemake weights, which records it"
             )
         verify(folder, file, pins)
     if pins != known:

@@ -141,7 +141,7 @@ def identities_from_keypoints(
     kept = [g for g, reason in zip(groups, why) if not reason]
     kept = [kept[i] for i in name_people(kept)]
     nan = float("nan")
-    alone = "no other camera agrees with it, or it fits two people alike"
+    alone = "no other camera agrees with it, or it fits two people equally well"
     table = {
         (d.camera, int(t)): TrackVerdict("", margins.get((v, int(t)), nan), nan, reasons.get((v, int(t)), alone))
         for v, d in enumerate(given)
@@ -151,7 +151,7 @@ def identities_from_keypoints(
     for number, group in enumerate(kept):
         for v, t in group.members:
             near = margins[v, t] < association.undecided_margin
-            doubt = f"undecided: it prefers p{number} to somebody else by {margins[v, t]:.2f} only" if near else ""
+            doubt = f"undecided: it fits p{number} only {margins[v, t]:.2f} better than another person" if near else ""
             table[cameras[v].name, t] = TrackVerdict(f"p{number}", margins[v, t], float(group.agreement[v]), doubt)
             if doubt:
                 say(f"{cameras[v].name}/{t} is {doubt}")
@@ -164,7 +164,7 @@ def identities_from_keypoints(
         )
     nobodys = sum(not v.person for v in table.values())
     say(
-        f"{len(rows)} people with keypoints; {nobodys} of {len(table)} tracks belong to nobody"
+        f"{len(rows)} people with keypoints; {nobodys} of {len(table)} tracks belong to no person"
         if table
         else "no people: no camera has a detection"
     )
@@ -211,18 +211,21 @@ def _contradicted(
             reasons.append("")
             continue
         seen = ", ".join(f"{s:.0%} ({c.name})" for s, c in zip(share, cameras) if np.isfinite(s))
-        reason = f"the pictures show nobody there: of the places that its joints moved over only {seen} changed"
+        reason = f"the pictures show no person there: of the pixels that its joints moved over only {seen} changed"
         by = [c.name for c, other in zip(cameras, others) if other is not None and other.confirms(limits)]
         if by:
-            say(f"of the places that somebody's joints moved over only {seen} changed; {', '.join(by)} confirm them")
+            say(
+                f"of the pixels that a person's joints moved over only {seen} changed; {', '.join(by)} confirm the "
+                "person"
+            )
         elif told_more := _nor([other for other in others if other is not None]):
             reason = f"{reason}, {told_more}"
         reasons.append("" if by else reason)
     if np.isfinite(shares).any() and not (np.nan_to_num(shares) >= limits.present_share).any():
         listed = ", ".join(f"{s:.0%}" for s in shares[np.isfinite(shares)])
         say(
-            f"whether the pictures show these people is undetermined: only {listed} of the "
-            "places that their joints moved over changed"
+            f"whether the pictures show these people is undetermined: only {listed} of the pixels that their joints "
+            "moved over changed"
         )
     return reasons
 

@@ -31,8 +31,8 @@ def read_corrected(path: Path, detections: Sequence[Detections]) -> dict[tuple[s
             )
         if person and not _PERSON.fullmatch(person):
             raise UserError(
-                f"{path} calls track {track} of camera {camera} {person!r}; people "
-                "are called p0, p1, … (empty = nobody)"
+                f"{path} calls track {track} of camera {camera} {person!r}; people are called p0, p1, … (empty = no "
+                "person)"
             )
     for person in sorted({p for p in given.values() if p}):
         cameras = {camera for (camera, _), p in given.items() if p == person}

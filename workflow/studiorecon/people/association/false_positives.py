@@ -30,7 +30,7 @@ _MIN_JOINTS = 8
 # A mirror image follows a person within this, metres, who must have moved by so much across, and for so long, metres
 # and seconds.
 _MIRRORED_M, _MOVED_M, _LASTING_S = 0.1, 0.3, 1.0
-FOUND_TWICE = "it stands where somebody else stands: one person, found twice"
+FOUND_TWICE = "it is at the same place as another person: one person, detected twice"
 """Why somebody is nobody who is not left out either: he or she is there under another number."""
 _OTHER_SIDE = [
     STABLE_KEYPOINTS.index(k.replace(*("left", "right") if k.startswith("left") else ("right", "left")))
@@ -138,7 +138,7 @@ def rejection_reason(
     if any(is_duplicate(points_m, other_m) for other_m in people_m):
         return FOUND_TWICE
     if any(is_mirror_image(points_m, other_m, centres_m, fps) for other_m in others_m):
-        return "it is what a mirror makes of somebody else: left for right, and behind the mirror for every camera"
+        return "it is another person's mirror image: left and right exchanged, and behind the mirror for every camera"
     if is_flat(points_m, deep_m, fps):
-        return "it has no depth: all its points lie in one plane, as on a poster or a screen"
+        return "it is flat: all its points are in one plane, as on a poster or a screen"
     return ""

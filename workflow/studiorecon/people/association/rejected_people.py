@@ -78,11 +78,11 @@ def report_rejected(those: Sequence[RejectedPerson], next_person: str) -> None:
     for one in those:
         lines = one.lines(next_person)
         warn(
-            f"left out: {one.name}, on whom {', '.join(one.cameras)} agree for "
-            f"{one.seconds:.1f} s: {one.reason}. To take them in, copy "
-            f"people/identities.tsv into the dataset folder and replace there the lines that people/review.html shows:"
+            f"left out: {one.name}, seen by {', '.join(one.cameras)} for {one.seconds:.1f} s: {one.reason}. To "
+            "accept this person, copy people/identities.tsv into the dataset folder and replace these lines of the "
+            "same tracks:"
         )
         for line in lines[:_SAID]:
             say(line)
         if len(lines) > _SAID:
-            say(f"and {len(lines) - _SAID} more lines, which people/review.html has")
+            say(f"and {len(lines) - _SAID} more lines, listed in people/review.html")

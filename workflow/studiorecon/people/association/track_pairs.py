@@ -100,21 +100,19 @@ def sights(
     """One ``Sights`` per camera; raises UserError when the settings need data that no detection has."""
     if limits.position == "scene" and limits.affinity != "pose" and not any(_some(d.pelvis) for d in detections):
         raise UserError(
-            "people.association.position is scene, but no pelvis lies where the scene's depth is known; set it to rays"
+            "people.association.position is scene, but the scene's depth is unknown at every pelvis; set it to rays"
         )
     if limits.position == "pelvis" and limits.affinity != "pose" and not any(_some(d.pelvis) for d in detections):
         raise UserError(
-            "people.association.position is pelvis, but no detection brings the depth of its "
-            "pelvis (recorded 2D keypoints do not): "
-            "set it to rays, or use a detector that estimates bodies"
+            "people.association.position is pelvis, but no detection has the depth of its pelvis (recorded 2D "
+            "keypoints do not): set it to rays, or use a detector that estimates bodies"
         )
     as_given = limits.pose_distance == "axis_angles"
     seen = [_sights(d, s, c, as_given) for d, s, c in zip(detections, stable, cameras)]
     if limits.affinity == "pose" and not any(s.postures for s in seen):
         raise UserError(
-            "people.association.affinity is pose, but no detection says how anybody holds their limbs "
-            "(recorded 2D keypoints do not): set it to both or "
-            "position, or let the detector look"
+            "people.association.affinity is pose, but no detection has a body pose (recorded 2D keypoints do not): "
+            "set it to both or position, or use the detector"
         )
     return seen
 

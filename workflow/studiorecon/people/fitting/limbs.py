@@ -41,7 +41,7 @@ def body_scale(person: str, points: Points, body: BodyModel) -> float:
         seen_m, template_m, np.array(bones, dtype=np.int64).reshape(-1, 2), np.isfinite(seen_m).all(-1), sigma_m
     )
     if not found.determined:
-        say(f"{person}: the body model keeps its own size, for {found.reason}")
+        say(f"{person}: the body model keeps its own size, because {found.reason}")
         return 1.0
     if not _SIZES[0] <= found.world_per_metre <= _SIZES[1]:
         raise UserError(

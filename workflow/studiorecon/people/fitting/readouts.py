@@ -59,15 +59,17 @@ def _doubt(view: int, camera: Camera, fps: float, whole: Readouts, halves: Seque
     to_width = _AT_WIDTH / max(camera.wh)
     speed_px_s = whole.speed_px[0] * to_width * fps
     if not speed_px_s >= _SLOWEST_PX_S:
-        return f"people move by {speed_px_s:.0f} px per second (at {_AT_WIDTH:.0f} wide), which tells nothing"
+        return (
+            f"people move by {speed_px_s:.0f} px per second (at {_AT_WIDTH:.0f} wide), which is too slow to measure it"
+        )
     value, sigma = float(whole.readout[view]), float(whole.readout_sigma[view])
     if not abs(value) > _CLEAR * sigma:
-        return "no readout is needed to explain what people do"
+        return "people's motion needs no readout time"
     if abs(value) * whole.speed_px[1] * whole.rows * to_width < _SHIFT_PX:
-        return "it would move nobody by a pixel"
+        return "it would move no keypoint by a pixel"
     if abs(value) > min(_LONGEST_FRAMES, _LONGEST_S * fps):
-        return "no sensor takes that long: something else bends people, its lens or its pose"
+        return "no sensor takes that long: the lens or the pose is more likely wrong"
     for half in halves:
         if half.reason or not half.readout[view] * np.sign(value) > _HALF_CLEAR * half.readout_sigma[view]:
-            return "the two halves of the clip do not both say so"
+            return "the two halves of the clip do not both show it"
     return ""

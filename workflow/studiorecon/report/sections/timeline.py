@@ -68,9 +68,8 @@ def strip(seen: Mapping[str, Bool[np.ndarray, "P F"]], people: Sequence[str]) ->
     return (
         f'<svg viewBox="0 0 {_WIDTH} {top:.0f}" role="img" aria-label="{words}" style="width:100%;height:auto">'
         + "".join(parts)
-        + "</svg>"
-        '<p class="soft">Frames from left to right; one bar per person and camera, '
-        "grey for tracks that are nobody's.</p>"
+        + '</svg><p class="soft">Frames from left to right; one bar per person and camera, grey for tracks of no '
+        "person.</p>"
     )
 
 

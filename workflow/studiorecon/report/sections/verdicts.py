@@ -29,17 +29,16 @@ def decisions(found: Sequence[Mapping[str, Decision]], spent: Mapping[str, Any])
     for decision in merged.values():
         word = f'<span class="{decision.verdict}">{decision.verdict}{" (forced)" if decision.forced else ""}</span>'
         took = [spent.get("stages", {}).get(stage, {}).get("seconds") for stage in _STAGES.get(decision.effect, ())]
-        acts = (decision.obeyed_by or "nothing: for information") + (
+        acts = (decision.obeyed_by or "only reported") + (
             f" ({sum(t for t in took if t):.0f} s in this run)" if any(took) else ""
         )
         rows.append([decision.effect.replace("_", " "), word, gauge(decision), decision.reason, acts])
     lead = (
-        "Only effects that this scene calls for are simulated. The bar shows the measurement "
-        "with its interval; the tick in its middle is "
-        "the threshold. Thresholds are uncalibrated: they come from synthetic scenes. Whatever "
-        "somebody acts on can be forced in the configuration (survey.force)."
+        "Only effects that this scene calls for are simulated. The bar shows the measurement with its interval; "
+        "the tick in its middle is the threshold. Thresholds are uncalibrated: they come from synthetic scenes. "
+        "Verdicts that a step uses can be forced (survey.force)."
     )
-    header = ["effect", "verdict", "measured, threshold", "why", "acted on by"]
+    header = ["effect", "verdict", "measured, threshold", "why", "when on"]
     return html.heading("Decisions", lead) + html.table(header, rows, raw=(1, 2))
 
 

@@ -60,8 +60,8 @@ def gains_called_for(exposure: Decision) -> Mapping[str, Float[np.ndarray, "1 3"
     }
     if not found:
         say(
-            "exposure is forced on, but no two cameras share enough surface to compare "
-            "their colours: every camera keeps its own"
+            "exposure is forced on, but no two cameras share enough surface to compare their colours: every camera "
+            "keeps its exposure"
         )
     return {name: np.array([own]) for name, own in found.items()}
 
