@@ -99,9 +99,18 @@ MIXED_UP: dict[str, tuple[Callable[[Rig], Rig], str]] = {
         "had OpenGL's axes",
     ),
     "mirrored keypoints": (lambda rig: with_pixels(rig, lambda p: [1280, 0] + p * [-1, 1]), "keypoints were mirrored"),
-    "picture on its head": (lambda rig: with_pixels(rig, lambda p: [1280, 704] - p), "picture was upside down"),
-    "keypoints of half the size": (lambda rig: with_pixels(rig, lambda p: p / 2), r"a picture of 640×352 pixels"),
-    "keypoints of twice the size": (lambda rig: with_pixels(rig, lambda p: p * 2), r"a picture of 2560×1408 pixels"),
+    "picture on its head": (lambda rig: with_pixels(rig, lambda p: [1280, 704] - p), "of the picture turned by 180°"),
+    "keypoints counted from the bottom": (
+        lambda rig: with_pixels(rig, lambda p: [0, 704] + p * [1, -1]),
+        "upside down, counted from the bottom",
+    ),
+    "keypoints in the order y, x": (lambda rig: with_pixels(rig, lambda p: p[..., ::-1]), "in the order y, x"),
+    "keypoints of a letterboxed picture": (
+        lambda rig: with_pixels(rig, lambda p: p / 2 + [0, 144]),
+        "letterboxed to 640×640",
+    ),
+    "keypoints of half the size": (lambda rig: with_pixels(rig, lambda p: p / 2), "in pixels of a 640×352 picture"),
+    "keypoints of twice the size": (lambda rig: with_pixels(rig, lambda p: p * 2), "in pixels of a 2560×1408 picture"),
     "keypoints 5000 px off": (
         lambda rig: with_pixels(rig, lambda p: p + np.array([5000, 0])),
         "lay -5000 px further right",

@@ -4,13 +4,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from studiorecon.detect import chapters
+from studiorecon.detect import keypoints as step
+from studiorecon.keypoints.layout_choice import choose_layout
+from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.numbering import numberings
+from studiorecon.scene.keypoint_verdict import read_keypoint_verdict
+from studiorecon.scene.recorded_keypoints import read_recorded
 
 from benchmarks.keypoints import ROWS, outcome, verdict
-from tests.made.walkers import Take, take
+from tests.defaults import loaded
+from tests.made.footage import write_video
+from tests.made.walkers import Take, body, take
 
 
 @pytest.fixture(scope="module")
@@ -96,3 +105,74 @@ def test_numbers_are_read_as_the_film_s_length_has_it(
 ) -> None:
     found = numberings(pictures.astype(np.int64), 48, 30.0, given, False)
     assert (found.possible[0].frame_of[[0, -1]].tolist(), found.certain) == (list(frames), certain)
+
+
+@pytest.mark.parametrize("given", ["auto", "body_25", "body_25b"])
+def test_a_given_layout_that_limbs_contradict_is_named(given: str) -> None:
+    at = dict(zip(LAYOUTS["coco17"].keypoints, body(100, 200, 150, 0.3)))
+    person = [[*at[name], 0.9] if name in at else [0, 0, 0] for name in LAYOUTS["body_25"].keypoints]
+    chosen, sentence = choose_layout(np.array([person]), given, "k.json")
+    assert chosen == ("body_25" if given == "auto" else given)
+    assert bool(sentence) == (given != "body_25")
+
+
+def people_of(own: Take, first: int, stop: int) -> np.ndarray:
+    """(T, P, 17, 3) what the frames ``first`` to ``stop`` - 1 of a take show."""
+    seen = own.recorded
+    most = np.bincount(seen.frame, minlength=stop).max()
+    found = np.zeros((stop - first, most, *seen.keypoints.shape[1:]))
+    for t in range(first, stop):
+        now = seen.keypoints[seen.frame == t]
+        found[t - first, : len(now)] = now
+    return found
+
+
+def read_from_files(folder: Path, film: Path, people: list[np.ndarray]) -> tuple[str, np.ndarray, np.ndarray]:
+    """Refusal, frames and keypoints of a film's keypoints, one file of them for each of its chapters."""
+    files = [folder / f"{k}.npz" for k in range(len(people))]
+    for path, keypoints in zip(files, people):
+        np.savez(path, keypoints=keypoints)
+    written = [folder / name for name in ("seen.npz", "recorded.npz", "a.json")]
+    step.run(loaded(step.Settings), "a", files, "coco17", "auto", film, 30.0, "[]", *written, [], [])
+    recorded = read_recorded(written[1])
+    return read_keypoint_verdict(written[2]).refusal, recorded.frame, recorded.keypoints
+
+
+@pytest.fixture(scope="module")
+def long_take(tmp_path_factory: pytest.TempPathFactory) -> tuple[Take, Path]:
+    """A film of more frames than are decoded one after the other."""
+    own = take(3, step._FRAMES_READ + 60, 1, (160, 90))
+    return own, write_video(tmp_path_factory.mktemp("long") / "a.mp4", np.array(own.pictures))
+
+
+@pytest.mark.parametrize("change", ["as they are", "mirrored", "20 frames late"])
+def test_a_long_film_is_compared_in_frames_that_are_sought(
+    change: str, long_take: tuple[Take, Path], tmp_path: Path
+) -> None:
+    own, film = long_take
+    people = people_of(own, 0, len(own.pictures))
+    if change == "mirrored":
+        people[..., 0] = np.where(people[..., 2] > 0, own.wh[0] - people[..., 0], 0)
+    if change == "20 frames late":
+        people = np.concatenate([people[:20], people[:-20]])
+    refusal, frame, keypoints = read_from_files(tmp_path, film, [people])
+    assert ("mirrored" in refusal) == (change == "mirrored")
+    if not refusal:
+        right = own.recorded.keypoints[own.recorded.frame == 300][0]
+        np.testing.assert_allclose(keypoints[np.flatnonzero(frame == 300)[0]], right, atol=1e-6)
+
+
+@pytest.mark.parametrize("exchanged", [False, True])
+def test_chapters_are_compared_as_one_film(exchanged: bool, takes: list[Take], tmp_path: Path) -> None:
+    own, cut = takes[0], 30
+    parts = [
+        write_video(tmp_path / f"{k}.mp4", np.array(own.pictures[part]))
+        for k, part in enumerate((slice(cut), slice(cut, None)))
+    ]
+    chapters.run("a", parts, tmp_path / "a.ffconcat")
+    people = [people_of(own, 0, cut), people_of(own, cut, len(own.pictures))]
+    order = -1 if exchanged else 1
+    refusal, frame, _ = read_from_files(tmp_path, tmp_path / "a.ffconcat", people[::order])
+    said = refusal + " ".join(read_keypoint_verdict(tmp_path / "a.json").notes)
+    assert bool(said) == exchanged
+    assert exchanged or set(frame.tolist()) == set(own.recorded.frame.tolist())

@@ -109,7 +109,7 @@ def _compared(
         return _none(given.program, layout), []
     chosen, note = choose_layout(given.keypoints, layout, path)
     if note:
-        say(note)
+        (say if layout == "auto" else warn)(note)
     numbers = numberings(given.pictures, filmed.frames, filmed.fps, first_frame, given.counted)
     shown = np.concatenate([one.frame_of[np.isin(given.pictures, given.frame)] for one in numbers.possible])
     motion = motion_in(filmed, int(shown.min()), int(shown.max()))

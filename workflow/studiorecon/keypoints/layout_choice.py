@@ -29,7 +29,7 @@ _CLEAR = 1.25
 
 
 def choose_layout(keypoints: Num[np.ndarray, "D K 3"], given: str, where: str) -> tuple[str, str | None]:
-    """Name of the layout of detections, and a sentence when the limbs decided it.
+    """Name of the layout of detections, and a sentence when the limbs decided it or contradict the ``given`` one.
 
     Under the wrong order limbs run across the whole body, so the layout with the shorter limbs is right; the ratio of
     the two must be clear. Raises UserError for an unknown name, a count that does not fit, and an unclear choice.
@@ -45,7 +45,7 @@ def choose_layout(keypoints: Num[np.ndarray, "D K 3"], given: str, where: str) -
                 f"{where}: has {count} keypoints per person, but keypoint_layout {given} "
                 f"has {len(LAYOUTS[given].keypoints)}"
             )
-        return given, None
+        return given, _contradicted(keypoints, given)
     candidates = BY_COUNT.get(count, ())
     if not candidates:
         listed = ", ".join(f"{name} ({len(LAYOUTS[name].keypoints)})" for name in sorted(LAYOUTS))
@@ -63,6 +63,19 @@ def choose_layout(keypoints: Num[np.ndarray, "D K 3"], given: str, where: str) -
     return (
         short,
         f"{count} keypoints were read as {short}: its limbs are {ratio:.1f} times shorter than those of {long}",
+    )
+
+
+def _contradicted(keypoints: Num[np.ndarray, "D K 3"], given: str) -> str | None:
+    """A sentence where limbs are clearly shorter under another layout than the ``given`` one."""
+    lengths = {name: _limb_length(keypoints, LAYOUTS[name].keypoints) for name in BY_COUNT[keypoints.shape[1]]}
+    short = min(lengths, key=lambda name: lengths[name])
+    ratio = lengths[given] / max(lengths[short], 1e-9)
+    if not (np.isfinite(ratio) and ratio > _CLEAR):
+        return None
+    return (
+        f"keypoint_layout is {given}, but limbs are {ratio:.1f} times shorter under {short}: see which one the "
+        "detector wrote"
     )
 
 

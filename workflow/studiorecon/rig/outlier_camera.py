@@ -15,6 +15,7 @@ import numpy as np
 
 from studiorecon.arrays import evenly_spread
 from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.keypoints.coordinate_readings import affine, apply_reading, sizes, turned
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
 from studiorecon.progress import warn
 from studiorecon.rig.bundle import contradicted_share
@@ -45,7 +46,6 @@ _MAX_TURNED_DEG = 45.0
 _COUNT = len(STABLE_KEYPOINTS)
 _OTHER_SIDE = np.arange(_COUNT).reshape(-1, 2)[:, ::-1].reshape(-1)
 _FOCAL = np.geomspace(1 / 40, 40, 75)
-_SIZES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
 _UNITS = {"centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254, "feet": 0.3048}
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -202,16 +202,15 @@ def _readings(
         if k != v and _same(seen, own[k]):
             cause = f"they belonged to {cameras[k].name}, whose keypoints they are"
             yield _Reading(cause, f"bring the footage or keypoints of {camera.name}", cameras[k], seen)
-    width, height = camera.wh
     check_video = "bring its video and keypoints as the camera that was calibrated saw them"
-    across, down = seen * [-1, 1] + [width, 0], seen * [1, -1] + [0, height]
+    pixels = affine(1, 1)
+    mirrored, *others = [*turned(camera.wh, pixels, pixels), *sizes(camera.wh, 0.0)]
+    across = apply_reading(mirrored.film_from_recorded, seen)
     yield _Reading("its video were mirrored", check_video, camera, across[:, :, _OTHER_SIDE])
-    yield _Reading("its keypoints were mirrored", check_video, camera, across)
-    yield _Reading("its picture was upside down", check_video, camera, across * [1, -1] + [0, height])
-    yield _Reading("its keypoints were counted from the bottom", check_video, camera, down)
-    for size in _SIZES:
-        cause = f"its keypoints were for a picture of {round(width / size)}×{round(height / size)} pixels"
-        yield _Reading(cause, "bring keypoints in the pixels of its video", camera, seen * size)
+    yield _Reading(f"its keypoints were {mirrored.words}", check_video, camera, across)
+    for reading in others:
+        shown = apply_reading(reading.film_from_recorded, seen)
+        yield _Reading(f"its keypoints were {reading.words}", check_video, camera, shown)
     for k in range(len(cameras)):
         if k != v:
             remedy = f"exchange or bring again what was mixed up with {cameras[k].name}"
