@@ -86,7 +86,7 @@ def test_a_picture_of_people_alone_and_a_missing_video_are_refused(
 ) -> None:
     everywhere = tmp_path / "all.mkv"
     write_lossless(everywhere, [np.ones(cameras[0].hw, np.uint8)], 30.0)
-    with pytest.raises(UserError, match=r"cam0 shows nothing but people"):
+    with pytest.raises(UserError, match=r"cam0 shows only people"):
         preparation.mask_people(photos_of(cameras), filmed["videos"], [everywhere] * 4, 21, NONE)
     with pytest.raises(UserError, match=r"3 videos for 4"):
         preparation.mask_people(photos_of(cameras), filmed["videos"][:3], filmed["masks"], 21, NONE)

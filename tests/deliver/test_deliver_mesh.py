@@ -155,7 +155,7 @@ def test_the_step_writes_the_same_bytes_twice(
 
 def test_without_open3d_it_says_which_extra_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(UserError, match=r"room\.glb is made by open3d.*extra mesh.*all else is delivered without it"):
+    with pytest.raises(UserError, match=r"room\.glb is made by open3d.*extra mesh.*the other files do not need it"):
         open3d()
 
 

@@ -148,7 +148,7 @@ def test_a_gaussian_that_is_no_number_leaves_no_stage(tmp_path: Path, root: Path
 
 def test_without_usd_core_it_says_which_extra_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pxr", None)
-    with pytest.raises(UserError, match=r"scene\.usdc is written by usd-core.*extra usd.*delivered without it"):
+    with pytest.raises(UserError, match=r"scene\.usdc is written by usd-core.*extra usd.*other files do not"):
         usd.pxr()
 
 

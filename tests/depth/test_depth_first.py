@@ -59,7 +59,7 @@ def test_another_picture_and_a_network_that_knows_nothing_are_refused(tmp_path: 
         first.run(names[0], model, *about)
     model, found, names = planted(tmp_path)
     write_depth(about[0], np.zeros((27, 48)), np.zeros((27, 48)))
-    with pytest.raises(UserError, match="knows no pixel of camera"):
+    with pytest.raises(UserError, match="has no depth for camera"):
         first.run(names[0], model, *about)
     with pytest.raises(UserError, match="camera nobody is not in"):
         first.run("nobody", model, *about)

@@ -114,7 +114,7 @@ def test_what_cannot_be_put_to_scale_is_refused(folder: Path, default_settings: 
     with pytest.raises(UserError, match="another shape than camera cam1"):
         align(folder, settings, folder / "square.npy")
     np.save(folder / "blank.npy", np.zeros((54, 96)))
-    with pytest.raises(UserError, match="nothing says how many metres"):
+    with pytest.raises(UserError, match="is unknown: stereo measures only"):
         align(folder, settings, folder / "blank.npy")
     np.save(folder / "noise.npy", np.random.default_rng(0).uniform(0.01, 50, (54, 96)))
     with pytest.raises(UserError, match="not the same view"):

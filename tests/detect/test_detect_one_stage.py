@@ -173,8 +173,8 @@ def test_it_stands_behind_the_detector_like_any_other(root: Path, tmp_path: Path
 @pytest.mark.parametrize(
     ("sides", "points", "layout", "why"),
     [
-        ((256, 192), 17, "auto", "is shown a square"),
-        ((9000, 9000), 17, "auto", "is shown a square"),
+        ((256, 192), 17, "auto", "must take a square"),
+        ((9000, 9000), 17, "auto", "must take a square"),
         ((EDGE, EDGE), 11, "auto", "no known layout has"),
         ((EDGE, EDGE), 17, "halpe26", "halpe26 has 26"),
     ],
@@ -185,7 +185,7 @@ def test_what_is_no_such_network_is_refused(
     path = written(tmp_path / "stand_in.onnx", sides, points)
     with pytest.raises(UserError, match=why):
         second_network([path], layout)
-    with pytest.raises(UserError, match="answers with"):
+    with pytest.raises(UserError, match="must return heat maps"):
         TopDown(opened(path := written(tmp_path / "square.onnx"), ""), path, "auto")
 
 

@@ -161,8 +161,8 @@ def test_where_both_know_a_point_the_better_network_says_where_it_is(root: Path,
         (25, "auto", (256, 192), {}, "may be body_25 or body_25b"),
         (21, "auto", (256, 192), {}, "no known layout has"),
         (17, "halpe26", (256, 192), {}, "halpe26 has 26"),
-        (17, "auto", ("height", "width"), {}, "export it so"),
-        (17, "auto", (256, 9000), {}, "export it so"),
+        (17, "auto", ("height", "width"), {}, "export it again"),
+        (17, "auto", (256, 9000), {}, "export it again"),
     ],
 )
 def test_what_is_no_such_network_is_refused(
@@ -179,7 +179,7 @@ def test_files_that_are_none_are_refused(root: Path, tmp_path: Path) -> None:
     (tmp_path / "text.onnx").write_text("not a network")
     with pytest.raises(UserError, match="cannot be read as an ONNX network"):
         read(tmp_path / "text.onnx", "auto")
-    with pytest.raises(UserError, match="export it so"):
+    with pytest.raises(UserError, match="export it again"):
         read(root / "resources/detector/pose_landmark_full.onnx", "auto")
 
 

@@ -111,7 +111,7 @@ def test_a_film_that_was_made_elsewhere_stands_as_it_is(
     [
         (lambda film: film[:-1], r"heldout\.mkv has \d+ pictures and .*heldout\.mkv has \d+; enhance every picture"),
         (lambda film: np.concatenate([film, film[:1]]), r"has \d+ pictures and .* has \d+; enhance every picture"),
-        (lambda film: film[:, :, :-2], r"is \d+×\d+ and .*heldout\.mkv \d+×\d+; enhance what was rendered"),
+        (lambda film: film[:, :, :-2], r"is \d+×\d+ and .*heldout\.mkv \d+×\d+; enhance the current render"),
     ],
     ids=["short", "long", "narrow"],
 )

@@ -103,7 +103,7 @@ def test_another_body_is_named(tmp_path: Path, change: dict, sentence: str) -> N
 
 
 def test_missing_and_broken_files_are_sentences(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="is missing; SMPL is to be had by registration"):
+    with pytest.raises(UserError, match="is missing; SMPL needs a registration"):
         smpl.read_pickle(tmp_path / "none.pkl")
     (tmp_path / "x.pkl").write_bytes(b"\x80\x02}q")
     with pytest.raises(UserError, match="not a pickle"):

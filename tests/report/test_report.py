@@ -318,7 +318,7 @@ def test_of_two_films_of_one_shot_the_lossless_one_is_scored(
     assert found["ssim"]["value"] == 1.0
     assert "a.mp4" in capsys.readouterr().out
     shutil.copy(tmp_path / "renders/a.mkv", tmp_path / "renders/a.avi")
-    with pytest.raises(UserError, match=r"give one film itself, such as (\S+a\.avi)") as refused:
+    with pytest.raises(UserError, match=r"give one film, such as (\S+a\.avi)") as refused:
         score.score(tmp_path / "renders", tmp_path / "truth", None)
     film = Path(refused.value.args[0].split("such as ")[1].split(",")[0])
     assert score.score(film, tmp_path / "truth/a.mkv", None)["pictures"]["renders"]["ssim"]["value"] == 1.0

@@ -81,7 +81,7 @@ def test_new_views_start_beside_people(jobs: dict[str, str]) -> None:
             "set calibration.source to one",
         ),
         ({"depth": {"source": "pi3"}}, "needs the depth of every frame"),
-        ({"detect": {"source": "auto"}}, "the embedded detector finds them"),
+        ({"detect": {"source": "auto"}}, "the built-in detector is used"),
     ],
     ids=["first moment", "every frame", "second look"],
 )

@@ -60,7 +60,7 @@ def answered(viewer: Viewer, target: str, *headers: str, method: str = "GET") ->
 
 def test_it_is_there_for_this_machine_alone_on_a_port_of_its_own(viewer: Viewer) -> None:
     assert viewer.server_address[0] == "127.0.0.1"
-    with pytest.raises(UserError, match=f"port {viewer.server_port} of 127.0.0.1 cannot be had .*--port 0"):
+    with pytest.raises(UserError, match=f"port {viewer.server_port} of 127.0.0.1 cannot be opened .*--port 0"):
         Viewer(Path("."), viewer.server_port)
 
 

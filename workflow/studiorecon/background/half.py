@@ -47,8 +47,8 @@ def run(
     training = Training(given.settings, cameras, rng, threads, device, working, lpips)
     if not training.split:
         raise UserError(
-            f"background.refinement.views is {settings.refinement.views} of {settings.training.iterations} iterations: "
-            "nothing is looked at half-way; ask for views and two iterations at least"
+            f"background.refinement.views is {settings.refinement.views} of {settings.training.iterations} "
+            "iterations: it needs at least one view and two iterations"
         )
     mark = fingerprint(given.settings, sources.files(), code.digest("background.half"), threads, device)
     checkpoint = Checkpoint(working / "half.checkpoint.npz", mark, settings.training.checkpoint_every_s)

@@ -213,11 +213,12 @@ def mask_people(
         known = ~dilate(people, dilation_px)
         if not known.any():
             raise UserError(
-                f"camera {photo.camera.name} shows nothing but people at the first frame, {dilation_px} px about them "
-                "included: set background.room_targets to plates"
+                f"camera {photo.camera.name} shows only people and {dilation_px} px around them in the first frame: "
+                "set background.room_targets to plates"
             )
         say(
-            f"{photo.camera.name}: {np.mean(~known):.1%} of the first picture is people and {dilation_px} px about them"
+            f"{photo.camera.name}: {np.mean(~known):.1%} of the first picture is people and {dilation_px} px around "
+            "them"
         )
         seen.append(replace(photo, rgb=picture, known=known))
     return seen

@@ -259,7 +259,7 @@ def _read(data: dict[str, np.ndarray], path: Path) -> BodyModel:
     shapes = data["shapedirs"][..., :10].astype(np.float64)
     if len(parents) != 24 or parents[0] >= 0 or np.any(parents[1:] >= np.arange(1, 24)):
         raise UserError(
-            f"body model {path} has {len(parents)} joints; only SMPL's tree of 24 joints, parents first, is understood"
+            f"body model {path} has {len(parents)} joints; only SMPL's tree of 24 joints, parents first, is supported"
         )
     if "J_template" in data:
         joint_template, joint_directions = data["J_template"].astype(np.float64), data["J_shapedirs"].astype(np.float64)

@@ -37,8 +37,8 @@ class Viewer(http.server.ThreadingHTTPServer):
             super().__init__(("127.0.0.1", port), _Reader)
         except (OSError, OverflowError) as error:
             raise UserError(
-                f"port {port} of 127.0.0.1 cannot be had ({error}); choose another with --port, or --port 0 for a free "
-                "one"
+                f"port {port} of 127.0.0.1 cannot be opened ({error}); choose another with --port, or --port 0 for "
+                "a free one"
             ) from None
 
     def address(self, page: str) -> str:

@@ -92,7 +92,7 @@ def require_finite(gaussians: Gaussians, source: Path) -> Gaussians:
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=1) | np.isnan(gaussians.logit_opacities))
     if len(bad):
         raise UserError(
-            f"{source} holds {len(bad)} Gaussians with a value that is no number (the first is number {bad[0]}); "
-            "other programs would draw nothing at all, so train it again"
+            f"{source} holds {len(bad)} Gaussians that are not finite (the first is number {bad[0]}), and other "
+            "programs would draw nothing; train it again"
         )
     return gaussians

@@ -93,11 +93,9 @@ def open3d() -> Any:
         import open3d as o3d
     except (ImportError, OSError) as error:
         raise UserError(
-            f"deliver/room.glb is made by open3d, which cannot be loaded here ({error}); bring "
-            "it by the extra mesh (uv run --extra mesh, "
-            "or pip install 'studiorecon[mesh]'), and on a server without a desktop apt-get "
-            "install libusb-1.0-0 libgl1 libegl1 libx11-6 "
-            "libgomp1 too; all else is delivered without it"
+            f"deliver/room.glb is made by open3d, which cannot be loaded ({error}); install the extra mesh (uv run "
+            "--extra mesh, or pip install 'studiorecon[mesh]'); a server without a desktop also needs apt-get "
+            "install libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1; the other files do not need it"
         ) from None
     o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
     return o3d

@@ -77,7 +77,7 @@ def _numbers(path: Path) -> np.ndarray:
     else:
         array = read_npy(path)
     if array.dtype.kind not in "fiu":
-        raise UserError(f"{path} holds {array.dtype} and no numbers; save the depth as floats")
+        raise UserError(f"{path} holds {array.dtype}, not numbers; save the depth as floats")
     with np.errstate(over="ignore"):  # a double beyond float32 is no depth, and becomes infinite here
         return array.astype(np.float32)
 
@@ -119,18 +119,16 @@ def run(settings: Settings, camera: str, model: Path, estimate: Path, planes: Pa
     found = align_depth(given, planes_m, measured, np.random.default_rng(0))
     if found.model == "undetermined":
         raise UserError(
-            f"nothing says how many metres a unit of {estimate.name} is: "
-            f"{int((measured & (given > 0)).sum())} pixels of camera {camera} "
-            "are measured by stereo too; set depth.source to embedded, or bring "
-            "metric depth maps (depth/ in the dataset)"
+            f"the unit of {estimate.name} is unknown: stereo measures only {int((measured & (given > 0)).sum())} of "
+            f"its pixels in camera {camera}; set depth.source to embedded, or bring metric depth maps (depth/ in "
+            "the dataset)"
         )
     depth_m, confidence = merge_depths(given, sure, planes_m, planes_sure, found, settings)
     both = measured & (depth_m > 0)
     gap = float(np.median(np.abs(depth_m[both] / planes_m[both] - 1))) if both.any() else 1.0
     if gap > _WORST_GAP:
         raise UserError(
-            f"{estimate.name} and what stereo measured in camera {camera} differ by "
-            f"{gap:.0%} in the median: not the same view"
+            f"{estimate.name} and stereo in camera {camera} differ by {gap:.0%} in the median: not the same view"
         )
     shift = f" + {found.shift_m:.2f} m" if found.model == "affine" else ""
     say(f"depth of {camera} = {found.scale:.4g} × {estimate.name}{shift}; {gap:.1%} off stereo in the median")

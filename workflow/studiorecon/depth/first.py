@@ -29,6 +29,6 @@ def run(camera: str, model: Path, first: Path, found: Path, depth: Written) -> N
     depth_m, sure = first_moment(first, found, cameras, own, _INSTEAD)
     known = depth_m > 0
     if not known.any():
-        raise UserError(f"{first} knows no pixel of camera {camera}; {_INSTEAD}")
+        raise UserError(f"{first} has no depth for camera {camera}; {_INSTEAD}")
     say(f"{camera}: the network that estimated the cameras gives depth for {known.mean():.0%} of the first frame")
     write_depth(depth, depth_m.astype(np.float32), np.where(known, np.clip(sure, 0, 1), 0).astype(np.float32))

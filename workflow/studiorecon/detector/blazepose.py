@@ -68,14 +68,17 @@ class BlazePose:
         """``second`` has the say where points are; raises UserError when a file is missing or not what it should be."""
         self._landmarks = opened(landmarks, "take it from a fresh copy of resources/detector")
         if (given := tuple(self._landmarks.get_inputs()[0].shape)) != (1, _CROP_PX, _CROP_PX, 3):
-            raise UserError(f"{landmarks} takes an array of {given}, not BlazePose's; it is another network")
+            raise UserError(f"{landmarks} takes an array of {given}, so it is not BlazePose")
         self._second = second
         self.title = f"{landmarks.stem} and {second.note} ({second.layout})" if second else landmarks.stem
         own = LAYOUTS[LAYOUT].keypoints
         theirs = LAYOUTS[second.layout].keypoints if second else ()
         self._shared = [(own.index(name), theirs.index(name)) for name in theirs if name in own]
         if second and not self._shared:
-            raise UserError(f"detect.network gives {second.layout}, of which BlazePose knows none; take another one")
+            raise UserError(
+                f"detect.network has the layout {second.layout}, which shares no keypoint with "
+                "BlazePose; choose another network"
+            )
 
     def look(self, picture: Integer[np.ndarray, "H W 3"], region: Region) -> Landmarks:
         """Landmarks of whoever is in ``region`` of ``picture`` (H, W, 3 uint8 RGB); ``presence`` says whether somebody

@@ -53,9 +53,7 @@ class MoveNet:
         """Raises UserError when the file is missing or another network."""
         self._session = opened(network, "take it from a fresh copy of resources/detector")
         if {out.name for out in self._session.get_outputs()} != _MAPS:
-            raise UserError(
-                f"{network} is another network than MoveNet; take it from a fresh copy of resources/detector"
-            )
+            raise UserError(f"{network} is not MoveNet; restore it from a fresh copy of resources/detector")
 
     def find(self, picture: Integer[np.ndarray, "H W 3"], longer_px: int, least: float) -> list[Sighting]:
         """Everybody above the score ``least`` in a picture (uint8 RGB) that is shrunk to ``longer_px``."""

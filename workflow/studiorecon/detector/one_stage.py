@@ -57,9 +57,11 @@ class OneStage:
         sides = {side if isinstance(side, int) else _USUAL_PX for side in shape[2:]}
         if len(given) != 1 or len(shape) != 4 or shape[1] != 3 or len(sides) != 1 or not 0 < max(sides) <= _LARGEST_PX:
             inputs = ", ".join(f"{one.name} {tuple(one.shape)}" for one in given)
-            raise UserError(f"{path} takes {inputs}; a network of everybody is shown a square (1, 3, side, side)")
+            raise UserError(
+                f"{path} takes {inputs}; a network for the whole picture must take a square (1, 3, side, side)"
+            )
         if given[0].type != "tensor(float)":
-            raise UserError(f"{path} takes {given[0].type}; detect.network is given float32; export it so")
+            raise UserError(f"{path} takes {given[0].type}; detect.network must take float32: export it again")
         (self._edge,) = sides
         self._input = given[0].name
         points = self._run(np.full((self._edge, self._edge, 3), _BEYOND, np.uint8))[1]

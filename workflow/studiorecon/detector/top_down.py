@@ -57,18 +57,18 @@ class TopDown:
         shape = tuple(given[0].shape)
         if len(given) != 1 or len(shape) != 4 or shape[1] != 3 or not all(_is_size(s) for s in shape[2:]):
             inputs = ", ".join(f"{one.name} {tuple(one.shape)}" for one in given)
-            raise UserError(f"{path} takes {inputs}; detect.network is shown {_SHAPE}; export it so")
+            raise UserError(f"{path} takes {inputs}; detect.network must take {_SHAPE}: export it again")
         self.wh = int(shape[3]), int(shape[2])
         self._input, self._type = given[0].name, given[0].type
         if self._type != "tensor(float)":
-            raise UserError(f"{path} takes {self._type}; detect.network is given float32; export it so")
+            raise UserError(f"{path} takes {self._type}; detect.network must take float32: export it again")
         answer = self._run(np.zeros((self.wh[1], self.wh[0], 3), np.uint8))
         points = self._points(answer)
         if points is None:
             shapes = ", ".join(str(part.shape) for part in answer)
             raise UserError(
-                f"{path} answers with {shapes}; detect.network is read as heat maps (points, height, width) or as "
-                "SimCC (points, columns) and (points, rows); export the network without what comes after these"
+                f"{path} returns {shapes}; detect.network must return heat maps (points, height, width) or SimCC "
+                "(points, columns) and (points, rows): export it without later layers"
             )
         self.layout = named(len(points), layout, path)
         self.note = path.stem

@@ -232,8 +232,8 @@ def read_external_film(film: Path, render: Path, count: int) -> Iterator[Integer
     for number, picture in enumerate(pictures):
         if picture.shape != drawn.shape:
             raise UserError(
-                f"{film} is {picture.shape[1]}×{picture.shape[0]} and {render} "
-                f"{drawn.shape[1]}×{drawn.shape[0]}; enhance what was rendered"
+                f"{film} is {picture.shape[1]}×{picture.shape[0]} and {render} {drawn.shape[1]}×{drawn.shape[0]}; "
+                "enhance the current render"
             )
         if number < count:
             yield picture

@@ -37,10 +37,11 @@ def _check_like(source: FootageSource, first: FootageSource) -> None:
         if one != two:
             raise UserError(
                 f"{first.path} and {source.path} are named as chapters of one recording, and their pictures differ "
-                f"({what} {one} and {two}); rename the film that is none, or name its camera in capture.yaml: chapters"
+                f"({what} {one} and {two}); rename the film that is not a chapter, or name its camera in "
+                "capture.yaml: chapters"
             )
     if abs(source.fps - first.fps) > 0.01 * first.fps:
         raise UserError(
             f"{first.path} and {source.path} are named as chapters of one recording, and have {first.fps:g} and "
-            f"{source.fps:g} frames per second; rename the film that is none of them"
+            f"{source.fps:g} frames per second; rename the film that is not a chapter"
         )

@@ -165,8 +165,8 @@ def _probe_first_frame(path: Path, _: tuple[int, int]) -> tuple[StoredFormat, tu
         width, height = streams[0].width, streams[0].height
         if width * height > _MAX_PIXELS:
             raise UserError(
-                f"{path} announces pictures of {width}×{height}, larger than any camera's: its header is damaged; copy "
-                "the recording again"
+                f"{path} declares pictures of {width}×{height}, larger than any camera's: its header is damaged; "
+                "copy the recording again"
             )
         first = next(shown_frames(container, film_stream(container)), None)
         if first is None:

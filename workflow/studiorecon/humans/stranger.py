@@ -83,13 +83,13 @@ def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
         found = DetectorFiles(networks).detector().detect_new_people(picture)
         found = sorted(found, key=lambda seen: -seen.region.side)
         if not found:
-            raise UserError(f"{photo} shows no person that the embedded detector finds; {_ASK}")
+            raise UserError(f"{photo} shows no person to the built-in detector; {_ASK}")
         if len(found) > 1:
             if found[1].region.side * _MEANT > found[0].region.side:
-                raise UserError(f"{photo} shows several people of like size to the embedded detector; {_ASK}")
+                raise UserError(f"{photo} shows several people of similar size; {_ASK}")
             say(f"{stranger}: the photo shows {len(found)} people; the largest one is used")
         own = segment_person(picture, whole_mask(found[0], wh))
-        say(f"{stranger}: the embedded detector and colours give the mask; check it in {cut.name}")
+        say(f"{stranger}: the mask comes from the built-in detector and colours; check it in {cut.name}")
     rows = np.flatnonzero(own.any(axis=1))
     say(f"{stranger}: {len(rows) and int(np.ptp(rows)) + 1} px high in the photo")
     write_png(cut, np.dstack([picture, np.where(own, np.uint8(255), np.uint8(0))]))

@@ -160,8 +160,8 @@ def _checked(settings: Settings, person: str, people: Path) -> int:
         )
     if settings.densify.use != "none" and settings.temporal.use != "never" and settings.temporal.points:
         raise UserError(
-            "humans.densify.use is gradient, and humans.temporal.points asks the temporal network at points among a "
-            "number of Gaussians that stays: set points to 0, or temporal.use to never"
+            "humans.densify.use is gradient, and humans.temporal.points evaluates the temporal network at points, "
+            "which needs a constant number of Gaussians: set points to 0, or temporal.use to never"
         )
     names = read_people(people)
     if person not in names:

@@ -54,7 +54,7 @@ def read_pickle(path: Path) -> dict[str, Any]:
             return dict(read_arrays(stream))
     except FileNotFoundError:
         raise UserError(
-            f"body {path} is missing; SMPL is to be had by registration with MPI, resources/body.npz is bundled"
+            f"body {path} is missing; SMPL needs a registration with MPI; resources/body.npz is bundled"
         ) from None
     except Exception as error:  # unpickling foreign bytes can raise any error
         raise UserError(

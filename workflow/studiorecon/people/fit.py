@@ -168,9 +168,8 @@ def fit_person(
     worst = int(np.argmax(np.abs(result.betas)))
     if abs(result.betas[worst]) > keys.max_beta:
         raise UserError(
-            f"person {person}: the fitted shape is {result.betas[worst]:.1f} deviations "
-            f"from the mean (beta {worst}, frames "
-            f"{frame_ranges(valid)}), which no person is; check that the calibration is in "
+            f"person {person}: the fitted shape is {result.betas[worst]:.1f} deviations from the mean (beta "
+            f"{worst}, frames {frame_ranges(valid)}), which is no human shape; check that the calibration is in "
             "metres, the keypoint layout and the identities"
         )
     betas = result.betas if size == 1.0 else of_size(result.betas, size)

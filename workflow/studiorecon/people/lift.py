@@ -202,8 +202,8 @@ def run(
     title, alignment = card_of(network).title, align_to_first(predicted, first_m, seen)
     if alignment.model == "undetermined":
         raise UserError(
-            f"nothing says how many metres a unit of {title} is in camera {camera}: in none of {len(predicted)} frames "
-            f"are there enough pixels without people whose depth the first moment has; {_INSTEAD}"
+            f"the unit of {title} in camera {camera} is unknown: none of {len(predicted)} frames has enough pixels "
+            f"without people and with depth of the first moment; {_INSTEAD}"
         )
     gaps = [_gap(alignment.apply(depth, _NEAR_M), first_m) for depth in predicted.values()]
     if not (gap := float(np.median(gaps))) <= _WORST_GAP:

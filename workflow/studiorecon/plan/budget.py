@@ -119,8 +119,8 @@ def choose_preset(
     """
     if plan.networks.selected:
         raise UserError(
-            f"budget_min knows what our own methods cost, not {', '.join(plan.networks.selected)}; choose a preset by "
-            "hand when you use networks"
+            f"budget_min covers only the built-in methods, not {', '.join(plan.networks.selected)}; choose a preset "
+            "instead"
         )
     prices = read_prices()
     footage = measure_footage(plan, config["capture"]["picture_fps"])

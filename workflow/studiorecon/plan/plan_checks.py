@@ -52,12 +52,13 @@ def check_plan(plan: Plan, config: Mapping[str, Any]) -> None:
         _keypoints(plan)
     if plan.networks.first_depth and not plan.networks.cameras:
         raise UserError(
-            "depth.reference is calibration, which is the depth of the network that finds the cameras, and "
-            f"calibration.source is {config['calibration']['source']}: set that to a network or the reference to planes"
+            "depth.reference is calibration, which is the depth of the network that estimates the cameras, but "
+            f"calibration.source is {config['calibration']['source']}: set that to a network or the reference to "
+            "planes"
         )
     if config["views"]["people"] == "network" and not plan.networks.masks:
         raise UserError(
-            "views.people is network, which is the one that finds people's masks, and masks.source is "
+            "views.people is network, which is the network of masks.source, but that is "
             f"{config['masks']['source']}: set that to one, or views.people to bodies"
         )
     if plan.lifted:
@@ -87,7 +88,7 @@ def _named_files(plan: Plan, config: Mapping[str, Any]) -> None:
                 file_size(Path(file))
             except UserError as refusal:
                 raise UserError(
-                    f"{setting} names a file that is not there to be read: {refusal}; correct the setting or bring it"
+                    f"{setting} names a file that cannot be read: {refusal}; correct the setting or add the file"
                 ) from None
 
 
@@ -122,7 +123,7 @@ def _enhancement(plan: Plan, config: Mapping[str, Any]) -> None:
     enhance = config["enhance"]
     if config["background"]["refinement"]["views"] and not plan.networks.refiner:
         raise UserError(
-            "background.refinement.views asks for views of the half-trained room that a network repairs, and "
+            "background.refinement.views needs a network that repairs views of the half-trained room, but "
             f"enhance.enhancer is {enhance['enhancer']}: set that to a network (difix, fixer), or the views to 0"
         )
     for setting, value in (("enhancer", "none"), ("strength", 0)):
@@ -143,8 +144,8 @@ def _lifting(plan: Plan) -> None:
     monocular = [card.name for card in of_kind("monocular depth")]
     if not plan.networks.cameras:
         raise UserError(
-            f"{asked} needs the first moment's depth of the network that finds the cameras: set calibration.source to "
-            "one, or the position to rays"
+            f"{asked} needs the first moment's depth of the network that estimates the cameras: set "
+            "calibration.source to one, or the position to rays"
         )
     if plan.networks.depth not in monocular:
         raise UserError(
@@ -153,7 +154,7 @@ def _lifting(plan: Plan) -> None:
         )
     if plan.person_sources.detected:
         raise UserError(
-            f"{asked} needs people from a network's bodies or keypoint files, but the embedded detector finds them in "
+            f"{asked} needs people from a network's bodies or keypoint files, but the built-in detector is used for "
             f"camera {plan.person_sources.detected[0]}: set detect.source to comotion or keypoints, or the position "
             "to rays"
         )

@@ -311,9 +311,9 @@ def _add_given(
     rgb, known, difference = place_given(given_rgb, given_measured, lens, about, colour, measured)
     if difference > options.max_difference:
         raise UserError(
-            f"plate {given} differs from the footage of camera {about.camera} by "
-            f"{difference:.0f} grey levels in the median; "
-            "it must show the same room from the same camera position and exposure: replace it, or take it away"
+            f"plate {given} differs from the footage of camera {about.camera} by {difference:.0f} grey levels in "
+            "the median; it must show the same room from the same camera position and exposure: replace it, or "
+            "remove it"
         )
     filled = float((known & ~measured).mean())
     agrees = (

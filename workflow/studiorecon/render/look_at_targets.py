@@ -80,8 +80,7 @@ class LookAtTargets:
         if person not in tracks:
             known = ", ".join(tracks) or "nobody"
             raise UserError(
-                f"shot {shot} is aimed at {person!r}, but people, scene, a point [x, y, z] and {known} are what there "
-                "is"
+                f"shot {shot} is aimed at {person!r}; known targets are people, scene, a point [x, y, z] and {known}"
             )
         return tracks[person]
 

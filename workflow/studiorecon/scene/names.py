@@ -23,8 +23,8 @@ def check_name(name: str, what: str, remedy: str) -> str:
     """
     if len(name) > MAX_LETTERS or not _NAME.fullmatch(name):
         raise UserError(
-            f"the name {name!r} of {what} cannot be used: letters, digits, single blanks and . _ - + @ ( ) may be in "
-            f"it, a letter or digit first, {MAX_LETTERS} in all; {remedy}"
+            f"the name {name!r} of {what} cannot be used: letters, digits, single spaces and . _ - + @ ( ) are "
+            f"allowed, starting with a letter or digit, {MAX_LETTERS} characters at most; {remedy}"
         )
     return name
 
@@ -32,7 +32,9 @@ def check_name(name: str, what: str, remedy: str) -> str:
 def check_path(path: Path) -> Path:
     """``path``, if the rules can use it; raises UserError for braces and line ends in it."""
     if found := [letter for letter in _NOT_IN_PATHS if letter in str(path)]:
-        raise UserError(f"the path {str(path)!r} holds {found[0]!r}, which the workflow cannot bear; rename the folder")
+        raise UserError(
+            f"the path {str(path)!r} holds {found[0]!r}, which the workflow cannot handle; rename the folder"
+        )
     return path
 
 

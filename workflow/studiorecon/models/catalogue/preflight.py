@@ -39,9 +39,9 @@ def staged_weights(card: Card, folder: Path) -> Path:
             where = f"{file.source} {file.repository}".strip()
             gate = "; request access there" if file.gated else ""
             raise UserError(
-                f"{card.title} needs {folder / file.path}, which is missing: get it from "
-                f"{where}{gate} (snakemake weights does what a "
-                f"program may; licence: {card.terms.weights}), or choose another back end"
+                f"{card.title} needs {folder / file.path}, which is missing: get it from {where}{gate} (snakemake "
+                f"weights fetches files that need no registration; licence: {card.terms.weights}), or choose "
+                "another back end"
             )
         if file.path not in pins and not (file.sha256 or file.md5):
             say(f"{folder / file.path} is new: its checksum is recorded and verified from now on")

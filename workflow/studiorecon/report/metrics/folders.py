@@ -67,13 +67,11 @@ def _lossless(name: str, versions: Sequence[Path]) -> Path:
     """The only lossless one of several versions of one film; raises UserError when there are none or several."""
     chosen = [path for path in versions if path.is_dir() or is_lossless(path)]
     if len(chosen) == 1:
-        say(
-            f"{name}: {chosen[0].name} is scored, which is lossless; {_listed(set(versions) - set(chosen))} is not read"
-        )
+        say(f"{name}: the lossless {chosen[0].name} is scored; {_listed(set(versions) - set(chosen))} is not read")
         return chosen[0]
     raise UserError(
-        f"camera {name} of {versions[0].parent} is there as {_listed(versions)}, and {len(chosen)} of them are "
-        f"lossless; give one film itself, such as {versions[0]}, in place of the folder"
+        f"camera {name} of {versions[0].parent} has several versions ({_listed(versions)}), of which {len(chosen)} "
+        f"are lossless; give one film, such as {versions[0]}, instead of the folder"
     )
 
 
