@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import av
+import av.filter
 import numpy as np
 import pytest
 from studiorecon.footage import frames as footage
@@ -50,3 +52,16 @@ def test_one_group_of_pictures_is_decoded_once(tmp_path: Path, monkeypatch: pyte
         sought.clear()
         glimpses(open_source(written(tmp_path / f"{every}.mp4", every), 30.0), [0, 25, 50, 75, 100])
         assert sought == jumps
+
+
+def test_colours_are_set_up_once_for_all_glimpses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The set-up of HDR's conversion takes as long as a hundred frames."""
+    source = open_source(written(tmp_path / "a.mp4", 10), 30.0)
+    assert source.form is not None
+    colours = (("scale", "out_primaries=bt709:out_transfer=bt709:out_range=pc"), ("format", "pix_fmts=rgb24"))
+    source = replace(source, form=replace(source.form, colours=colours))
+    made: list[av.filter.Graph] = []
+    graph = av.filter.Graph
+    monkeypatch.setattr(av.filter, "Graph", lambda: made.append(graph()) or made[-1])
+    assert len(glimpses(source, [0, 37, 51, 119])) == 4
+    assert len(made) == 1

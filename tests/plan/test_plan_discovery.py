@@ -249,3 +249,12 @@ def test_paths_may_have_the_separators_of_windows(made: Callable[..., Path]) -> 
     found = open_dataset(folder)
     assert set(found.keypoints) == {"a", "b"}
     assert [path.name for path in found.calibration] == ["intri.yml", "extri.yml"]
+
+
+@pytest.mark.parametrize("name", ["capture.yml", "Capture.yaml", "CAPTURE.YML"])
+def test_the_description_may_be_spelled_otherwise(made: Callable[..., Path], name: str) -> None:
+    folder = made(FILMS + " x/c.mp4")
+    (folder / name).write_text("frames: {first: 3}\n")
+    found = open_dataset(folder)
+    assert found.first_frame == 3
+    assert not any(name in note for note in found.notes)

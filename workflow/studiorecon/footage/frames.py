@@ -59,8 +59,7 @@ def decode(
     form = source.form
     assert form is not None
     missing: list[int] = []
-    for frame in islice(_video_frames(source, missing), first, stop):
-        yield form.picture(frame)
+    yield from form.pictures(islice(_video_frames(source, missing), first, stop))
     missing = [number for number in missing if number >= first]
     if damaged is not None:
         damaged += missing
@@ -87,9 +86,8 @@ def stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[Integer[np.
         return
     form = source.form
     assert form is not None
-    for number, frame in enumerate(islice(_video_frames(source), max(chosen, default=-1) + 1)):
-        if chosen[number]:
-            yield from [form.picture(frame)] * chosen[number]
+    shown = enumerate(islice(_video_frames(source), max(chosen, default=-1) + 1))
+    yield from form.pictures(frame for number, frame in shown for _ in range(chosen[number]))
 
 
 def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.ndarray, "H W 3"]]:
@@ -114,7 +112,7 @@ def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.nd
         found = [None]
     if None in found:  # a container that does not seek, or a damaged frame
         return list(stills(source, wanted))
-    return [form.picture(frame) for frame in found if frame is not None]
+    return list(form.pictures(frame for frame in found if frame is not None))
 
 
 def _glimpses_of_parts(parts: Sequence[FootageSource], wanted: Sequence[int]) -> list[np.ndarray]:
@@ -166,7 +164,7 @@ def _frames_at(
         half_s = 0.5 * min(np.diff(source.times_s[max(index - 1, 0) : index + 2]), default=1 / source.fps)
         if last is None or _key_frame_between(stream, last.time, target_s):
             container.seek(int(target_s / stream.time_base), stream=stream, backward=True)
-            frames, last = source.form.filtered(_of_one_size(source, shown_frames(container, stream))), None
+            frames, last = source.form.without_fields(_of_one_size(source, shown_frames(container, stream))), None
         while last is None or last.time < target_s - half_s:
             following = next(frames, None)
             if following is None:
@@ -188,7 +186,7 @@ def _key_frame_between(stream: av.VideoStream, after_s: float, target_s: float) 
 
 
 def _video_frames(source: FootageSource, damaged: list[int] | None = None) -> Iterator[av.VideoFrame]:
-    """All frames that ``source`` counts, through its filters.
+    """All frames that ``source`` counts, without fields and in stored colours.
 
     A frame missing at its time is replaced by the one before (at the start, by the first); its number goes into
     ``damaged``.
@@ -208,7 +206,7 @@ def _video_frames(source: FootageSource, damaged: list[int] | None = None) -> It
     done, last = 0, None
     try:
         shown = _of_one_size(source, film_frames(source.path))
-        for frame in source.form.filtered(shown):
+        for frame in source.form.without_fields(shown):
             number = int(np.searchsorted(source.times_s, frame.time - _TICK_S)) if source.carried else done
             while done < min(number, source.frames):
                 damaged.append(done)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, cast
@@ -37,13 +37,15 @@ class StoredFormat:
         wh: width and height of the stored frames.
         square_wh: the same with square pixels.
         turn: the display matrix: x and y of a shown pixel in those of the stored one, each 1, −1 or 0.
-        filters: libavfilter's, with arguments, that the frames go through first.
+        deinterlacing: libavfilter's filters, with arguments, that consecutive frames go through.
+        colours: those that convert a frame's colours to BT.709.
     """
 
     wh: tuple[int, int]
     square_wh: tuple[int, int]
     turn: tuple[tuple[int, int], tuple[int, int]] = _UPRIGHT
-    filters: tuple[tuple[str, str], ...] = ()
+    deinterlacing: tuple[tuple[str, str], ...] = ()
+    colours: tuple[tuple[str, str], ...] = ()
 
     @property
     def shown_wh(self) -> tuple[int, int]:
@@ -62,14 +64,18 @@ class StoredFormat:
         mirrored = a * d - b * c < 0
         return {(1, 0): 0, (0, -1): 90, (-1, 0): 180, (0, 1): 270}[(-a, -b) if mirrored else (a, b)]
 
-    def picture(self, frame: av.VideoFrame) -> Integer[np.ndarray, "H W 3"]:
-        """(H, W, 3) uint8 RGB as shown, from a frame that has passed the filters."""
-        if self.square_wh == self.wh:
-            picture = frame.to_ndarray(format="rgb24")
-        else:
-            width, height = self.square_wh
-            picture = frame.to_ndarray(format="rgb24", width=width, height=height, interpolation="BICUBIC")
-        return self.upright(picture)
+    def pictures(self, frames: Iterable[av.VideoFrame]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
+        """Yields (H, W, 3) uint8 RGB as shown, from frames without fields.
+
+        Setting up the conversion of colours takes seconds, so pass all frames to one call.
+        """
+        width, height = self.square_wh
+        for frame in _through(self.colours, frames):
+            if self.square_wh == self.wh:
+                picture = frame.to_ndarray(format="rgb24")
+            else:
+                picture = frame.to_ndarray(format="rgb24", width=width, height=height, interpolation="BICUBIC")
+            yield self.upright(picture)
 
     def upright(self, picture: Integer[np.ndarray, "H W ..."]) -> Integer[np.ndarray, "h w ..."]:
         """A stored picture turned upright."""
@@ -77,27 +83,10 @@ class StoredFormat:
         turned = picture if a else np.swapaxes(picture, 0, 1)
         return np.ascontiguousarray(turned[:: b + d, :: a + c]) if self.turn != _UPRIGHT else picture
 
-    def filtered(self, frames: Iterable[av.VideoFrame]) -> Iterator[av.VideoFrame]:
-        """Yields frames (all of the stored size), each with its own time, through the filters."""
-        if not self.filters:
-            yield from frames
-            return
-        graph: av.filter.Graph | None = None
-        for frame in frames:
-            if graph is None:
-                graph = av.filter.Graph()
-                steps = [
-                    graph.add_buffer(
-                        width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base
-                    )
-                ]
-                steps += [graph.add(name, arguments) for name, arguments in self.filters]
-                graph.link_nodes(*steps, graph.add("buffersink")).configure()
-            graph.push(frame)
-            yield from _pulled(graph)
-        if graph is not None:
-            graph.push(None)
-            yield from _pulled(graph)
+    def without_fields(self, frames: Iterable[av.VideoFrame]) -> Iterator[av.VideoFrame]:
+        """Yields consecutive frames (all of the stored size), each with its own time, deinterlaced where they are not
+        whole."""
+        yield from _through(self.deinterlacing, frames)
 
     def _turned(self, wh: tuple[int, int]) -> tuple[int, int]:
         return wh if self.turn[0][0] else (wh[1], wh[0])
@@ -106,16 +95,16 @@ class StoredFormat:
 def stored_format(stream: av.VideoStream, first: av.VideoFrame) -> tuple[StoredFormat, tuple[str, ...]]:
     """How the frames of ``stream`` are stored, by its header and ``first`` frame, and sentences about their
     conversion."""
-    wh, notes, filters = (first.width, first.height), [], []
+    wh, notes, deinterlacing = (first.width, first.height), [], []
     square_wh, about = _square(wh, stream.sample_aspect_ratio)
     notes += about
     turn, about = _display_matrix(first)
     notes += about
     if first.interlaced_frame:
-        filters.append(("yadif", "deint=interlaced"))
+        deinterlacing.append(("yadif", "deint=interlaced"))
         notes.append("it is interlaced: lines between the fields are interpolated, which blurs what moves")
     colours, about = _colours(first)
-    return StoredFormat(wh, square_wh, turn, (*filters, *colours)), (*notes, *about)
+    return StoredFormat(wh, square_wh, turn, tuple(deinterlacing), tuple(colours)), (*notes, *about)
 
 
 def _square(wh: tuple[int, int], aspect: Fraction | None) -> tuple[tuple[int, int], list[str]]:
@@ -159,6 +148,27 @@ def _colours(frame: av.VideoFrame) -> tuple[list[tuple[str, str]], list[str]]:
 
 def _named(kind: type[ColorTrc] | type[ColorPrimaries], value: int) -> str:
     return next((member.name.replace("_", " ") for member in kind if member == value), f"number {value}")
+
+
+def _through(filters: Sequence[tuple[str, str]], frames: Iterable[av.VideoFrame]) -> Iterator[av.VideoFrame]:
+    """Yields the frames, all of one size and format, after libavfilter's ``filters``."""
+    if not filters:
+        yield from frames
+        return
+    graph: av.filter.Graph | None = None
+    for frame in frames:
+        if graph is None:
+            graph = av.filter.Graph()
+            steps = [
+                graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base)
+            ]
+            steps += [graph.add(name, arguments) for name, arguments in filters]
+            graph.link_nodes(*steps, graph.add("buffersink")).configure()
+        graph.push(frame)
+        yield from _pulled(graph)
+    if graph is not None:
+        graph.push(None)
+        yield from _pulled(graph)
 
 
 def _pulled(graph: av.filter.Graph) -> Iterator[av.VideoFrame]:

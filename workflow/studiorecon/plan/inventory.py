@@ -11,6 +11,7 @@ from studiorecon.calibration.formats.lenses import unused_reason
 from studiorecon.footage.kinds import film_suffixes
 from studiorecon.plan.films import is_preview
 from studiorecon.plan.pairing import camera_stem
+from studiorecon.scene.capture_yaml import description_path
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset
 from studiorecon.scene.names import fold_name, of_the_system
 
@@ -41,7 +42,7 @@ def unused(dataset: Dataset, place: Path, left_out: Iterable[str]) -> tuple[str,
     of the operating system are skipped. A folder of which nothing is used gets one sentence.
     """
     folder, left_out = dataset.folder, set(left_out)
-    used = {folder / "capture.yaml", folder / "identities.tsv", *dataset.footage.values(), *dataset.calibration}
+    used = {description_path(folder), folder / "identities.tsv", *dataset.footage.values(), *dataset.calibration}
     used.update(dataset.lenses)
     for several in (*dataset.chapters.values(), *dataset.chapter_keypoints.values()):
         used.update(several)

@@ -35,11 +35,20 @@ WITHOUT_CALIBRATION = ("focal_px", "height_m", "distance_m")
 ABOUT_KEYPOINTS = ("keypoint_layout", "keypoint_first_frame")
 
 
+def description_path(folder: Path) -> Path:
+    """``capture.yaml`` in ``folder``, or the only file of that name in another spelling (``capture.yml``)."""
+    usual = folder / "capture.yaml"
+    if usual.exists() or usual.is_symlink():
+        return usual
+    spelled = [path for path in folder.glob("[cC]*") if path.name.casefold() in ("capture.yaml", "capture.yml")]
+    return spelled[0] if len(spelled) == 1 else usual
+
+
 def read_description(folder: Path, capture_yaml: Path | None) -> dict[str, Any]:
     """The contents of ``capture_yaml`` (default: ``capture.yaml`` in ``folder``, if it exists); raises UserError for an
     unknown key.
     """
-    path = capture_yaml or folder / "capture.yaml"
+    path = capture_yaml or description_path(folder)
     if not path.exists() and not path.is_symlink():
         if capture_yaml is None:
             return {}
