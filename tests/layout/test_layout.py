@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 from studiorecon import code
-from studiorecon.__main__ import options_of
+from studiorecon.__main__ import step_options
 from studiorecon.configuration import settings as settings_module
 from studiorecon.configuration.step_settings import find_section
 from studiorecon.plan.command import command
@@ -227,7 +227,7 @@ def test_a_command_line_says_what_run_takes_and_quotes_all_of_it(step: str) -> N
     module, line = importlib.import_module(f"studiorecon.{step}"), command(step)
     options = [name.replace("-", "_") for name in re.findall(r"--([a-z0-9-]+) ", line)]
     assert sorted(options) == sorted(
-        ["log", *(["settings"] * hasattr(module, "Settings")), *(name for name, *_ in options_of(module.run))]
+        ["log", *(["settings"] * hasattr(module, "Settings")), *(name for name, *_ in step_options(module.run))]
     )
     assert all(field.endswith(":q") or field == "threads" for field in re.findall(r"\{([^}]*)\}", line))
 

@@ -86,6 +86,8 @@ def test_a_full_disk_costs_no_result(run_folder: Path, capsys: pytest.CaptureFix
 
 
 def test_inputs_and_outputs_are_those_of_the_signature() -> None:
-    options = {name: [Path(name)] if "list" in str(hint) else Path(name) for name, hint, _ in steps.options_of(fit.run)}
-    assert Path("detections") in steps.paths_of(fit.run, options, Path)
-    assert steps.paths_of(fit.run, options, Written) == [Path("fit")]
+    options = {
+        name: [Path(name)] if "list" in str(hint) else Path(name) for name, hint, _ in steps.step_options(fit.run)
+    }
+    assert Path("detections") in steps.step_paths(fit.run, options, Path)
+    assert steps.step_paths(fit.run, options, Written) == [Path("fit")]

@@ -14,7 +14,7 @@ import pytest
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.footage.video import write_lossless
 from studiorecon.report import recognition
-from studiorecon.report.metrics.films import JudgedFiles
+from studiorecon.report.metrics.films import ScoredFilmFiles
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.path import PathStep, write_path
@@ -62,7 +62,7 @@ def recognised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[...,
         write_lossless(tmp_path / "film.mkv", [picture(film(i)) for i in range(2 * FRAMES)], 30.0)
         write_lossless(tmp_path / "better.mkv", [picture(better)] * (2 * FRAMES), 30.0)
         recognition.run(
-            JudgedFiles(
+            ScoredFilmFiles(
                 tmp_path / "manifest.json",
                 tmp_path / "heldout/images.txt",
                 tmp_path / "heldout/images.txt",
@@ -113,7 +113,7 @@ def test_without_a_film_of_a_cameras_own_view_nothing_is_measured(tmp_path: Path
     folder = root / "resources/detector"
     networks = [folder / "movenet_multipose.onnx", folder / "pose_landmark_full.onnx", folder / "confidence.json"]
     images = tmp_path / "images.txt"
-    recognition.run(JudgedFiles(tmp_path / "manifest.json", images, images), networks, tmp_path / "found.json")
+    recognition.run(ScoredFilmFiles(tmp_path / "manifest.json", images, images), networks, tmp_path / "found.json")
     found = read_json(tmp_path / "found.json")
     assert found["raw"]["detection_rate"] is None
     assert "no film" in found["enhanced"]["reason"]

@@ -77,7 +77,7 @@ rule report_evaluate:
         identities=files.identities,
         by_itself=files.by_itself,
         truth=files.truth,
-        film_depth=files.judged_depth,
+        film_depth=files.film_depth,
         room_depths=files.judging_depths,
         room_masks=files.judging_masks,
         body=files.judging_body,

@@ -116,10 +116,10 @@ def _run(module: types.ModuleType, step: str, options: dict, log: Path | None) -
         settings_type = module.Settings if dataclasses.is_dataclass(getattr(module, "Settings", None)) else None
         if settings_type is not None:
             options["settings"] = settings_module.load(settings_type, values, step.split(".")[0])
-        for sentence in changed_files(paths_of(module.run, options, Path)):
+        for sentence in changed_files(step_paths(module.run, options, Path)):
             warn(sentence)
         module.run(**gathered(module.run, options))
-        record_files(step, paths_of(module.run, options, Written))
+        record_files(step, step_paths(module.run, options, Written))
     except UserError as refusal:
         fail(f"{step}: {refusal}")
     except Exception as error:
@@ -183,7 +183,7 @@ def _parse(step: str, run: typing.Callable, argv: list[str]) -> dict:
         help="this step's section of the configuration as JSON, or a configuration file (config/config.yaml)",
     )
     parser.add_argument("--log", type=Path, default=None, help="file that receives every sentence of the step")
-    for name, hint, default in options_of(run):
+    for name, hint, default in step_options(run):
         kind, is_list, optional = _read_annotation(hint)
         required = default is dataclasses.MISSING and not optional and not is_list
         default = [] if is_list else None if default is dataclasses.MISSING else default
@@ -194,7 +194,7 @@ def _parse(step: str, run: typing.Callable, argv: list[str]) -> dict:
     return vars(parser.parse_args(argv))
 
 
-def options_of(run: Callable) -> Iterator[tuple[str, Any, Any]]:
+def step_options(run: Callable) -> Iterator[tuple[str, Any, Any]]:
     """Name, type and default (or ``dataclasses.MISSING``) of every option of a step except its settings."""
     hints = typing.get_type_hints(run, include_extras=True)
     for name, parameter in inspect.signature(run).parameters.items():
@@ -208,9 +208,9 @@ def options_of(run: Callable) -> Iterator[tuple[str, Any, Any]]:
             yield name, hints[name], dataclasses.MISSING if given is inspect.Parameter.empty else given
 
 
-def paths_of(run: Callable, options: Mapping[str, Any], role: Any) -> list[Path]:
+def step_paths(run: Callable, options: Mapping[str, Any], role: Any) -> list[Path]:
     """The paths among a step's options that are its inputs (``role`` is ``Path``) or that it writes (``Written``)."""
-    found = [options.get(name) for name, hint, _ in options_of(run) if _read_annotation(hint)[0] == role]
+    found = [options.get(name) for name, hint, _ in step_options(run) if _read_annotation(hint)[0] == role]
     return [path for given in found for path in (given if isinstance(given, list) else [given]) if path is not None]
 
 

@@ -60,7 +60,7 @@ def _shown(step: str) -> logging.Handler:
     return handler
 
 
-class _Kept(logging.FileHandler):
+class _StepLog(logging.FileHandler):
     """A step's log; after a failed write, as on a full disk, it warns once and then only shows messages."""
 
     def handleError(self, record: logging.LogRecord) -> None:
@@ -80,7 +80,7 @@ def log_to(step: str, log: Path | None) -> Iterator[None]:
     before, LOGGER.handlers = LOGGER.handlers, [_shown(step)]
     if log is not None:
         log.parent.mkdir(parents=True, exist_ok=True)
-        LOGGER.addHandler(_Kept(log, "w", encoding="utf-8"))
+        LOGGER.addHandler(_StepLog(log, "w", encoding="utf-8"))
     try:
         yield
     finally:

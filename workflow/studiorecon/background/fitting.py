@@ -86,7 +86,7 @@ class Training:
         """The rasteriser that draws the room as in training."""
         return rasteriser(self.device, near_m=self.settings.training.near_m, threads=self.threads)
 
-    def looks(self, path: Path) -> list[Camera]:
+    def refinement_views(self, path: Path) -> list[Camera]:
         """The cameras that render the half-trained room; ``path`` is that of the synthesized views."""
         views = [step.camera for step in read_path(path)[0]]
         return refinement_cameras(self.cameras, views, self.settings.refinement)

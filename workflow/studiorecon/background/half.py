@@ -54,7 +54,7 @@ def run(
     checkpoint = Checkpoint(working / "half.checkpoint.npz", mark, settings.training.checkpoint_every_s)
     room, marks = training.first_half(given, checkpoint)
     drawing = training.drawing()
-    around = training.looks(sources.path)
+    around = training.refinement_views(sources.path)
     pictures = [np.clip(drawing.forward(room, camera).rgb, 0, 1) for camera in progress(around, "views of the room")]
     write_room(half, provenance, room, marks)
     write_renders(renders, renders_path, around, pictures)

@@ -30,7 +30,7 @@ def _words(name: str) -> tuple[str, ...]:
     return tuple(word.lstrip("0") or "0" for word in re.findall(r"\d+|[^\W\d_]+", fold_name(name)))
 
 
-def _numbered_alike(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
+def _have_same_number(one: tuple[str, ...], other: tuple[str, ...]) -> bool:
     """Whether all words of one name, a number among them, are in the other: 2 and cam2."""
     fewer, more = sorted((set(one), set(other)), key=len)
     return fewer <= more and any(word.isdigit() for word in fewer)
@@ -52,7 +52,7 @@ _RULES: tuple[Callable[[str, str], bool], ...] = (
     lambda camera, entry: _words(camera) == _words(entry),
     lambda camera, entry: re.fullmatch(re.escape(fold_name(camera)) + _TAIL, fold_name(entry)) is not None,
     lambda camera, entry: _holds(entry, camera) or _holds(camera, entry),
-    lambda camera, entry: _numbered_alike(_words(camera), _words(entry)),
+    lambda camera, entry: _have_same_number(_words(camera), _words(entry)),
 )
 
 

@@ -256,23 +256,23 @@ class Files(UserInputs):
             return []
         return [f"results/{wildcards.scene}/render/train.{kind}" for kind in ("mkv", "json", "depth.mkv")]
 
-    def judged_depth(self, wildcards: Any) -> list[str]:
+    def film_depth(self, wildcards: Any) -> list[str]:
         """Rendered depth of the held-out cameras' film, where no exact truth says what is seen."""
         films = [] if self.truth(wildcards) else self.heldout_film(wildcards)
         return [f"results/{wildcards.scene}/render/{film}.depth.mkv" for film in films]
 
     def judging_depths(self, wildcards: Any) -> list[str]:
         """Depth of the training cameras that it is compared with."""
-        cameras = self.training(wildcards) if self.judged_depth(wildcards) else []
+        cameras = self.training(wildcards) if self.film_depth(wildcards) else []
         return [f"results/{wildcards.scene}/depth/{camera}.exr" for camera in cameras]
 
     def judging_masks(self, wildcards: Any) -> list[str]:
         """Masks of people in those cameras."""
-        return self.masks(wildcards) if self.judged_depth(wildcards) else []
+        return self.masks(wildcards) if self.film_depth(wildcards) else []
 
     def judging_body(self, wildcards: Any) -> list[str]:
         """The body model of the people in the film."""
-        return [self.body] if self.judged_depth(wildcards) and self.people(wildcards) else []
+        return [self.body] if self.film_depth(wildcards) and self.people(wildcards) else []
 
     # ---- decisions of the survey ----
 

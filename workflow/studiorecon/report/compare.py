@@ -135,12 +135,12 @@ def run(first: list[Path], second: list[Path], version: str | None = None, outpu
     found = compare({path: results[path] for path in first}, {path: results[path] for path in second}, version)
     for name, entry in found.items():
         if entry["difference"] is not None:
-            say(f"{name}: {_told(entry)}")
+            say(f"{name}: {_difference(entry)}")
     if output is not None:
         write_json(output, found)
 
 
-def _told(entry: Mapping[str, Any]) -> str:
+def _difference(entry: Mapping[str, Any]) -> str:
     sides = " → ".join(
         "not measured" if s["mean"] is None else f"{s['mean']:.4f}" for s in (entry["first"], entry["second"])
     )

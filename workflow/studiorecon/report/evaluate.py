@@ -29,7 +29,7 @@ from studiorecon.report.metrics.bootstrap import Bootstrap
 from studiorecon.report.metrics.definitions import NO_LPIPS, PROTOCOL, SEEN_BY, definitions, provenance
 from studiorecon.report.metrics.distance import TOO_SMALL, Net, no_flip, opened
 from studiorecon.report.metrics.estimated import SOURCE, EstimatedFiles, estimated_regions
-from studiorecon.report.metrics.films import Judged, JudgedFiles
+from studiorecon.report.metrics.films import ScoredFilmFiles, ScoredFilms
 from studiorecon.report.metrics.folders import digest
 from studiorecon.report.metrics.identities import score_against, score_bodies_in_pictures, score_identities
 from studiorecon.report.metrics.jitter import jitter
@@ -99,18 +99,18 @@ def missing_reasons(have_regions: bool, have_truth: bool, net: str) -> dict[str,
 
 
 def measure_camera(
-    judged: Judged,
+    scored: ScoredFilms,
     camera: str,
     regions_of_frames: Iterator[Mapping[str, Bool[np.ndarray, "H W"]]],
     flow_preset: str,
     distance: PerceptualDistance | None,
 ) -> dict[str, list[dict[str, float | None]]]:
     """Measures per frame of each version of one camera, and the flicker of the photos themselves."""
-    first, frames = judged.starts[camera], judged.capture.frames
-    streams = {name: read_frames_from(path, first, first + frames) for name, path in judged.films.items()}
+    first, frames = scored.starts[camera], scored.capture.frames
+    streams = {name: read_frames_from(path, first, first + frames) for name, path in scored.films.items()}
 
     def together() -> Iterator[tuple[np.ndarray, dict[str, np.ndarray], Mapping[str, np.ndarray]]]:
-        for photo, masks in zip(read_frames(judged.footage[camera], 0, frames), regions_of_frames):
+        for photo, masks in zip(read_frames(scored.footage[camera], 0, frames), regions_of_frames):
             # A film of cameras of different sizes has one size; a camera's own picture is its top left part.
             yield (
                 photo,
@@ -122,7 +122,7 @@ def measure_camera(
 
 
 def score_pictures(
-    judged: Judged,
+    scored: ScoredFilms,
     truth: Truth | None,
     estimated: EstimatedFiles,
     people: Sequence[Person],
@@ -132,18 +132,18 @@ def score_pictures(
     """Measures of every version against the photos of held-out cameras by regions, which exact truth gives, or else
     the run's own depth and ``people``.
     """
-    views = truth.views if truth is not None and judged.held_out else {}
-    training, frames = [camera.name for camera in judged.training], judged.capture.frames
+    views = truth.views if truth is not None and scored.held_out else {}
+    training, frames = [camera.name for camera in scored.training], scored.capture.frames
     tolerances = settings.seen_tolerance, settings.seen_sensitivity
     measured: dict[str, dict[str, list]] = {}
-    for camera in progress(judged.cameras if judged.films else [], "cameras"):
+    for camera in progress(scored.cameras if scored.films else [], "cameras"):
         masks: Iterator[Mapping[str, np.ndarray]] = repeat({})
         if truth is not None and views:
             masks = regions(views, camera, training, truth.first_frame, frames, *tolerances)
         elif estimated.film_depth:
-            start, all_tolerances = judged.starts[camera.name], (settings.seen_tolerance, *settings.seen_sensitivity)
-            masks = estimated_regions(estimated, people, camera, judged.training, start, frames, all_tolerances)
-        for name, values in measure_camera(judged, camera.name, masks, settings.flow_preset, distance).items():
+            start, all_tolerances = scored.starts[camera.name], (settings.seen_tolerance, *settings.seen_sensitivity)
+            masks = estimated_regions(estimated, people, camera, scored.training, start, frames, all_tolerances)
+        for name, values in measure_camera(scored, camera.name, masks, settings.flow_preset, distance).items():
             measured.setdefault(name, {})[camera.name] = values
     reasons = missing_reasons(bool(views or estimated.film_depth), bool(views), settings.lpips)
     bootstrap = Bootstrap(settings.bootstrap_samples, settings.seed)
@@ -196,7 +196,7 @@ class PeopleFiles:
 
 def run(
     settings: Settings,
-    films: JudgedFiles,
+    films: ScoredFilmFiles,
     people: PeopleFiles,
     estimated: EstimatedFiles,
     poses: Path,
@@ -215,47 +215,47 @@ def run(
     ones, from a picture of each.
     """
     where = "cpu" if settings.lpips == "none" else resolve(device, "Pictures are compared by LPIPS")
-    judged = films.read()
-    exact = read_truth(truth[0], common_start(judged.capture.footage)) if truth else None
+    scored = films.read()
+    exact = read_truth(truth[0], common_start(scored.capture.footage)) if truth else None
     with one_thread():
-        distance = opened(settings.lpips, lpips, threads, "set report.lpips to none", where) if judged.films else None
+        distance = opened(settings.lpips, lpips, threads, "set report.lpips to none", where) if scored.films else None
         fitted = [read_person(path) for path in people.fits]
-        found = score_pictures(judged, exact, estimated, fitted, settings, distance)
+        found = score_pictures(scored, exact, estimated, fitted, settings, distance)
     nothing = {name: {measure: missing_measure(_NO_HELD_OUT) for measure in NAMES} for name in ("raw", "enhanced")}
-    pictures = found if judged.held_out and found else nothing
+    pictures = found if scored.held_out and found else nothing
     bodies = score_bodies(fitted, None if exact is None else exact.joints)
     compared = [*films.render, *films.enhanced]
     source = "exact truth" if exact is not None else SOURCE if estimated.film_depth else "none"
     write_json(
         metrics,
         {
-            "scene": judged.capture.scene,
+            "scene": scored.capture.scene,
             "pictures": pictures,
-            "training": found if not judged.held_out and found else None,
+            "training": found if not scored.held_out and found else None,
             "held_out_cameras": read(poses, {"cameras": Anything()})["cameras"],
             "bodies": bodies,
             "jitter": {person.name: jitter(person.joints, person.poses, person.valid, person.fps) for person in fitted},
-            "pck_bodies": _bodies_in_pictures(exact, judged, fitted),
-            "identities": _identities(people, judged.training, {} if exact is None else exact.joints),
-            "rig": overlap(judged.training),
+            "pck_bodies": _bodies_in_pictures(exact, scored, fitted),
+            "identities": _identities(people, scored.training, {} if exact is None else exact.joints),
+            "rig": overlap(scored.training),
             "coverage": coverage(truth_maps),
             "definitions": definitions(settings.lpips, exact is None),
             "provenance": provenance(asdict(settings), source),
             "inputs": {path.name: digest(path) for path in (*films.videos, *people.fits)}
             | {f"{path.parent.name}/{path.name}": digest(path) for path in compared},
-            "protocol": PROTOCOL + (SEEN_BY.format(calibrator) if judged.held_out and calibrator != "none" else ""),
+            "protocol": PROTOCOL + (SEEN_BY.format(calibrator) if scored.held_out and calibrator != "none" else ""),
         },
     )
     _log_measures(pictures, bodies)
 
 
-def _bodies_in_pictures(truth: Truth | None, judged: Judged, people: Sequence[Person]) -> dict[str, Any]:
-    if truth is None or not truth.views or not judged.held_out:
+def _bodies_in_pictures(truth: Truth | None, scored: ScoredFilms, people: Sequence[Person]) -> dict[str, Any]:
+    if truth is None or not truth.views or not scored.held_out:
         empty = {"pck_0.05": None, "pck_0.1": None, "detection_rate": None}
         return {**empty, "reason": _NO_HELD_OUT if truth is not None and truth.views else _NO_TRUTH}
     fitted = {person.name: (person.joints, person.valid) for person in people}
-    about = truth.joints, truth.first_frame, judged.capture.frames
-    found = score_bodies_in_pictures(truth.views, judged.held_out, fitted, *about)
+    about = truth.joints, truth.first_frame, scored.capture.frames
+    found = score_bodies_in_pictures(truth.views, scored.held_out, fitted, *about)
     return found | {"reason": None if found["people"] else "no person is in the held-out pictures"}
 
 

@@ -20,7 +20,7 @@ from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.detector.tracking import keypoints_with_confidence
 from studiorecon.footage.video import read_frames_from
 from studiorecon.progress import progress, say
-from studiorecon.report.metrics.films import JudgedFiles
+from studiorecon.report.metrics.films import ScoredFilmFiles
 from studiorecon.report.metrics.pck import TruePerson, score
 from studiorecon.scene.files import write_json
 from studiorecon.signature import Written
@@ -34,7 +34,7 @@ _MOMENTS = 4
 _SEEN, _MIN = 0.5, 6
 
 
-def run(files: JudgedFiles, networks: list[Path], recognition: Written) -> None:
+def run(files: ScoredFilmFiles, networks: list[Path], recognition: Written) -> None:
     """Write the scores of the film as rendered (``raw``) and as ``enhanced``, by the detector of ``networks``.
 
     None for a version that is not there.

@@ -70,46 +70,46 @@ def _furniture(seed: int, rng: np.random.Generator) -> list[Mesh]:
     def shift(most_m: float = 0.12) -> float:
         return float(rng.uniform(-most_m, most_m))
 
-    def stand(name: str, size_m: tuple, at_m: tuple, texture: Texture, turn_rad: float = 0.0) -> Mesh:
+    def block(name: str, size_m: tuple, at_m: tuple, texture: Texture, turn_rad: float = 0.0) -> Mesh:
         return box(name, size_m, pose_on_floor(at_m, turn_rad), texture)
 
     def turned(name: str, profile: list, at_m: tuple, texture: Texture, segments: int = 48) -> Mesh:
         return lathe(name, profile, pose_on_floor(at_m), texture, segments)
 
-    def made_of(pattern: Callable[..., np.ndarray], number: int) -> Texture:
+    def textured(pattern: Callable[..., np.ndarray], number: int) -> Texture:
         return box_texture(pattern, seed + number)
 
-    dark = made_of(lambda u, v, s: textures.planks(v, u, s, (0.10, 0.045, 0.02), (0.20, 0.10, 0.05)), 21)
-    light, cloth = made_of(textures.planks, 20), [made_of(textures.fabric, 40 + k) for k in range(4)]
+    dark = textured(lambda u, v, s: textures.planks(v, u, s, (0.10, 0.045, 0.02), (0.20, 0.10, 0.05)), 21)
+    light, cloth = textured(textures.planks, 20), [textured(textures.fabric, 40 + k) for k in range(4)]
     glaze, brass = _ringed((0.05, 0.16, 0.30), (0.55, 0.45, 0.30)), _ringed((0.45, 0.13, 0.04), (0.60, 0.40, 0.12))
     red = _ringed((0.35, 0.06, 0.05), (0.45, 0.30, 0.14))
     # One after the other as they are drawn; x and y of the table, y of the sofa, x of the shelves, y of the sideboard.
     tx, ty, sofa, shelf, low = -1.95 + shift(), 1.15 + shift(), 0.3 + shift(), 1.9 + shift(), 1.2 + shift()
     side = -0.7 + shift()
     return [
-        stand("table top", (1.5, 0.85, 0.05), (tx, ty, 0.70), light),
+        block("table top", (1.5, 0.85, 0.05), (tx, ty, 0.70), light),
         *(
-            stand("table leg", (0.07, 0.07, 0.70), (tx + a, ty + b, 0), light)
+            block("table leg", (0.07, 0.07, 0.70), (tx + a, ty + b, 0), light)
             for a in (-0.67, 0.67)
             for b in (-0.35, 0.35)
         ),
         turned("vase", _VASE, (tx - 0.42, ty + 0.1, 0.75), glaze),
-        stand("book pile", (0.30, 0.22, 0.16), (tx + 0.25, ty - 0.05, 0.75), made_of(textures.fabric, 47), 0.5),
-        stand("sofa seat", (0.80, 2.0, 0.42), (-3.72, sofa - 1.0, 0), cloth[0]),
-        stand("sofa back", (0.28, 2.0, 0.44), (-4.02, sofa - 1.0, 0.42), cloth[0]),
-        *(stand("sofa arm", (0.80, 0.20, 0.60), (-3.72, sofa - 1.0 + b, 0), cloth[0]) for b in (-1.1, 1.1)),
-        stand("cushion", (0.16, 0.45, 0.40), (-3.78, sofa - 0.5, 0.42), cloth[1], 0.3),
-        stand("bookshelf", (1.7, 0.34, 1.98), (shelf, -3.42, 0), made_of(textures.books, 25)),
-        *(stand("bookshelf side", (0.04, 0.38, 2.02), (shelf + a, -3.40, 0), dark) for a in (-0.87, 0.87)),
-        stand("low shelf", (1.5, 0.36, 0.66), (low, 3.41, 0), made_of(textures.books, 29)),
-        stand("sideboard", (0.48, 1.7, 0.74), (3.95, side, 0.10), dark),
-        *(stand("foot", (0.06, 0.06, 0.1), (3.95 + a, side + b, 0), dark) for a in (-0.18, 0.18) for b in (-0.8, 0.8)),
+        block("book pile", (0.30, 0.22, 0.16), (tx + 0.25, ty - 0.05, 0.75), textured(textures.fabric, 47), 0.5),
+        block("sofa seat", (0.80, 2.0, 0.42), (-3.72, sofa - 1.0, 0), cloth[0]),
+        block("sofa back", (0.28, 2.0, 0.44), (-4.02, sofa - 1.0, 0.42), cloth[0]),
+        *(block("sofa arm", (0.80, 0.20, 0.60), (-3.72, sofa - 1.0 + b, 0), cloth[0]) for b in (-1.1, 1.1)),
+        block("cushion", (0.16, 0.45, 0.40), (-3.78, sofa - 0.5, 0.42), cloth[1], 0.3),
+        block("bookshelf", (1.7, 0.34, 1.98), (shelf, -3.42, 0), textured(textures.books, 25)),
+        *(block("bookshelf side", (0.04, 0.38, 2.02), (shelf + a, -3.40, 0), dark) for a in (-0.87, 0.87)),
+        block("low shelf", (1.5, 0.36, 0.66), (low, 3.41, 0), textured(textures.books, 29)),
+        block("sideboard", (0.48, 1.7, 0.74), (3.95, side, 0.10), dark),
+        *(block("foot", (0.06, 0.06, 0.1), (3.95 + a, side + b, 0), dark) for a in (-0.18, 0.18) for b in (-0.8, 0.8)),
         turned("bowl", _BOWL, (3.92, side + 0.3, 0.84), brass),
-        stand("crate", (0.55, 0.55, 0.48), (2.55 + shift(), -1.05 + shift(), 0), made_of(textures.planks, 26), 0.6),
-        stand("parcel", (0.34, 0.26, 0.22), (2.55, -1.05, 0.48), made_of(textures.picture, 27), 0.2),
+        block("crate", (0.55, 0.55, 0.48), (2.55 + shift(), -1.05 + shift(), 0), textured(textures.planks, 26), 0.6),
+        block("parcel", (0.34, 0.26, 0.22), (2.55, -1.05, 0.48), textured(textures.picture, 27), 0.2),
         turned("stool", _STOOL, (-0.2 + shift(), -2.75 + shift(), 0), red),
-        stand("pouf", (0.55, 0.55, 0.40), (-1.75 + shift(), -2.65 + shift(), 0), cloth[2], 0.25),
-        stand("plant box", (0.40, 0.40, 0.45), (3.7, 3.2, 0), made_of(textures.tiles, 33)),
+        block("pouf", (0.55, 0.55, 0.40), (-1.75 + shift(), -2.65 + shift(), 0), cloth[2], 0.25),
+        block("plant box", (0.40, 0.40, 0.45), (3.7, 3.2, 0), textured(textures.tiles, 33)),
         turned("plant", _PLANT, (3.7, 3.2, 0.45), _leaves(seed + 34)),
         turned("pillar", _PILLAR, (-3.25 + shift(0.05), -2.55 + shift(0.05), 0), _pillar(seed + 31), 64),
     ]

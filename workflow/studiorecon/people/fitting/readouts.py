@@ -34,9 +34,9 @@ _SHIFT_PX, _SLOWEST_PX_S, _AT_WIDTH = 1.0, 60.0, 1280.0
 
 def estimate_readouts(pixels: Num[np.ndarray, "V P T J 2"], cameras: Sequence[Camera], fps: float) -> list[Readout]:
     """The readout of every camera, from people's keypoints (V, P, T, J, 2) on the common clock, NaN where not seen."""
-    whole = _told(pixels, cameras)
+    whole = _readouts(pixels, cameras)
     middle = pixels.shape[2] // 2
-    halves = [_told(part, cameras) for part in (pixels[:, :, :middle], pixels[:, :, middle:])]
+    halves = [_readouts(part, cameras) for part in (pixels[:, :, :middle], pixels[:, :, middle:])]
     found = []
     for v, camera in enumerate(cameras):
         reason = whole.reason or _doubt(v, camera, fps, whole, halves)
@@ -50,7 +50,7 @@ def _known(value: float) -> float | None:
     return round(float(value), 6) if np.isfinite(value) else None
 
 
-def _told(pixels: np.ndarray, cameras: Sequence[Camera]) -> Readouts:
+def _readouts(pixels: np.ndarray, cameras: Sequence[Camera]) -> Readouts:
     return readouts_from_residuals(pixels, cameras, _MOMENTS, _LIMITS)
 
 

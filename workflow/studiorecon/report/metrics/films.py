@@ -15,7 +15,7 @@ from studiorecon.scene.path import read_path
 
 
 @dataclass(frozen=True)
-class Judged:
+class ScoredFilms:
     """Films, and the photos that they are compared with.
 
     Attributes:
@@ -39,8 +39,8 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class JudgedFiles:
-    """``Judged`` as files: ``videos``, ``render`` and ``enhanced`` are of the cameras that are compared."""
+class ScoredFilmFiles:
+    """``ScoredFilms`` as files: ``videos``, ``render`` and ``enhanced`` are of the cameras that are compared."""
 
     manifest: Path
     model: Path
@@ -50,14 +50,14 @@ class JudgedFiles:
     render_path: list[Path] = field(default_factory=list)
     enhanced: list[Path] = field(default_factory=list)
 
-    def read(self) -> Judged:
+    def read(self) -> ScoredFilms:
         """Raises UserError as ``first_frames`` does."""
         capture = read_manifest(self.manifest)
         training, held_out = read_model(self.model.parent), read_model(self.heldout_model.parent)
         versions = (("raw", self.render), ("enhanced", self.enhanced)) if self.render_path else ()
         films = {name: files[0] for name, files in versions if files}
         starts = first_frames(self.render_path[0], held_out or training, capture) if self.render_path else {}
-        return Judged(capture, training, held_out, {video.stem: video for video in self.videos}, films, starts)
+        return ScoredFilms(capture, training, held_out, {video.stem: video for video in self.videos}, films, starts)
 
 
 def first_frames(path: Path, cameras: Sequence[Camera], capture: Manifest) -> dict[str, int]:

@@ -82,7 +82,7 @@ def score_identities(
                     names.index(given) if given else NOBODY,
                 )
             )
-    return _told(rows, detections)
+    return _scores(rows, detections)
 
 
 def score_against(
@@ -103,10 +103,10 @@ def score_against(
                 given = identities.get((seen.camera, track), "")
                 true = names.index(who) if who else NOBODY
                 rows.append((frame, view, true, found.index(given) if given else NOBODY))
-    return _told(rows, detections)
+    return _scores(rows, detections)
 
 
-def _told(rows: Sequence[tuple[int, int, int, int]], detections: Sequence[Detections]) -> dict[str, Any]:
+def _scores(rows: Sequence[tuple[int, int, int, int]], detections: Sequence[Detections]) -> dict[str, Any]:
     """All scores of rows of frame, view, true and given person, in the form of the JSON."""
     if not rows:
         return {"accuracy": None, "precision": None, "idf1": None, "reason": "there are no detections"}
