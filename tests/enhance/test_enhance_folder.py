@@ -75,7 +75,7 @@ def test_a_still_folder_comes_out_as_it_went_in(
     picture = panning(1)[0]
     enhance_folder.run(settings, write_pictures(tmp_path / "renders", [picture] * 4), None, tmp_path / "out")
     np.testing.assert_array_equal(np.stack(read(tmp_path / "out")), np.stack([picture] * 4))
-    assert "nothing to steady" in "".join(capsys.readouterr())
+    assert "does not move" in "".join(capsys.readouterr())
 
 
 def test_folders_that_do_not_do_are_refused_by_name(tmp_path: Path, settings: enhance_folder.Settings) -> None:

@@ -44,8 +44,8 @@ def apply_floor_refinement(
     if (off_sigmas := marks.off_sigmas(adjusted, limits)) < CALLED_SIGMAS:
         places = int(marks.pixels.shape[1])
         say(
-            f"{places} places on the floor that two cameras share move no camera: they are {off_sigmas:.1f} of their "
-            "own standard deviations off"
+            f"the floor's pattern agrees with the cameras: {places} matches are {off_sigmas:.1f} standard "
+            "deviations off"
         )
         return adjusted, {**report, "room": {"places": places, "off_sigmas_before": off_sigmas, "believed": False}}
     about = [replace(g, intrinsics=a.intrinsics) for g, a in zip(given, adjusted)]
@@ -53,11 +53,11 @@ def apply_floor_refinement(
     if found is None:
         return adjusted, report
     report = {**report, "room": found.report}
-    pairs = f"{found.report['places']} places on the floor that two cameras share"
+    pairs = f"{found.report['places']} matches on the floor"
     before, after = found.report["off_sigmas_before"], found.report["off_sigmas_after"]
     if not found.believed:
         say(
-            f"{pairs} move no camera: they are {before:.1f} of their own standard deviations off, {after:.1f} after, "
+            f"{pairs} do not refine the cameras: they are {before:.1f} standard deviations off, {after:.1f} after, "
             f"and people's keypoints {found.report['people_px_before']:.2f} px before, "
             f"{found.report['people_px_after']:.2f} px after"
         )

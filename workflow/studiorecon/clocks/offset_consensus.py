@@ -142,9 +142,9 @@ def combine_proposals(
     small.
     """
     if not proposals:
-        return ClockVerdict("undetermined", reason="neither sound, people nor motion determine it")
+        return ClockVerdict("undetermined", reason="there is no estimate")
     if any(contradict(*pair) for pair in itertools.combinations(proposals, 2)):
-        return ClockVerdict("undetermined", reason="they contradict each other")
+        return ClockVerdict("undetermined", reason="the estimates contradict each other")
     best = min(proposals, key=lambda p: p.half_s)
     drift = best.drift_ppm if abs(best.drift_ppm) * 1e-6 * seconds * fps > _NEGLIGIBLE_FRAMES else 0.0
     # An interval wider than a frame determines a frame and no fraction; and a fraction may be too small to matter.

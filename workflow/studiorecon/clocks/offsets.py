@@ -138,9 +138,7 @@ def clock_sentence(
             f"({abs(frames):.2f} frames) {way} {reference}{drift} "
             f"({'; '.join(text)})"
         )
-    return (
-        f"{camera}: when it was started is undetermined, {verdict.reason} ({'; '.join(text) or 'nothing to compare'})"
-    )
+    return f"{camera}: time offset undetermined, {verdict.reason} ({'; '.join(text) or 'nothing to compare'})"
 
 
 def _signed(seconds: float) -> str:
@@ -205,7 +203,7 @@ def estimate_clocks(
             m: why[m].get(c, "nothing links it with the reference camera") for m in pairs if proposed[m][c] is None
         }
         sentence = (
-            f"{camera}: the others are compared with it"
+            f"{camera}: reference of the time offsets"
             if c == reference
             else clock_sentence(camera, verdict, own, reasons, cameras[reference], rate)
         )

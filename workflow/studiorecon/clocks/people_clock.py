@@ -59,7 +59,7 @@ def people_pair(
             rays[index[d.camera]] = _longest(normalise_detections(d, *lenses[d.camera]), clocks[index[d.camera]], rate)
     sighted = [i for i in sorted(tracks) if tracks[i]]
     reasons = {
-        i: "it has no keypoints" if i not in tracks else "it sees no person for long enough" for i in range(len(clocks))
+        i: "it has no keypoints" if i not in tracks else "no person is visible long enough" for i in range(len(clocks))
     }
     reasons.update(dict.fromkeys(sighted, "no person in it moves enough to determine one offset"))
     pairs = []

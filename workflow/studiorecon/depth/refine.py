@@ -216,7 +216,7 @@ def run(
     others = [(c.resized(a.shape[::-1]), a) for i, (c, a) in enumerate(zip(cameras, agreed)) if i != index]
     labelled, floating = snap_to_room_box(labelled, pictures[index].camera, room, others)
     say(
-        f"{camera}: {floating:.1%} of the pixels would float, because no other camera confirms them; moved to walls "
+        f"{camera}: {floating:.1%} of the pixels are confirmed by no other camera and would float; moved to walls "
         "and floor"
     )
     rgb, _ = read_plate(plates[index], cameras[index].wh)

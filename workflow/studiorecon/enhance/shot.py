@@ -207,9 +207,9 @@ def choose_injection(
     elif settings.force.get(INJECTION.name):
         decision = certain_decision(INJECTION, False, "not measured")
     elif isinstance(enhancer, Unchanged):
-        decision = certain_decision(INJECTION, False, "nothing is enhanced, so nothing flickers that did not before")
+        decision = certain_decision(INJECTION, False, "nothing is enhanced, so nothing is added that could flicker")
     elif is_still(drawn.steps, drawn.pictures()):
-        decision = certain_decision(INJECTION, False, "the camera does not move, so there is nothing to steady")
+        decision = certain_decision(INJECTION, False, "the camera does not move, so earlier outputs add nothing")
     else:
         change = flicker(drawn.steps, drawn.render, drawn.depth, reference, enhancer, search)
         decision = decide_injection(change, settings.threshold(INJECTION.name))

@@ -76,8 +76,8 @@ def transfer_strength(training: Training, frames: int, transfer: Transfer, thres
         few = "fewer than two training cameras see what the others see"
         return strength, ENHANCEMENT.decide(None, None, few, threshold=threshold)
     reason = (
-        f"what photos show and renders miss, carried over with strength {strength:.2f}, gains {gain.value:+.2f} dB at "
-        f"a training camera that took no part, where others see it too ({100 * evidence:.0f} % of the pixels)"
+        f"detail that renders miss, added with strength {strength:.2f}, gains {gain.value:+.2f} dB at a left-out "
+        f"training camera, on the {100 * evidence:.0f} % of its pixels that others see"
     )
     decision = ENHANCEMENT.decide(gain.value, gain.interval, reason, threshold=threshold)
     return strength, decision

@@ -118,7 +118,7 @@ def drifting_share(residual: Float[np.ndarray, "N T"]) -> Estimate:
 
 def decide_appearance(person: str, estimate: Estimate, threshold: float) -> Decision:
     """The decision whether the temporal network is worth training for this person: from ``threshold`` on."""
-    reason = f"too few points of {person}'s body are followed long enough"
+    reason = f"too few points of {person}'s body are visible long enough"
     if estimate.value is not None:
         reason = f"the colour of {estimate.value:.0%} of {person}'s body drifts over time after posing"
     # report.audit combines the decisions of all people and names those on whom it acts.

@@ -99,9 +99,6 @@ def run(
     wanted, fps = read_segment(path, segment)
     made = list(synthesize_views(wanted, photos, settings))
     holes = np.mean([mask == 0 for _, mask in made])
-    say(
-        f"segment {segment}: {holes:.1%} of the pixels of {len(made)} views are holes, painted in the picture and 0 in "
-        "the mask"
-    )
+    say(f"segment {segment}: {holes:.1%} of the pixels of {len(made)} views are holes, inpainted and 0 in the mask")
     write_lossless(views, (picture for picture, _ in made), fps)
     write_lossless(support, (mask for _, mask in made), fps)

@@ -67,7 +67,8 @@ class Feedback:
         on_view = "too few pixels to score" if score is None else f"{score:.2f} dB"
         described = (
             f"{self._label}: {self._first + done} of {self._last}, loss {np.mean(self.losses[-self._tenth :]):.4f}, "
-            f"PSNR {self.last_psnr_db:.2f} dB on what was drawn, {on_view} on training view {view}, {count} Gaussians"
+            f"PSNR {self.last_psnr_db:.2f} dB on the last picture, {on_view} on training view {view}, {count} "
+            "Gaussians"
         )
         # Every tenth is logged; only the last is shown.
         (say if self._first + done == self._last else LOGGER.debug)(described)

@@ -62,8 +62,10 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
     extra = _beyond(blur[worst], error[worst], 2 * spread, usual)
     reason = (
         f"{views[worst].camera.name}'s sharpest edges are {blur[worst]:.1f} px wide (at {AT_WIDTH:.0f}), the median "
-        f"camera's {usual:.1f}; focus it or clean its lens before the next take"
+        f"camera's {usual:.1f}"
     )
+    if extra.value is not None and extra.value > threshold:
+        reason += "; focus it or clean its lens before the next take"
     detail = {views[k].camera.name: round(float(blur[k]), 3) for k in known}
     return Measurement(extra.value, extra.interval, reason, {"blur_px": detail})
 

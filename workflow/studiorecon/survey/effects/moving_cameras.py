@@ -27,8 +27,8 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
     reason = "the room has too little texture to see whether cameras move"
     if estimate.value is not None:
         reason = (
-            f"{films[estimate.which].camera.name}'s room shifts by up to {estimate.value:.2f} px against its first "
-            "picture; all later steps assume that cameras do not move"
+            f"{films[estimate.which].camera.name}'s background shifts by up to {estimate.value:.2f} px from its "
+            "first picture; all later steps assume static cameras"
         )
     return Measurement(estimate.value, estimate.interval, reason)
 

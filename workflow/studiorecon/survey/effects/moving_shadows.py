@@ -24,12 +24,9 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
         found.append(shadow_share(small.ratio, small.free, ring, small.film.runs) if ring.any() else NOTHING)
     value, interval, name = largest_estimate(evidence.names, found)
     reason = (
-        "no floor near anybody's feet is seen"
+        "no camera sees floor near feet"
         if value is None
-        else (
-            f"{value:.1%} of the floor near feet darkens in {name}; the clean plate has no shadows, so people must "
-            "cast new ones"
-        )
+        else (f"{value:.1%} of the floor near feet darkens in {name}; the clean plates have no shadows of people")
     )
     return Measurement(value, interval, reason)
 
