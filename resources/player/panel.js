@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Buttons and boxes: cameras, films, who is shown, the truth map, what can be kept, and the bar of time.
+// Buttons and boxes: cameras, films, people and objects, provenance, saving, and the time bar.
 
 const LEVELS = [
   ["rgb(70 130 180)", "measured: a camera saw it"], ["rgb(240 200 80)", "inferred from what was seen"],
-  ["rgb(200 80 70)", "invented: nobody saw it"],
+  ["rgb(200 80 70)", "invented: no camera saw it"],
 ];
 
 function makePanel(player) {
@@ -30,7 +30,7 @@ function makePanel(player) {
     const asked = navigator.clipboard ? navigator.clipboard.writeText(text) : Promise.reject();
     say(await asked.then(() => done, () => otherwise));
   }
-  // A button for every one of a list, pressed while one stands or flies there.
+  // A button for each entry, pressed while its view is active.
   function buttons(parent, mode, list, also = {}) {
     list.forEach(({ name }, index) => {
       const chosen = () => eye.mode === mode && eye[mode] === index;
@@ -39,7 +39,7 @@ function makePanel(player) {
   }
 
   at("panel").querySelector("h1").textContent = scene.scene;
-  const cameras = section("Stand at camera");
+  const cameras = section("View from camera");
   buttons(cameras, "camera", scene.cameras);
   const photo = add(panel, "label", "photo"), opacity = add(photo, "input", "", { type: "range", min: 0, max: 1 });
   Object.assign(opacity, { step: 0.01, value: state.opacity });
@@ -52,15 +52,15 @@ function makePanel(player) {
   const films = section("Fly along film");
   buttons(films, "film", scene.films, { picture: 0 });
   button(films, "free", () => eye.letGo(), () => eye.mode === "free");
-  const who = section("Who is shown");
+  const who = section("People and objects");
   for (const set of scene.sets) box(who, set.name, set, "shown");
-  const known = section("What is known");
+  const known = section("Provenance");
   box(known, "truth map", state, "tinted");
   for (const [colour, text] of LEVELS)
     add(known, "p", text, { className: "level" }).style.setProperty("--colour", colour);
   if (scene.sets.some((set) => set.kind === "person")) box(known, "skeletons", state, "skeletons");
 
-  const keep = section("Keep");
+  const keep = section("Save");
   button(keep, "Screenshot", async () => {
     await player.picture();
     const download = `${scene.scene}-${state.frame.toFixed(1)}.png`;

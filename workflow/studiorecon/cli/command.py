@@ -72,31 +72,31 @@ def _parser() -> argparse.ArgumentParser:
             made.add_argument("--cores", default="all", metavar="N", help="processor cores to use (default: all)")
         return made
 
-    demo = word("demo", _demo, "film a synthetic studio and reconstruct it: minutes, and needs no data")
+    demo = word("demo", _demo, "film a synthetic studio and reconstruct it (minutes, needs no data)")
     doctor = word("doctor", _doctor, "check calibration, clocks, exposures and coverage before anything expensive")
     look = word("look", _look, "preview a capture: one small film, nothing else")
     run = word("run", _run, "reconstruct a capture: films, page and files for other tools")
-    plan = word("plan", _plan, "say where to put cameras in a room, or which of a capture's to move, with a picture")
+    plan = word("plan", _plan, "suggest camera positions for a room or a capture, with a picture")
     view = word("view", _view, "show a finished scene's page in the browser", runs=False)
     settings = word("settings", _settings, "print every setting with its meaning and default", runs=False)
     for made in (doctor, look, run):
-        films = "the capture: videos/ with one file per camera, and what else you have"
+        films = "the capture: videos/ with one file per camera, and optional calibration, keypoints, masks, depth"
         made.add_argument("folder", type=Path, metavar="DIR", help=films)
     for made in (demo, run):
         made.add_argument("--preset", metavar="P", help=f"{', '.join(_presets())}, or a file of your own")
         made.add_argument("--budget", metavar="MIN", type=float, help="minutes it may take: chooses the preset")
     _add_plan_arguments(plan)
     _add_view_arguments(view)
-    begins = "only what begins so: people, people.review, render.shots"
+    begins = "section or setting: people, people.fit, render.shots"
     settings.add_argument("name", nargs="?", default="", help=begins)
     return parser
 
 
 def _add_plan_arguments(plan: argparse.ArgumentParser) -> None:
-    judged = "a capture, whose calibration is judged; without it, a room:"
+    judged = "a calibrated capture; without it, give --room"
     plan.add_argument("folder", type=Path, nargs="?", metavar="DIR", help=judged)
     plan.add_argument("--room", metavar="WxDxH", help="width, depth and height in metres: 6x5x2.8")
-    plan.add_argument("--cameras", metavar="N", default="4", help="how many (default: 4)")
+    plan.add_argument("--cameras", metavar="N", default="4", help="number of cameras (default: 4)")
     field = "horizontal field of view, one or one each (default: 65)"
     plan.add_argument("--hfov", nargs="+", default=["65"], metavar="DEG", help=field)
     plan.add_argument("--resolution", default="1920x1080", metavar="WxH", help="of the pictures (default: 1920x1080)")
@@ -107,7 +107,7 @@ def _add_plan_arguments(plan: argparse.ArgumentParser) -> None:
 def _add_view_arguments(view: argparse.ArgumentParser) -> None:
     finished = "the capture or its results folder (default: the demo's)"
     view.add_argument("folder", nargs="?", default="demo", metavar="DIR", help=finished)
-    port = f"port on 127.0.0.1 (default: {_PORT}; 0 takes a free one)"
+    port = f"port on 127.0.0.1 (default: {_PORT}; 0: a free one)"
     view.add_argument("--port", type=int, default=_PORT, help=port)
     view.add_argument("--no-browser", action="store_true", help="only serve and print the address")
 

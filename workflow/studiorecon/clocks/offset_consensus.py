@@ -142,7 +142,7 @@ def combine_proposals(
     small.
     """
     if not proposals:
-        return ClockVerdict("undetermined", reason="there is no estimate")
+        return ClockVerdict("undetermined", reason="no estimate")
     if any(contradict(*pair) for pair in itertools.combinations(proposals, 2)):
         return ClockVerdict("undetermined", reason="the estimates contradict each other")
     best = min(proposals, key=lambda p: p.half_s)

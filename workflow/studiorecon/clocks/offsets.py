@@ -138,7 +138,7 @@ def clock_sentence(
             f"({abs(frames):.2f} frames) {way} {reference}{drift} "
             f"({'; '.join(text)})"
         )
-    return f"{camera}: time offset undetermined, {verdict.reason} ({'; '.join(text) or 'nothing to compare'})"
+    return f"{camera}: time offset undetermined: {verdict.reason} ({'; '.join(text) or 'nothing to compare'})"
 
 
 def _signed(seconds: float) -> str:
