@@ -69,8 +69,8 @@ READINGS_HEAD = f"""# Readings
 
 {MADE}
 
-Passages of the paper that allow several readings, each with the reading used here. In brackets: its setting with the
-default and, where it differs, the value for the paper's wording. `git grep -w U07` lists the code.
+Passages of the paper that allow several readings, each with the reading used here and its settings
+([their values](paper.md)). `git grep -w U07` lists the code.
 """
 
 
@@ -166,16 +166,11 @@ def reading_table() -> str:
 
 
 def _settings(reading: Reading) -> str:
-    """The settings of a reading in brackets, each with its default and, where it differs, the paper's value."""
-    defaults, letter = (
-        dict(pair.split("=", 1) for pair in pairs(text)) for text in (reading.settings, reading.literal)
+    """The names of a reading's settings in brackets."""
+    names = dict.fromkeys(
+        pair.partition("=")[0] for text in (reading.settings, reading.literal) for pair in pairs(text)
     )
-    words = []
-    for key in dict.fromkeys([*defaults, *letter]):
-        value, paper = defaults.get(key), letter.get(key)
-        shown = f"`{key}`" if value is None else f"`{key}={value}`"
-        words.append(shown if paper in (None, value) else f"{shown}, paper `{paper}`")
-    return f" ({'; '.join(words)})" if words else ""
+    return f" ({', '.join(f'`{name}`' for name in names)})" if names else ""
 
 
 def main(arguments: Sequence[str]) -> int:
