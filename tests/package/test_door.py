@@ -71,6 +71,39 @@ def test_a_fault_of_the_command_is_a_sentence_too(
     assert "Traceback" in (tmp_path / FAULTS).read_text()
 
 
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_cost_nothing_but_the_output(closed: str, tmp_path: Path) -> None:
+    code = (
+        "import os, sys\nfrom studiorecon.machine.output import unbroken_output as u\n"
+        "with u():\n print('out'); print('error', file=sys.stderr)\n"
+        f" open({str(tmp_path / 'first')!r}, 'w').write('a file'); os.system('echo from below')"
+    )
+    done = subprocess.run(f'"{sys.executable}" -c "$CODE" {closed}', shell=True, env=os.environ | {"CODE": code})
+    assert done.returncode == 0
+    assert (tmp_path / "first").read_text() == "a file"
+
+
+@pytest.mark.parametrize("folder", ["loop", "a" * 5000, "\udcff", ""], ids=["loop", "long", "no text", "empty"])
+@pytest.mark.parametrize("word", [["view", "--no-browser"], ["doctor"]], ids=["view", "doctor"])
+def test_names_that_lead_nowhere_are_refused(
+    word: list[str], folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop")
+    assert command.main([word[0], folder, *word[1:]]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("studiorecon: ")
+    assert "fault of the program" not in said
+    assert len(said) < 1000
+
+
+@pytest.mark.parametrize("cores", ["0", "-1", "many", ""])
+def test_a_number_of_cores_that_runs_nothing_is_refused(cores: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        command.main(["demo", "--cores", cores])
+    assert "number of cores from 1 on" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "environment", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}]
 )

@@ -52,6 +52,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 1
 
 
+def _cores(given: str) -> str:
+    """``all`` or a number of processor cores; Snakemake starts with 0 cores, and then no job."""
+    if given != "all" and not (given.isascii() and given.isdigit() and int(given) > 0):
+        raise argparse.ArgumentTypeError(f"{given!r} is neither a number of cores from 1 on nor all")
+    return given
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="studiorecon",
@@ -69,7 +76,9 @@ def _parser() -> argparse.ArgumentParser:
         )
         made.set_defaults(word=does)
         if runs:
-            made.add_argument("--cores", default="all", metavar="N", help="processor cores to use (default: all)")
+            made.add_argument(
+                "--cores", type=_cores, default="all", metavar="N", help="processor cores to use (default: all)"
+            )
         return made
 
     demo = word("demo", _demo, "film a synthetic studio and reconstruct it (minutes, needs no data)")
@@ -294,7 +303,7 @@ def finished_scene(folder: str) -> Path:
     """The results folder for a capture's folder, a scene's name or that folder itself; raises UserError when it has no
     page.
     """
-    name = Path(folder).stem if folder.endswith((".yaml", ".yml")) else Path(folder).resolve().name
+    name = Path(folder).stem if folder.endswith((".yaml", ".yml")) else os.path.basename(os.path.realpath(folder))
     for place in (Path(folder), Path("results") / folder, Path("results") / name):
         if (place / "report" / "index.html").is_file():
             return place

@@ -64,7 +64,9 @@ class _Reader(http.server.BaseHTTPRequestHandler):
             # Pages link relative to their folder, whose address ends in a slash.
             parts = path.relative_to(self.server.folder).parts
             self._begin(HTTPStatus.MOVED_PERMANENTLY, 0)
-            self.send_header("Location", "/".join(["", self.server.token, *map(quote, parts), ""]))
+            self.send_header(
+                "Location", "/".join(["", self.server.token, *(quote(os.fsencode(part)) for part in parts), ""])
+            )
             return self.end_headers()
         try:
             file = path.open("rb") if path else None

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import traceback
 from pathlib import Path
 from types import FrameType
@@ -45,6 +46,6 @@ def _file_at_hand(frames: list[FrameType]) -> Path | None:
     """The file that the innermost function with a file argument was working on."""
     for frame in reversed(frames):
         for value in reversed(list(frame.f_locals.values())):
-            if isinstance(value, Path) and not value.is_relative_to(_PACKAGE) and value.exists():
+            if isinstance(value, Path) and not value.is_relative_to(_PACKAGE) and os.path.exists(value):
                 return value
     return None

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Output streams that cannot fail: unencodable characters are replaced, and output without a reader (``| head -1``) is
-dropped.
+"""Output streams that cannot fail: unencodable characters are replaced, and output without a reader (``| head -1``) or
+to a closed descriptor (``>&-``) is dropped.
 """
 
 from __future__ import annotations
@@ -40,9 +40,19 @@ class _Unbroken:
         return getattr(self._stream, name)
 
 
+def _open_closed_descriptors() -> None:
+    """Open what is closed of standard input, output and error on nothing: the next file would get its number."""
+    while (opened := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(opened, True)
+    os.close(opened)
+    sys.stdout = sys.stdout or os.fdopen(1, "w", encoding="utf-8", closefd=False)
+    sys.stderr = sys.stderr or os.fdopen(2, "w", encoding="utf-8", closefd=False)
+
+
 @contextmanager
 def unbroken_output() -> Iterator[None]:
     """Context in which standard output and standard error are such streams."""
+    _open_closed_descriptors()
     before = sys.stdout, sys.stderr
     for stream in before:
         if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape"):

@@ -12,6 +12,7 @@ _KEPT = "finished results are kept"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 _FAILING = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.ENODEV, errno.ENOTCONN)
+_NO_NAME = (errno.ENAMETOOLONG, errno.ELOOP)
 _OPEN = (errno.EMFILE, errno.ENFILE)
 # A thread that cannot be started gives EAGAIN ("try again").
 _NO_MEMORY = (errno.ENOMEM, errno.EAGAIN)
@@ -71,6 +72,8 @@ def describe_resource_error(error: BaseException) -> str | None:
         )
     if number in _FAILING:
         return f"the disk or its network does not answer ({why}); when it does, run again: {_KEPT}"
+    if number in _NO_NAME:
+        return f"{_shortened(why)}: this name leads to no file; name another one"
     if number in _OPEN:
         return f"too many files are open ({why}); allow more (ulimit -n 4096), and run again: {_KEPT}"
     if isinstance(error, EOFError | ValueError) and _cuts_byte_code(error):
@@ -101,6 +104,11 @@ def _cuts_byte_code(error: BaseException) -> bool:
     while at is not None and at.tb_next is not None:
         at = at.tb_next
     return at is not None and at.tb_frame.f_code.co_filename == "<frozen importlib._bootstrap_external>"
+
+
+def _shortened(text: str) -> str:
+    """The ends of a long text: names may have thousands of characters."""
+    return text if len(text) < 200 else f"{text[:60]} … {text[-80:]}"
 
 
 def _first_line(error: BaseException) -> str:
