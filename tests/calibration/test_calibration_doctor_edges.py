@@ -69,7 +69,7 @@ def test_a_calibration_that_people_accept_and_edges_contradict_is_usable_and_tol
     assert report["edges"]["off_deg"] > 1.5 > report["edges"]["after_deg"]
     (said,) = of_edges(report)
     first, second = report["edges"]["cameras"]
-    assert f"cameras {first} and {second} are turned to one another by {report['edges']['off_deg']:.1f}°" in said
+    assert f"between cameras {first} and {second} by {report['edges']['off_deg']:.1f}°" in said
     assert f"by {report['edges']['after_deg']:.1f}° once refinement has moved the cameras" in said
     assert "with cameras.refine on; calibrate again if that is not enough" in said
     assert "px" not in said

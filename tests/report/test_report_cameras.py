@@ -16,9 +16,9 @@ def said(edges: dict[str, Any] | None) -> str:
 
 def test_what_the_room_s_edges_say_stands_before_and_after() -> None:
     moved = said({**CONTRADICTED, "believed": True, "off_after_deg": 0.19, "between_deg": 2.56})
-    assert "contradicted how cam1 and &lt;b&gt; are turned to one another by 2.4°; as used 0.2°" in moved
+    assert "contradicted the rotation between cam1 and &lt;b&gt; by 2.4°; after refinement by 0.2°" in moved
     assert "±2.6° (95 %)" in moved
     stayed = said(CONTRADICTED)
-    assert "2.4°, 4.8 of the edges" in stayed
-    assert "no camera was moved" in stayed
+    assert "2.4°, 4.8 of their" in stayed
+    assert "no camera was refined" in stayed
     assert "straight edges" not in said(None)

@@ -19,7 +19,7 @@ def test_warnings_of_all_steps_are_one_error(tmp_path: Path) -> None:
     with pytest.raises(UserError) as refused:
         strict.run(tmp_path / "index.html", tmp_path / "logs", tmp_path / "strict.txt")
     told = str(refused.value).splitlines()
-    assert told[0].startswith("2 warnings, which strict makes errors; everything is made")
+    assert told[0].startswith("2 warnings, treated as errors (strict)")
     assert told[1:] == [
         "detect.people.cam2: camera cam2: nobody was found",
         "people.associate: somebody was left out",

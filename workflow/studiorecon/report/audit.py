@@ -51,7 +51,7 @@ def appearance(found: Mapping[str, Decision | None], threshold: float) -> Decisi
         why = (
             "no person was trained"
             if not found
-            else f"human training did not ask, or followed too little of {', '.join(found)}"
+            else f"human training did not measure it, or saw too little of {', '.join(found)}"
         )
         return TEMPORAL_APPEARANCE.decide(None, None, f"not measured here: {why}", threshold=threshold)
     _, most = max(asked.values(), key=lambda pair: (pair[1].called_for, pair[0]))
@@ -68,7 +68,7 @@ def of_films(files: Sequence[Path]) -> list[Decision]:
         if measured:
             made.append(max(measured, key=lambda one: (one.called_for, one.value is not None, one.value or 0.0)))
         else:
-            made.append(effect.decide(None, None, "no film was made here that it could be measured on"))
+            made.append(effect.decide(None, None, "no film was made to measure it on"))
     return made
 
 

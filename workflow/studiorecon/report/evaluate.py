@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 _NO_HELD_OUT = "no camera is held out: name some under held_out in capture.yaml"
 _NO_TRUTH = "there is no exact truth (only a synthetic studio has it)"
-_NO_REGIONS = "no held-out camera's rendered depth says which surfaces it shows"
+_NO_REGIONS = "no held-out camera has rendered depth"
 _NO_DEPTH = "the studio kept no depth of the people: truth: {depth_frames: true} in its description"
 
 

@@ -239,7 +239,7 @@ def people_section(
 def room_section(made: Made, width: int) -> list[str]:
     """The section on the room: plate and depth of each camera."""
     plates, depths = made.each("plates/{}.png", made.cameras), made.each("depth/{}.exr", made.cameras)
-    lead = "What the cameras see without people, and how far away it is."
+    lead = "Each camera's view without people, and its depth."
     return [html.heading("The room", lead), html.row(room_pictures(plates, depths, width), min(len(plates), 4))]
 
 
@@ -284,7 +284,7 @@ def run(
     of_films = appendix.film_warnings(ledgers, settings.min_measured, settings.max_angle_deg)
     refinement = made.folder / "cameras/refinement.json"
     files = [measures.metrics, costs, *measures.decisions, refinement, *people.identities, *linked]
-    lead = "Cameras that no stage but this report has looked at. Differences are amplified."
+    lead = "Cameras that only this report uses. Differences are amplified."
     body = [
         *shown,
         html.heading("Against the held-out cameras", lead),

@@ -22,7 +22,7 @@ def run(page: Path, logs: Place, passed: Written) -> None:
     found = [f"{step}: {sentence}" for step, sentence in read_warnings(logs)]
     if found:
         raise UserError(
-            f"{len(found)} warning{'s' if len(found) > 1 else ''}, which strict makes errors; everything is made, and "
-            f"{page} has them too:\n" + "\n".join(found)
+            f"{len(found)} warning{'s' if len(found) > 1 else ''}, treated as errors (strict); all results are "
+            f"made, and {page} lists them too:\n" + "\n".join(found)
         )
     write_text(passed, "no step warned\n")

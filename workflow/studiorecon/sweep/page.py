@@ -59,7 +59,7 @@ def run(records: list[Path], page: Written, table: Written) -> None:
     if len(scenes) > 1:
         body.append(_mean_effects(scenes))
     machine = ", ".join(f"{key} {value}" for key, value in read[0]["machine"].items())
-    body.append(f'<p class="soft">{html.text(machine)}. Scoring and filming a made studio are not charged.</p>')
+    body.append(f'<p class="soft">{html.text(machine)}. Scoring and filming a synthetic studio are not counted.</p>')
     write_text(page, html.page("What accuracy costs", body))
     write_text(table, as_csv(read))
     say(f"the page needs no network: {page}")

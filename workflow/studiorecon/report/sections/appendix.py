@@ -65,10 +65,8 @@ def warnings(found: Sequence[tuple[str, str]]) -> str:
     """The section of warnings that a reader needs before trusting the result."""
     title = "Warnings"
     if not found:
-        return html.heading(title, "No step warned of anything.")
-    return html.heading(title, f"{len(found)} sentences that steps of this run marked as warnings.") + html.table(
-        ["step", "what"], found
-    )
+        return html.heading(title, "No warnings.")
+    return html.heading(title, f"Warnings of this run: {len(found)}.") + html.table(["step", "what"], found)
 
 
 def versions(provenance: Mapping[str, Any], machine: Mapping[str, str]) -> str:
@@ -107,7 +105,7 @@ def delivery_links(folder: Path, page: Path) -> str:
 def links(results: Path, page: Path, files: Sequence[Path], ledgers: Sequence[Path]) -> str:
     """Relative links to data of the scene in ``results``; they work while the page stays in its folder."""
     rows = [(path, _FILES[path.relative_to(results).as_posix()]) for path in files]
-    rows += [(path, f"what every picture of shot {path.stem} is made of") for path in ledgers]
+    rows += [(path, f"provenance of every picture of shot {path.stem}") for path in ledgers]
     items = []
     for path, what in rows:
         address, name = Path(os.path.relpath(path, page.parent)).as_posix(), path.relative_to(results).as_posix()

@@ -62,7 +62,8 @@ def licences(configuration: Mapping[str, Any], folder: Path) -> str:
         parts.append(html.table(header, [*rows, *brought]))
     else:
         parts.append(
-            "<p>No upstream network was used; every stage took its own method, and the body is the bundled one.</p>"
+            "<p>No upstream network was used; every stage used its built-in method, and the body is the bundled "
+            "one.</p>"
         )
     parts += [
         html.folded(p.name, p.read_text(encoding="utf-8", errors="replace"))

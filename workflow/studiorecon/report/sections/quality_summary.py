@@ -18,10 +18,8 @@ def quality_summary(metrics: Mapping[str, Any]) -> str:
     if psnr is None:
         shares = {shot: s["measured"] for shot, s in metrics["coverage"].items() if s.get("measured") is not None}
         shown = "".join(f"{s:.0%} of film {shot} shows measured surfaces. " for shot, s in shares.items())
-        return (
-            f"{shown}How close new views come was not measured: no camera is held out (name one under held_out in "
-            f"capture.yaml){joints}."
-        )
+        remedy = "name one under held_out in capture.yaml"
+        return f"{shown}New views were not scored: no camera is held out ({remedy}){joints}."
     alike = "" if ssim is None else f", SSIM {ssim:.2f}"
     limit, remedy = _limit(pictures)
     return f"New views match the held-out cameras at {psnr:.1f} dB PSNR{alike}{joints}. {limit}; {remedy}."

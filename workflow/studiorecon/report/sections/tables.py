@@ -187,9 +187,9 @@ def left_out(those: Sequence[Mapping[str, Any]]) -> str:
     if not those:
         return ""
     lead = (
-        "Two cameras or more agreed on each of these for a second, or for half of a shorter clip, and they are not in "
-        "the scene; people/review.html has their pictures. If one of them is somebody, copy people/identities.tsv "
-        "into the dataset folder and put the lines below into it, in place of those of the same tracks."
+        "At least two cameras saw each of these for a second, or for half of a shorter clip. Their pictures are in "
+        "people/review.html. To accept one, copy people/identities.tsv into the dataset folder and replace the "
+        "lines of the same tracks by these."
     )
     rows = [
         [
@@ -207,7 +207,7 @@ def left_out(those: Sequence[Mapping[str, Any]]) -> str:
 
 def cameras(doctor: Any, sheet: str) -> str:
     """How well the cameras explain the keypoints, and the contact sheet."""
-    lead = "How well the calibration explains what the cameras saw."
+    lead = "How well the calibration explains the keypoints."
     errors = zip(
         doctor.get("cameras", ()), doctor.get("before_px_per_camera") or (), doctor.get("after_px_per_camera") or ()
     )
@@ -226,13 +226,14 @@ def _edges(edge: Any) -> str:
     """How the room's straight edges constrained the cameras' rotation, before refinement and after."""
     if edge is None:
         return ""
-    off = f"{' and '.join(edge['cameras'])} are turned to one another by {edge['off_deg']:.1f}°"
+    off = f"the rotation between {' and '.join(edge['cameras'])} by {edge['off_deg']:.1f}°"
     if edge["believed"]:
         said = (
-            f"contradicted how {off}; as used {edge['off_after_deg']:.1f}°, known to ±{edge['between_deg']:.1f}° (95 %)"
+            f"contradicted {off}; after refinement by {edge['off_after_deg']:.1f}°, with an interval of "
+            f"±{edge['between_deg']:.1f}° (95 %)"
         )
     else:
-        said = f"differ from how {off}, {edge['off_sigmas']:.1f} of the edges' standard deviations: no camera was moved"
+        said = f"differ from {off}, {edge['off_sigmas']:.1f} of their standard deviations: no camera was refined"
     return f"<p class=soft>{html.text(f'The straight edges of the room {said}.')}</p>"
 
 
@@ -242,7 +243,7 @@ def coverage(decided: Sequence[Mapping[str, Decision]]) -> str:
     if not shares:
         return ""
     rows = [[f"{count} or more", f"{share:.0%}", html.bar(share)] for count, share in enumerate(shares, start=1)]
-    lead = "Share of the stage, from the floor to the height of people, that so many training cameras see."
+    lead = "Share of the stage, from the floor to the height of people, by the number of training cameras that see it."
     return f"<p>{html.text(lead)}</p>" + html.table(["cameras", "share", ""], rows, numeric=(1,), raw=(2,))
 
 
@@ -278,10 +279,7 @@ def cost_and_quality(metrics: Mapping[str, Any], spent: Mapping[str, Any], budge
         (duration(spent["total"]["seconds"]), "all jobs, one after the other"),
         (shown(spent["total"]["peak_memory_mb"], 0, "MB"), "memory of the largest job"),
     ]
-    lead = (
-        "One run is one point: snakemake sweep runs others on the same scene and makes a page of their front, prices "
-        "and the settings that matter."
-    )
+    lead = "snakemake sweep measures what other settings cost and gain on this scene."
     cost = f"<p>{html.text(_bought(budget, spent))}</p>" if budget else ""
     return html.heading("What accuracy costs", lead) + f"<p><b>{html.text(sentence)}</b></p>" + html.tiles(tiles) + cost
 
@@ -299,7 +297,7 @@ def _bought(budget: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
 
 def costs(spent: Mapping[str, Any]) -> str:
     """Seconds per stage as bars, with memory and the rules on demand."""
-    lead = "Wall seconds of all jobs of a stage, added up; stages may have run side by side."
+    lead = "Wall seconds of all jobs of a stage, added up; stages may have run at the same time."
     if spent["reason"]:
         return html.heading("Where the time went") + f"<p>{MISSING}: {html.text(spent['reason'])}.</p>"
     longest = max((stage["seconds"] or 0 for stage in spent["stages"].values()), default=0) or 1
