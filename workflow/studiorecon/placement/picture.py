@@ -14,6 +14,7 @@ from studiorecon.placement.room import HEAD_M, HIPS_M, WIDTH_M, Room
 from studiorecon.scene.camera import Camera
 
 _MAP_PX, _GAP_PX, _TOP_PX, _LINE_PX = 430, 50, 92, 19
+_CHARACTER_PX = 7  # mean width of a letter
 _CELLS = 44
 _CONE_M = 1.1
 # Names of viewing directions in the picture, from right (0°) counter-clockwise in steps of 45 degrees.
@@ -213,8 +214,7 @@ def _legend(left: float, top: float, entries: Sequence[tuple[str, str]]) -> list
             'stroke="#2b2b2b" stroke-width="0.5"/>'
         )
         parts.append(_text(x + 18, top, words, ""))
-        # Mean width of a letter
-        x += 18 + 7 * len(words) + 14
+        x += 18 + _CHARACTER_PX * len(words) + 14
     return parts
 
 
