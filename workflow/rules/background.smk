@@ -145,6 +145,6 @@ rule background_train:
         working="logs/{scene}/background/train",
         lpips=PLAN.networks.lpips("background"),
     message:
-        "The room of {wildcards.scene} as Gaussians; pictures of how it goes in {params.working}"
+        "Train the room of {wildcards.scene}; previews are in {params.working}"
     shell:
         command("background.train")

@@ -56,7 +56,7 @@ rule deliver_player:
     params:
         code=code("deliver.player"),
     message:
-        "The scene to move through: {output.page}"
+        "Write the player: {output.page}"
     shell:
         command("deliver.player")
 
@@ -81,7 +81,7 @@ rule deliver_scene_glb:
     params:
         code=code("deliver.scene_glb"),
     message:
-        "The scene as one glTF: {output.glb}"
+        "Write the scene as glTF: {output.glb}"
     shell:
         command("deliver.scene_glb")
 
@@ -136,7 +136,7 @@ rule deliver_usd:
     params:
         code=code("deliver.usd"),
     message:
-        "The scene as a stage of OpenUSD: {output.stage}"
+        "Write the scene as OpenUSD: {output.stage}"
     shell:
         command("deliver.usd")
 

@@ -37,7 +37,7 @@ rule enhance_shot:
         weights=PLAN.networks.weights if PLAN.networks.enhance else "none",
         device=config["device"] if PLAN.networks.enhance else "cpu",
     message:
-        "Film {wildcards.shot}: enhanced and steadied where the scene calls for it; {output.film}"
+        "Enhance film {wildcards.shot} where the scene needs it: {output.film}"
     shell:
         command("enhance.shot")
 

@@ -40,7 +40,7 @@ rule humans_train:
         working="logs/{scene}/humans/train/{person}",
         lpips=PLAN.networks.lpips("humans"),
     message:
-        "Person {wildcards.person} as Gaussians; pictures of how it goes in {params.working}"
+        "Train person {wildcards.person}; previews are in {params.working}"
     shell:
         command("humans.train")
 

@@ -32,7 +32,7 @@ checkpoint people_associate:
         settings=settings("people.associate"),
         code=code("people.associate"),
     message:
-        "Who is who: which tracks of which cameras are the same person"
+        "Associate people across cameras"
     shell:
         command("people.associate")
 

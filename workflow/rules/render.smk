@@ -64,7 +64,7 @@ rule render_shot:
         code=code("render.shot"),
         device=config["device"],
     message:
-        "Film {wildcards.shot}: every picture of the 4D scene, rendered"
+        "Render film {wildcards.shot}"
     shell:
         command("render.shot")
 

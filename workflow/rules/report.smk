@@ -182,7 +182,7 @@ rule report_page:
         logs="logs/{scene}",
         licences=HOME / "resources/licences",
     message:
-        "Everything on one page: {output.page}"
+        "Write the report: {output.page}"
     shell:
         command("report.page")
 

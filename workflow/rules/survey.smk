@@ -32,6 +32,6 @@ checkpoint survey_decide:
         settings=settings("survey.decide"),
         code=code("survey.decide"),
     message:
-        "Which effects {wildcards.scene} calls for; jobs that hang on it follow"
+        "Measure which effects {wildcards.scene} needs"
     shell:
         command("survey.decide")
