@@ -134,7 +134,7 @@ def test_the_best_score_that_fits_is_chosen_not_the_dearest() -> None:
     three = points(look=22.0, defaults=23.0, standard=22.5)
     whole_night = bought_for(600, three)
     assert whole_night.chosen.name == "the defaults"
-    assert "nothing that was measured scores higher, not even standard" in whole_night.sentence()
+    assert "no measured preset scores higher, not even standard" in whole_night.sentence()
     assert "with 2 people" in whole_night.sentence()
     between = bought_for((minutes_of("look") + minutes_of("")) / 2, three)
     assert between.chosen.name == "look"
@@ -154,7 +154,7 @@ def test_too_little_time_takes_the_quickest_and_says_so() -> None:
     choice = bought_for(0.01, points(look=22.0, defaults=23.0))
     assert choice.chosen.name == "look"
     assert not choice.fits
-    assert "the quickest there is" in choice.sentence()
+    assert "no preset is quicker" in choice.sentence()
     told = choice.as_json()
     assert told["more"] in choice.sentence()
     assert told["low_s"] < told["predicted_s"] < told["high_s"]

@@ -84,7 +84,7 @@ class Choice:
     def more(self) -> str:
         """The gain that more time would buy; where nothing fits, the settings that take less."""
         if not self.fits:
-            return "that is more, but the quickest there is; fewer frames or fewer films take less"
+            return "over the budget, but no preset is quicker; use fewer frames or films"
         better = [offer for offer in self.offers if gain_db(offer.point, self.chosen.point) > 0]
         if better:
             first = min(better, key=lambda offer: offer.predicted.seconds)
@@ -93,7 +93,7 @@ class Choice:
             return f"{first.name} would take {_minutes(first.predicted.seconds)} for {mean(gains):.1f} dB more{span}"
         dearer = [offer.name for offer in self.offers if offer.predicted.seconds > self.chosen.predicted.seconds]
         tried = f", not even {', '.join(dearer)}" if dearer else ""
-        return f"nothing that was measured scores higher{tried}"
+        return f"no measured preset scores higher{tried}"
 
     def as_json(self) -> dict[str, Any]:
         """The choice as JSON for the page."""
