@@ -116,8 +116,8 @@ def _run(module: types.ModuleType, step: str, options: dict, log: Path | None) -
         settings_type = module.Settings if dataclasses.is_dataclass(getattr(module, "Settings", None)) else None
         if settings_type is not None:
             options["settings"] = settings_module.load(settings_type, values, step.split(".")[0])
-        for sentence in changed_files(step_paths(module.run, options, Path)):
-            warn(sentence)
+        for changed in changed_files(step_paths(module.run, options, Path)):
+            warn(changed)
         module.run(**gathered(module.run, options))
         record_files(step, step_paths(module.run, options, Written))
     except UserError as refusal:

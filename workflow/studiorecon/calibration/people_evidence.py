@@ -53,7 +53,7 @@ def agreement(
 def is_in_metres(lenses: Sequence[Lens], sizes: Sequence[tuple[int, int]], people: Sequence[Detections]) -> bool | None:
     """Whether people have an adult's stature in the lenses' world; None where too few of their bones are seen."""
     _, cameras, found = _observed(lenses, sizes, people)
-    statures = statures_m(cameras, found, _LIMITS) if found is not None else []
+    statures = statures_m(cameras, found, _LIMITS) if found is not None else np.zeros(0)
     if len(statures) < MIN_BONES:
         return None
     return bool(ADULTS_M[0] <= np.median(statures) <= ADULTS_M[1])

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -263,7 +263,7 @@ def brightness_and_clipping(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) ->
     }
 
 
-def footage_notes(footage: list[dict[str, Any]]) -> list[str]:
+def footage_notes(footage: Sequence[Mapping[str, Any]]) -> list[str]:
     """Sentences about faults of the videos themselves; ``footage`` holds the cameras' entries as for
     ``doctor.examine``."""
     found = []
