@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
 _BONES = 4
-# Number of body points at which the player evaluates a network that the renderer evaluates at every Gaussian.
-_PLACES = 512
 
 
 def moments(frames: int, most: int) -> Float[np.ndarray, " K"]:
@@ -88,7 +86,8 @@ def changes(
     network, seen = person.network, person.drifting
     assert network is not None
     means = person.gaussians.means_m[seen]
-    own = network if network.control else replace(network, control=ControlPoints.on(means, _PLACES))
+    # Number of body points at which the player evaluates a network that the renderer evaluates at every Gaussian.
+    own = network if network.control else replace(network, control=ControlPoints.on(means, 512))
     control = own.control
     assert control is not None
 
