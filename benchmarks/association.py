@@ -28,7 +28,7 @@ from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.tracking import drop_duplicates, tracks
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import identities_from_keypoints
-from studiorecon.people.association.grouping import group_tracks, track_margins
+from studiorecon.people.association.grouping import Compared, groups_and_returns, track_margins
 from studiorecon.report.metrics.identity_scores import identity_scores
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import write_json
@@ -176,7 +176,7 @@ def score(
     found: list[Detections], owners: list[np.ndarray], take: Take, options: associate.Settings
 ) -> dict[str, float]:
     """Scores of one draw, after association has judged who is a person at all."""
-    limits = options.association, options.triangulation, options.evidence
+    limits = options.association, options.triangulation
     started = time.perf_counter()
     with redirect_stdout(io.StringIO()):
         table, rows, _ = identities_from_keypoints(*limits, take.cameras, found, [], FRAMES, 30.0)
@@ -187,8 +187,9 @@ def score(
     scores = identity_scores(
         np.concatenate([d.frame for d in found]), view, np.concatenate(owners), np.concatenate(given)
     )
-    groups = group_tracks(found, take.cameras, FRAMES, 30.0, options.association, options.triangulation)
-    margins = track_margins(groups, found, take.cameras, options.association)
+    compared = Compared.of(found, take.cameras, options.association)
+    groups, _ = groups_and_returns(compared, FRAMES, 30.0, options.association, options.triangulation)
+    margins = track_margins(groups, compared)
     return {
         "accuracy": scores.accuracy,
         "precision": scores.precision,

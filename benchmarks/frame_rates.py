@@ -82,7 +82,7 @@ def measured(
     options, fitting = loaded(associate.Settings), loaded(fit.Settings)
     started = time.process_time()
     with redirect_stdout(io.StringIO()):
-        limits = options.association, options.triangulation, options.evidence
+        limits = options.association, options.triangulation
         table, rows, left_out = identities_from_keypoints(*limits, take.cameras, found, [], count, fps)
     seconds = time.process_time() - started
     names = {name: k for k, (name, *_) in enumerate(rows)}

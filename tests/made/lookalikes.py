@@ -19,8 +19,8 @@ from studiorecon.keypoints.detections import detections_from_detector
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import TrackVerdict, identities_from_keypoints
-from studiorecon.people.association.image_evidence import CameraEvidence
 from studiorecon.people.association.rejected_people import RejectedPerson
+from studiorecon.people.pictures.coverage import CameraEvidence
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections
@@ -122,7 +122,7 @@ def looked_at(
         found.append(detections_from_detector(raw, lens, footage, loaded(tracks_keypoints.Settings)))
         witnesses.append(CameraEvidence(lens, footage, folder / f"{camera.name}.npz"))
     options = loaded(associate.Settings)
-    limits = options.association, options.triangulation, options.evidence
+    limits = options.association, options.triangulation
     table, _, left = identities_from_keypoints(*limits, cameras, found, videos, about.frames, FPS, witnesses)
     true_m = np.stack([troupe.body.joints(a.poses, a.betas, a.trans_m) for a in troupe.actors]) if people else None
     return Looked(found, table, left, owners_of(found, cameras, true_m))

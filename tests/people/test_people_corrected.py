@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.people.association.corrected_identities import people_table_rows, read_corrected
+from studiorecon.people.corrected_identities import people_table_rows, read_corrected
 from studiorecon.scene.people import Detections
 
 

@@ -73,7 +73,7 @@ def who(default_settings):
     def run(scene: list[np.ndarray], missing: frozenset[tuple[int, int]] = frozenset()) -> tuple[list[str], list[str]]:
         """Per figure of the scene whose it is in the first camera that sees it, and the reasons of those left out."""
         cameras, detections = found(scene, missing)
-        limits = options.association, options.triangulation, options.evidence
+        limits = options.association, options.triangulation
         with redirect_stdout(io.StringIO()):
             table, _, out = identities_from_keypoints(*limits, cameras, detections, [], FRAMES, FPS)
         view = [next(v for v in range(4) if (v, p) not in missing) for p in range(len(scene))]
@@ -88,7 +88,7 @@ def test_a_poster_and_a_screen_have_no_depth(figure, who):
     screen[..., 2] += 0.2 * np.sin(np.arange(FRAMES))[:, None] * ["wrist" in n for n in NAMES]
     people, reasons = who([walking(figure, (0, -1), (0.3, 0.2)), poster, screen])
     assert people == ["p0", "", ""]
-    assert len([r for r in reasons if "no depth" in r]) == 2
+    assert len([r for r in reasons if "it is flat" in r]) == 2
 
 
 def test_whoever_stands_with_arms_hanging_or_spread_has_depth(figure, who, root):

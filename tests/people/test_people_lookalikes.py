@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
-from studiorecon.people.association.proportions import lengths_m, proportion_fault, shares
+from studiorecon.people.association.terms import bone_lengths_m, proportions, steadiness, trunk_shares
 from studiorecon.studio.meshes import Mesh
 
 from tests.made.cameras import STANDING
@@ -74,32 +74,37 @@ def test_somebody_who_sits_on_a_stool_is_a_person(root: Path, tmp_path: Path) ->
     assert len(seen.people) == 2
 
 
-def test_people_of_all_sizes_have_a_person_s_proportions_and_what_has_not_is_told() -> None:
+def test_people_of_all_sizes_have_a_person_s_proportions_and_what_has_not_is_named() -> None:
     for size in (0.5, 1.0, 1.3):
-        assert proportion_fault(size * STANDING[None] + np.zeros((5, 1, 1))) == ""
+        assert proportions(bone_lengths_m(size * STANDING[None] + np.zeros((5, 1, 1)))).nats > 0
     narrow = STANDING.copy()
     for joint in ("shoulder", "hip"):
         narrow[[STABLE_KEYPOINTS.index(f"{side}_{joint}") for side in ("left", "right")], 1] *= 0.5
-    told = proportion_fault(np.repeat(narrow[None], 5, axis=0))
-    assert told.startswith(
-        "its proportions are not a person's, an animal's rather: shoulders 0.36 of its trunk, hips 0.20 of its trunk"
-    )
+    term = proportions(bone_lengths_m(np.repeat(narrow[None], 5, axis=0)))
+    assert term.nats < -5
+    assert "shoulders 0.36 of its trunk, hips 0.20 of its trunk" in term.said
 
 
-def test_bones_that_change_their_length_count_as_one_thing_that_is_off() -> None:
+def test_bad_keypoints_of_somebody_cost_less_than_they_and_odd_proportions() -> None:
     rng = np.random.default_rng(0)
-    noisy = STANDING + rng.normal(0, 0.01, (20, 12, 3))
-    assert proportion_fault(noisy) == ""
+
+    def nats(points_m: np.ndarray) -> float:
+        lengths = bone_lengths_m(points_m)
+        return proportions(lengths).nats + steadiness(lengths).nats
+
+    assert nats(STANDING + rng.normal(0, 0.01, (20, 12, 3))) > 2
     wavering = STANDING + rng.normal(0, 0.06, (20, 12, 3))
-    assert proportion_fault(wavering) == "", "bad keypoints of somebody"
+    assert nats(wavering) > -4
     wavering[:, [STABLE_KEYPOINTS.index(f"{side}_shoulder") for side in ("left", "right")], 1] *= 0.4
-    assert "bones that change their length by" in proportion_fault(wavering)
+    assert nats(wavering) < nats(STANDING + rng.normal(0, 0.06, (20, 12, 3))) - 4
 
 
 def test_what_is_not_known_counts_neither_way() -> None:
     hidden = np.repeat(STANDING[None], 6, axis=0)
     hidden[:, [STABLE_KEYPOINTS.index(f"{side}_ankle") for side in ("left", "right")]] = np.nan
     hidden[:4, STABLE_KEYPOINTS.index("left_knee")] = np.nan
-    assert set(shares(lengths_m(hidden))) == {"shoulders", "hips", "upper arms", "forearms", "thighs"}
-    assert proportion_fault(hidden) == ""
-    assert shares(lengths_m(np.full((6, 12, 3), np.nan))) == {}
+    assert set(trunk_shares(bone_lengths_m(hidden))) == {"shoulders", "hips", "upper arms", "forearms", "thighs"}
+    assert proportions(bone_lengths_m(hidden)).nats > 0
+    nothing = bone_lengths_m(np.full((6, 12, 3), np.nan))
+    assert trunk_shares(nothing) == {}
+    assert proportions(nothing).nats == steadiness(nothing).nats == 0

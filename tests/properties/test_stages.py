@@ -24,7 +24,8 @@ from studiorecon.geometry import rotations
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people.associate import Settings as Association
-from studiorecon.people.association.grouping import Group, group_tracks
+from studiorecon.people.association.group import Group
+from studiorecon.people.association.grouping import group_tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 

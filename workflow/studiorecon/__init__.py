@@ -80,7 +80,7 @@ if TYPE_CHECKING:
     from studiorecon.deliver.finished import FinishedScene
     from studiorecon.geometry.bundle import BundleResult
     from studiorecon.geometry.triangulation import TriangulatedPoints
-    from studiorecon.people.association.grouping import Group
+    from studiorecon.people.association.group import Group
     from studiorecon.scene.camera import Camera
     from studiorecon.scene.people import Detections
     from studiorecon.splatting.rendering import Rendering

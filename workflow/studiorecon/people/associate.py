@@ -17,12 +17,11 @@ from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.people.association.acceptance import TrackVerdict, identities_from_keypoints
 from studiorecon.people.association.affinity import AssociationLimits
-from studiorecon.people.association.corrected_identities import people_table_rows, read_corrected
-from studiorecon.people.association.image_evidence import CameraEvidence
-from studiorecon.people.association.picture_change import EvidenceLimits
 from studiorecon.people.association.rejected_people import RejectedPerson, report_rejected
+from studiorecon.people.corrected_identities import people_table_rows, read_corrected
 from studiorecon.people.fit_settings import TriangulationSettings
 from studiorecon.people.fitting.readouts import estimate_readouts
+from studiorecon.people.pictures.coverage import CameraEvidence
 from studiorecon.progress import say, warn
 from studiorecon.rig.body_points import tracks
 from studiorecon.scene.camera import Camera
@@ -38,12 +37,11 @@ _SURE = 0.3
 
 @dataclass(frozen=True)
 class Settings(TriangulationSettings):
-    """Limits of agreement, of association and of the pictures' evidence."""
+    """Limits of agreement and of association."""
 
     association: AssociationLimits = setting(
         AssociationLimits(), "Which tracks of different cameras are one person, and who counts as one."
     )
-    evidence: EvidenceLimits = EvidenceLimits()
 
 
 @dataclass(frozen=True)
@@ -127,7 +125,7 @@ def run(
         found = as_corrected(corrected[0], given)
     else:
         evidence = witnesses.of(cameras, footage)
-        limits = settings.association, settings.triangulation, settings.evidence
+        limits = settings.association, settings.triangulation
         about = footage.frames, footage.fps, evidence
         found = Associated(*identities_from_keypoints(*limits, cameras, given, videos, *about))
     _warn_of_nobody(found, given, footage)

@@ -17,7 +17,7 @@ from studiorecon.footage.video import read_frames
 from studiorecon.images.encoded import jpeg
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.pages import skeleton
-from studiorecon.people.association.picture_change import sampled_frames
+from studiorecon.people.pictures.change import sampled_frames
 from studiorecon.progress import progress
 from studiorecon.scene.files import write_text
 from studiorecon.scene.people import Detections, people_rows, read_detections, read_identities

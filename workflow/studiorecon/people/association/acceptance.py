@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decides which groups of tracks are people of this scene, and for every track its person, or none, with the reason."""
+"""Decides which groups of tracks are people of this scene, and for every track its person, or none, with the reason.
+
+A group's log-likelihood ratio is the prior and the sum of its terms. Two groups may also explain one person (found
+twice, or in a mirror): such pairs cost nats if both are accepted. The set of groups with the largest sum is taken.
+"""
 
 from __future__ import annotations
 
@@ -9,34 +13,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 
-from studiorecon.footage.video import read_frames
 from studiorecon.geometry.triangulation import Limits
+from studiorecon.people.association import terms
 from studiorecon.people.association.affinity import AssociationLimits
-from studiorecon.people.association.false_positives import FOUND_TWICE, deep_points_m, is_duplicate, rejection_reason
-from studiorecon.people.association.grouping import Group, group_tracks, torso_m, track_margins
-from studiorecon.people.association.image_evidence import CameraEvidence, ImageEvidence, evidence_in_cameras
-from studiorecon.people.association.picture_change import (
-    EvidenceLimits,
-    absent_people,
-    limb_counts,
-    motion_support,
-    sampled_frames,
-    steps_m,
-    view_shares,
-)
-from studiorecon.people.association.proportions import proportion_fault
+from studiorecon.people.association.gaps import Return
+from studiorecon.people.association.group import Group
+from studiorecon.people.association.grouping import Compared, groups_and_returns, track_margins
+from studiorecon.people.association.picture_terms import picture_terms
 from studiorecon.people.association.rejected_people import RejectedPerson, list_rejected
-from studiorecon.progress import progress, say
+from studiorecon.people.association.terms import Term, total_nats
+from studiorecon.people.pictures.clothes import compare_clothes
+from studiorecon.people.pictures.coverage import CameraEvidence
+from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool
 
-_ENOUGH_CAMERAS = 3
-# Cameras that see a person one after the other count if each does for so many times the time that two must agree.
-_LONG = 2.0
+# Pictures are read for groups that they can still decide: what they say at most, nats.
+_PICTURES_NATS = 12.0
 
 
 @dataclass(frozen=True)
@@ -56,62 +54,12 @@ class TrackVerdict:
     reason: str
 
 
-def judge(group: Group, cameras: Sequence[Camera], frames: int, fps: float, limits: AssociationLimits) -> str:
-    """Why a group is not a person of this scene, as the end of a sentence; "" when it is one."""
-    least = min(limits.min_s * fps, 0.5 * frames)
-    if len(group.frames) < least:
-        return f"two cameras agree for {len(group.frames) / fps:.2f} s only, {least / fps:.2f} s are needed"
-    # Where rays of three cameras meet for a while, a person is there, however many other cameras are blocked or face
-    # another way. One after the other they count only where each agrees for long: at a low frame rate two that agree by
-    # chance already do so for a while.
-    needed = min(int(np.ceil(limits.camera_share * len(cameras))), _ENOUGH_CAMERAS)
-    at_once = group.seen & (group.seen.sum(0) >= needed)
-    seen_by = int(((at_once.sum(1) >= least / 2) | (group.seen.sum(1) >= _LONG * least)).sum())
-    if seen_by < needed:
-        return f"a bystander: {seen_by} of {len(cameras)} cameras see it, {needed} are needed"
-    length = torso_m(group)
-    if np.isfinite(length) and not limits.torso_m[0] <= length <= limits.torso_m[1]:
-        return f"its torso would be {length:.2f} m long"
-    return proportion_fault(group.points_m)
-
-
-def supports(
-    groups: Sequence[Group], cameras: Sequence[Camera], videos: Sequence[Path], fps: float, limits: EvidenceLimits
-) -> tuple[Float[np.ndarray, "G V"], Float[np.ndarray, "G V 4"]]:
-    """Share of the positions that every group's joints left or reached that changed in the pictures, NaN with too
-    little motion.
-
-    For all joints (G, V), and for each arm and leg (G, V, 4).
-    """
-    picked = [sampled_frames(group.frames, limits.frames) for group in groups]
-    points_m = np.stack([group.points_m for group in groups])
-    least = [steps_m(group.points_m, fps, limits) for group in groups]
-    wanted = set(np.concatenate(picked).tolist())
-    counts = np.zeros((len(groups), len(cameras), points_m.shape[2], 2), dtype=int)
-    for v, camera in enumerate(progress(cameras, "cameras")):
-        pictures = {t: picture for t, picture in enumerate(read_frames(videos[v], 0, max(wanted) + 1)) if t in wanted}
-        for g, frames in enumerate(picked):
-            counts[g, v] = motion_support(
-                [pictures[t] for t in frames.tolist()], points_m[:, frames], g, least[g], camera, limits
-            )
-    return view_shares(counts.sum(2)), view_shares(limb_counts(counts))
-
-
-def name_people(groups: Sequence[Group]) -> list[int]:
-    """Order of the groups as p0, p1, …: by first frame seen by two cameras, then by duration, then by x."""
-    return sorted(
-        range(len(groups)),
-        key=lambda i: (groups[i].frames[0], -len(groups[i].frames), float(np.nanmedian(groups[i].centres_m[:, 0]))),
-    )
-
-
 def identities_from_keypoints(
     association: AssociationLimits,
     triangulation: Limits,
-    evidence: EvidenceLimits,
     cameras: Sequence[Camera],
     given: Sequence[Detections],
-    videos: list[Path],
+    videos: Sequence[Path],
     frames: int,
     fps: float,
     witnesses: Sequence[CameraEvidence | None] = (),
@@ -119,124 +67,187 @@ def identities_from_keypoints(
     """Verdicts for every (camera, track), the lines of people.tsv, and the rejected groups.
 
     Candidates are all groups on which the keypoints of two cameras or more agree. ``witnesses``: every camera's
-    evidence other than its film, used for those that the pictures contradict.
+    evidence other than its film.
     """
-    groups = group_tracks(given, cameras, frames, fps, association, triangulation)
-    margins = track_margins(groups, given, cameras, association)
-    why = [judge(group, cameras, frames, fps, association) for group in groups]
-    likely = [g for g, reason in zip(groups, why) if not reason]
-    if likely and videos and evidence.frames:
-        shares, limbs = supports(likely, cameras, videos, fps, evidence)
-        described = [
-            evidence_in_cameras(group, given, cameras, videos, witnesses, evidence) if gone else None
-            for group, gone in zip(likely, absent_people(shares, limbs, evidence))
-        ]
-        contradicted = iter(_contradicted(shares, described, cameras, evidence))
-        why = [reason or next(contradicted) for reason in why]
-    why = _without_ghosts(groups, why, given, cameras, fps, triangulation)
-    rejected = [(g, reason) for g, reason in zip(groups, why) if reason]
-    for group, reason in rejected:
-        say(f"not a person of this scene: {_tracks(group, cameras)}: {reason}")
-    reasons = {m: reason for group, reason in rejected for m in group.members}
-    kept = [g for g, reason in zip(groups, why) if not reason]
-    kept = [kept[i] for i in name_people(kept)]
-    nan = float("nan")
-    alone = "no other camera agrees with it, or it fits two people equally well"
-    table = {
-        (d.camera, int(t)): TrackVerdict("", margins.get((v, int(t)), nan), nan, reasons.get((v, int(t)), alone))
-        for v, d in enumerate(given)
-        for t in np.unique(d.track)
-    }
-    rows = []
-    for number, group in enumerate(kept):
-        for v, t in group.members:
-            near = margins[v, t] < association.undecided_margin
-            doubt = f"undecided: it fits p{number} only {margins[v, t]:.2f} better than another person" if near else ""
-            table[cameras[v].name, t] = TrackVerdict(f"p{number}", margins[v, t], float(group.agreement[v]), doubt)
-            if doubt:
-                say(f"{cameras[v].name}/{t} is {doubt}")
-        seen_by = [c.name for c, seen in zip(cameras, np.any(group.seen, axis=1)) if seen]
-        confidence = float(np.nanmean(group.agreement))
-        rows.append((f"p{number}", len(group.frames), ",".join(seen_by), confidence, "keypoints"))
-        say(
-            f"p{number}: seen in {len(group.frames)} of {frames} frames by {', '.join(seen_by)}; "
-            f"{confidence:.0%} of its keypoints agree, torso {torso_m(group):.2f} m"
-        )
+    compared = Compared.of(given, cameras, association)
+    clothes = compare_clothes(cameras, videos) if videos else None
+    groups, returns = groups_and_returns(compared, frames, fps, association, triangulation, clothes)
+    about = [_keypoint_terms(group, compared, fps, association, triangulation) for group in groups]
+    if videos:
+        _add_picture_terms(about, groups, compared, videos, fps, witnesses)
+    pairs = pair_terms(groups, cameras, fps)
+    accepted = solve([total_nats(own) for own in about], {key: term.nats for key, term in pairs.items()})
+    for (g, h), term in pairs.items():
+        if accepted[h] and not accepted[g]:
+            about[g].append(term)
+    kept = name_people([g for g, one in zip(groups, accepted) if one])
+    rejected = [(g, own) for g, own, one in zip(groups, about, accepted) if not one]
+    for group, own in rejected:
+        say(f"not a person of this scene: {_tracks(group, cameras)}: {terms.describe(own)}")
+    margins = track_margins(groups, compared)
+    table = _verdicts(kept, rejected, margins, compared, association.undecided_margin)
+    rows = [_row(number, group, compared, frames) for number, group in enumerate(kept)]
     nobodys = sum(not v.person for v in table.values())
     say(
         f"{len(rows)} people with keypoints; {nobodys} of {len(table)} tracks belong to no person"
         if table
         else "no people: no camera has a detection"
     )
-    return table, rows, list_rejected([(g, r) for g, r in rejected if r != FOUND_TWICE], cameras, frames, fps)
+    _report_returns(returns, table, cameras)
+    return table, rows, list_rejected(rejected, cameras, frames, fps)
 
 
-def _without_ghosts(
+def _keypoint_terms(
+    group: Group, compared: Compared, fps: float, association: AssociationLimits, agree: Limits
+) -> list[Term]:
+    """What a group's keypoints alone say."""
+    node = [compared.node[m] for m in group.members]
+    distance_m, pose_rad = (a[np.ix_(node, node)] for a in (compared.pairs.distance_m, compared.pairs.pose_rad))
+    lengths = terms.bone_lengths_m(group.points_m)
+    extremities_m = terms.extremities_m(
+        group.members, compared.detections, compared.cameras, len(group.points_m), agree
+    )
+    return [
+        terms.duration(group, fps),
+        terms.views(group, compared.cameras),
+        terms.rays(group, distance_m, association.gate_m, rig_sigma_m(compared, association.gate_m)),
+        terms.size(lengths),
+        terms.proportions(lengths),
+        terms.steadiness(lengths),
+        terms.posture(pose_rad),
+        terms.depth(group.points_m, extremities_m, lengths, fps),
+    ]
+
+
+def rig_sigma_m(compared: Compared, gate_m: float) -> float:
+    """Deviation of rays to one joint that the cameras themselves cause, m: how far rays of tracks that can be one
+    person usually pass each other, weighted by their time; 0 with too few."""
+    pairs = compared.pairs
+    one = np.triu(pairs.affinity > 0, 1) & (np.nan_to_num(pairs.distance_m, nan=np.inf) < gate_m)
+    weights = pairs.moments[one]
+    if not weights.sum():
+        return 0.0
+    order = np.argsort(pairs.distance_m[one])
+    total = np.cumsum(weights[order])
+    return float(pairs.distance_m[one][order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+def _add_picture_terms(
+    about: Sequence[list[Term]],
     groups: Sequence[Group],
-    why: Sequence[str],
-    given: Sequence[Detections],
-    cameras: Sequence[Camera],
+    compared: Compared,
+    videos: Sequence[Path],
     fps: float,
-    agree: Limits,
-) -> list[str]:
-    """The reasons, with those of ``false_positives`` added; groups that most cameras see longest come first."""
-    out, centres_m = list(why), np.array([c.centre_m for c in cameras])
-    order = sorted(range(len(groups)), key=lambda i: (bool(why[i]), -int(groups[i].seen.sum()), groups[i].members))
-    for n, i in enumerate(order):
-        points_m = groups[i].points_m
-        before = [groups[j].points_m for j in order[:n] if not out[j]]
-        if why[i]:
-            out[i] = FOUND_TWICE if any(is_duplicate(points_m, other) for other in before) else why[i]
-            continue
-        others = [g.points_m for j, g in enumerate(groups) if j != i and not why[j]]
-        deep_m = deep_points_m(groups[i].members, given, cameras, len(points_m), agree)
-        out[i] = rejection_reason(points_m, deep_m, before, others, centres_m, fps)
-    return out
+    witnesses: Sequence[CameraEvidence | None],
+) -> None:
+    """Add what the pictures say of groups that they can still decide."""
+    open_ = [k for k, own in enumerate(about) if total_nats(own) > -_PICTURES_NATS]
+    if not open_:
+        return
+    seen = picture_terms([groups[k] for k in open_], compared.detections, compared.cameras, videos, fps, witnesses)
+    for k, own in zip(open_, seen):
+        about[k] += own
 
 
-def _contradicted(
-    shares: np.ndarray,
-    described: Sequence[Sequence[ImageEvidence | None] | None],
-    cameras: Sequence[Camera],
-    limits: EvidenceLimits,
-) -> list[str]:
-    """A sentence per group on how pictures contradict its keypoints, from the shares (G, V) that changed; "" where they
-    do not.
+def pair_terms(groups: Sequence[Group], cameras: Sequence[Camera], fps: float) -> dict[tuple[int, int], Term]:
+    """(g, h) → what is against group g if h is a person; pairs that say nothing are left out."""
+    centres_m = np.array([c.centre_m for c in cameras])
+    found = {}
+    for g, first in enumerate(groups):
+        for h, second in enumerate(groups):
+            if g == h:
+                continue
+            own = [
+                terms.overlap(first.points_m, second.points_m),
+                terms.reflection(first.points_m, second.points_m, centres_m, fps),
+            ]
+            worst = min(own, key=lambda term: term.nats)
+            if worst.nats < 0:
+                found[g, h] = worst
+    return found
 
-    They do not where ``described`` is None, or where the cameras' other evidence ``described`` confirms the person.
-    """
-    reasons = []
-    for share, others in zip(shares, described):
-        if others is None:
-            reasons.append("")
-            continue
-        seen = ", ".join(f"{s:.0%} ({c.name})" for s, c in zip(share, cameras) if np.isfinite(s))
-        reason = f"the pictures show no person there: of the pixels that its joints moved over only {seen} changed"
-        by = [c.name for c, other in zip(cameras, others) if other is not None and other.confirms(limits)]
-        if by:
+
+def solve(nats: Sequence[float], pairs: dict[tuple[int, int], float]) -> Bool[np.ndarray, " G"]:
+    """(G,) which groups are accepted: the set with the largest sum of ``nats`` and of the ``pairs`` (≤ 0) within it."""
+    count = len(nats)
+    together = {tuple(sorted(key)) for key in pairs}
+    costs = {key: pairs.get(key, 0.0) + pairs.get(key[::-1], 0.0) for key in sorted(together)}
+    objective = -np.array([*nats, *costs.values()])
+    if not count:
+        return np.zeros(0, dtype=bool)
+    # A pair's variable is 1 where both of its groups are.
+    rows = np.zeros((len(costs), count + len(costs)))
+    for k, (g, h) in enumerate(costs):
+        rows[k, [g, h, count + k]] = 1, 1, -1
+    constraints = [scipy.optimize.LinearConstraint(rows, -np.inf, 1)] if costs else []
+    found = scipy.optimize.milp(
+        objective, integrality=np.ones(len(objective)), bounds=scipy.optimize.Bounds(0, 1), constraints=constraints
+    )
+    return np.round(found.x[:count]).astype(bool)
+
+
+def name_people(groups: Sequence[Group]) -> list[Group]:
+    """The groups as p0, p1, …: by first frame seen by two cameras, then by duration, then by x."""
+    return sorted(groups, key=lambda g: (g.frames[0], -len(g.frames), float(np.nanmedian(g.centres_m[:, 0]))))
+
+
+def _verdicts(
+    kept: Sequence[Group],
+    rejected: Sequence[tuple[Group, Sequence[Term]]],
+    margins: dict[tuple[int, int], float],
+    compared: Compared,
+    undecided: float,
+) -> dict[tuple[str, int], TrackVerdict]:
+    """(camera, track) → verdict of every track."""
+    nan = float("nan")
+    alone = "no other camera agrees with it, or it fits two people equally well"
+    reasons = {m: terms.describe(own) for group, own in rejected for m in group.members}
+    names = [d.camera for d in compared.detections]
+    table = {
+        (d.camera, int(t)): TrackVerdict("", margins.get((v, int(t)), nan), nan, reasons.get((v, int(t)), alone))
+        for v, d in enumerate(compared.detections)
+        for t in np.unique(d.track)
+    }
+    for number, group in enumerate(kept):
+        for v, t in group.members:
+            near = margins[v, t] < undecided
+            doubt = f"undecided: it fits p{number} only {margins[v, t]:.2f} better than another person" if near else ""
+            table[names[v], t] = TrackVerdict(f"p{number}", margins[v, t], float(group.agreement[v]), doubt)
+            if doubt:
+                say(f"{names[v]}/{t} is {doubt}")
+    return table
+
+
+def _row(number: int, group: Group, compared: Compared, frames: int) -> tuple[str, int, str, float, str]:
+    """The line of people.tsv."""
+    seen_by = [c.name for c, seen in zip(compared.cameras, np.any(group.seen, axis=1)) if seen]
+    confidence = float(np.nanmean(group.agreement))
+    lengths = terms.bone_lengths_m(group.points_m).get("trunk")
+    torso = f", torso {np.median(lengths[0]):.2f} m" if lengths else ""
+    say(
+        f"p{number}: seen in {len(group.frames)} of {frames} frames by {', '.join(seen_by)}; "
+        f"{confidence:.0%} of its keypoints agree{torso}"
+    )
+    return f"p{number}", len(group.frames), ",".join(seen_by), confidence, "keypoints"
+
+
+def _report_returns(
+    returns: Sequence[Return], table: dict[tuple[str, int], TrackVerdict], cameras: Sequence[Camera]
+) -> None:
+    """Log who kept the name over a gap, and ask where two names may be one person."""
+    for one in returns:
+        before, after = (table[cameras[v].name, t].person for v, t in (one.before, one.after))
+        because = ", ".join(f"{term.said} ({term.nats:+.1f})" for term in one.terms)
+        if one.joined and before:
             say(
-                f"of the pixels that a person's joints moved over only {seen} changed; {', '.join(by)} confirm the "
-                "person"
+                f"{before} is away from {one.left_s:.1f} to {one.back_s:.1f} s and keeps the name by "
+                f"{one.margin_nats:.1f} nats: {because}"
             )
-        elif told_more := _nor([other for other in others if other is not None]):
-            reason = f"{reason}, {told_more}"
-        reasons.append("" if by else reason)
-    if np.isfinite(shares).any() and not (np.nan_to_num(shares) >= limits.present_share).any():
-        listed = ", ".join(f"{s:.0%}" for s in shares[np.isfinite(shares)])
-        say(
-            f"whether the pictures show these people is undetermined: only {listed} of the pixels that their joints "
-            "moved over changed"
-        )
-    return reasons
-
-
-def _nor(described: Sequence[ImageEvidence]) -> str:
-    """The other evidence that fails to confirm a person, as the end of a sentence; "" without other evidence."""
-    masks = max((one.covered for one in described if np.isfinite(one.covered)), default=float("nan"))
-    plates = max((one.differs for one in described if np.isfinite(one.differs)), default=float("nan"))
-    parts = [f"the detector's masks cover {masks:.0%}" * bool(np.isfinite(masks))]
-    parts.append(f"{plates:.0%} differ from a clean plate" * bool(np.isfinite(plates)))
-    return " and ".join(part for part in parts if part)
+        elif before and after and before != after:
+            warn(
+                f"{after}, seen from {one.back_s:.1f} s on, may be {before}, who left at {one.left_s:.1f} s: undecided "
+                f"by {one.margin_nats:.1f} nats ({because}); if so, give {after}'s tracks in identities.tsv to {before}"
+            )
 
 
 def _tracks(group: Group, cameras: Sequence[Camera]) -> str:

@@ -33,10 +33,6 @@ class AssociationLimits:
         undecided_margin: a track whose affinity to the next best person is nearer than this to that of its own is
             reported as undecided (A12).
         track_agreement: share of its keypoints that must agree with the triangulated person for a track to stay.
-        min_s: time in which at least two cameras must agree, seconds; never more than half the clip.
-        torso_m: plausible distance from the middle of the shoulders to that of the hips: children to giants.
-        reentry_speed_m_s, reentry_s: growth of the gate while no camera sees a person (A14), and for how long (U31:
-            people may come and go at any frame).
     """
 
     method: Literal["tracks", "star"] = setting(
@@ -79,12 +75,6 @@ class AssociationLimits:
     sigma_rad: float = 0.5
     undecided_margin: float = 0.05
     track_agreement: float = 0.5
-    # Share of the training cameras that must see a person for some time; fewer make a bystander, three never do.
-    camera_share: float = 0.6
-    min_s: float = 0.4
-    torso_m: tuple[float, float] = (0.2, 0.8)
-    reentry_speed_m_s: float = 1.5
-    reentry_s: float = 3.0
 
 
 def apply_gate(distance: Num[np.ndarray, " ..."], gate: float) -> Float[np.ndarray, " ..."]:

@@ -10,12 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.people.association.grouping import Group
+from studiorecon.people.association.group import Group
+from studiorecon.people.association.terms import Term, describe, total_nats
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Camera
 
 # Two cameras must have agreed for so long, seconds, or for half of a clip shorter than twice that.
 _LONG_S = 1.0
+# Within so many nats of 0 a person may have been left out.
+_REACH_NATS = 2.0
 # At most so many lines for identities.tsv are logged; the page has them all.
 _SAID = 12
 
@@ -25,10 +28,11 @@ class RejectedPerson:
     """A group that was rejected as a person of this scene.
 
     Attributes:
-        name: ``r0``, ``r1``, … in order of the time in which two cameras agreed.
+        name: ``r0``, ``r1``, …, the likeliest first.
         frames: number of those frames; seconds: the same in time.
         cameras: names of those that see it; tracks: (camera, track id) of all of them.
-        confidence: share of its keypoints that agree; reason: why it is left out, as the end of a sentence.
+        confidence: share of its keypoints that agree; nats: log-likelihood ratio of a person to nobody.
+        reason: why it is left out, as the end of a sentence.
     """
 
     name: str
@@ -37,6 +41,7 @@ class RejectedPerson:
     cameras: tuple[str, ...]
     tracks: tuple[tuple[str, int], ...]
     confidence: float
+    nats: float
     reason: str
 
     def row(self) -> tuple[str, int, str, float, str, str, str]:
@@ -54,11 +59,17 @@ class RejectedPerson:
 
 
 def list_rejected(
-    rejected: Sequence[tuple[Group, str]], cameras: Sequence[Camera], frames: int, fps: float
+    rejected: Sequence[tuple[Group, Sequence[Term]]], cameras: Sequence[Camera], frames: int, fps: float
 ) -> list[RejectedPerson]:
-    """The rejected groups, with reasons, on which two cameras agreed for a second, or half of a shorter clip."""
-    long = [(g, reason) for g, reason in rejected if len(g.frames) >= min(_LONG_S * fps, frames / 2)]
-    long.sort(key=lambda one: (-len(one[0].frames), one[0].members))
+    """The rejected groups, with reasons, the likeliest first: on which two cameras agreed for a second, or half of a
+    shorter clip, or who are within reach of 0 nats. Who was found twice is not left out."""
+    listed = [
+        (group, own)
+        for group, own in rejected
+        if not any(term.name == "overlap" for term in own)
+        and (len(group.frames) >= min(_LONG_S * fps, frames / 2) or total_nats(own) > -_REACH_NATS)
+    ]
+    listed.sort(key=lambda one: (-total_nats(one[1]), one[0].members))
     return [
         RejectedPerson(
             f"r{n}",
@@ -67,9 +78,10 @@ def list_rejected(
             tuple(c.name for c, seen in zip(cameras, np.any(group.seen, axis=1)) if seen),
             tuple((cameras[v].name, t) for v, t in group.members),
             float(np.nanmean(group.agreement)),
-            reason,
+            total_nats(own),
+            describe(own),
         )
-        for n, (group, reason) in enumerate(long)
+        for n, (group, own) in enumerate(listed)
     ]
 
 

@@ -96,7 +96,7 @@ def posture_angle_rad(
 
 def sights(
     detections: Sequence[Detections], stable: Sequence[Detections], cameras: Sequence[Camera], limits: AssociationLimits
-):
+) -> list[Sights]:
     """One ``Sights`` per camera; raises UserError when the settings need data that no detection has."""
     if limits.position == "scene" and limits.affinity != "pose" and not any(_some(d.pelvis) for d in detections):
         raise UserError(
@@ -172,6 +172,7 @@ class TrackPairs:
         view, track: (M,) camera number and track id.
         affinity: (M, M) 0..1, 0 = no link; measured: (M, M) bool, False where the two share nothing to compare.
         forbidden: (M, M) bool: these two are not one person. moments: (M, M) number of frames in which both are seen.
+        distance_m, pose_rad: (M, M) distance of rays and angle of postures, NaN unknown.
     """
 
     view: Integer[np.ndarray, " M"]
@@ -180,6 +181,8 @@ class TrackPairs:
     affinity: Float[np.ndarray, "M M"]
     forbidden: Bool[np.ndarray, "M M"]
     moments: Integer[np.ndarray, "M M"]
+    distance_m: Float[np.ndarray, "M M"]
+    pose_rad: Float[np.ndarray, "M M"]
 
     @property
     def detections(self) -> Integer[np.ndarray, " M"]:
@@ -216,6 +219,8 @@ def track_pairs(
         np.where(same_view, 0.0, affinity),
         forbidden | (same_view & (graph.moments > 0)),
         graph.moments,
+        graph.distance_m,
+        pose,
     )
 
 

@@ -1,14 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Image evidence for people who do not move: from the detector's masks and the user's clean plates.
-
-A person who does not move changes no picture, and their jittering keypoints look like false ones. So a person is
-accepted if one camera confirms them in another way. Either its network's mask covers the positions where the cameras'
-rays meet, with high confidence, or the picture differs there from the empty room.
-"""
+"""What a camera shows of people beside motion: the detector's masks over them, and differences from the empty room."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,18 +14,15 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.images.channels import channel_max
-from studiorecon.people.association.grouping import Group
-from studiorecon.people.association.picture_change import (
-    EvidenceLimits,
-    count_changed_places,
-    normalise_picture,
-    sampled_frames,
-    view_shares,
-)
+from studiorecon.people.association.group import Group
+from studiorecon.people.pictures.change import PICTURES, count_changed_places, normalise_picture, sampled_frames
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections
 from studiorecon.scene.raw_detections import RawDetections, read_raw_detections
+
+# Fewer places do not make a share.
+_MIN_PLACES = 20
 
 
 @dataclass(frozen=True)
@@ -55,43 +46,7 @@ class CameraEvidence:
         return read_raw_detections(self.masks, masks=True) if self.masks else None
 
 
-@dataclass(frozen=True)
-class ImageEvidence:
-    """One camera's evidence for a person other than motion; NaN without data.
-
-    Attributes:
-        covered: share of the positions where rays meet that its network's mask covers.
-        presence: that network's median confidence in the person's presence.
-        differs: share of these positions where the picture differs from the clean plate.
-    """
-
-    covered: float
-    presence: float
-    differs: float
-
-    def confirms(self, limits: EvidenceLimits) -> bool:
-        """Whether the evidence suffices for a person."""
-        by_mask = self.covered >= limits.covered_share and self.presence >= limits.presence
-        return by_mask or self.differs >= limits.present_share
-
-
-def evidence_in_camera(
-    group: Group,
-    view: int,
-    found: Detections,
-    camera: Camera,
-    video: Path,
-    witness: CameraEvidence,
-    limits: EvidenceLimits,
-) -> ImageEvidence:
-    """The evidence of camera ``view``, with detections ``found``, for a group."""
-    covered, presence = _by_mask(group, view, found, camera, witness, limits)
-    return ImageEvidence(covered, presence, _by_plate(group, camera, video, witness, limits))
-
-
-def _by_mask(
-    group: Group, view: int, found: Detections, camera: Camera, witness: CameraEvidence, limits: EvidenceLimits
-) -> tuple[float, float]:
+def by_mask(group: Group, view: int, found: Detections, camera: Camera, witness: CameraEvidence) -> tuple[float, float]:
     """(share of positions under the mask, median presence); NaN where the network did not detect them."""
     if witness.found is None or found.row is None:
         return float("nan"), float("nan")
@@ -100,7 +55,7 @@ def _by_mask(
     if not len(mine):
         return float("nan"), float("nan")
     inside: list[np.ndarray] = []
-    for d in mine[evenly_spread(len(mine), limits.frames)]:
+    for d in mine[evenly_spread(len(mine), PICTURES)]:
         row = int(found.row[d])
         pixels, depth = camera.project(group.points_m[found.frame[d]])
         known = np.isfinite(pixels).all(-1) & (depth > 0)
@@ -116,32 +71,17 @@ def _by_mask(
     return share, float(np.median(witness.found.presence[found.row[mine]]))
 
 
-def _by_plate(group: Group, camera: Camera, video: Path, witness: CameraEvidence, limits: EvidenceLimits) -> float:
+def by_plate(group: Group, camera: Camera, video: Path, witness: CameraEvidence) -> float:
     """Share of the positions where the picture differs from the clean plate; NaN without one, or with too few
     positions."""
     if witness.plate is None:
         return float("nan")
     plate, measured = read_plate(witness.plate)
     empty = normalise_picture(np.rint(255 * plate).astype(np.uint8))
-    chosen = set(sampled_frames(group.frames, limits.frames).tolist())
+    chosen = set(sampled_frames(group.frames, PICTURES).tolist())
     counts = np.zeros(2, dtype=int)
     for t, picture in enumerate(read_frames(video, 0, max(chosen, default=-1) + 1)):
         if t in chosen:
             apart = np.where(measured, channel_max(np.abs(normalise_picture(picture) - empty)), np.nan)
-            counts += count_changed_places(apart, group.points_m[t], camera, limits).sum(0)
-    return float(view_shares(counts))
-
-
-def evidence_in_cameras(
-    group: Group,
-    detections: Sequence[Detections],
-    cameras: Sequence[Camera],
-    videos: Sequence[Path],
-    witnesses: Sequence[CameraEvidence | None],
-    limits: EvidenceLimits,
-) -> list[ImageEvidence | None]:
-    """Every camera's evidence for a group; None for a camera that only has its film."""
-    return [
-        evidence_in_camera(group, v, detections[v], cameras[v], videos[v], witness, limits) if witness else None
-        for v, witness in enumerate(witnesses)
-    ]
+            counts += count_changed_places(apart, group.points_m[t], camera).sum(0)
+    return float(counts[0] / counts[1]) if counts[1] >= _MIN_PLACES else float("nan")

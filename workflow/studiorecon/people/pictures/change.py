@@ -10,7 +10,6 @@ Keypoints that wander over a still person are no evidence: their cameras do not 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -26,81 +25,62 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
 _BLUR_PX = 1.5
-# A change must be this many noise sigmas, but never more than visible ones: grey levels of 255.
-_NOISES, _FAINTEST = 6.0, 10.0
-# Radius of the search around a joint's position, metres; radii of limbs, and of trunk and head, around their bones.
-_PLACE_M, _LIMB_M, _TRUNK_M = 0.03, 0.05, 0.15
+# A change must be this many noise sigmas, within the faintest and a plain one: grey levels of 255.
+_NOISES, _FAINTEST, _PLAIN = 6.0, 10.0, 28.0
+# Radius of the search around a joint's position, m.
+_PLACE_M = 0.03
 # Factor on other people's radii: clothes, hair, shadows.
 _CLOTHED = 2.0
 # A joint has moved when it did by so many times its wandering, the 90 % quantile. It wanders where it leaves the cubic
 # through its positions so far apart in time, seconds: landmarks drift for longer than a picture lasts, and within that
 # time an arm that swings is a cubic.
 _WANDERINGS, _WANDERING_S = 4.0, 0.1
-_MIN_PLACES = 20
-_MIN_VIEWS = 2
+# Pictures of every camera that are compared.
+PICTURES = 8
+# Least motion of a joint between two pictures, m.
+_STEP_M = 0.06
 _AT = {name: k for k, name in enumerate(STABLE_KEYPOINTS)}
-_LIMBS = [
-    (_AT[f"{s}_{a}"], _AT[f"{s}_{b}"])
-    for s in ("left", "right")
-    for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+LIMB_ENDS = [
+    [_AT[f"{s}_{a}"], _AT[f"{s}_{b}"]] for s in ("left", "right") for a, b in (("elbow", "wrist"), ("knee", "ankle"))
 ]
-_LIMB_ENDS = [
-    (_AT[f"{s}_{a}"], _AT[f"{s}_{b}"]) for s in ("left", "right") for a, b in (("elbow", "wrist"), ("knee", "ankle"))
-]
-_TRUNK = [
-    (_AT[f"{a}_{i}"], _AT[f"{b}_{j}"])
-    for a, i, b, j in (
-        ("left", "shoulder", "left", "hip"),
-        ("right", "shoulder", "right", "hip"),
-        ("left", "shoulder", "right", "shoulder"),
-        ("left", "hip", "right", "hip"),
-    )
-]
-# The head is as far beyond the middle of the shoulders as this share of the trunk.
-_HEAD_SHARE = 0.6
-# Both ends of each part of a skeleton, and its radius; after the joints come the middles of shoulders and hips, and the
-# head.
-_SHOULDERS, _HIPS, _HEAD = len(STABLE_KEYPOINTS) + np.arange(3)
-_THIN = [*_LIMBS, *((k, k) for k in range(len(STABLE_KEYPOINTS)))]
-_WIDE = [*_TRUNK, (_SHOULDERS, _HIPS), (_SHOULDERS, _HEAD)]
-_PARTS = np.array([*_THIN, *_WIDE])
-_REACHES_M = np.repeat([_LIMB_M, _TRUNK_M], [len(_THIN), len(_WIDE)])
+"""Joints of both arms and both legs whose motion is judged together."""
 
 
-@dataclass(frozen=True)
-class EvidenceLimits:
-    """When pictures contradict keypoints.
+def _body_points() -> tuple[np.ndarray, np.ndarray]:
+    """(S, 12) shares of the joints that make the points inside of a body, and (S,) how far it reaches around each,
+    m."""
+    shares, reaches = [], []
 
-    Attributes:
-        frames: pictures of every camera that are compared: where a joint has moved, the picture must have changed; 0 =
-            no test.
-        step_m: least motion of a joint between two pictures, metres.
-        difference: grey levels (of 255) by which the picture must have changed there; less in cameras with little
-            noise.
-        absent_share, present_share: a mean below the first rejects a person, unless one camera, or a single limb, is
-            above the second.
-        covered_share, presence: a person is also accepted where one camera's network has a mask over at least this
-            share, with at least this confidence.
-    """
+    def add(reach_m: float, **joints: float) -> None:
+        shares.append([joints.get(name, 0.0) for name in STABLE_KEYPOINTS])
+        reaches.append(reach_m)
 
-    frames: int = 8
-    step_m: float = 0.06
-    difference: float = 28
-    absent_share: float = 0.5
-    present_share: float = 0.75
-    covered_share: float = 0.75
-    presence: float = 0.9
+    for side in ("left", "right"):
+        for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle")):
+            for along in np.linspace(0, 1, 7):
+                add(0.05, **{f"{side}_{a}": 1 - along, f"{side}_{b}": along})
+    # Down the trunk in three columns; the head is as far above the shoulders as 0.6 of the trunk.
+    for across in (0.0, 0.5, 1.0):
+        for down in (0.0, 0.25, 0.5, 0.75, 1.0, *([-0.3, -0.6] if across == 0.5 else [])):
+            weights = {"shoulder": 1 - down, "hip": down}
+            add(
+                0.15,
+                **{f"left_{j}": (1 - across) * w for j, w in weights.items()},
+                **{f"right_{j}": across * w for j, w in weights.items()},
+            )
+    return np.array(shares), np.array(reaches)
+
+
+_SHARES, _REACHES_M = _body_points()
 
 
 def sampled_frames(frames: Integer[np.ndarray, " N"], wanted: int) -> Integer[np.ndarray, " M"]:
     """At most ``wanted`` of the distinct ``frames``, evenly spread."""
     distinct = np.unique(frames)
-    if not len(distinct) or not wanted:
-        return distinct[:0]
-    return distinct[evenly_spread(len(distinct), wanted)]
+    return distinct[evenly_spread(len(distinct), wanted)] if len(distinct) else distinct
 
 
-def steps_m(points_m: Float[np.ndarray, "T K 3"], fps: float, limits: EvidenceLimits) -> Float[np.ndarray, " K"]:
+def steps_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> Float[np.ndarray, " K"]:
     """(K,) least motion for each of the points (T, K, 3) to count, metres: well beyond its wandering, at any frame
     rate.
 
@@ -113,7 +93,7 @@ def steps_m(points_m: Float[np.ndarray, "T K 3"], fps: float, limits: EvidenceLi
     size = np.linalg.norm(left, axis=-1) / np.linalg.norm(weights)
     known = [column[np.isfinite(column)] for column in size.T]
     wandering = np.array([np.quantile(k, 0.9) if len(k) else 0.0 for k in known])
-    return np.maximum(limits.step_m, _WANDERINGS * wandering)
+    return np.maximum(_STEP_M, _WANDERINGS * wandering)
 
 
 def motion_support(
@@ -122,7 +102,6 @@ def motion_support(
     who: int,
     step_m: Float[np.ndarray, " 12"],
     camera: Camera,
-    limits: EvidenceLimits,
 ) -> Num[np.ndarray, "12 2"]:
     """(12, 2) how many positions that each joint of person ``who`` left or reached show a change, and how many there
     are.
@@ -137,7 +116,7 @@ def motion_support(
     metre_px = camera.intrinsics[0, 0] / np.maximum(
         np.nan_to_num(_middle(depth[..., None])[..., 0], nan=np.inf), 1e-6
     )  # (G, F)
-    parts = _body_segments(pixels)
+    parts = _body(pixels)
     counts, own = np.zeros((len(STABLE_KEYPOINTS), 2), dtype=int), points_m[who]
     rest = np.arange(len(points_m)) != who
     for a, b in combinations(range(len(pictures)), 2):
@@ -145,7 +124,7 @@ def motion_support(
         if not moved.any():
             continue
         apart = channel_max(np.abs(smooth[a] - smooth[b]))
-        threshold = change_threshold(apart, limits)
+        threshold = change_threshold(apart)
         for here, other in ((a, b), (b, a)):
             places = pixels[who, here, moved]
             uncovered = _outside(places, parts[who, [other]], metre_px[who, [other]])
@@ -162,14 +141,14 @@ def normalise_picture(picture: Integer[np.ndarray, "H W 3"]) -> Float[np.ndarray
     return blurred - np.median(blurred[::4, ::4], axis=(0, 1))
 
 
-def change_threshold(apart: Float[np.ndarray, "H W"], limits: EvidenceLimits) -> float:
+def change_threshold(apart: Float[np.ndarray, "H W"]) -> float:
     """Grey levels from which a difference (H, W) of two pictures, NaN where unknown, is a change."""
     usual = float(np.nanmedian(apart[::4, ::4])) if np.isfinite(apart[::4, ::4]).any() else 0.0
-    return float(np.clip(_NOISES * 1.4826 * usual, _FAINTEST, limits.difference))
+    return float(np.clip(_NOISES * 1.4826 * usual, _FAINTEST, _PLAIN))
 
 
 def count_changed_places(
-    apart: Float[np.ndarray, "H W"], points_m: Float[np.ndarray, "N 3"], camera: Camera, limits: EvidenceLimits
+    apart: Float[np.ndarray, "H W"], points_m: Float[np.ndarray, "N 3"], camera: Camera
 ) -> Num[np.ndarray, "N 2"]:
     """(N, 2) per point (N, 3): whether the difference of two pictures shows a change there, and whether it is known, as
     0 and 1.
@@ -181,7 +160,7 @@ def count_changed_places(
     counts = np.zeros((len(points_m), 2), dtype=int)
     if there.any():
         radius = max(1, round(_PLACE_M * float(camera.intrinsics[0, 0] / np.median(depth[there]))))
-        counts[there] = changed(apart, pixels[there], radius, change_threshold(apart, limits))
+        counts[there] = changed(apart, pixels[there], radius, change_threshold(apart))
     return counts
 
 
@@ -191,24 +170,17 @@ def _middle(values: np.ndarray) -> np.ndarray:
     return np.where(known.any(-2), np.where(known, values, 0.0).sum(-2) / np.maximum(known.sum(-2), 1), np.nan)
 
 
-def _body_segments(skeletons: np.ndarray) -> np.ndarray:
-    """(..., P, 2, 2) both ends of the limbs, joints, trunk and head of skeletons (..., 12, 2), NaN where unknown."""
-    shoulders, hips = (_middle(skeletons[..., [_AT[f"left_{j}"], _AT[f"right_{j}"]], :]) for j in ("shoulder", "hip"))
-    head = shoulders + _HEAD_SHARE * (shoulders - hips)
-    points = np.concatenate([skeletons, shoulders[..., None, :], hips[..., None, :], head[..., None, :]], axis=-2)
-    return points[..., _PARTS, :]
+def _body(skeletons: np.ndarray) -> np.ndarray:
+    """(..., S, 2) pixels inside of skeletons (..., 12, 2), NaN where a joint that makes them is unknown."""
+    known = np.isfinite(skeletons).all(-1)
+    whole = (~known @ (_SHARES != 0).T.astype(int)) == 0
+    return np.where(whole[..., None], _SHARES @ np.where(known[..., None], skeletons, 0.0), np.nan)
 
 
-def _outside(places: np.ndarray, parts: np.ndarray, metre_px: np.ndarray) -> np.ndarray:
-    """(N,) which positions (N, 2) are outside of all known ``parts`` (S, P, 2, 2) of some skeletons; ``metre_px`` (S,)
-    pixels."""
-    first, along = parts[..., 0, :], parts[..., 1, :] - parts[..., 0, :]
-    from_first = places[:, None, None] - first  # (N, S, P, 2)
-    share = ((from_first * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-9)).clip(0, 1)
-    apart = np.linalg.norm(from_first - share[..., None] * along, axis=-1)
-    # An unknown part has no distance, and nothing is inside of it.
-    inside = (apart <= _REACHES_M * metre_px[:, None]).any((1, 2))
-    return np.isfinite(places).all(-1) & ~inside
+def _outside(places: np.ndarray, bodies: np.ndarray, metre_px: np.ndarray) -> np.ndarray:
+    """(N,) which positions (N, 2) are known and outside of all ``bodies`` (B, S, 2); ``metre_px`` (B,) pixels."""
+    apart = np.linalg.norm(places[:, None, None] - bodies, axis=-1)  # (N, B, S), NaN is not inside
+    return np.isfinite(places).all(-1) & ~(apart <= _REACHES_M * metre_px[:, None]).any((1, 2))
 
 
 def changed(
@@ -227,35 +199,3 @@ def changed(
             if len(known):
                 counts[k] = float(known.max()) > threshold, 1
     return counts
-
-
-def view_shares(counts: Num[np.ndarray, "... 2"]) -> Float[np.ndarray, " ..."]:
-    """(...,) supported share from (..., 2) counts; NaN with fewer than twenty positions."""
-    judged = counts[..., 1] >= _MIN_PLACES
-    return np.where(judged, counts[..., 0] / np.maximum(counts[..., 1], 1), np.nan)
-
-
-def limb_counts(counts: Num[np.ndarray, "... 12 2"]) -> Num[np.ndarray, "... 4 2"]:
-    """(..., 4, 2) counts of arms and legs, from those of the joints (..., 12, 2): elbow and wrist, knee and ankle."""
-    return np.stack([counts[..., list(ends), :].sum(-2) for ends in _LIMB_ENDS], axis=-2)
-
-
-def absent_people(
-    shares: Float[np.ndarray, "G V"], limbs: Float[np.ndarray, "G V 4"], limits: EvidenceLimits
-) -> list[bool]:
-    """For every group, whether the pictures show that no person is there, from all joints' (G, V) and limbs' (G, V, 4)
-    shares.
-
-    Only where two views can judge, none of them confirms, not even one limb, and the same views confirm another person.
-    Videos that are badly lit, or out of step with the keypoints, contradict all people, and so reject none.
-    """
-    out = []
-    for g, own in enumerate(shares):
-        others = np.delete(shares, g, axis=0)
-        trusted = (np.nan_to_num(others, nan=0.0) >= limits.present_share).any(0)
-        judged = np.isfinite(own) & trusted
-        seen = own[np.isfinite(own)]
-        confirmed = (seen >= limits.present_share).any() or (np.nan_to_num(limbs[g]) >= limits.present_share).any()
-        doubted = judged.sum() >= _MIN_VIEWS and not confirmed
-        out.append(bool(doubted and seen.mean() < limits.absent_share))
-    return out

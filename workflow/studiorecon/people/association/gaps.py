@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Groups that follow each other in time joined as one person, by way, size and clothes, solved together over the clip.
+
+For each group that ends and each that begins later: the log-likelihood ratio, in nats, that somebody came back (or was
+hidden) to that somebody else appeared. The assignment with the largest sum is taken; a ratio below 0 joins nobody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+
+from studiorecon.people.association.group import Group, has_no_rival
+from studiorecon.people.association.terms import Term, bone_lengths_m, log_normal_nats
+from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+# Where somebody reappears: deviation at once, m, and what unseen time adds, m/s; never more than the room allows.
+_PLACE_M, _SPEED_M_S = 0.2, 0.7
+# Area in which somebody else may appear, at least, m².
+_MIN_AREA_M2 = 10.0
+# Deviations of the logarithm of a person's lengths: measured twice, and of two people.
+_SAME_SIZE, _OTHER_SIZE = 0.04, 0.09
+# Places and velocities at both ends are fitted to so long, s, and to so many places; a velocity is forgotten to 1/e
+# after that time, s; nobody walks faster, m/s.
+_END_S, _MIN_PLACES, _KEPT_S, _WALKS_M_S = 0.4, 4, 0.8, 3.0
+# Difference of the colours of one part of the body in one camera, CIELAB: of one person's, and of two people's.
+_SAME_COLOUR, _OTHER_COLOUR = (7.0, 0.7), (28.0, 0.6)
+# Ratios within so many nats of 0 are worth a question.
+REACH_NATS = 3.0
+
+Clothes = Callable[[Group, Group], "Float[np.ndarray, ' P']"]
+"""Difference of colours of the body's parts of two groups, CIELAB, NaN where unknown."""
+
+
+@dataclass(frozen=True)
+class Return:
+    """Somebody who may have returned.
+
+    Attributes:
+        before, after: (view, track) of a track of the group that ends, and of the one that begins.
+        left_s, back_s: when, seconds.
+        terms: way, size and clothes.
+        margin_nats: by how much the decision is better than the best other one.
+        joined: whether the two are taken for one person.
+    """
+
+    before: tuple[int, int]
+    after: tuple[int, int]
+    left_s: float
+    back_s: float
+    terms: tuple[Term, ...]
+    margin_nats: float
+    joined: bool
+
+    @property
+    def nats(self) -> float:
+        """Log-likelihood ratio of one person to two."""
+        return sum(term.nats for term in self.terms)
+
+
+def join_over_gaps(
+    groups: Sequence[Group],
+    stable: Sequence[Detections],
+    fps: float,
+    merge: Callable[[list[tuple[int, int]]], Group],
+    clothes: Clothes | None = None,
+) -> tuple[list[Group], list[Return]]:
+    """The groups, joined by ``merge`` where they are one person, and every return that is decided or in question."""
+    count, area_m2 = len(groups), _area_m2(groups)
+    seen = [np.flatnonzero(np.isfinite(g.centres_m).all(-1)) for g in groups]
+    terms: dict[tuple[int, int], tuple[Term, ...]] = {}
+    for i in range(count):
+        for j in range(count):
+            if len(seen[i]) and len(seen[j]) and seen[i][-1] < seen[j][0] and _apart(groups[i], groups[j], stable):
+                own = (_way(groups[i], groups[j], seen[i], seen[j], fps, area_m2), _size(groups[i], groups[j]))
+                if clothes is not None and sum(term.nats for term in own) > -2 * REACH_NATS:
+                    own = (*own, _worn(clothes(groups[i], groups[j])))
+                terms[i, j] = own
+    nats = np.full((count, count), -np.inf)
+    for pair, own in terms.items():
+        nats[pair] = sum(term.nats for term in own)
+    chosen, best = _assigned(nats)
+    returns = []
+    for (i, j), own in sorted(terms.items()):
+        if abs(nats[i, j]) > REACH_NATS and (i, j) not in chosen:
+            continue
+        without = nats.copy()
+        without[i, j] = -np.inf
+        if (i, j) in chosen:
+            margin = best - _assigned(without)[1]
+        else:
+            if i in {a for a, _ in chosen} or j in {b for _, b in chosen}:
+                continue
+            margin = -nats[i, j]
+        ends = seen[i][-1] / fps, seen[j][0] / fps
+        returns.append(Return(groups[i].members[0], groups[j].members[0], *ends, own, float(margin), (i, j) in chosen))
+    after = dict(chosen)
+    out = []
+    for i in sorted(set(range(count)) - set(after.values())):
+        chain = [i]
+        while chain[-1] in after:
+            chain.append(after[chain[-1]])
+        out.append(groups[i] if len(chain) == 1 else merge([m for k in chain for m in groups[k].members]))
+    return out, returns
+
+
+def _assigned(nats: Float[np.ndarray, "G G"]) -> tuple[list[tuple[int, int]], float]:
+    """(pairs, their sum) with the largest sum, each group followed by one at most and none below 0."""
+    gain = np.maximum(nats, 0.0)
+    rows, columns = scipy.optimize.linear_sum_assignment(-gain)
+    chosen = [(int(i), int(j)) for i, j in zip(rows, columns) if gain[i, j] > 0]
+    return chosen, float(sum(gain[pair] for pair in chosen))
+
+
+def _apart(first: Group, second: Group, stable: Sequence[Detections]) -> bool:
+    """Whether no camera shows both at once."""
+    return all(has_no_rival(member, first.members, stable) for member in second.members)
+
+
+def _area_m2(groups: Sequence[Group]) -> float:
+    centres = [g.centres_m[np.isfinite(g.centres_m).all(-1), :2] for g in groups]
+    if not sum(map(len, centres)):
+        return _MIN_AREA_M2
+    low, high = np.quantile(np.concatenate(centres), [0.02, 0.98], axis=0)
+    return max(float(np.prod(high - low + 1.0)), _MIN_AREA_M2)
+
+
+def _way(first: Group, second: Group, before: np.ndarray, after: np.ndarray, fps: float, area_m2: float) -> Term:
+    """How near the second begins to where the first ended, for the time between them."""
+    left, gone_m_s = _end(first, before[::-1], fps)
+    back, came_m_s = _end(second, after, fps)
+    gap_s = float((after[0] - before[-1]) / fps)
+    expected = 0.5 * (gone_m_s + came_m_s) * _KEPT_S * (1 - np.exp(-gap_s / _KEPT_S))
+    off_m = float(np.linalg.norm(back - left - expected))
+    variance = min((_PLACE_M + _SPEED_M_S * gap_s) ** 2, area_m2 / (2 * np.pi))
+    nats = np.log(area_m2 / (2 * np.pi * variance)) - 0.5 * off_m**2 / variance
+    said = f"{np.linalg.norm(back - left):.1f} m in {gap_s:.1f} s"
+    return Term("way", float(np.clip(nats, -12, 5)), said)
+
+
+def _end(group: Group, frames: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """(2,) place on the floor, m, and (2,) velocity, m/s, at the first of the ``frames`` (ascending or descending)."""
+    near = frames[np.abs(frames - frames[0]) < max(2, round(_END_S * fps))]
+    places = group.centres_m[near, :2]
+    if len(near) < _MIN_PLACES:
+        return np.median(places, axis=0), np.zeros(2)
+    times_s = (near - near[0]) / fps
+    slope, place = np.polyfit(times_s, places, 1)
+    return place, np.clip(slope, -_WALKS_M_S, _WALKS_M_S)
+
+
+def _size(first: Group, second: Group) -> Term:
+    """How equal the lengths of their bones are."""
+    lengths = [
+        {part: np.median([np.median(v) for v in values]) for part, values in bone_lengths_m(g.points_m).items()}
+        for g in (first, second)
+    ]
+    ratios = [float(np.log(lengths[1][part] / lengths[0][part])) for part in lengths[0] if part in lengths[1]]
+    ratio = float(np.median(ratios)) if ratios else 0.0
+    nats = 0.5 * ratio**2 * (_OTHER_SIZE**-2 - _SAME_SIZE**-2) + np.log(_OTHER_SIZE / _SAME_SIZE) if ratios else 0.0
+    return Term("size", float(max(nats, -6.0)), f"sizes {100 * abs(np.expm1(ratio)):.0f} % apart")
+
+
+def _worn(apart: Float[np.ndarray, " P"]) -> Term:
+    """How alike their clothes are."""
+    known = apart[np.isfinite(apart)]
+    nats = sum(float(np.clip(log_normal_nats(one, _SAME_COLOUR, _OTHER_COLOUR), -3, 1.5)) for one in known)
+    said = f"clothes {np.median(known):.0f} apart in CIELAB" if len(known) else "clothes unknown"
+    return Term("clothes", nats, said)

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A group of per-camera tracks that may be one person, and the points that its cameras agree on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
+
+# A camera sees a person in a frame where so many of the stable keypoints agree with the others'.
+_AGREEING = 3
+
+
+@dataclass(frozen=True)
+class Group:
+    """Tracks that show one person.
+
+    Attributes:
+        members: (view, track) pairs, sorted.
+        points_m: (T, K, 3) stable keypoints, NaN where undetermined.
+        agreement: (V,) share of each view's keypoints that agree with the points, NaN where it has none.
+        seen: (V, T) bool: the view has at least three agreeing keypoints in that frame.
+    """
+
+    members: tuple[tuple[int, int], ...]
+    points_m: Float[np.ndarray, "T K 3"]
+    agreement: Float[np.ndarray, " V"]
+    seen: Bool[np.ndarray, "V T"]
+
+    @property
+    def frames(self) -> Integer[np.ndarray, " F"]:
+        """Frames in which at least two cameras agree."""
+        return np.flatnonzero(self.seen.sum(0) >= 2)
+
+    @property
+    def centres_m(self) -> Float[np.ndarray, "T 3"]:
+        """(T, 3) median of the determined keypoints, NaN where there are none."""
+        known = np.isfinite(self.points_m).all(-1)
+        centres = np.full((len(self.points_m), 3), np.nan)
+        for t in np.flatnonzero(known.any(-1)):
+            centres[t] = np.median(self.points_m[t, known[t]], axis=0)
+        return centres
+
+
+def make_group(
+    members: Sequence[tuple[int, int]],
+    stable: Sequence[Detections],
+    cameras: Sequence[Camera],
+    frames: int,
+    agree: Limits,
+) -> Group:
+    """The group of ``members`` (view, track), with its triangulated points."""
+    pixels, confidence = _observed(members, stable, frames)
+    views, times, count = confidence.shape
+    found = triangulate(pixels.reshape(views, -1, 2), confidence.reshape(views, -1), cameras, agree)
+    inliers = found.inliers.reshape(views, times, count)
+    judged = (confidence > agree.min_confidence) & found.valid.reshape(times, count)
+    total = judged.sum((1, 2))
+    agreement = np.where(total > 0, (inliers & judged).sum((1, 2)) / np.maximum(total, 1), np.nan)
+    return Group(
+        tuple(sorted(members)), found.points_m.reshape(times, count, 3), agreement, inliers.sum(-1) >= _AGREEING
+    )
+
+
+def _observed(
+    members: Sequence[tuple[int, int]], stable: Sequence[Detections], frames: int
+) -> tuple[np.ndarray, np.ndarray]:
+    pixels = np.full((len(stable), frames, len(STABLE_KEYPOINTS), 2), np.nan)
+    confidence = np.zeros(pixels.shape[:-1])
+    for view, track in members:
+        which = stable[view].track == track
+        pixels[view, stable[view].frame[which]] = stable[view].keypoints[which, :, :2]
+        confidence[view, stable[view].frame[which]] = stable[view].keypoints[which, :, 2]
+    return pixels, confidence
+
+
+def has_no_rival(member: tuple[int, int], members: Sequence[tuple[int, int]], stable: Sequence[Detections]) -> bool:
+    """Whether ``members`` have no detection of this camera in any of the member's frames: one detection per view."""
+    view, track = member
+    mine = stable[view].frame[stable[view].track == track]
+    theirs = stable[view].frame[np.isin(stable[view].track, [t for v, t in members if v == view])]
+    return not np.isin(mine, theirs).any()

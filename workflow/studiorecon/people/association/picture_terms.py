@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Terms of "is a person here" that pictures give: change where joints move, the detector's masks, clean plates.
+
+A false skeleton moves over an unchanged picture. Someone who keeps still changes no picture either, and their
+jittering keypoints look like false ones; then a camera's mask, or a difference from the empty room, speaks for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.footage.video import read_frames
+from studiorecon.people.association.group import Group
+from studiorecon.people.association.terms import Term
+from studiorecon.people.pictures.change import LIMB_ENDS, PICTURES, motion_support, sampled_frames, steps_m
+from studiorecon.people.pictures.coverage import CameraEvidence, by_mask, by_plate
+from studiorecon.progress import progress
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
+
+# Share of the places that joints left or reached which changed, where a person moves and where nobody does.
+_CHANGED, _UNCHANGED = 0.95, 0.35
+# Landmarks jump to so many places in a camera without anybody's motion; the next 20 count as 5 independent ones.
+_JUMPS, _PLACES, _INDEPENDENT = 8, 20, 5
+# Of a person a camera shows all that moves, or one arm or leg alone, or, rarely, nothing of it.
+_WHOLE, _HIDDEN = 0.95, 0.005
+# Somebody else may move where a single limb is taken to be.
+_ELSEWHERE = 0.15
+# A camera's film is trusted where somebody's motion is confirmed by this.
+_TRUSTED_NATS, _MOST_VIEW_NATS = 2.0, 3.0
+# Someone who keeps still, whose landmarks wander, is so unlikely in nats; a mask or a plate over them adds its own.
+_STILL_NATS = -12.0
+# Share of the places of joints that a mask covers, or that differ from the empty room: (mean, deviation). Several
+# joints are covered for themselves.
+_COVERED, _BARE, _JOINTS = (0.95, 0.15), (0.3, 0.3), 3
+# The detector's confidence that a person is there, as log-odds: (mean, deviation) of people and of furniture.
+_PRESENT, _FURNITURE = (5.0, 2.0), (2.0, 2.0)
+
+
+def picture_terms(
+    groups: Sequence[Group],
+    detections: Sequence[Detections],
+    cameras: Sequence[Camera],
+    videos: Sequence[Path],
+    fps: float,
+    witnesses: Sequence[CameraEvidence | None],
+) -> list[list[Term]]:
+    """Of every group what pictures say: motion, the detector's masks and confidence, clean plates."""
+    moved, shares = _motion(groups, cameras, videos, fps)
+    out = []
+    for group, nats, share in zip(groups, moved.tolist(), shares):
+        covered, plain = _coverage(group, detections, cameras, videos, witnesses)
+        seen = ", ".join(f"{s:.0%} ({c.name})" for s, c in zip(share, cameras) if np.isfinite(s))
+        own = nats if nats > 0 else float(np.logaddexp(nats, _STILL_NATS + max(covered, 0.0)))
+        said = f"the pictures show no person there: of the pixels that its joints moved over only {seen} changed"
+        out.append([Term("motion", min(own, max(nats, 0.0)), said), *plain])
+    return out
+
+
+def _motion(
+    groups: Sequence[Group], cameras: Sequence[Camera], videos: Sequence[Path], fps: float
+) -> tuple[Float[np.ndarray, " G"], Float[np.ndarray, "G V"]]:
+    """(G,) nats of whether pictures change where joints move, and only there, and (G, V) shares that changed.
+
+    A camera in which nobody's motion is confirmed contradicts nobody: its film may be dark, or out of step.
+    """
+    picked = [sampled_frames(group.frames, PICTURES) for group in groups]
+    points_m = np.stack([group.points_m for group in groups])
+    least = [steps_m(group.points_m, fps) for group in groups]
+    wanted = set(np.concatenate(picked).tolist())
+    nats, shares = np.zeros((len(groups), len(cameras))), np.full((len(groups), len(cameras)), np.nan)
+    for v, camera in enumerate(progress(cameras, "cameras")):
+        film = enumerate(read_frames(videos[v], 0, max(wanted, default=-1) + 1))
+        pictures = {t: picture for t, picture in film if t in wanted}
+        for g, frames in enumerate(picked):
+            counts = motion_support([pictures[t] for t in frames.tolist()], points_m[:, frames], g, least[g], camera)
+            nats[g, v] = view_nats(counts)
+            if counts[:, 1].sum():
+                shares[g, v] = counts[:, 0].sum() / counts[:, 1].sum()
+    others = np.array([np.delete(nats, g, axis=0).max(0, initial=0.0) for g in range(len(groups))])
+    trusted = (others >= _TRUSTED_NATS) | (nats > 0)
+    return np.clip(np.where(trusted, nats, 0.0).sum(1), -14, 6), shares
+
+
+def view_nats(counts: Num[np.ndarray, "12 2"]) -> float:
+    """What one camera's ``counts`` (12, 2) of changed places and of places, of every joint, say; 0 with too few."""
+    if counts[:, 1].sum() <= _JUMPS:
+        return 0.0
+    limbs = [counts[ends].sum(0) for ends in LIMB_ENDS]
+    moving = [min(np.exp(_ratio(*limb)), 1 / _ELSEWHERE) if limb[1] else 0.0 for limb in limbs]
+    odds = _WHOLE * np.exp(_ratio(*counts.sum(0))) + (1 - _WHOLE) * float(np.mean(moving))
+    return float(min(np.log(odds + _HIDDEN), _MOST_VIEW_NATS))
+
+
+def _ratio(changed: float, places: float) -> float:
+    """Log-likelihood ratio of ``changed`` of ``places``."""
+    independent = _INDEPENDENT * min(max(places - _JUMPS, 0) / _PLACES, 1.0)
+    share = changed / max(places, 1)
+    yes, no = np.log(_CHANGED / _UNCHANGED), np.log((1 - _CHANGED) / (1 - _UNCHANGED))
+    return float(independent * (share * yes + (1 - share) * no))
+
+
+def _coverage(
+    group: Group,
+    detections: Sequence[Detections],
+    cameras: Sequence[Camera],
+    videos: Sequence[Path],
+    witnesses: Sequence[CameraEvidence | None],
+) -> tuple[float, list[Term]]:
+    """(nats by which a mask or a plate confirms somebody who keeps still, terms of masks, plates and presence)."""
+    found = [
+        (*by_mask(group, v, detections[v], cameras[v], one), by_plate(group, cameras[v], videos[v], one))
+        for v, one in enumerate(witnesses)
+        if one is not None
+    ]
+    mask, presence, plate = (
+        float(np.nanmax(v)) if np.isfinite(v).any() else np.nan for v in zip(*found or [[np.nan] * 3])
+    )
+    odds = np.log(np.clip(presence, 1e-4, 1 - 1e-4) / (1 - np.clip(presence, 1e-4, 1 - 1e-4)))
+    nats = [_JOINTS * _normal_nats(share, _COVERED, _BARE) for share in (mask, plate)]
+    # Networks draw a mask over whatever they take for somebody: it says little else.
+    said = f"the detector's masks cover {mask:.0%}", f"{plate:.0%} differ from a clean plate"
+    terms = [Term(name, float(np.clip(n, -3, 1)), text) for name, n, text in zip(("mask", "plate"), nats, said)]
+    sure = float(np.clip(_normal_nats(odds, _PRESENT, _FURNITURE), -3, 1))
+    return max(nats), [*terms, Term("presence", sure, f"the detector is sure by {presence:.0%} only")]
+
+
+def _normal_nats(value: float, person: tuple[float, float], nobody: tuple[float, float]) -> float:
+    """Log ratio of two normal densities (mean, deviation); 0 where the value is NaN."""
+    if not np.isfinite(value):
+        return 0.0
+    first, second = (((value - mean) / sigma, sigma) for mean, sigma in (person, nobody))
+    return float(0.5 * (second[0] ** 2 - first[0] ** 2) + np.log(second[1] / first[1]))

@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Terms of the log-likelihood ratio "is a person here" of a group of tracks, in nats: positive speaks for a person.
+
+Each term compares what was measured with what a person gives and with what nobody gives: furniture, an animal, a
+picture, tracks that fit by chance. Most are ratios of two log-normal densities, given as (median, deviation of the
+logarithm). No term alone decides: each has bounds, because each has exceptions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.people.association.group import Group
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_AT = {name: k for k, name in enumerate(STABLE_KEYPOINTS)}
+_OTHER_SIDE = [
+    _AT[name.replace(*("left", "right") if name.startswith("left") else ("right", "left"))] for name in STABLE_KEYPOINTS
+]
+# One candidate of twenty is a person before anything is measured.
+PRIOR_NATS = -3.0
+# Time in which two cameras agree, s: people stay for seconds, chance ends after a moment.
+_STAYS_S, _CHANCE_S = (5.0, 1.2), (0.1, 0.8)
+# A camera that looks at the place of a person detects one in 80 % of the frames, and one where nobody is in 20 %.
+_HIT_NATS, _MISS_NATS = np.log(0.8 / 0.2), np.log(0.2 / 0.8)
+# Least deviation of the distance of two rays to one joint, m: landmarks mean points some centimetres apart from
+# different sides.
+_RAY_SIGMA_M = 0.03
+# Share of the keypoints that agree in a camera: (mean, deviation); by chance any from half of them is as likely.
+_AGREEMENT = (0.95, 0.15)
+# Middle of the shoulders to that of the hips, m: people from children to giants; anything, of something else.
+_TRUNK_M, _ANY_TRUNK_M = (0.5, 0.28), (0.5, 1.2)
+# Bones as shares of the trunk, of people and of anything else. (Real people and the studio's: shoulders 0.65 to 0.71;
+# dogs: 0.15 to 0.35.) Rarely is one of somebody's bones mismeasured; it costs no more than that.
+_SHARES = {
+    "shoulders": (0.68, [("left_shoulder", "right_shoulder")]),
+    "hips": (0.4, [("left_hip", "right_hip")]),
+    "upper arms": (0.53, [("left_shoulder", "left_elbow"), ("right_shoulder", "right_elbow")]),
+    "forearms": (0.5, [("left_elbow", "left_wrist"), ("right_elbow", "right_wrist")]),
+    "thighs": (0.82, [("left_hip", "left_knee"), ("right_hip", "right_knee")]),
+    "shins": (0.8, [("left_knee", "left_ankle"), ("right_knee", "right_ankle")]),
+}
+_SHARE_SIGMA, _ANY_SHARE_SIGMA, _MISMEASURED_NATS = 0.18, 0.6, -5.0
+# Median relative change of a bone's length (people 0.01 to 0.06, dogs and false landmarks 0.08 to 0.3).
+_STEADY, _UNSTEADY = (0.035, 0.7), (0.16, 0.5)
+# Angle between the postures that two cameras see, radians (filmed people 0.2 to 0.6, one whose legs are hidden 0.9).
+_SAME_POSE, _OTHER_POSE = (0.5, 0.45), (0.9, 0.35)
+# Deviation of all joints and extremities from one plane in trunks (filmed people 0.17 to 0.54, arms hanging 0.14;
+# posters and screens 0.03 to 0.05).
+_DEEP_SHARE, _FLAT_SHARE = (0.24, 0.3), (0.04, 0.35)
+_DEEP = ("nose", "left_ear", "right_ear", "left_heel", "right_heel", "left_big_toe", "right_big_toe")
+# Joints are averaged over so long before that, s, so that noise does not count as depth; so many must be known.
+_CALM_S, _MIN_JOINTS = 0.25, 8
+# Distance from the reflection of somebody else, m: of their mirror image, of another person in a like place; the
+# person must move so far, m, and be seen so long, s, to know a reflection from symmetry.
+_REFLECTED_M, _SYMMETRIC_M, _MOVED_M, _LASTING_S = 0.05, 0.5, 0.3, 1.0
+# Distance of joints, m, of one person detected twice, and of two people.
+_ONE_M, _TWO_M = (0.05, 0.4), (0.8, 0.4)
+# A length needs so many frames, or half of those with any known point.
+_MIN_FRAMES = 3
+
+
+@dataclass(frozen=True)
+class Term:
+    """What one measurement says of a group.
+
+    Attributes:
+        name: what was measured.
+        nats: log-likelihood ratio of a person to nobody.
+        said: the measurement, as the end of a sentence.
+    """
+
+    name: str
+    nats: float
+    said: str
+
+
+def total_nats(terms: Sequence[Term]) -> float:
+    """The log-likelihood ratio of a group: the prior and all its terms."""
+    return PRIOR_NATS + float(sum(term.nats for term in terms))
+
+
+def describe(terms: Sequence[Term]) -> str:
+    """The two terms that speak most against a person, as the end of a sentence."""
+    against = sorted((term for term in terms if term.nats < 0), key=lambda term: term.nats)[:2]
+    return "; ".join(f"{term.said} ({term.nats:+.1f} nats)" for term in against) or "too little is known of it"
+
+
+def log_normal_nats(value: float, person: tuple[float, float], nobody: tuple[float, float]) -> float:
+    """Log ratio of two log-normal densities at ``value`` > 0; 0 where it is NaN."""
+    if not np.isfinite(value):
+        return 0.0
+    first, second = ((np.log(max(value, 1e-9) / median) / sigma, sigma) for median, sigma in (person, nobody))
+    return float(0.5 * (second[0] ** 2 - first[0] ** 2) + np.log(second[1] / first[1]))
+
+
+def duration(group: Group, fps: float) -> Term:
+    """For how long two cameras agree; half of a short clip is enough not to count against anybody."""
+    seconds, clip = len(group.frames) / fps, group.seen.shape[1] / fps
+    nats = float(np.clip(log_normal_nats(seconds, _STAYS_S, _CHANCE_S), -8, 3))
+    if seconds >= 0.5 * clip:
+        nats = max(nats, 0.0)
+    return Term("duration", nats, f"two cameras agree for {seconds:.2f} s of {clip:.1f} s only")
+
+
+def views(group: Group, cameras: Sequence[Camera]) -> Term:
+    """Who sees it of the cameras in whose picture it is; the two that see it most say nothing, being its reason."""
+    nats, names, counted = [], [], 0
+    known = np.flatnonzero(np.isfinite(group.centres_m).all(1))
+    for camera, seen in zip(cameras, group.seen):
+        pixels, depth = camera.project(group.centres_m[known])
+        inside = (depth > 0) & (pixels >= 0).all(-1) & (pixels < camera.wh).all(-1)
+        if inside.any():
+            share = float(seen[known[inside]].mean())
+            nats.append(_HIT_NATS * share + _MISS_NATS * (1 - share))
+            counted += 1
+            names += [camera.name] * (share >= 0.5)
+    said = f"{len(names)} of the {counted} cameras in whose pictures it would be see it most of the time"
+    return Term("views", float(np.clip(sum(nats) - 2 * _HIT_NATS, -8, 3)), said)
+
+
+def rays(group: Group, distance_m: Float[np.ndarray, "M M"], gate_m: float, rig_m: float) -> Term:
+    """How close rays of its members pass (``distance_m``, NaN unknown), under the rig's own ``rig_m``, and how many
+    keypoints agree."""
+    sigma_m = float(np.hypot(_RAY_SIGMA_M, rig_m))
+    gaps = distance_m[np.isfinite(distance_m)]
+    share = float(np.nanmean(group.agreement)) if np.isfinite(group.agreement).any() else np.nan
+    nats = 0.0
+    if len(gaps):
+        nats += float(np.log(2 * gate_m / (sigma_m * np.sqrt(2 * np.pi))) - 0.5 * (np.median(gaps) / sigma_m) ** 2)
+    if np.isfinite(share):
+        mean, sigma = _AGREEMENT
+        nats += float(np.log(1 / (sigma * np.sqrt(2 * np.pi))) - 0.5 * ((share - mean) / sigma) ** 2)
+    gap = f"rays pass each other at {100 * np.median(gaps):.0f} cm and " if len(gaps) else ""
+    return Term("rays", float(np.clip(nats, -4, 2)), f"{gap}{share:.0%} of its keypoints agree")
+
+
+def size(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> Term:
+    """The length of its trunk."""
+    trunk_m = float(np.median(lengths["trunk"][0])) if "trunk" in lengths else float("nan")
+    nats = float(np.clip(log_normal_nats(trunk_m, _TRUNK_M, _ANY_TRUNK_M), -12, 1.5))
+    return Term("size", nats, f"its torso would be {trunk_m:.2f} m long")
+
+
+def proportions(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> Term:
+    """The lengths of its bones against its trunk: an animal has narrow shoulders and hips, and forelegs for arms."""
+    nats, off = 0.0, []
+    for part, share in trunk_shares(lengths).items():
+        median = _SHARES[part][0]
+        own = log_normal_nats(share, (median, _SHARE_SIGMA), (median, _ANY_SHARE_SIGMA))
+        # A pair of limbs and the trunk they are measured against are wrong together: fit says less than misfit.
+        nats += float(np.clip(own, _MISMEASURED_NATS, 0.4))
+        off += [f"{part} {share:.2f} of its trunk"] * (own < 0)
+    return Term("proportions", nats, "its proportions are not a person's: " + ", ".join(off))
+
+
+def steadiness(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> Term:
+    """How much its bones change their lengths."""
+    own = [np.median(np.abs(v - np.median(v))) / np.median(v) for values in lengths.values() for v in values]
+    wavers = float(np.median(own)) if own else float("nan")
+    nats = float(np.clip(log_normal_nats(wavers, _STEADY, _UNSTEADY), -4, 1))
+    return Term("steadiness", nats, f"its bones change their length by {wavers:.0%}")
+
+
+def posture(pose_rad: Float[np.ndarray, "M M"]) -> Term:
+    """Whether the cameras see one posture, by the detector's guess (``pose_rad`` of its members, NaN unknown)."""
+    known = pose_rad[np.isfinite(pose_rad)]
+    apart = float(np.median(known)) if len(known) else float("nan")
+    nats = float(np.clip(log_normal_nats(apart, _SAME_POSE, _OTHER_POSE), -4, 1))
+    return Term("posture", nats, f"the postures that cameras see are {np.degrees(apart):.0f}° apart")
+
+
+def depth(
+    points_m: Float[np.ndarray, "T 12 3"],
+    deep_m: Float[np.ndarray, "T D 3"],
+    lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]],
+    fps: float,
+) -> Term:
+    """Whether joints (T, 12, 3) and extremities (T, D, 3) lie in one plane: a picture, or a screen.
+
+    Joints alone do not decide: a person with spread arms is flat to 8 mm.
+    """
+    described = np.isfinite(deep_m).all(-1).mean(0) >= 0.5
+    share = float("nan")
+    trunk_m = float(np.median(lengths["trunk"][0])) if "trunk" in lengths else _TRUNK_M[0]
+    if described.any():
+        share = flatness_m(np.concatenate([points_m, deep_m[:, described]], axis=1), fps) / trunk_m
+    nats = float(np.clip(log_normal_nats(share, _DEEP_SHARE, _FLAT_SHARE), -15, 0))
+    return Term("depth", nats, "it is flat: all its points are in one plane, as on a poster or a screen")
+
+
+def reflection(
+    points_m: Float[np.ndarray, "T 12 3"],
+    other_m: Float[np.ndarray, "T 12 3"],
+    centres_m: Float[np.ndarray, "V 3"],
+    fps: float,
+) -> Term:
+    """Whether ``points_m`` are a mirror's image of ``other_m``, left for right, with all cameras ``centres_m`` on the
+    other's side.
+
+    Only a person who moved in front of the mirror can be distinguished from two people in symmetric positions.
+    """
+    said = "it is another person's mirror image: left and right exchanged, and behind the mirror for every camera"
+    true = other_m[:, _OTHER_SIDE]
+    known = np.isfinite(points_m).all(-1) & np.isfinite(true).all(-1)
+    if (known.sum(1) >= _MIN_FRAMES).sum() < _LASTING_S * fps:
+        return Term("reflection", 0.0, said)
+    image, original = points_m[known], true[known]
+    across, middle = image - original, (image + original) / 2
+    normal = np.linalg.svd(across, full_matrices=False)[2][0]
+    normal = normal * np.sign(np.median(across @ normal))
+    offset = float(np.median(middle @ normal))
+    expected = original - 2 * ((original @ normal) - offset)[:, None] * normal
+    moved_m = float(np.linalg.norm(np.ptp(np.quantile(original[:, :2], [0.05, 0.95], axis=0), axis=0)))
+    if not (centres_m @ normal < offset).all():
+        return Term("reflection", 0.0, said)
+    off_m = float(np.median(np.linalg.norm(image - expected, axis=-1)))
+    # As many independent places as the way is long, and three coordinates each.
+    places = min(moved_m / _MOVED_M, 3.0)
+    nearer = 3 * np.log(_SYMMETRIC_M / _REFLECTED_M) - 0.5 * off_m**2 * (_REFLECTED_M**-2 - _SYMMETRIC_M**-2)
+    return Term("reflection", float(np.clip(-places * nearer if places >= 1 else 0.0, -20, 0)), said)
+
+
+def overlap(points_m: Float[np.ndarray, "T 12 3"], other_m: Float[np.ndarray, "T 12 3"]) -> Term:
+    """Whether two skeletons (T, 12, 3) are at one place wherever both are known: one person, detected twice."""
+    apart = np.linalg.norm(points_m - other_m, axis=-1)
+    apart = apart[np.isfinite(apart)]
+    nats = 0.0
+    if len(apart) >= _MIN_JOINTS:
+        # Arms and legs of two people are as far apart as their trunks: three places.
+        nats = float(np.clip(3 * log_normal_nats(float(np.median(apart)), _TWO_M, _ONE_M), -30, 0))
+    return Term("overlap", nats, "it is at the same place as another person: one person, detected twice")
+
+
+def bone_lengths_m(points_m: Float[np.ndarray, "T 12 3"]) -> dict[str, list[Float[np.ndarray, " F"]]]:
+    """Lengths of a skeleton's bones (T, 12, 3; NaN unknown), metres, in the frames in which they are known; "trunk" as
+    well.
+
+    Bones that are hardly ever known are left out.
+    """
+    middles = [
+        np.mean([points_m[:, _AT[f"{side}_{joint}"]] for side in ("left", "right")], axis=0)
+        for joint in ("shoulder", "hip")
+    ]
+    ends = {"trunk": [(middles[0], middles[1])]}
+    for part, (_, limbs) in _SHARES.items():
+        ends[part] = [(points_m[:, _AT[first]], points_m[:, _AT[second]]) for first, second in limbs]
+    known = {part: [np.linalg.norm(a - b, axis=-1) for a, b in limbs] for part, limbs in ends.items()}
+    least = max(_MIN_FRAMES, 0.5 * float(np.isfinite(known["trunk"][0]).sum()))
+    long = {part: [v[np.isfinite(v)] for v in values] for part, values in known.items()}
+    return {part: kept for part, values in long.items() if (kept := [v for v in values if len(v) >= least])}
+
+
+def trunk_shares(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> dict[str, float]:
+    """Medians over time as shares of the trunk, {} without a trunk; of a pair of limbs the less likely length
+    counts."""
+    if "trunk" not in lengths:
+        return {}
+    trunk_m = float(np.median(lengths["trunk"][0]))
+    found = {}
+    for part, (median, _) in _SHARES.items():
+        own = [float(np.median(values)) / trunk_m for values in lengths.get(part, [])]
+        if own:
+            found[part] = max(own, key=lambda share: abs(np.log(max(share, 1e-9) / median)))
+    return found
+
+
+def flatness_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> float:
+    """RMS distance of joints (T, K, 3) of the whole clip from their best-fitting plane; NaN where too few are known."""
+    length = max(1, round(_CALM_S * fps))
+    moments = []
+    for block in np.array_split(points_m, max(1, len(points_m) // length)):
+        known = np.isfinite(block).all(-1)
+        enough = known.sum(0) >= max(1, 0.5 * len(block))
+        if enough.sum() >= _MIN_JOINTS:
+            moments.append(np.array([np.median(block[known[:, k], k], axis=0) for k in np.flatnonzero(enough)]))
+    if not moments:
+        return float("nan")
+    joints = np.concatenate(moments)
+    return float(np.linalg.svd(joints - joints.mean(0), compute_uv=False)[2] / np.sqrt(len(joints)))
+
+
+def extremities_m(
+    members: Sequence[tuple[int, int]],
+    detections: Sequence[Detections],
+    cameras: Sequence[Camera],
+    frames: int,
+    agree: Limits,
+) -> Float[np.ndarray, "T 7 3"]:
+    """(T, 7, 3) nose, ears, heels and toes of the tracks ``members`` (view, track), NaN unless two cameras determine
+    them."""
+    pixels = np.full((len(cameras), frames, len(_DEEP), 3), [np.nan, np.nan, 0.0])
+    for view, track in members:
+        found = detections[view]
+        which = np.flatnonzero(found.track == track)
+        names = LAYOUTS[found.layout].keypoints
+        for k, name in enumerate(_DEEP):
+            if name in names:
+                pixels[view, found.frame[which], k] = found.keypoints[which, names.index(name)]
+    flat = pixels.reshape(len(cameras), -1, 3)
+    return triangulate(flat[..., :2], flat[..., 2], cameras, agree).points_m.reshape(frames, len(_DEEP), 3)
