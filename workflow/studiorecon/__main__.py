@@ -35,6 +35,7 @@ from studiorecon.models.catalogue.sandbox import confine
 from studiorecon.progress import LOGGER, fail, log_to, warn
 from studiorecon.signature import Written
 
+_MAX_PIXELS = 2**28
 # ``kernel_cache``, by name: imports here are part of every step's digest, and the place of machine code changes no
 # result. numba's own locators follow for functions of other packages.
 _OWN = "studiorecon.machine.kernel_cache.ByContent"
@@ -84,7 +85,6 @@ def _main(argv: list[str]) -> int:
 
 
 def _keep_to_the_threads_given() -> None:
-    max_pixels = 2**28
     # Snakemake sets OMP_NUM_THREADS to a job's share of the cores, but numba reads only its own variable; jobs that
     # each use every core slow each other down many times over. It must be set before numba is first imported.
     given = os.environ.get("OMP_NUM_THREADS", "")
@@ -99,7 +99,7 @@ def _keep_to_the_threads_given() -> None:
     # (filming the demo's studio takes 1.8 times the processor time with two), and their number changes last bits.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Pictures of more pixels than any camera's are damaged or an attack on memory: a few bytes can claim any size.
-    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(max_pixels))
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MAX_PIXELS))
 
 
 def _keep_byte_code() -> None:

@@ -28,6 +28,7 @@ run lists the warnings at its end, so that its steps do not show them.
 """
 CLEAR_LINE = "\r\x1b[K"
 """Terminal code that clears the line and returns to its start."""
+_LOG_EVERY_S = 10.0
 
 
 class _Shown(logging.Handler):
@@ -110,7 +111,6 @@ def progress(items: Iterable[T], what: str, total: int | None = None) -> Iterato
 
     The run's own bar replaces it; the log gets a plain line every ten seconds.
     """
-    log_every_s = 10.0
     if total is None and isinstance(items, Sized):
         total = len(items)
     if sys.stderr.isatty() and RUN not in os.environ:
@@ -121,6 +121,6 @@ def progress(items: Iterable[T], what: str, total: int | None = None) -> Iterato
     logged_s = time.monotonic()
     for done, item in enumerate(items, start=1):
         yield item
-        if time.monotonic() - logged_s > log_every_s:
+        if time.monotonic() - logged_s > _LOG_EVERY_S:
             logged_s = time.monotonic()
             LOGGER.debug(f"{what}: {done} of {total}" if total else f"{what}: {done}")

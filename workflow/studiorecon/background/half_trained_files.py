@@ -20,6 +20,9 @@ from studiorecon.splatting.train.targets import Target
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
+# The views are single pictures; a film of them runs at this rate.
+_FPS = 30.0
+
 
 def write_room(half: Path, provenance: Path, room: Gaussians, marks: Integer[np.ndarray, " N"]) -> None:
     """Write the Gaussians (PLY) and the provenance (N,), ``marks``, of each (npz)."""
@@ -31,10 +34,8 @@ def write_renders(
     renders: Path, renders_path: Path, cameras: list[Camera], pictures: list[Float[np.ndarray, "H W 3"]]
 ) -> None:
     """Write views (H, W, 3) in [0, 1] of the room from ``cameras`` as a lossless film, with its path."""
-    # The views are single pictures; a film of them runs at this rate.
-    fps = 30.0
-    write_lossless(renders, (to_bytes(picture) for picture in pictures), fps)
-    write_path(renders_path, [PathStep(camera, 0, "refinement") for camera in cameras], fps)
+    write_lossless(renders, (to_bytes(picture) for picture in pictures), _FPS)
+    write_path(renders_path, [PathStep(camera, 0, "refinement") for camera in cameras], _FPS)
 
 
 def read_half(files: list[Path], weight: float) -> tuple[Gaussians, Integer[np.ndarray, " N"], list[Target]]:

@@ -23,6 +23,16 @@ from studiorecon.scene.room import Face
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
+# A face point counts as seen when the depth map agrees within this share of the distance plus this many metres.
+_AGREE_SHARE, _AGREE_M = 0.03, 0.03
+# Next to an object this much nearer (share, metres) the plate's colours are mixed; such pixels do not paint walls.
+_NEARER_SHARE, _NEARER_M = 0.9, 0.05
+# With a smaller seen share a wall counts as unseen: a strip at its edge does not determine the rest.
+_MIN_SEEN = 0.02
+# Width over which light is even, size of a copied patch, and least shift between repeats of a pattern.
+_LIGHT_M, _PATCH_M, _SHIFT_M = 0.35, 0.27, 0.12
+# Unseen faces are painted on a grid coarser by this factor, and blurred by this many nodes: they have no detail.
+_COARSE, _BLUR_NODES = 2, 4.0
 # At this distance from its seen part a wall fades to the walls' mean colour at that height: copied further, one object
 # in front of the wall would repeat along all of it. Sigma of heights.
 _COPIED_M, _HEIGHT_M = 2.0, 0.3
@@ -73,22 +83,17 @@ def paint(
     A wall without seen parts borrows from other walls, at the same height. ``plates`` (H, W, 3) float, ``known`` (H, W)
     bool where a plate is measured, ``depths_m`` (H, W), 0 unknown.
     """
-    # Unseen faces are painted on a grid coarser by this factor, and blurred by this many nodes: they have no detail.
-    coarse, blur_nodes = 2, 4.0
-    # Width over which light is even, size of a copied patch, and least shift between repeats of a pattern.
-    light_m, patch_m, shift_m = 0.35, 0.27, 0.12
     looked = [(face, face.nodes(step_m)) for face in faces]
     gathered = [_gather(face, nodes, cameras, plates, known, depths_m) for face, nodes in looked]
     all_points = np.concatenate([nodes[seen] for (_, nodes), (_, seen) in zip(looked, gathered)])
     all_rgb = np.concatenate([rgb[seen] for rgb, seen in gathered])
     nearest = scipy.spatial.cKDTree(all_points) if len(all_points) else None
     walls = _Walls.of(looked, gathered)
-    patch = 2 * round(patch_m / step_m / 2) + 1
-    scale = Scale(light_m / step_m, max(patch, 3), max(round(shift_m / step_m), 2))
+    patch = 2 * round(_PATCH_M / step_m / 2) + 1
+    scale = Scale(_LIGHT_M / step_m, max(patch, 3), max(round(_SHIFT_M / step_m), 2))
     painted = []
     for (face, nodes), (rgb, seen) in zip(looked, gathered):
-        # With a smaller seen share a wall counts as unseen: a strip at its edge does not determine the rest.
-        if seen.mean() >= 0.02:
+        if seen.mean() >= _MIN_SEEN:
             rgb = fill_by_texture(rgb, seen, scale, np.random.default_rng(0))
             if walls is not None and _upright(face):
                 apart_m = step_m * cv2.distanceTransform((~seen).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
@@ -96,14 +101,14 @@ def paint(
                 rgb = copied * rgb + (1 - copied) * walls.at(nodes)
             painted.append(PaintedFace(face, nodes, rgb, seen))
             continue
-        nodes = face.nodes(step_m * coarse)
+        nodes = face.nodes(step_m * _COARSE)
         if walls is not None and _upright(face):
             rgb = walls.at(nodes)
         elif nearest is None:
             rgb = np.full(nodes.shape, 0.5)
         else:
             borrowed = all_rgb[nearest.query(nodes.reshape(-1, 3))[1]].reshape(nodes.shape)
-            rgb = cv2.GaussianBlur(borrowed, (0, 0), blur_nodes, borderType=cv2.BORDER_REPLICATE)
+            rgb = cv2.GaussianBlur(borrowed, (0, 0), _BLUR_NODES, borderType=cv2.BORDER_REPLICATE)
         painted.append(PaintedFace(face, nodes, rgb, np.zeros(nodes.shape[:2], bool)))
     return painted
 
@@ -167,10 +172,6 @@ def _gather(
     depths_m: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean colour (R, C, 3) and ``seen`` (R, C) of a face's nodes; near frontal views weigh most."""
-    # Next to an object this much nearer (share, metres) the plate's colours are mixed; such pixels do not paint walls.
-    nearer_share, nearer_m = 0.9, 0.05
-    # A face point counts as seen when the depth map agrees within this share of the distance plus this many metres.
-    agree_share, agree_m = 0.03, 0.03
     sums, weights = np.zeros(nodes.shape), np.zeros(nodes.shape[:2])
     for camera, plate, measured, depth_m in zip(cameras, plates, known, depths_m):
         pixels, z = camera.project(nodes)
@@ -180,7 +181,9 @@ def _gather(
         there = cv2.remap(np.where(measured, depth_m, 0).astype(np.float32), columns, rows, cv2.INTER_NEAREST)
         floor_of = cv2.erode(depth_m.astype(np.float32), np.ones((3, 3), np.uint8))
         beside = cv2.remap(floor_of, columns, rows, cv2.INTER_NEAREST)
-        agrees = inside & (np.abs(there - z) < agree_share * z + agree_m) & (beside > there * nearer_share - nearer_m)
+        agrees = (
+            inside & (np.abs(there - z) < _AGREE_SHARE * z + _AGREE_M) & (beside > there * _NEARER_SHARE - _NEARER_M)
+        )
         colours = cv2.remap(plate.astype(np.float32), columns, rows, cv2.INTER_LINEAR)
         frontal = np.abs((nodes - camera.centre_m) @ face.normal)
         weight = np.where(agrees, frontal / np.maximum(z, 0.1) ** 3, 0)

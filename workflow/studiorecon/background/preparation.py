@@ -36,6 +36,7 @@ from studiorecon.splatting.train.targets import Target
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
+_WIDTH_SHARE = 0.75  # of the grid step: neighbours overlap enough to be opaque together
 # How far into a hole its rim is trusted, as a share of the picture's width.
 _RIM_SHARE = 0.01
 _SAME_PLACE_M, _SAME_ANGLE_RAD = 0.01, 0.01
@@ -125,8 +126,7 @@ def initial_gaussians(
     for own in painted:
         points_m, rgb = own.points_m[~own.seen], own.rgb[~own.seen]
         normals = np.tile(own.face.normal, (len(points_m), 1))
-        # Of the grid step: neighbours overlap enough to be opaque together
-        sets.append(discs(points_m, normals, rgb, own.step_m * 0.75, FLATNESS, sh_degree=degree))
+        sets.append(discs(points_m, normals, rgb, own.step_m * _WIDTH_SHARE, FLATNESS, sh_degree=degree))
         marks.append(np.full(len(normals), INVENTED))
     return concatenate(sets), np.concatenate(marks).astype(np.uint8)
 

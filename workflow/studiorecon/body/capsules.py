@@ -13,6 +13,9 @@ from studiorecon.body.model import BodyModel
 if TYPE_CHECKING:
     from jaxtyping import Num
 
+# A joint that moves fewer vertices than this counts as part of its neighbours.
+_MIN_VERTICES = 6
+
 
 @dataclass(frozen=True)
 class Occluder:
@@ -52,8 +55,7 @@ def occluder(model: BodyModel, betas: Num[np.ndarray, " B"]) -> Occluder:
     joints, ends, radii = [], [], []
     for joint in range(24):
         own = vertices[strongest == joint]
-        # A joint that moves fewer vertices than this counts as part of its neighbours.
-        if len(own) < 6:
+        if len(own) < _MIN_VERTICES:
             continue
         # The middle of the box, not of the vertices: these are dense in hands and faces.
         axis = np.linalg.eigh(np.cov(own.T))[1][:, 2]

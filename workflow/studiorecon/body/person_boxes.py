@@ -16,6 +16,8 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
+# Keypoints below this confidence are guesses that would stretch the outline across the room.
+_MIN_CONFIDENCE = 0.2
 # Half-thickness of limbs and radius of the head, as shares of a person's height; a hand extends the forearm by this
 # share.
 _LIMB, _HEAD, _HAND = 0.035, 0.065, 0.5
@@ -36,8 +38,7 @@ def people_regions(
     regions = np.zeros((len(frames), *hw), np.uint8)
     layout = LAYOUTS[detections.layout]
     for keypoints, frame in zip(detections.keypoints, detections.frame):
-        # Keypoints below this confidence are guesses that would stretch the outline across the room.
-        seen = (keypoints[:, 2] >= 0.2) & np.isfinite(keypoints[:, :2]).all(axis=1)
+        seen = (keypoints[:, 2] >= _MIN_CONFIDENCE) & np.isfinite(keypoints[:, :2]).all(axis=1)
         points = {name: keypoints[k, :2] for k, name in enumerate(layout.keypoints) if seen[k]}
         bones = [(layout.keypoints[a], layout.keypoints[b]) for a, b in layout.edges]
         for index in np.flatnonzero(np.abs(frames - frame) <= hold):

@@ -41,6 +41,8 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+# Pictures of a film in which black bars are measured: a dark one among them hides no bar.
+_PICTURES = 5
 # Units a factor of ten apart: people have an adult's stature in one of them at most.
 _UNITS: tuple[LengthUnit, ...] = ("m", "cm", "mm")
 
@@ -149,8 +151,7 @@ def run(
     maps = json.loads(pixel_maps or "{}")
     known = [c.wh for c in reading.cameras]
     areas = {
-        # Pictures of a film in which black bars are measured: a dark one among them hides no bar.
-        camera: without_bars(glimpses(film, np.linspace(0, film.frames - 1, 5).round().astype(int).tolist()))
+        camera: without_bars(glimpses(film, np.linspace(0, film.frames - 1, _PICTURES).round().astype(int).tolist()))
         for camera, film in zip(cameras, films, strict=True)
         if not any(0 in wh or same_shape(wh, film.wh) or same_shape(wh, film.stored_wh) for wh in known)
     }

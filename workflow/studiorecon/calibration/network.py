@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 TORSO = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
+# Torsos of one scene that differ by more than this factor do not measure the same unit.
+_WIDEST = 1.6
 
 
 @dataclass(frozen=True)
@@ -102,8 +104,7 @@ def metres_per_unit(lengths: Float[np.ndarray, " L"], torso_m: float, metric: bo
             "estimate metres, or add a calibration"
         )
     spread = float(np.percentile(usable, 75) / np.percentile(usable, 25))
-    # Torsos of one scene that differ by more than this factor do not measure the same unit.
-    if spread > 1.6:
+    if spread > _WIDEST:
         raise UserError(
             f"torsos that {title} measures differ {spread:.1f} times within the scene: "
             "its depth is wrong; bring a calibration"

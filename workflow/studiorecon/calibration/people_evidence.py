@@ -26,6 +26,8 @@ _GATE_M = 0.25
 _LIMITS = Limits(outlier_units=9.0)
 NOISE_SHARE = 0.003
 """Error of detectors, as a share of the longer side (6 of 1920 px)."""
+# Standard errors by which a reading must be better than the usual one: 1 in 700 by chance.
+_SURE = 3.0
 
 
 def agreement(
@@ -79,8 +81,7 @@ def best_candidate(candidates: Sequence[T], fit: Callable[[T], Float[np.ndarray,
 
     def clearly(better: np.ndarray, other: np.ndarray) -> bool:
         gain = better - other
-        # Standard errors by which a reading must be better than the usual one: 1 in 700 by chance.
-        return bool(gain.sum() > 0 and gain.mean() > 3.0 * gain.std() / np.sqrt(max(len(gain), 1)))
+        return bool(gain.sum() > 0 and gain.mean() > _SURE * gain.std() / np.sqrt(max(len(gain), 1)))
 
     if all(clearly(scores[first], scores[int(other)]) for other in order[1:]):
         return first, len(scores) > 1

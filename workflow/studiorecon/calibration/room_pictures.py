@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 _PICTURES = 9
 _STILL_LEVELS = 12
 _STRIP_ROWS = 256
+# Pictures are read by their number: the rate of a folder of them does not matter.
+_ANY_FPS = 30.0
 
 
 def read_room_pictures(
@@ -43,8 +45,7 @@ def read_room_pictures(
     found = {}
     for camera, path in zip(cameras, sources):
         try:
-            # Pictures are read by their number: the rate of a folder of them does not matter.
-            source = open_source(path, 30.0)
+            source = open_source(path, _ANY_FPS)
             among = np.arange(source.frames) if moments is None else moments[camera]
             wanted = among[evenly_spread(len(among), _PICTURES)].tolist()
             seen = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in glimpses(source, wanted)]

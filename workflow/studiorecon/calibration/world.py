@@ -14,6 +14,8 @@ from studiorecon.geometry.rotations import cross_matrix
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+# Cameras of one room are 2 to 50 m apart in the median: more units than this are millimetres, or centimetres.
+_MILLIMETRE_SPREAD = 100.0
 # Millimetres among metres are a thousand times as long; cameras of one room are never a hundred times as far out.
 _MIXED_UNITS, _MIXED_PAIRS = 100.0, 300.0
 _FAR_FROM_ORIGIN_M = 100.0
@@ -67,8 +69,7 @@ def metres_per_unit(
     # unit of all, nor do the two lenses of a stereo pair.
     apart = np.sort(np.linalg.norm(centres[:, None] - centres[None], axis=-1))
     spread = float(np.median(apart[:, len(apart) // 2])) if len(apart) > 1 else 0.0
-    # Cameras of one room are 2 to 50 m apart in the median: more units than this are millimetres, or centimetres.
-    is_mm = spread > 100.0
+    is_mm = spread > _MILLIMETRE_SPREAD
     return (
         0.001 if is_mm else 1.0,
         f"the file does not state its unit; the cameras are {spread:.4g} units apart in the median, read as "

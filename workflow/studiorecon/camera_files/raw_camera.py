@@ -25,6 +25,13 @@ _MAX_SIDE_PX = 65_536
 _MIN_FOCAL_PX, _MAX_FOCAL_PX = 50.0, 1e6
 _MAX_COEFFICIENT = 1e4
 _MAX_LENGTH = 1e9
+# Share of the picture's size: cropping a corner of a sensor moves the principal point outside, but not a whole picture
+# further.
+_MAX_OFF_CENTRE = 1.5
+# Share of the focal length: a skew moves the edge of a usual picture by half of it.
+_MAX_SKEW = 0.01
+# Largest error, after a file's rounding, of a number that should be 0 or 1.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -72,9 +79,7 @@ def check_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, 
                 + ("is it in millimetres? It must be in pixels" if 0 < focal < least else "calibrate this camera again")
             )
     centre = intrinsics[:2, 2]
-    # Share of the picture's size: cropping a corner of a sensor moves the principal point outside, but not a whole
-    # picture further.
-    if longer and not (np.abs(centre / camera.wh - 0.5) < 1.5).all():
+    if longer and not (np.abs(centre / camera.wh - 0.5) < _MAX_OFF_CENTRE).all():
         raise UserError(
             f"{where}: its principal point is ({centre[0]:g}, {centre[1]:g}), far outside of its pictures of "
             f"{camera.wh[0]}×{camera.wh[1]}; is the size another camera's?"
@@ -93,8 +98,6 @@ def check_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, 
 
 def _pinhole(matrix: Num[np.ndarray, "3 3"], where: str) -> tuple[Float[np.ndarray, "3 3"], list[str]]:
     """Intrinsics without scale and skew, and sentences about these."""
-    # Largest error, after a file's rounding, of a number that should be 0 or 1.
-    rounding = 1e-6
     scale = float(matrix[2, 2])
     if not (np.isfinite(matrix).all() and scale > 0 and (matrix > 0)[[0, 1], [0, 1]].all()):
         raise UserError(
@@ -102,21 +105,20 @@ def _pinhole(matrix: Num[np.ndarray, "3 3"], where: str) -> tuple[Float[np.ndarr
             f"last number that is not above 0; {_AGAIN}"
         )
     intrinsics = matrix / scale
-    if np.abs(intrinsics[[1, 2, 2], [0, 0, 1]]).max() > rounding:
+    if np.abs(intrinsics[[1, 2, 2], [0, 0, 1]]).max() > _ROUNDING:
         raise UserError(
             f"{where}: its camera matrix {np.round(intrinsics, 3).tolist()} has numbers below the diagonal; "
             "write it row by row, with the principal point in its last column"
         )
     notes = (
-        [] if abs(scale - 1) < rounding else [f"{where}: its camera matrix was divided by its last number, {scale:g}"]
+        [] if abs(scale - 1) < _ROUNDING else [f"{where}: its camera matrix was divided by its last number, {scale:g}"]
     )
     skew = float(intrinsics[0, 1])
-    # Share of the focal length: a skew moves the edge of a usual picture by half of it.
-    if abs(skew) > 0.01 * intrinsics[0, 0]:
+    if abs(skew) > _MAX_SKEW * intrinsics[0, 0]:
         raise UserError(
             f"{where}: the skew of its camera matrix is {skew:g} pixels, which no camera's sensor has; {_AGAIN}"
         )
-    if abs(skew) > rounding:
+    if abs(skew) > _ROUNDING:
         notes.append(f"{where}: the skew of its camera matrix, {skew:.3g} pixels, was left out")
         intrinsics[0, 1] = 0.0
     return intrinsics, notes

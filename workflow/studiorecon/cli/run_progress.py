@@ -19,6 +19,7 @@ from studiorecon.progress import shorten
 KEPT = 12
 """Number of jobs of one rule and scene whose seconds are remembered."""
 _ENOUGH = 0.9  # share of remaining jobs that need an estimate for a plain answer
+_SURE_S = 20.0  # estimated seconds of finished work before this run's own pace counts
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,7 @@ class Run:
             if self.seconds.get(rule):
                 before += len(took) * median(self.seconds[rule])
                 after += sum(took)
-        # Estimated seconds of finished work before this run's own pace counts
-        return after / before if before >= 20.0 else 1.0
+        return after / before if before >= _SURE_S else 1.0
 
     def remaining(self, now_s: float) -> tuple[float, float]:
         """(seconds left, share of the remaining jobs with an estimate).

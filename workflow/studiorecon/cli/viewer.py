@@ -18,6 +18,7 @@ from urllib.parse import quote, unquote_to_bytes
 from studiorecon.errors import UserError
 
 _RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
+_CHUNK_BYTES = 1 << 16
 
 
 class Viewer(http.server.ThreadingHTTPServer):
@@ -101,7 +102,6 @@ class _Reader(http.server.BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(length))
 
     def _send(self, file: BinaryIO, kind: str) -> None:
-        chunk_bytes = 1 << 16
         size = os.fstat(file.fileno()).st_size
         status, part = self._part(size)
         self._begin(status, len(part))
@@ -113,7 +113,7 @@ class _Reader(http.server.BaseHTTPRequestHandler):
         self.end_headers()
         left = len(part) if self.command == "GET" else 0
         file.seek(part.start)
-        while left and (chunk := file.read(min(left, chunk_bytes))):
+        while left and (chunk := file.read(min(left, _CHUNK_BYTES))):
             self.wfile.write(chunk)
             left -= len(chunk)
 

@@ -28,6 +28,8 @@ _HEAD = """\
 # Overlays in config/presets/ only set what they change: snakemake --configfile config/presets/standard.yaml
 # config/README.md says what each setting buys and costs.
 """
+# Choices in a table's cell: more would make its row unreadable; ``studiorecon settings`` prints all.
+_MAX_CHOICES, _SHOWN_CHOICES = 8, 3
 # Innermost mappings and lists on one line.
 _COMPACT: Mapping[str, Any] = {"default_flow_style": None}
 _SCHEMA_HEAD = "# Written by python -m studiorecon.configuration.generate from the steps' Settings.\n"
@@ -132,12 +134,10 @@ def _table(settings: Iterable[Setting], above: str = "") -> Iterator[str]:
 
 def allowed(setting: Setting) -> str:
     """The allowed values of a setting, in short: its words, or its bounds and unit."""
-    # Choices in a table's cell: more would make its row unreadable; ``studiorecon settings`` prints all.
-    max_choices, shown_choices = 8, 3
     info = setting.described
     if choices := literal_choices(setting):
-        more = f", … ({len(choices)} in all)" if len(choices) > max_choices else ""
-        return ", ".join(f"`{choice}`" for choice in choices[: shown_choices if more else None]) + more
+        more = f", … ({len(choices)} in all)" if len(choices) > _MAX_CHOICES else ""
+        return ", ".join(f"`{choice}`" for choice in choices[: _SHOWN_CHOICES if more else None]) + more
     low = f"≥ {info.minimum:g}" if info.minimum is not None else f"> {info.above:g}" if info.above is not None else ""
     high = f"≤ {info.maximum:g}" if info.maximum is not None else f"< {info.below:g}" if info.below is not None else ""
     bounds = ", ".join(filter(None, [low, high, "odd" if info.odd else ""]))

@@ -15,6 +15,12 @@ from studiorecon.scene.gaussians import SH_C0
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
+# A surface is several Gaussians deep: clothes, and sometimes a wrong Gaussian of the wall behind, which this many
+# outvote.
+_NEAREST = 8
+# Weight of an invisible Gaussian, so that vertices with only faint ones get their colour too.
+_MIN_WEIGHT = 1e-3
+
 
 @dataclass(frozen=True)
 class BodyColours:
@@ -36,12 +42,9 @@ def body_colours(avatar: Avatar) -> BodyColours | None:
     if not own.count:
         return None
     vertices_m = avatar.model.rest_vertices(avatar.betas)
-    # A surface is several Gaussians deep: clothes, and sometimes a wrong Gaussian of the wall behind, which this many
-    # outvote.
-    _, near = scipy.spatial.KDTree(own.means_m).query(vertices_m, min(8, own.count))
+    _, near = scipy.spatial.KDTree(own.means_m).query(vertices_m, min(_NEAREST, own.count))
     near = near.reshape(len(vertices_m), -1)
-    # Weight of an invisible Gaussian, so that vertices with only faint ones get their colour too.
-    shares = np.maximum(scipy.special.expit(own.logit_opacities.astype(np.float64)), 1e-3)[near]
+    shares = np.maximum(scipy.special.expit(own.logit_opacities.astype(np.float64)), _MIN_WEIGHT)[near]
     shares /= shares.sum(axis=1, keepdims=True)
     rgb = 0.5 + SH_C0 * own.sh[:, 0].astype(np.float64)
     blended = np.einsum("vk,vkc->vc", shares, rgb[near])

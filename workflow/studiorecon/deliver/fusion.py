@@ -30,6 +30,8 @@ NEAR_M = 0.2
 OPAQUE = 0.9
 """Smallest alpha of a pixel whose depth counts: below it the blended depth is between surfaces."""
 _EDGE = 0.04
+# Half the thickness, in voxels, of the band around a surface in which a depth map moves voxels.
+_BAND_VOXELS = 4.0
 # Voxels are stored in cubes of this side, initially as many as a hall's surfaces take; space for more is allocated when
 # needed.
 _BLOCK, _BLOCKS = 16, 20_000
@@ -121,8 +123,7 @@ def fuse(views: Sequence[FusedView], voxel_m: float) -> FusedSurface:
             o3d.t.geometry.Image(core.Tensor(np.ascontiguousarray(a, np.float32)))
             for a in (view.depth_m[..., None], view.rgb)
         )
-        # Half the thickness, in voxels, of the band around a surface in which a depth map moves voxels.
-        reach = {"depth_scale": 1.0, "depth_max": farthest, "trunc_voxel_multiplier": 4.0}
+        reach = {"depth_scale": 1.0, "depth_max": farthest, "trunc_voxel_multiplier": _BAND_VOXELS}
         if (view.depth_m > 0).any():
             blocks = grid.compute_unique_block_coordinates(depth, lens, pose, **reach)
             grid.integrate(blocks, depth, colour, lens, lens, pose, **reach)

@@ -16,6 +16,9 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_text
 from studiorecon.scene.people import Detections
 
+# Both tools count pixels from the first one's centre.
+_CENTRE = 0.5
+
 
 def openpose(folder: Path, seen: Detections, camera: Camera, frames: int, people: Mapping[int, int]) -> list[Path]:
     """Writes ``<camera>_json/<camera>_<frame>_keypoints.json``, one per frame, including empty ones.
@@ -82,10 +85,8 @@ def track_numbers(camera: str, identities: Mapping[tuple[str, int], str], people
 
 def _triples(seen: Detections, d: int) -> np.ndarray:
     """(K, 3) x, y, confidence; a missing point is 0, 0, 0, as in both tools."""
-    # Both tools count pixels from the first one's centre.
-    centre = 0.5
     present = seen.keypoints[d, :, 2] > 0
-    shifted = seen.keypoints[d] - [centre, centre, 0.0]
+    shifted = seen.keypoints[d] - [_CENTRE, _CENTRE, 0.0]
     return np.where(present[:, None], shifted, 0.0)
 
 

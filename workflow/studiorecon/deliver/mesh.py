@@ -32,6 +32,8 @@ VIEWPOINTS = 48
 TRIANGLES = 60_000
 """Number of triangles of the room's contents: few enough for an engine's collision mesh."""
 PLANE_STEP_M, PLANE_VERTICES = 0.05, 40_000
+# Surface this near a plane of the mesh is a noisy copy of that plane.
+_OF_PLANE_M = 0.06
 
 
 def write_room(path: Path, surfaces: list[Plane], standing: FusedSurface, left_out: list[str]) -> None:
@@ -86,8 +88,7 @@ def run(model: Path, background: Path, provenance: Path, room_box: Path, path: P
     between = [steps[i].camera for i in evenly_spread(len(steps), VIEWPOINTS)] if steps else []
     views = render_views(gaussians, marks, [*read_model(model.parent), *between])
     surface = fuse(views, VOXEL_M)
-    # Surface this near a plane of the mesh is a noisy copy of that plane.
-    standing = decimate(remove_vertices(surface, distance_m(box, surface.vertices_m) < 0.06), TRIANGLES)
+    standing = decimate(remove_vertices(surface, distance_m(box, surface.vertices_m) < _OF_PLANE_M), TRIANGLES)
     flat = planes(box, views, PLANE_STEP_M, PLANE_VERTICES)
     left_out = [FACES[index] for index in range(len(FACES)) if index not in kept_faces(box)]
     write_room(mesh, flat, standing, left_out)

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 # Largest possible value of a unit quaternion's three smaller numbers.
 _SMALLER = np.sqrt(0.5)
 _QUATERNION_BITS = 10
+# An even number, so that 0 is one of the levels.
+_STEPS = 1022
 
 
 class Bytes:
@@ -74,8 +76,7 @@ class Bytes:
         for k in range(3):
             other = (largest + 1 + k) % 4
             share = unit[np.arange(len(unit)), other] / _SMALLER / 2 + 0.5
-            # An even number, so that 0 is one of the levels.
-            packed = (packed << np.uint64(_QUATERNION_BITS)) | np.rint(share * 1022).astype(np.uint64)
+            packed = (packed << np.uint64(_QUATERNION_BITS)) | np.rint(share * _STEPS).astype(np.uint64)
         return self.whole(packed, 32) | {"packed": "turns"}
 
     def file(self, content: bytes) -> dict[str, Any]:

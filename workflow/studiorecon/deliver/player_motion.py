@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
 _BONES = 4
+# Number of body points at which the player evaluates a network that the renderer evaluates at every Gaussian.
+_PLACES = 512
 
 
 def moments(frames: int, most: int) -> Float[np.ndarray, " K"]:
@@ -86,8 +88,7 @@ def changes(
     network, seen = person.network, person.drifting
     assert network is not None
     means = person.gaussians.means_m[seen]
-    # Number of body points at which the player evaluates a network that the renderer evaluates at every Gaussian.
-    own = network if network.control else replace(network, control=ControlPoints.on(means, 512))
+    own = network if network.control else replace(network, control=ControlPoints.on(means, _PLACES))
     control = own.control
     assert control is not None
 

@@ -18,6 +18,9 @@ from studiorecon.scene.room import FACES, RoomBox
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
+# A point of a plane is visible where the rendered depth agrees with its own within this share and these metres.
+_AGREE_SHARE, _AGREE_M = 0.02, 0.02
+
 
 @dataclass(frozen=True)
 class Plane:
@@ -99,8 +102,6 @@ def _grid(room_box: RoomBox, index: int, step_m: float) -> tuple[np.ndarray, np.
 
 def _colours(points_m: np.ndarray, views: Sequence[FusedView]) -> tuple[np.ndarray, np.ndarray]:
     """Mean colour (V, 3) over the views that see a point, near views first, and whether any does (V,)."""
-    # A point of a plane is visible where the rendered depth agrees with its own within this share and these metres.
-    agree_share, agree_m = 0.02, 0.02
     sums, weights = np.zeros(points_m.shape), np.zeros(len(points_m))
     for view in views:
         pixels, z = view.camera.project(points_m)
@@ -108,7 +109,7 @@ def _colours(points_m: np.ndarray, views: Sequence[FusedView]) -> tuple[np.ndarr
         # cv2 counts centres as integers
         columns, rows = (np.where(inside, pixels[:, k] - 0.5, -1).astype(np.float32)[None] for k in (0, 1))
         there = cv2.remap(view.depth_m, columns, rows, cv2.INTER_NEAREST)[0]
-        agrees = inside & (there > 0) & (np.abs(there - z) < agree_share * z + agree_m)
+        agrees = inside & (there > 0) & (np.abs(there - z) < _AGREE_SHARE * z + _AGREE_M)
         weight = np.where(agrees, 1 / np.where(agrees, z, 1) ** 2, 0)
         sums += cv2.remap(view.rgb, columns, rows, cv2.INTER_LINEAR)[0] * weight[:, None]
         weights += weight

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from jaxtyping import Integer
 
 SPLATS, NAMES = "KHR_gaussian_splatting", "KHR_gaussian_splatting:"
+_POINTS = 0  # glTF's mode of primitives that are points
 _NEAR_M = 0.05
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
@@ -68,8 +69,7 @@ def splats(buffer: Buffer, own: Gaussians, provenance: Integer[np.ndarray, " N"]
         "projection": "perspective",
         "sortingMethod": "cameraDistance",
     }
-    # glTF's mode of primitives that are points
-    return {"attributes": attributes, "mode": 0, "material": 0, "extensions": {SPLATS: looks}}
+    return {"attributes": attributes, "mode": _POINTS, "material": 0, "extensions": {SPLATS: looks}}
 
 
 def camera_node(camera: Camera) -> tuple[dict[str, Any], dict[str, Any]]:

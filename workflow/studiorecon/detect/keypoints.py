@@ -35,6 +35,8 @@ from studiorecon.signature import Written
 
 # The layout of an empty recording: nothing reads its points.
 _NOBODYS = "body_25"
+# Number of pictures compared with keypoints: a few dozen show where people move.
+_PICTURES = 64
 # Longest film in frames that is decoded from the start (1 to 2 s); longer ones are seeked.
 _FRAMES_READ = 600
 
@@ -182,8 +184,7 @@ def _as_filmed(camera: str, filmed: FootageSource, frames: int, pixel_map: str) 
 def motion_in(source: FootageSource, first: int, last: int) -> Motion | None:
     """Motion in sampled frames from ``first`` to ``last``; None, with a warning, if the film cannot be read."""
     first, last = min(max(first, 0), source.frames - 1), min(max(last, 0), source.frames - 1)
-    # Number of pictures compared with keypoints: a few dozen show where people move.
-    wanted = np.unique(np.linspace(first, max(last, first), 64).round().astype(int)).tolist()
+    wanted = np.unique(np.linspace(first, max(last, first), _PICTURES).round().astype(int)).tolist()
     look = stills if last <= _FRAMES_READ else glimpses
     try:
         pictures = [small(picture) for picture in look(source, wanted)]

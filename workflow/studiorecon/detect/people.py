@@ -22,6 +22,9 @@ from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.raw_detections import RawDetections, write_raw_detections
 from studiorecon.signature import Written
 
+# Pictures of a film that are compared, and those of them, where most moves, that show which way is up.
+_COMPARED, _SHOW_UP = 25, 3
+
 
 def run(
     camera: str,
@@ -33,8 +36,6 @@ def run(
 ) -> None:
     """Write who is in the frames of ``source`` to ``found`` (npz): in all, or in those that ``clocks`` (a file, or
     none) chooses."""
-    # Pictures of a film that are compared, and those of them, where most moves, that show which way is up.
-    compared, show_up = 25, 3
     try:
         footage = open_source(source, picture_fps)
     except UserError as refusal:
@@ -46,9 +47,9 @@ def run(
         return
     start, count = used_range(read_clocks(clocks[0]), camera) if clocks else (0, 0)
     total = count or max(footage.frames - start, 0)
-    moments = sorted({start + round(k * max(total - 1, 0) / (compared - 1)) for k in range(compared)})
+    moments = sorted({start + round(k * max(total - 1, 0) / (_COMPARED - 1)) for k in range(_COMPARED)})
     network, worth = detector.detector(), detector.worth()
-    shown = [moments[k] for k in busiest(stills(footage, moments), show_up)]
+    shown = [moments[k] for k in busiest(stills(footage, moments), _SHOW_UP)]
     turns = quarter_turns(network, glimpses(footage, shown))
     if turns:
         say(f"camera {camera}: its pictures are turned by {90 * turns}° counter-clockwise, so that people are upright")

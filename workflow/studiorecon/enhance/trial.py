@@ -29,6 +29,8 @@ from studiorecon.scene.path import PathStep
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
+# Below this share of pixels seen by two training cameras at once, the residual's gain cannot be measured.
+_MIN_EVIDENCE = 0.01
 # Number of compared pairs of neighbouring pictures, the fewest for an estimate, and the smallest change that counts:
 # one level.
 _PAIRS, _MIN_PAIRS, _LEVEL = 8, 3, 1 / 255
@@ -42,8 +44,6 @@ def transfer_strength(training: Training, frames: int, transfer: Transfer, thres
     pixels that others see too, for films stay nearer to the cameras than those are to each other. Undetermined, with
     strength 0, when the training cameras see too little in common.
     """
-    # Below this share of pixels seen by two training cameras at once, the residual's gain cannot be measured.
-    min_evidence = 0.01
     count = len(training.cameras)
     predicted: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in range(count)]
     smoothed: list[list[np.ndarray]] = [[] for _ in range(count)]
@@ -61,14 +61,14 @@ def transfer_strength(training: Training, frames: int, transfer: Transfer, thres
             with_itself[index] += float((added * added).sum(dtype=np.float64))
     everybody = range(count)
     strength, evidence = best_strength(*_of(everybody, predicted, smoothed))
-    if evidence < min_evidence:
+    if evidence < _MIN_EVIDENCE:
         few = f"only {100 * evidence:.1f} % of the training pixels are seen by a second training camera"
         return 0.0, ENHANCEMENT.decide(None, None, few, threshold=threshold)
     gains = np.full(count, np.nan)
     for index in everybody:
         factor, shared = best_strength(*_of([k for k in everybody if k != index], predicted, smoothed))
         left = before[index] - 2 * factor * with_photo[index] + factor**2 * with_itself[index]
-        if shared >= min_evidence:
+        if shared >= _MIN_EVIDENCE:
             # Renders equal to the photos leave nothing to gain.
             gains[index] = 10 * np.log10(before[index] / max(left, 1e-9 * before[index])) if before[index] > 0 else 0.0
     gain = mean(gains, 2)

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
 _WIDTH, _COARSE = 96, 4.0
+# Correlation of the static content, without its coarse brightness. Cameras of one room, 45 to 120° apart: 0.14 at most;
+# one film encoded again, or another part of it: 0.99.
+_SAME = 0.95
+# With less detail, grey levels, there is nothing to compare.
+_MIN_DETAIL = 1.0
 
 
 def duplicate_film_note(sources: Mapping[str, FootageSource]) -> str:
@@ -51,10 +56,7 @@ def static_image(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Num[np.nda
 
 def same_view(one: Num[np.ndarray, "h 96"], two: Num[np.ndarray, "h 96"]) -> bool:
     """Whether two ``static_image`` pictures are of one film."""
-    # With less detail, grey levels, there is nothing to compare.
-    if one.shape != two.shape or min(one.std(), two.std()) < 1.0:
+    if one.shape != two.shape or min(one.std(), two.std()) < _MIN_DETAIL:
         return False
     one, two = one - one.mean(), two - two.mean()
-    # Correlation of the static content, without its coarse brightness. Cameras of one room, 45 to 120° apart: 0.14 at
-    # most; one film encoded again, or another part of it: 0.99.
-    return bool((one * two).mean() / (one.std() * two.std()) >= 0.95)
+    return bool((one * two).mean() / (one.std() * two.std()) >= _SAME)

@@ -24,6 +24,8 @@ _FILM_DIAGONAL_MM = float(np.hypot(36.0, 24.0))
 # Outside of these no lens films people: a tag that was left at 0, or in another unit.
 _SHORTEST_MM, _LONGEST_MM = 8.0, 600.0
 _HOLDERS = (b"moov", b"trak")
+# EXIF: the pointer to the picture's own tags, and the tag.
+_EXIF_TAGS, _FOCAL_IN_35MM = 0x8769, 0xA405
 # A larger index belongs to no film of this project's length.
 _MAX_BYTES = 1 << 28
 
@@ -123,15 +125,13 @@ def _of_photo(path: Path) -> float | None:
 
 def _in_exif(block: bytes) -> float | None:
     """The value of the tag in a TIFF block (TIFF 6.0: byte order, then directories of entries of twelve bytes)."""
-    # EXIF: the pointer to the picture's own tags, and the tag.
-    exif_tags, focal_in_35mm = 0x8769, 0xA405
     block = block[6:] if block.startswith(b"Exif\0\0") else block
     order = {b"II": "<", b"MM": ">"}.get(block[:2])
     if order is None or len(block) < 8:
         return None
     first = _directory(block, order, struct.unpack(order + "I", block[4:8])[0])
-    inner = _directory(block, order, first[exif_tags][1]) if exif_tags in first else {}
-    return float(inner[focal_in_35mm][0]) if focal_in_35mm in inner else None
+    inner = _directory(block, order, first[_EXIF_TAGS][1]) if _EXIF_TAGS in first else {}
+    return float(inner[_FOCAL_IN_35MM][0]) if _FOCAL_IN_35MM in inner else None
 
 
 def _directory(block: bytes, order: str, at: int) -> dict[int, tuple[int, int]]:

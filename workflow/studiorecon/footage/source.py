@@ -24,6 +24,12 @@ from studiorecon.machine.resource_errors import without_thread
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.numbered_files import gaps_named, pictures_in
 
+_READ_BYTES = 1 << 20
+# Cameras film 80 megapixels at most (12K); a decoder allocates several times the size in the header.
+_MAX_PIXELS = 100_000_000
+# A gap of this many frame times between two pictures means that the recorder dropped some.
+_GAP_FRAMES = 1.5
+
 
 @dataclass(frozen=True)
 class PictureRate:
@@ -157,8 +163,7 @@ def _probe_first_frame(path: Path, _: tuple[int, int]) -> tuple[StoredFormat, tu
             kinds = "sound" if container.streams.audio else "none"
             raise UserError(f"{path} holds no video ({kinds} only); put the camera's video there")
         width, height = streams[0].width, streams[0].height
-        # Cameras film 80 megapixels at most (12K); a decoder allocates several times the size in the header.
-        if width * height > 100_000_000:
+        if width * height > _MAX_PIXELS:
             raise UserError(
                 f"{path} declares pictures of {width}×{height}, larger than any camera's: its header is damaged; "
                 "copy the recording again"
@@ -192,13 +197,11 @@ def timing_irregularities(times_s: Sequence[float], first: int) -> str | None:
 
     A dropped frame shifts all that follow.
     """
-    # A gap of this many frame times between two pictures means that the recorder dropped some.
-    gap_frames = 1.5
     gaps = np.diff(np.asarray(times_s, dtype=float))
     usual = float(np.median(gaps)) if len(gaps) else 0.0
     if usual <= 0:
         return None
-    odd = np.flatnonzero((gaps > gap_frames * usual) | (gaps < usual / gap_frames))
+    odd = np.flatnonzero((gaps > _GAP_FRAMES * usual) | (gaps < usual / _GAP_FRAMES))
     if not len(odd):
         return None
     worst = odd[np.argmax(np.abs(gaps[odd] - usual))]
@@ -243,9 +246,8 @@ def _open_folder(path: Path, picture_fps: float) -> FootageSource:
 
 
 def _file_digest(path: Path) -> str:
-    read_bytes = 1 << 20
     whole = hashlib.sha256()
     with open(path, "rb") as file:
-        while block := file.read(read_bytes):
+        while block := file.read(_READ_BYTES):
             whole.update(block)
     return whole.hexdigest()

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from jaxtyping import Integer
 
 _UPRIGHT = ((1, 0), (0, 1))
+# No camera's pixels have a larger aspect; anamorphic lenses reach 2.
+_MAX_ASPECT = 4
 # Differ from BT.709 by less than cameras of one kind differ: SDR transfers, and primaries of television.
 _SDR = {ColorTrc.BT709, ColorTrc.UNSPECIFIED, ColorTrc.GAMMA22, ColorTrc.GAMMA28, ColorTrc.SMPTE170M}
 _SDR |= {ColorTrc.SMPTE240M, ColorTrc.IEC61966_2_4, ColorTrc.BT1361_ECG, ColorTrc.IEC61966_2_1}
@@ -107,12 +109,10 @@ def stored_format(stream: av.VideoStream, first: av.VideoFrame) -> tuple[StoredF
 
 def _square(wh: tuple[int, int], aspect: Fraction | None) -> tuple[tuple[int, int], list[str]]:
     """The size with square pixels of ``wh`` pixels of that aspect, as players show it: with the stored height."""
-    # No camera's pixels have a larger aspect; anamorphic lenses reach 2.
-    max_aspect = 4
     if not aspect or aspect <= 0:
         return wh, []
     named = f"{aspect.numerator}:{aspect.denominator}"
-    if not 1 / max_aspect <= aspect <= max_aspect:
+    if not 1 / _MAX_ASPECT <= aspect <= _MAX_ASPECT:
         return wh, [f"its header gives pixels of {named}, which no camera has: square ones are assumed"]
     square = (max(round(wh[0] * aspect), 1), wh[1])
     return square, [f"its pixels are {named}: {wh[0]}×{wh[1]} are shown as {square[0]}×{square[1]}"] * (square != wh)

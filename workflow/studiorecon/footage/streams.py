@@ -10,6 +10,9 @@ from contextlib import contextmanager
 
 import numpy as np
 
+# Frames that may wait for a slow encoder; the producer pauses beyond that.
+_WAITING = 8
+
 Writer = Callable[[Iterator[np.ndarray]], object]
 
 
@@ -21,8 +24,7 @@ def writing(writers: Sequence[Writer]) -> Iterator[Callable[..., None]]:
     The files are complete when the block ends. When the block, or any writer, fails, every writer is stopped by an
     error inside its iterator, so that none of them keeps a partial file, and that first error is raised.
     """
-    # Frames that may wait for a slow encoder; the producer pauses beyond that.
-    queues: list[queue.Queue] = [queue.Queue(maxsize=8) for _ in writers]
+    queues: list[queue.Queue] = [queue.Queue(maxsize=_WAITING) for _ in writers]
     failures: list[BaseException] = []
     ended: set[int] = set()
 

@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 EVEN_S = 2e-3
 # The header's rate is used if it is nearer than this share: the difference is jitter.
 _RATE_SHARE = 0.02
+# Number of frames decoded to check a decoder against the packets: more than open groups of pictures lead with, or
+# codecs reorder.
+_HEAD_FRAMES = 20
+# People are never filmed at more than 1,000 frames per second (the maximum of ``capture.picture_fps``): smaller steps
+# are frame counts, not times.
+_MIN_STEP_S = 1e-3
 
 
 @dataclass(frozen=True)
@@ -77,9 +83,6 @@ def read_timing(path: Path) -> Timing:
     Else it is that of the undamaged frames after decoding all of it. Raises UserError naming the file when nothing can
     be decoded, or neither its times nor its header give a rate.
     """
-    # Number of frames decoded to check a decoder against the packets: more than open groups of pictures lead with, or
-    # codecs reorder.
-    head_frames = 20
     with open_container(path) as container:
         stream = film_stream(container)
         rate = float(stream.average_rate or stream.guessed_rate or 0)
@@ -89,7 +92,7 @@ def read_timing(path: Path) -> Timing:
     packets = _packets(path)
     times, carried, other = packets.shown_s, True, None
     whole = packets.whole and stated in (0, len(times) + packets.hidden)
-    if whole and _promised(_decoded(path, most=head_frames), times, head_frames) and _ends(path, times):
+    if whole and _promised(_decoded(path, most=_HEAD_FRAMES), times, _HEAD_FRAMES) and _ends(path, times):
         count, other = _of_one_size(path, times)
     else:
         decoded = _decoded(path)
@@ -302,9 +305,7 @@ def _repaired(times_s: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"] | Non
     if 2 * good.sum() < len(times_s) or not (good[0] and good[-1]):
         return None
     repaired = np.interp(np.arange(len(times_s)), np.flatnonzero(good), times_s[good])
-    # People are never filmed at more than 1,000 frames per second (the maximum of ``capture.picture_fps``): smaller
-    # steps are frame counts, not times.
-    return repaired if len(repaired) < 2 or np.median(np.diff(repaired)) >= 1e-3 else None
+    return repaired if len(repaired) < 2 or np.median(np.diff(repaired)) >= _MIN_STEP_S else None
 
 
 def _rate(times_s: Float[np.ndarray, " T"], header: float) -> float:

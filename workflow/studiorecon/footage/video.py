@@ -43,6 +43,8 @@ class Codec:
     form_options: Mapping[str, str] = field(default_factory=lambda: {"fflags": "+bitexact"})
 
 
+# Matroska keeps the length of a frame in whole nanoseconds, others in ticks of their clock.
+_SAME_RATE = 1e-3
 # Users provide films of masks, too.
 _CURE = "delete it, and the next run makes it again, or copy it again if it is yours"
 _FFV1 = {"level": "3", "slices": "4", "slicecrc": "1"}
@@ -222,8 +224,7 @@ def _as_captured(path: Path, container: av.container.InputContainer, stream: av.
             f"it is of {title.rpartition(' ')[0]} or of another recording",
         )
         expect(
-            # Matroska keeps the length of a frame in whole nanoseconds, others in ticks of their clock.
-            rate is not None and abs(float(rate) / footage.fps - 1) < 1e-3,
+            rate is not None and abs(float(rate) / footage.fps - 1) < _SAME_RATE,
             f"it has {float(rate or 0):g} frames per second, {about.name} says {footage.fps:g}",
         )
         if lasts is not None and rate is not None:

@@ -16,6 +16,7 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Num
 
+_NEAR_M = 0.05
 # Sigma of a lens parameter that is fixed: its column stays in the matrix and does not move.
 _FIXED = 1e-9
 
@@ -197,9 +198,8 @@ class _Problem:
 
     def residuals(self, state: _State) -> tuple[Num[np.ndarray, "V N 3"], Num[np.ndarray, "V N 2"], float]:
         """Points in the cameras, errors in error units, and the cost: inf when a seen point is behind."""
-        near_m = 0.05
         in_camera = np.einsum("vij,vnj->vni", state.rotations, state.points[None] - state.centres[:, None])
-        if (self.seen & ~(in_camera[..., 2] > near_m)).any():
+        if (self.seen & ~(in_camera[..., 2] > _NEAR_M)).any():
             return in_camera, np.zeros_like(self.measured), np.inf
         normal = in_camera[..., :2] / np.where(self.seen, in_camera[..., 2], 1.0)[..., None]
         normal = np.where(self.seen[..., None], normal, 0.0)

@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 
 LARGEST_GAP_RAD = np.radians(150)
 """A gap between neighbouring cameras beyond this leaves their ring open: nobody filmed what lies there (U18)."""
+# Assumed distance of the scene in front of the rig when the optical axes do not determine it (parallel axes, one
+# camera).
+_ASSUMED_DISTANCE_M = 3.0
+# Weight of that assumption against one optical axis: it decides only where the axes do not.
+_ASSUMPTION_WEIGHT = 1e-3
 
 
 def scene_centre(cameras: Sequence[Camera]) -> Num[np.ndarray, " 3"]:
@@ -28,14 +33,10 @@ def scene_centre(cameras: Sequence[Camera]) -> Num[np.ndarray, " 3"]:
 
     Raises ValueError without a camera.
     """
-    # Weight of that assumption against one optical axis: it decides only where the axes do not.
-    assumption_weight = 1e-3
     if not cameras:
         raise ValueError("cameras is empty: there is no scene to find the centre of")
-    # Assumed distance of the scene in front of the rig when the optical axes do not determine it (parallel axes, one
-    # camera).
-    ahead = np.mean([c.centre_m + 3.0 * c.forward for c in cameras], axis=0)
-    normal, right = assumption_weight * np.eye(3), assumption_weight * ahead
+    ahead = np.mean([c.centre_m + _ASSUMED_DISTANCE_M * c.forward for c in cameras], axis=0)
+    normal, right = _ASSUMPTION_WEIGHT * np.eye(3), _ASSUMPTION_WEIGHT * ahead
     for camera in cameras:
         across = np.eye(3) - np.outer(camera.forward, camera.forward)
         normal, right = normal + across, right + across @ camera.centre_m

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 _BLOCK = 16
 # Films are scaled by ratios of small integers.
 _LARGEST_RATIO = 8
+# Levels (0 to 255) of a bar: black plus a codec's noise.
+_MAX_BLACK = 32
+# Pixels by which the part between bars may miss the calibrated shape: their edges are blurred.
+_BAR_TOLERANCE_PX = 2.0
 
 
 @dataclass(frozen=True)
@@ -61,8 +65,7 @@ def without_bars(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Float[np.n
     brightest = np.stack([picture.max(-1) for picture in pictures])
     area = []
     for axis, side in ((1, brightest.shape[2]), (2, brightest.shape[1])):
-        # Levels (0 to 255) of a bar: black plus a codec's noise.
-        lit = np.flatnonzero(np.median(brightest, axis=(0, axis)) > 32)
+        lit = np.flatnonzero(np.median(brightest, axis=(0, axis)) > _MAX_BLACK)
         area.append((lit[0], lit[-1] + 1) if len(lit) else (0, side))
     (left, right), (top, bottom) = area
     return np.array([left, top, right, bottom], dtype=np.float64)
@@ -78,8 +81,7 @@ def inside_bars(lens: Lens, area: Num[np.ndarray, " 4"], source_wh: tuple[int, i
     ratios = size / lens.wh
     # A side without bars has no blurred edges.
     scale = float(ratios[whole].mean() if whole.any() else ratios.mean())
-    # Pixels by which the part between bars may miss the calibrated shape: their edges are blurred.
-    if np.abs(scale * np.array(lens.wh) - size).max() > 2.0:
+    if np.abs(scale * np.array(lens.wh) - size).max() > _BAR_TOLERANCE_PX:
         return None
     offset = low + size / 2 - scale * np.array(lens.wh) / 2
     bars = f"{np.max([low, source_wh - area[2:]]):.0f}"

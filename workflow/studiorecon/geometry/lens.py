@@ -20,8 +20,22 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Num
 
 _BORDER_SAMPLES = 200
+_ASPECT_TOLERANCE = 0.005
+# Least share of a video that shows the calibrated picture: at most padded into a square or a portrait frame.
+_MIN_COVERED = 0.25
 # A pinhole picture spends 33 times as many pixels per degree here as in its middle, without limit beyond.
 _STEEPEST = np.radians(80.0)
+# A calibration board covers at least the middle half of the picture: a lens model that folds within it belongs to
+# another lens.
+_MAX_UNSEEN = 0.5
+# Smallest usable picture, in calibration pixels.
+_MIN_SIDE_PX = 2.0
+# Points along a side of the picture at which the unseen share is counted: to 0.1 %.
+_GRID = 64
+# Normalised: no picture reaches so far, and its pixels still fit into 16 bits, as cv2.remap needs.
+_FAR_OUTSIDE = -6.0
+# Tolerance of a rectangle's size, as a share: a thousandth of a pixel of a large picture.
+_SHARE_STEP = 1e-7
 
 
 @dataclass(frozen=True)
@@ -113,8 +127,7 @@ def _check_overlap(lens: Lens, calibration_from_video: np.ndarray, source_wh: tu
     low, high = calibration_from_video[:, 2], calibration_from_video @ np.array([*source_wh, 1.0])
     shared = np.clip(np.minimum(high, lens.wh) - np.maximum(low, 0), 0, None)
     covered = float(np.prod(shared / (high - low)))
-    # Least share of a video that shows the calibrated picture: at most padded into a square or a portrait frame.
-    if 0 not in lens.wh and covered < 0.25:
+    if 0 not in lens.wh and covered < _MIN_COVERED:
         raise UserError(
             f"camera {lens.name}: pixel_maps in capture.yaml lays the calibrated {lens.wh[0]}×{lens.wh[1]} pixels over "
             f"{covered:.0%} of the video's {source_wh[0]}×{source_wh[1]}; p_video = scale · p_calibration + offset, in "
@@ -124,8 +137,7 @@ def _check_overlap(lens: Lens, calibration_from_video: np.ndarray, source_wh: tu
 
 def same_shape(one: tuple[int, int], two: tuple[int, int]) -> bool:
     """Whether two sizes of pictures differ only by scaling, up to rounding."""
-    aspect_tolerance = 0.005
-    return abs(one[0] * two[1] / (one[1] * two[0]) - 1) <= aspect_tolerance
+    return abs(one[0] * two[1] / (one[1] * two[0]) - 1) <= _ASPECT_TOLERANCE
 
 
 def calibration_from_video(pixel_map: Sequence[float] | None) -> Num[np.ndarray, "2 3"]:
@@ -209,8 +221,7 @@ def video_from_working(
     fold = np.inf if lens.model == "fisheye" else fold_radius(lens.model, lens.distortion)
     if np.isfinite(fold):
         beyond = np.linalg.norm(normalised, axis=-1) > fold
-        # Normalised: no picture reaches so far, and its pixels still fit into 16 bits, as cv2.remap needs.
-        distorted = np.where(beyond[..., None], -6.0, distorted)
+        distorted = np.where(beyond[..., None], _FAR_OUTSIDE, distorted)
     calibration = distorted * np.array([lens.intrinsics[0, 0], lens.intrinsics[1, 1]]) + lens.intrinsics[:2, 2]
     affine = calibration_from_video_pixels(lens, source_wh)
     return (calibration - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
@@ -282,8 +293,7 @@ def _undoable(
         )
 
     least, most = 0.0, 1.0
-    # Tolerance of a rectangle's size, as a share: a thousandth of a pixel of a large picture.
-    while most - least > 1e-7:
+    while most - least > _SHARE_STEP:
         middle = (least + most) / 2
         least, most = (middle, most) if seen(middle) else (least, middle)
     return anchor + least * (whole - anchor)
@@ -303,23 +313,17 @@ def unseen_share(lens: Lens, source_wh: tuple[int, int]) -> float:
     Raises UserError where it is most of the picture, and as ``calibration_from_video_pixels``: every step that rejects
     a lens does so here.
     """
-    # Points along a side of the picture at which the unseen share is counted: to 0.1 %.
-    grid = 64
-    # Smallest usable picture, in calibration pixels.
-    min_side_px = 2.0
     affine = calibration_from_video_pixels(lens, source_wh)
     left, top, right, bottom = _covered(lens, source_wh, affine)
-    if not (right - left > min_side_px and bottom - top > min_side_px):
+    if not (right - left > _MIN_SIDE_PX and bottom - top > _MIN_SIDE_PX):
         raise UserError(
             f"camera {lens.name}: its film of {source_wh[0]}×{source_wh[1]} pixels shows nothing of the calibrated "
             f"picture of {lens.wh[0]}×{lens.wh[1]}; check pixel_maps in capture.yaml, and its principal point"
         )
-    x, y = np.meshgrid(*((np.arange(grid) + 0.5) / grid * side for side in source_wh))
+    x, y = np.meshgrid(*((np.arange(_GRID) + 0.5) / _GRID * side for side in source_wh))
     pixels = np.stack([x, y], -1).reshape(-1, 2) @ affine[:, :2].T + affine[:, 2]
     share = 1.0 - float(normalised_from_calibration(pixels, lens)[1].mean())
-    # A calibration board covers at least the middle half of the picture: a lens model that folds within it belongs to
-    # another lens.
-    if share > 0.5:
+    if share > _MAX_UNSEEN:
         raise UserError(
             f"camera {lens.name}: its distortion {np.round(lens.distortion, 4).tolist()} ({lens.model}) cannot be "
             f"undone in {share:.0%} of its picture; the coefficients belong to another lens or another model"

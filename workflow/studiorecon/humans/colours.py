@@ -13,6 +13,11 @@ from studiorecon.humans.crops import PERSON, Crop
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
+# A Gaussian this far behind the nearest rendered surface is hidden.
+_HIDDEN_M = 0.04
+# A Gaussian facing away more than this (cosine) is not judged.
+_GRAZING = 0.2
+
 
 def in_view(
     crop: Crop,
@@ -35,10 +40,8 @@ def in_view(
     facing = -np.sum(normals[index] * ray, axis=1) / np.linalg.norm(ray, axis=1)
     good = (
         (crop.verdict[row, column] == PERSON)
-        # A Gaussian this far behind the nearest rendered surface is hidden.
-        & (depth_m[index] < nearest_m[row, column] + 0.04)
-        # A Gaussian facing away more than this (cosine) is not judged.
-        & (facing > 0.2)
+        & (depth_m[index] < nearest_m[row, column] + _HIDDEN_M)
+        & (facing > _GRAZING)
     )
     index, facing = index[good], facing[good]
     return index, pixels[index].astype(np.float32), facing**2 * np.mean(crop.camera.focal_px) / depth_m[index]

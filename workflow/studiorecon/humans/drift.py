@@ -32,6 +32,12 @@ _NOISE_RATIO, _MEMORY = 3.0, 0.3
 # result.
 _MOMENTS, _RUN = 240, 24
 _MIN_FRAMES, _MIN_POINTS = 12, 50
+# A change below this standard deviation (of 1) is invisible.
+_VISIBLE = 2 / 255
+# A fold covers about this many Gaussians, so their residuals are correlated.
+_PATCH = 25
+# Pixels this near to the person's outline show the misfit of the body rather than its colour.
+_OUTLINE_PX = 3
 
 
 def track_brightness(
@@ -49,14 +55,12 @@ def track_brightness(
     Columns are the ``moments`` of the clip. ``draw`` renders a crop, (h, w, 3) in 0..1; ``means_m`` and ``normals`` (N,
     3) are canonical.
     """
-    # Pixels this near to the person's outline show the misfit of the body rather than its colour.
-    outline_px = 3
     columns = {int(frame): column for column, frame in enumerate(moments(len(motion.local))) if frame >= 0}
     sums = np.zeros((len(means_m), max(columns.values(), default=-1) + 1))
     weights = np.zeros_like(sums)
     still = np.tile(np.array([1, 0, 0, 0], np.float32), (len(means_m), 1))
     nothing = np.zeros((len(means_m), 1, 3), np.float32)
-    kernel = np.ones((2 * outline_px + 1, 2 * outline_px + 1), np.uint8)
+    kernel = np.ones((2 * _OUTLINE_PX + 1, 2 * _OUTLINE_PX + 1), np.uint8)
     for crop in (crop for crop in crops if crop.frame in columns):
         column = columns[crop.frame]
         missing = (crop.rgb.astype(np.float32) / 255 - draw(crop)).mean(axis=2, keepdims=True)
@@ -108,10 +112,8 @@ def drifting_share(residual: Float[np.ndarray, "N T"]) -> Estimate:
     variance = (centred**2).sum(axis=1) / seen.sum(axis=1)
     noise = (np.where(pairs, np.diff(centred, axis=1), 0) ** 2).sum(axis=1) / (2 * count)
     memory = np.where(pairs, centred[:, 1:] * centred[:, :-1], 0).sum(axis=1) / count / np.maximum(variance, 1e-12)
-    # A change below this standard deviation (of 1) is invisible.
-    drifts = (variance > np.maximum(_NOISE_RATIO * noise, (2 / 255) ** 2)) & (memory > _MEMORY)
-    # A fold covers about this many Gaussians, so their residuals are correlated.
-    return share(int(drifts.sum()), len(drifts), max(len(drifts) / 25, 1))
+    drifts = (variance > np.maximum(_NOISE_RATIO * noise, _VISIBLE**2)) & (memory > _MEMORY)
+    return share(int(drifts.sum()), len(drifts), max(len(drifts) / _PATCH, 1))
 
 
 def decide_appearance(person: str, estimate: Estimate, threshold: float) -> Decision:

@@ -35,6 +35,10 @@ if TYPE_CHECKING:
 
 NEIGHBOURS = 8
 """Surface neighbours that an unseen Gaussian takes its colour from."""
+# Number of pictures for initial colours: enough to see every side of a turning person, few enough to take a second.
+_LOOKS = 160
+# A Gaussian is measured when its weight in all crops exceeds that of one frontal crop at 20 focal lengths per metre.
+_SEEN_WEIGHT = 20.0
 
 
 def skinning_weights(
@@ -59,8 +63,7 @@ def initial_colours(
 ) -> tuple[Float[np.ndarray, "N 3"], Bool[np.ndarray, " N"]]:
     """Colours (N, 3) float64 and ``seen`` (N,) bool from up to 160 crops spread over the clip; unseen rows are grey."""
     sums, weights = np.zeros_like(samples.points_m), np.zeros(len(samples.points_m))
-    # Number of pictures for initial colours: enough to see every side of a turning person, few enough to take a second.
-    chosen = evenly_spread(len(crops), 160, below=True)
+    chosen = evenly_spread(len(crops), _LOOKS, below=True)
     points = samples.points_m.astype(np.float32)
     nothing = np.zeros((len(points), 1, 3), np.float32)
     unturned = np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1))
@@ -78,9 +81,7 @@ def initial_colours(
             sums,
             weights,
         )
-    # A Gaussian is measured when its weight in all crops exceeds that of one frontal crop at 20 focal lengths per
-    # metre.
-    seen = weights > 20.0
+    seen = weights > _SEEN_WEIGHT
     return np.where(seen[:, None], sums / np.maximum(weights, 1e-12)[:, None], 0.5), seen
 
 

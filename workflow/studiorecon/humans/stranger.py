@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 # Limits of the detector's mask (0 to 1): surely not, and surely the person; between them the colours decide.
 _OUT, _IN = 0.02, 0.9
 _ROUNDS = 5
+# The person in a photo must be this many times as large as every other one.
+_MEANT = 1.5
 # Longer side of the picture that GrabCut sees: finer than the detector's mask, and done in seconds.
 _CUT_PX = 1000
 _ASK = "bring a photo of one whole person, or one that is cut out (PNG with alpha)"
@@ -83,8 +85,7 @@ def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
         if not found:
             raise UserError(f"{photo} shows no person to the built-in detector; {_ASK}")
         if len(found) > 1:
-            # The person in a photo must be this many times as large as every other one.
-            if found[1].region.side * 1.5 > found[0].region.side:
+            if found[1].region.side * _MEANT > found[0].region.side:
                 raise UserError(f"{photo} shows several people of similar size; {_ASK}")
             say(f"{stranger}: the photo shows {len(found)} people; the largest one is used")
         own = segment_person(picture, whole_mask(found[0], wh))

@@ -27,6 +27,8 @@ PRESETS = {
     "fast": cv2.DISOPTICAL_FLOW_PRESET_FAST,
     "medium": cv2.DISOPTICAL_FLOW_PRESET_MEDIUM,
 }
+# Below this DIS has no pyramid level left to search.
+_SMALLEST_SIDE_PX = 24
 
 
 @contextmanager
@@ -58,15 +60,13 @@ def dis_flow(
 
     Deterministic inside ``one_thread``. Raises UserError for pictures that differ in size or are too small to search.
     """
-    # Below this DIS has no pyramid level left to search.
-    smallest_side_px = 24
     if first_grey.shape != second_grey.shape:
         raise UserError(
             f"optical flow needs pictures of one size, not {first_grey.shape[::-1]} and {second_grey.shape[::-1]}"
         )
-    if min(first_grey.shape) < smallest_side_px:
+    if min(first_grey.shape) < _SMALLEST_SIDE_PX:
         raise UserError(
-            f"optical flow needs pictures of at least {smallest_side_px} pixels a side, not {first_grey.shape[::-1]}"
+            f"optical flow needs pictures of at least {_SMALLEST_SIDE_PX} pixels a side, not {first_grey.shape[::-1]}"
         )
     return cv2.DISOpticalFlow.create(PRESETS[preset]).calc(first_grey, second_grey, None)  # type: ignore[call-overload]
 

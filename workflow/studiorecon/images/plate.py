@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 # Rows that are transposed to time-last order at once: bounds the copy of the clip.
 _BAND = 64
+# A candidate colour shared by this share of the pictures needs no rival search: no other can win.
+_CLEAR_SHARE = 0.9
 
 
 def noise_levels(frames: Num[np.ndarray, "T H W 3"]) -> float:
@@ -67,8 +69,6 @@ def temporal_modes(
 
 @numba.njit(cache=True, nogil=True)
 def _modes(values, free, tolerance, colour, votes, rival):
-    # A candidate colour shared by this share of the pictures needs no rival search: no other can win.
-    clear_share = 0.9
     height, width, count, _ = values.shape
     for y in range(height):
         for x in range(width):
@@ -88,7 +88,7 @@ def _modes(values, free, tolerance, colour, votes, rival):
                         agreeing += 1
                 if agreeing > best_votes:
                     best, best_votes = t, agreeing
-                if best_votes >= clear_share * available:
+                if best_votes >= _CLEAR_SHARE * available:
                     break
             total = np.zeros(3, np.float64)
             for s in range(count):
@@ -98,7 +98,7 @@ def _modes(values, free, tolerance, colour, votes, rival):
             for c in range(3):
                 colour[y, x, c] = total[c] / best_votes
             votes[y, x] = best_votes
-            if best_votes < clear_share * available:
+            if best_votes < _CLEAR_SHARE * available:
                 rival[y, x] = _rival(values[y, x], free[y, x], values[y, x, best], tolerance)
 
 

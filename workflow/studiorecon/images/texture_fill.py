@@ -23,8 +23,23 @@ from studiorecon.arrays import require
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
+# Number of principal components that describe a patch in comparisons.
+_COMPONENTS = 8
 # Patches that search for a similar one, and how many of the nearest may be too close to count.
 _ASKING, _NEIGHBOURS = 4000, 16
+# Fewer whole patches determine no shift.
+_MIN_PATCHES = 100
+# Largest cost of one pixel against a shift, so that posters and furniture near a hole do not decide everything.
+_MAX_SQUARED = 0.05
+# Cost of a pixel that a shift cannot fill.
+_MISSING = 0.002
+# Copied pixels are trusted less, by this factor per patch.
+_TRUST = 0.97
+# Rounds, and robust deviations at which a pixel's weight for the light is a quarter, because objects on a wall do not
+# light it.
+_LIGHT_ROUNDS, _LIGHT_DEVIATIONS = 5, 1.5
+# Below this share of known pixels around it, a pixel's light is taken from further away.
+_THIN = 0.05
 
 
 @dataclass(frozen=True)
@@ -67,14 +82,11 @@ def low_frequency_light(
     rgb: Float[np.ndarray, "H W 3"], known: Bool[np.ndarray, "H W"], sigma: float
 ) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) a surface's light without its detail, at all pixels; outliers have almost no weight."""
-    # Rounds, and robust deviations at which a pixel's weight for the light is a quarter, because objects on a wall do
-    # not light it.
-    light_rounds, light_deviations = 5, 1.5
     weight = known.astype(np.float64)
-    for _ in range(light_rounds):
+    for _ in range(_LIGHT_ROUNDS):
         light = _smooth(rgb, weight, sigma)
         off = np.linalg.norm(rgb - light, axis=-1)
-        usual = light_deviations * 1.4826 * np.median(off[known]) + 1e-6
+        usual = _LIGHT_DEVIATIONS * 1.4826 * np.median(off[known]) + 1e-6
         weight = np.where(known, 1 / (1 + (off / usual) ** 2) ** 2, 0.0)
     return _smooth(rgb, weight, sigma)
 
@@ -95,8 +107,7 @@ def _smooth(rgb: np.ndarray, weight: np.ndarray, sigma: float) -> np.ndarray:
             cv2.GaussianBlur(values, (0, 0), wider * sigma / step, borderType=cv2.BORDER_REFLECT)
             for values in (total, share)
         )
-        # Below this share of known pixels around it, a pixel's light is taken from further away.
-        trust = np.clip(held / 0.05, 0, 1)[..., None]
+        trust = np.clip(held / _THIN, 0, 1)[..., None]
         mean = trust * near / np.maximum(held, 1e-12)[..., None] + (1 - trust) * mean
     return cv2.resize(mean, (width, height), interpolation=cv2.INTER_LINEAR)
 
@@ -108,15 +119,13 @@ def texture_periods(
     known."""
     half = scale.patch // 2
     rows, columns = np.nonzero(scipy.ndimage.minimum_filter(known, scale.patch, mode="constant", cval=False))
-    # Fewer whole patches determine no shift.
-    if len(rows) < 100:
+    if len(rows) < _MIN_PATCHES:
         return np.zeros((0, 2), np.int64)
     reach = range(-half, half + 1)
     patches = np.stack([detail[rows + a, columns + b] for a in reach for b in reach], axis=1).reshape(len(rows), -1)
     patches -= patches.mean(axis=0)
     _, directions = np.linalg.eigh(patches.T @ patches)
-    # Number of principal components that describe a patch in comparisons.
-    described = patches @ directions[:, -8:]
+    described = patches @ directions[:, -_COMPONENTS:]
     asking = rng.permutation(len(rows))[:_ASKING]
     _, alike = scipy.spatial.cKDTree(described).query(described[asking], k=min(_NEIGHBOURS, len(rows)))
     apart = np.stack([at[alike] - at[asking][:, None] for at in (rows, columns)], axis=-1)
@@ -157,8 +166,7 @@ def _copied(detail, known, shifts, half):
                     continue
                 out[r, c] = detail[there]
                 done[r, c] = True
-                # Copied pixels are trusted less, by this factor per patch.
-                trust[r, c] = 0.97 * -priority
+                trust[r, c] = _TRUST * -priority
         for r in range(max(r0 - 2 * half - 1, 0), min(r0 + 2 * half + 2, height)):
             for c in range(max(c0 - 2 * half - 1, 0), min(c0 + 2 * half + 2, width)):
                 _rank(done, trust, half, r, c, rank, rim)
@@ -210,12 +218,9 @@ def _best(detail, known, out, done, trust, shifts, half, r0, c0):
                     counted += 1
                     for q in range(3):
                         off = out[r, c, q] - detail[a, b, q]
-                        # Largest cost of one pixel against a shift, so that posters and furniture near a hole do not
-                        # decide everything.
-                        against += min(off * off, 0.05) * trust[r, c]
+                        against += min(off * off, _MAX_SQUARED) * trust[r, c]
         if counted > 0:
-            # Cost of a pixel that a shift cannot fill.
-            cost = against / counted + 0.002 * missing
+            cost = against / counted + _MISSING * missing
             if cost < least:
                 least, best = cost, k
     return best

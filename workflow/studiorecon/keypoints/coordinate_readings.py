@@ -18,6 +18,8 @@ _HEIGHTS = (90, 120, 144, 180, 216, 240, 270, 288, 320, 360, 432, 480, 540, 576,
 # Usual factors between a film and the copy of it that a detector was given.
 _FACTORS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2, 3, 4)
 _SQUARES = (192, 224, 256, 288, 320, 368, 384, 416, 480, 512, 608, 640, 736, 768, 960, 1024, 1280)
+# Sizes within this factor of the film's are a detector's rounding to whole blocks, or letterboxes of a few rows.
+_SAME_SIZE = 1.1
 
 
 @dataclass(frozen=True)
@@ -67,9 +69,7 @@ def sizes(wh: tuple[int, int], centre: float, stored_wh: tuple[int, int] | None 
         found.append(Reading(words, affine(sx, sy, sx * centre, sy * centre), True, True))
     for height in sorted({*_HEIGHTS, *(round(h * factor) for factor in _FACTORS)}):
         scale = h / height
-        # Sizes within this factor of the film's are a detector's rounding to whole blocks, or letterboxes of a few
-        # rows.
-        if max(scale, 1 / scale) > 1.1:
+        if max(scale, 1 / scale) > _SAME_SIZE:
             words = f"in pixels of a {round(w / scale)}×{height} picture"
             found.append(Reading(words, affine(scale, scale, scale * centre, scale * centre), True, True))
     for side in _SQUARES:

@@ -30,6 +30,10 @@ BORNE_OUT = 0.3
 # No reading fits: lift is no better than chance although people move in keypoints and film.
 _CHANCE, _CHANCE_SIGMAS, _CHANCE_POINTS = 0.1, 2.0, 200
 _SHIFTS = 60
+# A smaller shift is a detector's smoothing.
+_MIN_SHIFT = 2
+# Detectors guess somewhat beyond the border; more keypoints than this share beyond it are from another picture.
+_OUTSIDE = 0.5
 # Shares may be somewhat beyond the border too, and slightly below 0; pixels of a film are far larger.
 _SHARES_WITHIN, _BELOW_0, _SMALLEST_PX = 3.0, -0.1, 32
 _UPSIDE_DOWN = 0.9
@@ -208,8 +212,7 @@ class _Judge:
         index, top = best(enumerate(h.score for h in tried))
         right = _clearly_better(top, now.score)
         found = tried[index]
-        # A smaller shift is a detector's smoothing.
-        return found if right and (not found.shift or abs(found.shift) >= 2) else None
+        return found if right and (not found.shift or abs(found.shift) >= _MIN_SHIFT) else None
 
     def taken(self, right: _Hypothesis, now: _Hypothesis) -> tuple[_Hypothesis, str]:
         """The hypothesis to use, and a refusal where it may swap left and right or is not exact; "" otherwise."""
@@ -308,8 +311,7 @@ def _outside(keypoints: Num[np.ndarray, "D K 3"], reading: Reading, film: Film) 
     points = _points(keypoints)
     shown = apply_reading(reading.film_from_recorded, points)
     outside = float(((shown < 0) | (shown > film.wh)).any(-1).mean()) if len(points) else 0.0
-    # Detectors guess somewhat beyond the border; more keypoints than this share beyond it are from another picture.
-    if outside <= 0.5:
+    if outside <= _OUTSIDE:
         return ""
     high = points.max(0)
     return (

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _NAMES = ("pose_landmarks", "poseLandmarks", "landmarks")
+# Landmarks beyond the picture's border are guessed, but not whole pictures away; pixels are far larger.
+_MAX_SHARE = 3.0
 
 
 def is_mediapipe(content: Any) -> bool:
@@ -77,8 +79,7 @@ def _points(person: list[Any], picture_wh: tuple[int, int], where: str) -> np.nd
     points = numbers(given, f"{where}: landmarks", finite=False)
     if points.shape != (33, 3):
         raise UserError(f"{where}: somebody has {len(person)} landmarks; MediaPipe's bodies have 33")
-    # Landmarks beyond the picture's border are guessed, but not whole pictures away; pixels are far larger.
-    if np.nanmax(np.abs(points[:, :2]), initial=0) > 3.0:
+    if np.nanmax(np.abs(points[:, :2]), initial=0) > _MAX_SHARE:
         raise UserError(f"{where}: landmarks are up to {np.nanmax(points[:, :2]):.0f}; MediaPipe's are shares, 0 to 1")
     # Shares count from the picture's border, keypoint files from the first pixel's centre.
     return points * [*picture_wh, 1.0] - [0.5, 0.5, 0.0]

@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 
 SMALL_PX = 320
 """Longer side of the pictures that are compared: a wrist of somebody who fills half the picture has 4 pixels."""
+# A pixel differs by at least so many noise deviations, and so many of 255 levels (compression noise).
+_SIGMAS, _MIN_LEVELS = 6.0, 12.0
+# Distance in pixels at which a keypoint no longer counts as on motion; nearer ones count in part. Detectors err by a
+# percent.
+_REACH_PX = 4.0
 
 
 @dataclass(frozen=True)
@@ -50,10 +55,10 @@ class Motion:
     @property
     def busy(self) -> bool:
         """Whether something about as large as a person differs in half of the frames or more."""
-        # Share of a picture that a person covers whose height is a tenth of the picture's.
-        return bool(np.median((self.near == 1).mean(axis=(1, 2))) > 0.001)
+        return bool(np.median((self.near == 1).mean(axis=(1, 2))) > _MIN_BUSY)
 
 
+# Share of a picture that a person covers whose height is a tenth of the picture's.
 _MIN_BUSY = 0.001
 
 
@@ -68,19 +73,15 @@ def measure_motion(
     frame: Sequence[int], pictures: Sequence[Integer[np.ndarray, "h w 3"]], wh: tuple[int, int]
 ) -> Motion:
     """Motion in ``pictures`` (``small``) of the frames ``frame`` of a film of size ``wh``."""
-    # A pixel differs by at least so many noise deviations, and so many of 255 levels (compression noise).
-    sigmas, min_levels = 6.0, 12.0
     stack = np.stack(pictures)
     levels = np.stack([cv2.GaussianBlur(p, (3, 3), 0) for p in stack]).astype(np.float32)
     apart = levels - np.median(levels, axis=0)
     apart -= np.median(apart, axis=(1, 2), keepdims=True)  # removes exposure that follows the scene
     apart = np.abs(apart).max(-1)
     noise = SIGMA_OF_MAD * float(np.median(apart))
-    differs = (apart > max(sigmas * noise, min_levels)).astype(np.uint8)
+    differs = (apart > max(_SIGMAS * noise, _MIN_LEVELS)).astype(np.uint8)
     near = [
-        # Distance in pixels at which a keypoint no longer counts as on motion; nearer ones count in part. Detectors err
-        # by a percent.
-        np.clip(1 - cv2.distanceTransform(1 - cv2.medianBlur(one, 3), cv2.DIST_L2, 3) / 4.0, 0, 1)
+        np.clip(1 - cv2.distanceTransform(1 - cv2.medianBlur(one, 3), cv2.DIST_L2, 3) / _REACH_PX, 0, 1)
         if one.any()
         else np.zeros(one.shape)
         for one in differs

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 # Keypoints with a higher confidence count, of the body only: layouts list hands and faces last.
 _SURE, _BODY_POINTS = 0.3, 26
+# A position that a body covers in more than this share of the frames is no evidence: a person there is the usual state.
+_USUAL_SHARE = 0.4
 # With fewer keypoints or frames than this a score decides nothing.
 MIN_POINTS, MIN_FRAMES = 60, 8
 # Side of the grid on which bodies are drawn to detect who moves.
@@ -94,9 +96,7 @@ def movers(keypoints: Num[np.ndarray, "D K 3"], frame: Integer[np.ndarray, " D"]
     low, high = points.min(0), points.max(0)
     grid = np.clip((points - low) / np.maximum(high - low, 1e-9) * (_GRID - 1), 0, _GRID - 1).round().astype(np.int32)
     covered = _covered(grid, person, frame)
-    # A position that a body covers in more than this share of the frames is no evidence: a person there is the usual
-    # state.
-    return Movers(*(a[covered[grid[:, 1], grid[:, 0]] <= 0.4] for a in (person, points)))
+    return Movers(*(a[covered[grid[:, 1], grid[:, 0]] <= _USUAL_SHARE] for a in (person, points)))
 
 
 def _covered(grid: np.ndarray, person: np.ndarray, frame: np.ndarray) -> Float[np.ndarray, "G G"]:

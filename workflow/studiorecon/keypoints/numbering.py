@@ -17,9 +17,13 @@ if TYPE_CHECKING:
     from jaxtyping import Integer
 
 _TIMES = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+# Headers and decoders may differ by so many frames at a film's end.
+_LOOSE_FRAMES = 2
 # A step between times may differ from a whole number of frames by this share of a frame: milliseconds are rounded.
 _STEP_OFF = 0.15
 _MAX_STRIDE = 10
+# At most so many first numbers are compared with the pictures: those around the likeliest.
+_MAX_FIRSTS = 60
 
 
 @dataclass(frozen=True)
@@ -74,14 +78,12 @@ def numberings(
             return Numberings((Numbering(in_order, low, words),), True)
     if times:
         return Numberings(tuple(times), len(times) == 1)
-    # Headers and decoders may differ by so many frames at a film's end.
-    if high < frames + (2 if low == 0 else 0):
+    if high < frames + (_LOOSE_FRAMES if low == 0 else 0):
         others = [_counted(pictures, 1)] if low == 1 else []
         return Numberings((_counted(pictures, 0), *others, *_strided(pictures, frames)), not others)
     if high - low >= frames:
         return Numberings((_counted(pictures, 0), *_strided(pictures, frames)), False)
-    # At most so many first numbers are compared with the pictures: those around the likeliest.
-    firsts = list(range(low, max(high - frames, low - 60), -1))
+    firsts = list(range(low, max(high - frames, low - _MAX_FIRSTS), -1))
     likely = [1] if 1 in firsts else []
     ordered = [*likely, *(first for first in firsts if first not in likely)]
     return Numberings(tuple(_counted(pictures, first) for first in ordered), len(firsts) == 1, bool(likely))

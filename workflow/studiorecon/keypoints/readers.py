@@ -45,6 +45,10 @@ _REFUSED = {
     ".pkl": "is a pickle, which can run programs and is not read: write an array keypoints into an .npz",
     ".npy": "holds one array without a name: write it as keypoints (frames, people, points, 3) of an .npz",
 }
+# No detector's score is larger, but per cent are.
+_MAX_SCORE = 10.0
+# Pixels: no picture is so wide, and no unit of pictures makes such numbers.
+_MAX_PLACE = 1e6
 
 
 def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> RecordedKeypoints:
@@ -104,8 +108,7 @@ def _usable(keypoints: Num[np.ndarray, "D K 3"], path: Path) -> Float[np.ndarray
     A file without any score has seen everything that it holds. Gaps are what has neither place nor score.
     """
     place, score = keypoints[..., :2], keypoints[..., 2]
-    # Pixels: no picture is so wide, and no unit of pictures makes such numbers.
-    there = (np.abs(place) < 1e6).all(-1)
+    there = (np.abs(place) < _MAX_PLACE).all(-1)
     if there.any() and not np.isfinite(score).any():
         warn(f"{path} has no scores: all of its keypoints are used, guessed ones too")
         score = np.where(there, 1.0, np.nan)
@@ -121,8 +124,7 @@ def _usable(keypoints: Num[np.ndarray, "D K 3"], path: Path) -> Float[np.ndarray
         warn(f"{path}: all scores are 0 or less, so no keypoint is used; write scores from 0 to 1")
     elif below.any():
         warn(f"{path}: {below.sum()} of {below.size} scores are below 0 and count as unseen; write them from 0 to 1")
-    # No detector's score is larger, but per cent are.
-    if seen.any() and (top := float(np.max(score, initial=0, where=seen & np.isfinite(score)))) > 10.0:
+    if seen.any() and (top := float(np.max(score, initial=0, where=seen & np.isfinite(score)))) > _MAX_SCORE:
         warn(f"{path}: scores go up to {top:.4g}; above 1 they count as 1: write them from 0 to 1")
     gone = ~there | ~np.isfinite(score)
     return np.where(gone[..., None], [np.nan, np.nan, 0.0], np.concatenate([place, score[..., None]], -1))

@@ -16,6 +16,8 @@ from studiorecon.scene.people import Detections
 # between them is unknown. A swinging hand leaves the straight line by a centimetre in that time.
 _FARTHEST_S, _NEXT_FRAMES = 0.1, 1.25
 _SAME = 1e-9
+# A cubic needs two frames on either side.
+_MARGIN = 2
 
 
 def part_used(footage: Footage, clocks: Clocks | None) -> Footage:
@@ -34,8 +36,7 @@ def used_range(clocks: Clocks, camera: str) -> tuple[int, int]:
     if clocks.refusal:
         raise UserError(clocks.refusal)
     used, late = clocks.source_frames(camera), clocks.late_frames(camera)
-    # A cubic needs two frames on either side.
-    margin = 2 if late.any() or clocks.of(camera).readout_s else 0
+    margin = _MARGIN if late.any() or clocks.of(camera).readout_s else 0
     first, last = max(int(used[0]) - margin, 0), min(int(used[-1]) + margin, clocks.of(camera).frames - 1)
     return first, last - first + 1
 

@@ -16,6 +16,12 @@ if TYPE_CHECKING:
 _REFUSED = 1e6
 # Time over which a track's speed is measured and extrapolated: an arm swings back after a quarter of a stride.
 _REMEMBERED_S = 0.2
+# How fast an outline may change beyond ``shape_share``, shares of the box diagonal per second: a person turns, bends,
+# sits down.
+_RESHAPED_S = 0.8
+# A second candidate this near to a track's prediction, as a share of the gate, makes the match doubtful however well
+# the first fits: people who meet may pass or turn back.
+_TOO_NEAR = 0.2
 
 
 @dataclass(frozen=True)
@@ -138,9 +144,7 @@ def tracks(
         )
         for row, column in match(cost, 1.0):
             rivals = np.concatenate([np.delete(cost[row], column), np.delete(cost[:, column], row)])
-            # A second candidate this near to a track's prediction, as a share of the gate, makes the match doubtful
-            # however well the first fits: people who meet may pass or turn back.
-            if (rivals < np.clip(limits.clear_ratio * cost[row, column], 0.2, 1.0)).any():
+            if (rivals < np.clip(limits.clear_ratio * cost[row, column], _TOO_NEAR, 1.0)).any():
                 # Removed for good: as an open track it would compete with its own continuation in every later frame.
                 del open_tracks[names[row]]
             else:
@@ -164,9 +168,7 @@ def _strangeness(
     """
     strayed = np.minimum(distance_shares(before, now), distance_shares(ahead, now))
     changed = np.minimum(shape_shares(before, now), shape_shares(ahead, now))
-    # How fast an outline may change beyond ``shape_share``, shares of the box diagonal per second: a person turns,
-    # bends, sits down.
-    alike = changed < limits.shape_share + 0.8 * elapsed_s
+    alike = changed < limits.shape_share + _RESHAPED_S * elapsed_s
     return np.where(alike, strayed / (limits.place_share + limits.speed_share_s * elapsed_s), np.inf)
 
 

@@ -25,6 +25,10 @@ _STARVED = (
     "Available memory of",
     "process pool was terminated abruptly",
 )
+# OpenCV's code for a failed allocation.
+_NO_MEMORY_CV = -4
+# Share of the memory limit from which a failure is attributed to it: the size of the failed allocation is unknown.
+_MAX = 0.8
 
 
 def without_thread(error: BaseException) -> bool:
@@ -44,8 +48,7 @@ def is_memory_error(error: BaseException) -> bool:
     if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _NO_MEMORY):
         return True
     if type(error).__module__ == "cv2":
-        # OpenCV's code for a failed allocation.
-        return getattr(error, "code", None) == -4
+        return getattr(error, "code", None) == _NO_MEMORY_CV
     # Some libraries name the missing shared object in their own message, which follows the system's.
     text = f"{error} {error.__context__}"
     return any(words in text for words in _STARVED)
@@ -91,8 +94,7 @@ def memory_note() -> str | None:
         found = re.search(r"^VmPeak:\s+(\d+) kB", Path("/proc/self/status").read_text(encoding="utf-8"), re.M)
     except OSError:  # no Linux
         return None
-    # Share of the memory limit from which a failure is attributed to it: the size of the failed allocation is unknown.
-    if allowed == resource.RLIM_INFINITY or found is None or int(found.group(1)) * 1024 < 0.8 * allowed:
+    if allowed == resource.RLIM_INFINITY or found is None or int(found.group(1)) * 1024 < _MAX * allowed:
         return None
     return f"{allowed / 1e6:.0f} MB of memory are allowed here (ulimit -v) and it came to their end, which may be why"
 

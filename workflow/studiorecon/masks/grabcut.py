@@ -16,6 +16,11 @@ from studiorecon.images.regions import dilate
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
+# Colour models of fewer pixels than this are noise.
+_MIN_SEEDS = 40
+# Side of the square, pixels, around the candidates in which colours are learned.
+_SURROUNDINGS_PX = 31
+
 
 @dataclass(frozen=True)
 class CutSettings:
@@ -42,20 +47,17 @@ def cut_unknown(
     ``rgb`` (H, W, 3) uint8; ``evidence`` (H, W) log-odds, −inf where no person can be. Without enough seeds of both
     kinds the evidence is unchanged. Costs ~0.1 µs per pixel and round, on a box around the candidates.
     """
-    # Colour models of fewer pixels than this are noise.
-    min_seeds = 40
     candidates = unknown & np.isfinite(evidence)
     if settings.rounds <= 0 or not candidates.any():
         return evidence
-    # Side of the square, pixels, around the candidates in which colours are learned.
-    near = dilate(candidates, 31)
+    near = dilate(candidates, _SURROUNDINGS_PX)
     rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     inside = evidence[box]
     marks = np.where(inside > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     marks[inside > settings.sure] = cv2.GC_FGD
     marks[inside < -settings.sure] = cv2.GC_BGD
-    if (marks == cv2.GC_FGD).sum() < min_seeds or (marks == cv2.GC_BGD).sum() < min_seeds:
+    if (marks == cv2.GC_FGD).sum() < _MIN_SEEDS or (marks == cv2.GC_BGD).sum() < _MIN_SEEDS:
         return evidence
     cv2.setRNGSeed(0)  # its k-means starts from OpenCV's global generator: the same picture must give the same mask
     bgr, behind, before = np.ascontiguousarray(rgb[box][..., ::-1]), np.zeros((1, 65)), np.zeros((1, 65))

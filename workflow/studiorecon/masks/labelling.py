@@ -43,6 +43,9 @@ from studiorecon.splatting.rigid_object import RigidObject
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
+# Number of pictures that measure the plate's unrest.
+_UNREST_FRAMES = 12
+
 
 @dataclass(frozen=True)
 class OutlineSettings:
@@ -211,8 +214,7 @@ def segment(
     """(H, W) uint8 labels of every frame (T, H, W, 3) uint8; pixels of ``things`` are unassigned; ``seen``: the
     detector's masks."""
     plate = Plate(plate_rgb, measured, np.zeros(measured.shape, np.float32))
-    # Number of pictures that measure the plate's unrest.
-    chosen = evenly_spread(len(frames), 12)
+    chosen = evenly_spread(len(frames), _UNREST_FRAMES)
     free = []
     for t in chosen:
         distances = person_evidence(bodies.depths(t), bodies.camera, [True] * len(bodies.people), settings.outline)[1]

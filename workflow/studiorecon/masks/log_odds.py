@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 # Largest log-odds of one pixel's difference: a single pixel is never certain.
 _MAX = 4.0
+# Width of the neighbourhood that measures the difference just inside the outline: two pixels each way.
+_EDGE_PX = 5
 
 
 @dataclass(frozen=True)
@@ -76,12 +78,10 @@ def difference_evidence(
     evidence needs a whole neighbourhood that matches the plate: then the room is visible there, even at a fitted body
     (behind furniture), while a single matching pixel inside a shirt is chance.
     """
-    # Width of the neighbourhood that measures the difference just inside the outline: two pixels each way.
-    edge_px = 5
     # Unrest is noise; a larger difference than a person needs is an object that left, not noise.
     quiet = difference - np.minimum(plate.unrest, settings.threshold)
     own = cv2.GaussianBlur(quiet, (3, 3), 0)
-    strongest = cv2.dilate(own, np.ones((edge_px, edge_px), np.uint8))
+    strongest = cv2.dilate(own, np.ones((_EDGE_PX, _EDGE_PX), np.uint8))
     threshold = np.maximum(settings.threshold, settings.edge * strongest)
     around = cv2.boxFilter(np.maximum(quiet, 0), -1, (7, 7))
     score = np.where(own > settings.threshold, own, np.maximum(own, np.minimum(around, settings.threshold)))

@@ -25,6 +25,8 @@ _CELLS, _CELLS_BETWEEN, _LOOKS = 40, (16, 72), 96
 _OUTSIDE, _FEW = 0.06, 8
 # Distance of the outermost outlines from the middle, as a quantile; margin beyond it.
 _FARTHEST, _ROOM = 0.98, 1.15
+# Sigma, in cells, of the blur whose gradient is the normal.
+_SLOPE = 1.0
 
 
 def reach_m(looks: Sequence[ObjectCrop]) -> float:
@@ -79,8 +81,7 @@ def _surface(looks: Sequence[ObjectCrop], half_m: float, cells: int) -> tuple[np
     cell_m = 2 * half_m / cells
     solid = np.pad(_solid(looks, half_m, cells), 1)
     skin_cells = solid & ~scipy.ndimage.binary_erosion(solid)
-    # Sigma, in cells, of the blur whose gradient is the normal.
-    blurred = scipy.ndimage.gaussian_filter(solid.astype(np.float32), 1.0)
+    blurred = scipy.ndimage.gaussian_filter(solid.astype(np.float32), _SLOPE)
     slope = -np.stack([g[skin_cells] for g in np.gradient(blurred)], axis=1)
     length = np.linalg.norm(slope, axis=1, keepdims=True)
     normals = np.where(length > 1e-6, slope / np.maximum(length, 1e-6), 0.0)

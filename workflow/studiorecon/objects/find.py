@@ -50,6 +50,8 @@ from studiorecon.splatting.rigid_object import MEASURED_TURNS, RigidObject, writ
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
+# Number of pictures that measure the usual difference from the plate.
+_REST_FRAMES = 16
 # A body that was filled in may be this many times as far off.
 _FILLED_MARGIN = 3.0
 Moments = Iterator[tuple[Sequence[np.ndarray], Sequence[np.ndarray]]]
@@ -306,8 +308,7 @@ def run(
     gain, every = read_factors(gains or []), read_factors([*(gains or []), *(brightness or [])], footage.frames)
     views = [open_view(*each, settings.pixels, gain) for each in zip(cameras, videos, plates)]
     about = (persons, body_model, footage.frames, settings.loose.margin_m)
-    # Number of pictures that measure the usual difference from the plate.
-    step = max(1, footage.frames // 16)
+    step = max(1, footage.frames // _REST_FRAMES)
     views = with_usual_difference(views, read_moments(views, *about, step=step, factors=every), settings.loose)
     moments = read_moments(views, *about, factors=every)
     found = objects_in(moments, views, footage.frames, footage.fps, settings, threads)

@@ -18,6 +18,8 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
+# Largest ratio between radii of one object at two moments.
+_ONE_SIZE = 2.0
 # A sphere whose outlines are off by more pixels than this is rejected.
 _WORST_PX = 3.0
 # A round object's outlines are a sphere's within this many pixels or this share of its radius, whichever is more.
@@ -60,8 +62,6 @@ def link_sightings(
     found: Sequence[tuple[int, list[Sighting]]], fps: float, settings: FollowSettings
 ) -> list[list[tuple[int, Sighting]]]:
     """Sightings of successive frames linked into tracks, each to the track with the nearest predicted position."""
-    # Largest ratio between radii of one object at two moments.
-    one_size = 2.0
     tracks: list[list[tuple[int, Sighting]]] = []
     for frame, things in found:
         pairs = []
@@ -76,7 +76,7 @@ def link_sightings(
                     min(np.linalg.norm(thing.centre_m - place) for place in (expected, track[-1][1].centre_m))
                 )
                 ratio = thing.radius_m / track[-1][1].radius_m
-                if off_m <= settings.speed_m_s * elapsed_s and 1 / one_size < ratio < one_size:
+                if off_m <= settings.speed_m_s * elapsed_s and 1 / _ONE_SIZE < ratio < _ONE_SIZE:
                     pairs.append((off_m, k, i))
         grown: set[int] = set()
         used: set[int] = set()

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 # Number of crops for training, spread over the track; every so-many-th is for validation.
 _LOOKS, _JUDGED = 160, 8
+# Least cosine between the surface's normal and the direction of a camera that gives it colour.
+_FACING = 0.35
 # Largest factor between the areas of an object's regions and its sphere's.
 _ONE_AREA, _ONE_AREA_OBLONG = 1.6, 6.0
 NEAR_M = 0.05
@@ -115,8 +117,7 @@ def mean_colours(
         facing = (normals * away).sum(1) / np.linalg.norm(away, axis=1)
         pixels, _ = look.camera.project(points_m)
         core = cv2.erode((look.state == LOOSE).astype(np.uint8), np.ones((3, 3), np.uint8))
-        # Least cosine between the surface's normal and the direction of a camera that gives it colour.
-        shows = (facing > 0.35) & (_sampled(core, pixels[None], 0)[0] > 0)
+        shows = (facing > _FACING) & (_sampled(core, pixels[None], 0)[0] > 0)
         column, row = np.floor(pixels[shows]).astype(int).T
         sums[shows] += facing[shows, None] * to_float(look.rgb)[row, column]
         weights[shows] += facing[shows]

@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 _SHAPE = ShapeSettings(gaussians=400, iterations=800)
 # Blurs of the pictures while tracking, pixels, and steps at each; steps of later rounds.
 _BLURS_PX, _STEPS, _LATER_STEPS = (2.0, 0.0), 6, 4
+# Turns from which the first neighbour's fit starts, radians: the direction of rotation is not known yet.
+_FIRST_RAD = 0.4
+# A moment with this many times the median error is lost.
+_LOST = 3.0
 # Sigma of a middle around the position from outlines only, as a share of the reach.
 _PLACE = 0.15
 # An object whose rotation never differs by more than this from its mean is still.
@@ -102,8 +106,7 @@ def track_rotation(
     poses = _refined(fitter, still, poses, glimpses, fps, settings)
     misfits = {frame: np.divide(*fitter.misfit(poses[frame], glimpses[frame])) for frame in frames}
     measured = np.zeros(len(still), bool)
-    # A moment with this many times the median error is lost.
-    measured[[frame for frame in frames if misfits[frame] <= 3.0 * np.median(list(misfits.values()))]] = True
+    measured[[frame for frame in frames if misfits[frame] <= _LOST * np.median(list(misfits.values()))]] = True
     measured &= track.valid
     turns = np.stack([poses[frame][:3, :3] if frame in poses else np.eye(3) for frame in range(len(still))])
     if measured.sum() < 3 or _largest_rad(turns[measured]) < _MIN_RAD:
@@ -160,8 +163,6 @@ def _followed(
     settings: TurnSettings,
 ) -> dict[int, np.ndarray]:
     """Poses (4, 4) by frame, tracked from the moment ``start`` both ways."""
-    # Turns from which the first neighbour's fit starts, radians: the direction of rotation is not known yet.
-    first_rad = 0.4
     frames = sorted(glimpses)
     poses = {start: still[start]}
     at = frames.index(start)
@@ -173,9 +174,9 @@ def _followed(
             expected[:3, :3] = last[:3, :3]
             starts = [expected]
             if len(before) == 1:
-                slack_rad = 2 * first_rad * gap
+                slack_rad = 2 * _FIRST_RAD * gap
                 starts += [
-                    move_pose(expected, sign * first_rad * unit) for unit in np.eye(6)[:3] for sign in (1.0, -1.0)
+                    move_pose(expected, sign * _FIRST_RAD * unit) for unit in np.eye(6)[:3] for sign in (1.0, -1.0)
                 ]
             else:
                 slack_rad = settings.rad_s2 * (gap / fps) ** 2

@@ -21,6 +21,8 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
+# Largest ratio of one object's radii in two cameras; larger for a region next to a person, who hides a part.
+_ONE_SIZE, _ONE_SIZE_HIDDEN = 1.7, 3.5
 # Sigma of an outline in pixels, and how many of these count in full; steps of the fit of middle and radius.
 _OUTLINE_PX, _HUBER, _STEPS = 0.7, 2.0, 12
 # Least number of outline points of a camera that determine a position.
@@ -149,10 +151,8 @@ def _radius_m(camera: Camera, region: ResidualRegion, centre_m: np.ndarray) -> f
 
 
 def _fits(size_m: float, expected_m: float, region: ResidualRegion) -> bool:
-    # Largest ratio of one object's radii in two cameras; larger for a region next to a person, who hides a part.
-    one_size, one_size_hidden = 1.7, 3.5
-    low = one_size if region.free else one_size_hidden
-    return expected_m / low <= size_m <= expected_m * one_size
+    low = _ONE_SIZE if region.free else _ONE_SIZE_HIDDEN
+    return expected_m / low <= size_m <= expected_m * _ONE_SIZE
 
 
 def _support(

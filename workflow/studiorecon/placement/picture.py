@@ -14,7 +14,9 @@ from studiorecon.placement.room import HEAD_M, HIPS_M, WIDTH_M, Room
 from studiorecon.scene.camera import Camera
 
 _MAP_PX, _GAP_PX, _TOP_PX, _LINE_PX = 430, 50, 92, 19
+_CHARACTER_PX = 7  # mean width of a letter
 _CELLS = 44
+_CONE_M = 1.1
 # Names of viewing directions in the picture, from right (0°) counter-clockwise in steps of 45 degrees.
 _WAYS = ("right", "far right", "to the far wall", "far left", "left", "near left", "to the near wall", "near right")
 # Number of cameras that see a position at head height, 0 … 4 or more; two is the least that gives depth, three the
@@ -146,7 +148,6 @@ def _cells(colours: list[list[str]], wide: float, high: float) -> list[str]:
 def _plan(
     cameras: Sequence[Camera], judge: RigEvaluator, scale: float, high: float, moves: Sequence[Move]
 ) -> list[str]:
-    cone_m = 1.1
     room = judge.room
 
     def at(place: np.ndarray) -> tuple[float, float]:
@@ -169,7 +170,7 @@ def _plan(
             camera.unproject(np.array([[0.0, camera.wh[1] / 2], [camera.wh[0], camera.wh[1] / 2]]), np.ones(2))[:, :2]
             - eye[:2]
         )
-        cone = eye[:2] + cone_m * edges / np.linalg.norm(edges, axis=1, keepdims=True)
+        cone = eye[:2] + _CONE_M * edges / np.linalg.norm(edges, axis=1, keepdims=True)
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in (at(eye), at(cone[0]), at(cone[1])))
         parts.append(
             f'<polygon points="{points}" fill="#ffffff" fill-opacity="0.45" stroke="#2b2b2b" stroke-width="1"/>'
@@ -213,8 +214,7 @@ def _legend(left: float, top: float, entries: Sequence[tuple[str, str]]) -> list
             'stroke="#2b2b2b" stroke-width="0.5"/>'
         )
         parts.append(_text(x + 18, top, words, ""))
-        # Mean width of a letter
-        x += 18 + 7 * len(words) + 14
+        x += 18 + _CHARACTER_PX * len(words) + 14
     return parts
 
 

@@ -24,6 +24,13 @@ _PERSON_M = 1.7
 # No detector is better than about half a pixel.
 _MIN_PX = 0.5
 _NEAR_M = 0.2
+# A joint that only two cameras see cannot be checked (their residual proves nothing) and counts as at least this far
+# off.
+_UNVERIFIED_M = 0.03
+# A joint is undetermined beyond this error, and with fewer than two cameras.
+_UNKNOWN_M = 0.1
+# Cost of a per cent of unseen floor and walls, in metres of the joints' mean error.
+_UNSEEN_WORTH_M = 0.0005
 
 
 @dataclass(frozen=True)
@@ -121,8 +128,6 @@ class RigEvaluator:
 
     def figures(self, cameras: Sequence[Camera]) -> RigQuality:
         """The quality of the room's cameras."""
-        # A joint is undetermined beyond this error, and with fewer than two cameras.
-        unknown_m = 0.1
         free = self.sees(cameras, self.points_m, None).sum(axis=0)
         hidden = np.array([self.sees(cameras, self.points_m, place) for place in self.bystanders_m])
         counts = hidden.sum(axis=1)
@@ -135,10 +140,8 @@ class RigEvaluator:
             return float((counts[:, where[name]] >= least)[self.possible[:, where[name]]].mean())
 
         known = errors[self.possible]
-        lost = known > unknown_m
-        # A joint that only two cameras see cannot be checked (their residual proves nothing) and counts as at least
-        # this far off.
-        counted = np.where(counts[self.possible] == 2, np.hypot(known, 0.03), known)
+        lost = known > _UNKNOWN_M
+        counted = np.where(counts[self.possible] == 2, np.hypot(known, _UNVERIFIED_M), known)
         middle_m, worst_m = (float(np.quantile(known, q, method="nearest")) for q in (0.5, 0.9))
         unseen = self._unseen(cameras)
         return RigQuality(
@@ -150,8 +153,7 @@ class RigEvaluator:
             worst_m,
             float(lost.mean()),
             unseen,
-            # Cost of a per cent of unseen floor and walls, in metres of the joints' mean error.
-            float(np.minimum(counted, unknown_m).mean()) + 100 * 0.0005 * unseen["floor and walls"],
+            float(np.minimum(counted, _UNKNOWN_M).mean()) + 100 * _UNSEEN_WORTH_M * unseen["floor and walls"],
         )
 
     def cost_m(self, cameras: Sequence[Camera]) -> float:

@@ -16,12 +16,16 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
+# People keep this far from walls, where cameras are, but use at least half of a small room.
+_MARGIN_M = 0.75
 # Heights at which people are evaluated: ankles, hips, head.
 FEET_M, HIPS_M, HEAD_M = 0.1, 1.0, 1.65
 # A person in the way: a cylinder about as wide as shoulders seen from all sides.
 WIDTH_M, TALL_M = 0.44, 1.75
 _STEP_M = 0.3
 _WALL_STEP_M = 0.35
+# For cameras in an unmeasured room: assumed distance of its walls behind them, and least height of its ceiling.
+_BEHIND_M, _CEILING_M = 0.3, 2.5
 
 
 @dataclass(frozen=True)
@@ -48,8 +52,7 @@ class Room:
     def stage_m(self) -> Float[np.ndarray, "N 2"]:
         """(N, 2) positions of people on the floor, on a grid that is symmetric about the middle."""
         half = self.size_m[:2] / 2
-        # People keep this far from walls, where cameras are, but use at least half of a small room.
-        reach = np.maximum(half - 0.75, half / 2)
+        reach = np.maximum(half - _MARGIN_M, half / 2)
         across = [np.linspace(-r, r, max(2 * round(r / _STEP_M) + 1, 3)) for r in reach]
         return self.middle_m + np.stack(np.meshgrid(*across, indexing="ij"), axis=-1).reshape(-1, 2)
 
@@ -112,17 +115,15 @@ def read_room(text: str) -> Room:
 
 def room_about(cameras: Sequence[Camera]) -> Room:
     """The room assumed around cameras: the box of their positions with a margin, its floor at z = 0."""
-    # For cameras in an unmeasured room: assumed distance of its walls behind them, and least height of its ceiling.
-    behind_m, ceiling_m = 0.3, 2.5
     centres = np.array([camera.centre_m for camera in cameras])
-    low, high = centres.min(axis=0) - behind_m, centres.max(axis=0) + behind_m
+    low, high = centres.min(axis=0) - _BEHIND_M, centres.max(axis=0) + _BEHIND_M
     # Cameras in a row do not determine the depth of their room: it is set to their width.
     across = (high - low)[:2].max()
     for axis in (0, 1):
         if high[axis] - low[axis] < across / 2:
             ahead = np.mean([camera.forward[axis] for camera in cameras])
             low[axis], high[axis] = (low[axis], low[axis] + across) if ahead > 0 else (high[axis] - across, high[axis])
-    return Room((float(low[0]), float(low[1]), 0.0), (float(high[0]), float(high[1]), max(float(high[2]), ceiling_m)))
+    return Room((float(low[0]), float(low[1]), 0.0), (float(high[0]), float(high[1]), max(float(high[2]), _CEILING_M)))
 
 
 def is_blocked(

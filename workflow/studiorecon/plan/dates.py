@@ -13,6 +13,9 @@ from pathlib import Path
 
 from studiorecon.errors import UserError
 
+# Clocks of file servers differ by less.
+_TOLERATED_S = 5.0
+
 
 def refuse_future(dataset: Path, results: Path, now_s: float) -> None:
     """Raises UserError when a file is dated later than ``now_s``, seconds since 1970, and names the latest one and the
@@ -22,8 +25,7 @@ def refuse_future(dataset: Path, results: Path, now_s: float) -> None:
     """
     today = time.strftime("%Y%m%d%H%M", time.localtime(now_s))
     for folder, paths in ((dataset, _near(dataset, 2)), (results, _near(results, 8))):
-        # Clocks of file servers differ by less.
-        dated = [(seconds, path) for path in paths if (seconds := path.lstat().st_mtime) > now_s + 5.0]
+        dated = [(seconds, path) for path in paths if (seconds := path.lstat().st_mtime) > now_s + _TOLERATED_S]
         if dated:
             latest_s, latest = max(dated)
             date = time.strftime("%Y-%m-%d %H:%M", time.localtime(latest_s))

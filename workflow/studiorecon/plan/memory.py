@@ -10,6 +10,7 @@ from studiorecon.plan.decisions import Plan
 
 ROOM_MB = 3000
 """A training of the room beside its targets: Gaussians, gradients, moments, and LPIPS on the CPU."""
+_TARGET_BYTES = 16
 """Of one pixel of a target: three colours and a weight, float32."""
 _ASPECT = 9 / 16
 """Height over width of most films; taller ones have the doubled memory of a second attempt."""
@@ -26,11 +27,10 @@ def memory(mb: int) -> Callable[[Any, int], int]:
 
 def room_mb(plan: Plan, config: Mapping[str, Any]) -> int:
     """Memory of a training of the room, which holds every target: photos, synthesised and refined views."""
-    target_bytes = 16
     width = config["capture"]["width"] or FILMED_PX
     views = len(plan.segments) * config["views"]["views_per_segment"] if config["background"]["views_share"] else 0
     targets = len(plan.training) + views + config["background"]["refinement"]["views"]
-    return ROOM_MB + round(targets * target_bytes * _ASPECT * width**2 / 1e6)
+    return ROOM_MB + round(targets * _TARGET_BYTES * _ASPECT * width**2 / 1e6)
 
 
 def fit_mb(config: Mapping[str, Any]) -> int:

@@ -24,6 +24,10 @@ from studiorecon.studio.description import read_description
 _MEGA = 1e6
 ASSUMED_PEOPLE = 2
 """Number of people where no keypoints give it: most captures have one to three."""
+# Share of the photos' pixels that no other photo shows in finer detail, in the demo.
+_OWN = 0.65
+# Gaussians in unseen parts, per square of ``fill_step_m``'s side in m², in the demo's room of 60 m².
+_UNSEEN_M2 = 58.0
 # The default steps of depth's catalogue of planes.
 _PLANE_STEPS_M = (0.04, 0.06)
 ON_DEMAND = {"objects_find": "dynamic_objects", "render_light": "moving_shadows", "render_shade": "moving_shadows"}
@@ -115,8 +119,7 @@ def workload(
     everyone = training + footage.held_out
     picture_mpx, filmed_mpx = width * height / _MEGA, footage.wh[0] * footage.wh[1] / _MEGA
     views, room, human = config["views"], config["background"], config["humans"]
-    # Share of the photos' pixels that no other photo shows in finer detail, in the demo.
-    seeds = 0.65 * training * picture_mpx / room["stride"] ** 2
+    seeds = _OWN * training * picture_mpx / room["stride"] ** 2
     gaussians = _gaussians(room, seeds)
     heavy = 1.0 if config["detect"]["detector"] == "blazepose_heavy" else 1 / 3
     # Work of an observer of every frame of every camera, and of its pixels.
@@ -197,8 +200,7 @@ def _gaussians(room: Mapping[str, Any], seeds: float) -> float:
     cap = room["training"]["cap"] / _MEGA or float("inf")
     if room["training"]["densify"] != "none" and cap < float("inf"):
         return cap
-    # Gaussians in unseen parts, per square of ``fill_step_m``'s side in m², in the demo's room of 60 m².
-    unseen = min(58.0 / room["fill_step_m"] ** 2, room["fill_limit"]) if room["fill_unseen"] else 0.0
+    unseen = min(_UNSEEN_M2 / room["fill_step_m"] ** 2, room["fill_limit"]) if room["fill_unseen"] else 0.0
     return min(seeds + unseen / _MEGA, cap)
 
 

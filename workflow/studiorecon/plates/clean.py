@@ -50,6 +50,11 @@ _SAME_LEVELS, _REVEALED, _MOVING = 20.0, 0.1, 0.1
 # colour in a tenth of the pictures (a waving person: 0.15 to 0.27; an object: none). The picture with the person has
 # the edges of their outline, this many times as strong as the other picture's (measured: 2.1 to 5.2).
 _UNSTEADY, _EDGE_RATIO = 0.1, 1.5
+# Parts of one person that are separated by pixels with the room's colour are joined over this share of the longer side.
+_JOIN_SHARE = 0.01
+# Steps of the tone curve from a given plate to the footage; the fewest pixels of a step, and their largest
+# interquartile range in levels.
+_TONE_STEPS, _TONE_PIXELS, _TONE_SPREAD = 24, 50, 24.0
 
 
 @dataclass(frozen=True)
@@ -179,19 +184,16 @@ def matched_exposure(
 
 def _toned(given: np.ndarray, colour: np.ndarray, common: np.ndarray) -> np.ndarray:
     """(H, W) one channel through the rising curve of the medians of ``colour`` at equal steps of ``given``."""
-    # Steps of the tone curve from a given plate to the footage; the fewest pixels of a step, and their largest
-    # interquartile range in levels.
-    tone_steps, tone_pixels, tone_spread = 24, 50, 24.0
     source, target = given[common], colour[common]
-    step = np.minimum((source / 256 * tone_steps).astype(int), tone_steps - 1)
+    step = np.minimum((source / 256 * _TONE_STEPS).astype(int), _TONE_STEPS - 1)
     rows = []
-    for k in range(tone_steps):
+    for k in range(_TONE_STEPS):
         chosen = step == k
-        if chosen.sum() < tone_pixels:
+        if chosen.sum() < _TONE_PIXELS:
             continue
         low, middle, high = np.percentile(target[chosen], (25, 50, 75))
         # One brightness that maps to many is not a tone curve but another object.
-        if high - low < tone_spread:
+        if high - low < _TONE_SPREAD:
             rows.append((np.median(source[chosen]), middle))
     if not rows:
         return given * np.float32(np.median(target) / max(np.median(source), 1))
@@ -222,20 +224,17 @@ def merge(
     there. Otherwise the given plate shows a person or object, or the room has a new one. Its extent in unmeasured
     pixels is not known, so a border stays unknown.
     """
-    # Parts of one person that are separated by pixels with the room's colour are joined over this share of the longer
-    # side.
-    join_share = 0.01
     differs = (seen & known & (channel_max(np.abs(matched - colour)) > _OTHER_LEVELS)).astype(np.uint8)
     differs = cv2.morphologyEx(differs, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     longer = max(colour.shape[:2])
-    joined = cv2.morphologyEx(differs, cv2.MORPH_CLOSE, _disc(longer * join_share))
+    joined = cv2.morphologyEx(differs, cv2.MORPH_CLOSE, _disc(longer * _JOIN_SHARE))
     count, labels = cv2.connectedComponents(joined, connectivity=8)
     total = np.bincount(labels[differs > 0], minlength=count)
     revealed = np.bincount(labels[(differs > 0) & (shown > _REVEALED)], minlength=count)
     unsteady = np.bincount(labels[(differs > 0) & (usual < 1 - _REVEALED)], minlength=count)
     drawn = _edges(colour, labels, count) > _EDGE_RATIO * _edges(matched, labels, count)
     moving = ((revealed > _MOVING * total) | ((unsteady > _UNSTEADY * total) & drawn))[labels] & (labels > 0)
-    person = (cv2.dilate(moving.astype(np.uint8), _disc(longer * join_share)) > 0) & known
+    person = (cv2.dilate(moving.astype(np.uint8), _disc(longer * _JOIN_SHARE)) > 0) & known
     doubtful = cv2.dilate(differs * ~moving, _disc(longer * _DOUBT_SHARE)) > 0
     footage = measured & ~person
     return np.where(footage[..., None], colour, matched), footage | person | (known & ~doubtful), person

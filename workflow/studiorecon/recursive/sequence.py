@@ -31,7 +31,11 @@ from studiorecon.scene.path import PathStep
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
+# Pictures that differ by less than this from the ones before them, in levels of 255 on average, make a static clip.
+_STILL_LEVELS = 0.25
 
+# Brightness that feedback may add before it is worth a warning: two levels of 255, half of what is seen side by side.
+_MAX_SETTLED = 2 / 255
 # Change of brightness, of 1, in the test of an enhancer's gain: no more than exposures differ.
 _PROBE = np.float32(8 / 255)
 
@@ -122,9 +126,7 @@ def is_still(steps: Sequence[PathStep], pictures: Iterable[Integer[np.ndarray, "
         if (
             earlier is not None
             and (earlier[0], earlier[1].shape) == (step.segment, picture.shape)
-            # Pictures that differ by less than this from the ones before them, in levels of 255 on average, make a
-            # static clip.
-            and np.abs(picture.astype(np.int16) - earlier[1]).mean() > 0.25
+            and np.abs(picture.astype(np.int16) - earlier[1]).mean() > _STILL_LEVELS
         ):
             return False
         earlier = step.segment, picture
@@ -179,7 +181,5 @@ def check_gain(gain: float, strength: float) -> None:
     if not np.isfinite(gain) or strength * gain >= 1:
         raise UserError(f"{answer} with share {strength} would change the film's brightness without end; {remedy}")
     added = (gain - 1) / (1 - strength * gain) - (gain - 1)
-    # Brightness that feedback may add before it is worth a warning: two levels of 255, half of what is seen side by
-    # side.
-    if added > 2 / 255:
+    if added > _MAX_SETTLED:
         warn(f"{answer} with share {strength} makes the film {added:.1%} brighter than without; {remedy}")

@@ -17,9 +17,14 @@ from studiorecon.scene.room import RoomBox
 if TYPE_CHECKING:
     from jaxtyping import Float, Shaped
 
+# Walls give light from this height on: below it people occlude nearly every lamp and window.
+_WALL_FROM_M = 1.2
 # The sky: rings of patches (elevation in degrees, number of patches), at this distance.
 _SKY_RINGS = ((20.0, 12), (40.0, 10), (60.0, 6), (80.0, 3))
 _SKY_M, _SKY_RADIUS = 200.0, 0.15
+# Patches are merged where the width of the merged one, seen from people, is at most this part (1 / 4) of its distance,
+# so that a hall has as few as a room.
+_JOINED_FROM = 4.0
 # Pixels whose equations are set up at a time.
 _PIXELS = 256
 # Lamps below this share of the light are noise; the number of alternations of strengths and total; Huber's threshold.
@@ -37,8 +42,7 @@ def patches(room_box: RoomBox, spacing_m: float, seen_from_m: Float[np.ndarray, 
         count = max(round((end - start) / spacing_m), 1)
         return start + (np.arange(count) + 0.5) * (end - start) / count
 
-    # Walls give light from this height on: below it people occlude nearly every lamp and window.
-    u, v, z = steps(low[0], high[0]), steps(low[1], high[1]), steps(min(low[2] + 1.2, high[2] - 0.1), high[2])
+    u, v, z = steps(low[0], high[0]), steps(low[1], high[1]), steps(min(low[2] + _WALL_FROM_M, high[2] - 0.1), high[2])
     parts = [(np.stack([g.ravel() for g in np.meshgrid(u, v, [high[2]], indexing="ij")], axis=1), [0, 0, -1])]
     for axis, along in ((0, v), (1, u)):
         for place, sign in ((low[axis], 1), (high[axis], -1)):
@@ -72,9 +76,7 @@ def _joined(lamps: Lamps, width_m: float, seen_from_m: np.ndarray) -> Lamps:
     first, cell, count = np.unique(cells, axis=0, return_index=True, return_inverse=True, return_counts=True)[1:]
     cell = cell.reshape(-1)
     middle = np.stack([np.bincount(cell, axis) for axis in lamps.positions_m.T], axis=1) / count[:, None]
-    # Patches are merged where the width of the merged one, seen from people, is at most this part (1 / 4) of its
-    # distance, so that a hall has as few as a room.
-    far = np.linalg.norm(middle - seen_from_m, axis=1) > 4.0 * width_m
+    far = np.linalg.norm(middle - seen_from_m, axis=1) > _JOINED_FROM * width_m
     own = lamps.take(~far[cell])
     return Lamps(
         np.concatenate([own.positions_m, middle[far]]),

@@ -36,6 +36,8 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
+# Levels of 255 between which a ratio is reliable; a larger change of colour (log) is no shadow.
+_DARKEST, _BRIGHTEST, _SAME_COLOUR = 12.0, 250.0, 0.08
 # The exposure of a picture is estimated from at least this many pixels out of reach of any shadow.
 _MIN_PX = 200
 # Masks are grown by this share of the picture's width: their seams hold mixed colours.
@@ -122,13 +124,11 @@ def ratios(
     ``near_m`` (A, 2): positions of measured people; ``unsure_m`` (B, 2): possible positions of others, around which the
     ratio is unknown. The picture's exposure, measured from pixels far from all people, is divided out.
     """
-    # Levels of 255 between which a ratio is reliable; a larger change of colour (log) is no shadow.
-    darkest, brightest, same_colour = 12.0, 250.0, 0.08
     levels, before = picture.astype(np.float32), plate.astype(np.float32) * 255
-    usable = free & (before.min(-1) > darkest) & (np.maximum(levels, before).max(-1) < brightest)
+    usable = free & (before.min(-1) > _DARKEST) & (np.maximum(levels, before).max(-1) < _BRIGHTEST)
     ratio = np.log(np.maximum(levels, 1)) - np.log(np.maximum(before, 1))
     level = ratio.mean(axis=-1)
-    usable &= np.abs(ratio - level[..., None]).max(axis=-1) < same_colour
+    usable &= np.abs(ratio - level[..., None]).max(axis=-1) < _SAME_COLOUR
     far = usable & ~is_near(points_m, np.concatenate([near_m, unsure_m]), reach_m)
     exposure = float(np.median(level[far])) if far.sum() >= _MIN_PX else 0.0
     return np.where(usable & ~is_near(points_m, unsure_m, reach_m), np.exp(level - exposure), np.nan)

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 # Directions that represent diffuse light from above, distributed by the cosine; the angular width of each.
 _SKY, _SKY_TAN = 24, 0.32
 _FAR_M = 50.0
+# A bell curve counts as 0 beyond this multiple of its reach.
+_REACHES = 4.0
 # Edges of closer occluders are sharp, metres.
 _SHARP = float32(1e-4)
 
@@ -167,13 +169,11 @@ def nearness(
     """(N,) float32: 1 where a body touches a point (N, 3), exp(-1) at ``reach_m`` from its surface, falling as a bell
     curve; 0 beyond four times that.
     """
-    # A bell curve counts as 0 beyond this multiple of its reach.
-    reaches = 4.0
     groups = points_m if isinstance(points_m, Groups) else Groups.of(points_m)
     gaps = np.empty(groups.count * LANES, np.float32)
-    _gaps(groups.places, groups.spheres, *pack_capsules(bodies), float32(reaches * reach_m), gaps)
+    _gaps(groups.places, groups.spheres, *pack_capsules(bodies), float32(_REACHES * reach_m), gaps)
     near = np.exp(-np.square(np.maximum(gaps, 0) / np.float32(reach_m), dtype=np.float32))
-    return groups.of_points(np.where(gaps < reaches * reach_m, near, np.float32(0)))
+    return groups.of_points(np.where(gaps < _REACHES * reach_m, near, np.float32(0)))
 
 
 @njit(**INLINE)

@@ -20,6 +20,9 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.dataset import colmap_files
 from studiorecon.scene.path import PathStep
 
+# More than rounding to six decimals: the rotation then includes a scale, and the position perhaps too.
+_SCALE_TOLERANCE = 1e-4
+
 
 @dataclass(frozen=True)
 class GivenPath:
@@ -67,8 +70,7 @@ def _of_colmap(file: Path) -> tuple[list[Camera], None, bool]:
 
 def _of_transforms(file: Path) -> tuple[list[Camera], np.ndarray | None, bool]:
     found = read_transforms(file)
-    # More than rounding to six decimals: the rotation then includes a scale, and the position perhaps too.
-    scaled = np.flatnonzero(np.abs(found.scales - 1) > 1e-4)
+    scaled = np.flatnonzero(np.abs(found.scales - 1) > _SCALE_TOLERANCE)
     if len(scaled):
         raise UserError(
             f"transform_matrix of picture {scaled[0]} is no rigid pose; remove its "

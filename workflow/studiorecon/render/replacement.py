@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 NOBODY = "nobody"
 """In place of a person: the room without that person."""
+# Moments over which changes of the donor's colours are averaged.
+_MOMENTS = 8
 
 
 @dataclass(frozen=True)
@@ -52,8 +54,7 @@ def donor_from_avatar(person: Avatar) -> Donor:
     """
     own = person.gaussians
     there = np.flatnonzero(person.present)
-    # Moments over which changes of the donor's colours are averaged.
-    moments = np.interp(np.linspace(0, len(there) - 1, 8), np.arange(len(there)), there)
+    moments = np.interp(np.linspace(0, len(there) - 1, _MOMENTS), np.arange(len(there)), there)
     looks = [person.appearance_at(frame) for frame in (moments if person.network else [0])]
     sh, logits = (np.stack(values).mean(axis=0, dtype=np.float64) for values in zip(*looks))
     settled = Gaussians(own.means_m, own.quaternions, own.log_scales, logits, sh)

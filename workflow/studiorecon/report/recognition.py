@@ -28,6 +28,8 @@ from studiorecon.signature import Written
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
+# Moments of every camera, spread evenly: few suffice, because people move little between neighbouring frames.
+_MOMENTS = 4
 # Confidence from which a point of the photo counts as seen, and how many are needed to estimate a person's size.
 _SEEN, _MIN = 0.5, 6
 
@@ -42,8 +44,7 @@ def run(files: ScoredFilmFiles, networks: list[Path], recognition: Written) -> N
     judged = files.read()
     found: dict[str, list[tuple[list[np.ndarray], list[TruePerson]]]] = {name: [] for name in judged.films}
     for camera in progress(judged.cameras if judged.films else [], "cameras"):
-        # Moments of every camera, spread evenly: few suffice, because people move little between neighbouring frames.
-        for frame in evenly_spread(judged.capture.frames, 4):
+        for frame in evenly_spread(judged.capture.frames, _MOMENTS):
             photo = _picture(judged.footage[camera.name], int(frame))
             people = [
                 person

@@ -26,6 +26,8 @@ MIN_HEIGHT_M, MAX_HEIGHT_M = 0.5, 2.8
 MAX_DISTANCE_M = 1000.0
 # Eleven days at 100 frames per second.
 _MAX_FRAMES = 10**8
+# Nanoseconds since 1970 have 19 digits; more fit no integer.
+_MAX_NUMBER = 2**63 - 1
 # Pictures of other sizes than the calibration's: from a thumbnail to four times 4K; no picture is wider than 16,384 px.
 MIN_PIXEL_SCALE, MAX_PIXEL_SCALE, MAX_PIXEL_OFFSET = 0.05, 20.0, 16384.0
 # Keys that apply only without a calibration, and keys about recorded keypoints.
@@ -159,15 +161,13 @@ def read_starts(description: dict[str, Any], footage: Mapping[str, Path]) -> dic
 
 def first_numbers(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, int]:
     """camera → ``keypoint_first_frame``; a single number applies to all cameras."""
-    # Nanoseconds since 1970 have 19 digits; more fit no integer.
-    max_number = 2**63 - 1
     given = description.get("keypoint_first_frame")
     if given is None:
         return {}
     table = given if isinstance(given, dict) else dict.fromkeys(footage, given)
     return {
         _check_named(camera, "keypoint_first_frame", footage): whole(
-            value, f"capture.yaml: keypoint_first_frame of {camera}", -max_number, max_number
+            value, f"capture.yaml: keypoint_first_frame of {camera}", -_MAX_NUMBER, _MAX_NUMBER
         )
         for camera, value in table.items()
     }

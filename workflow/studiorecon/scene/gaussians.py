@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 SH_C0 = 0.28209479177387814
 """The constant spherical harmonic: colour = 0.5 + SH_C0 · sh[0] + higher bands."""
 
+# A logit that no rasteriser draws: opacity 1e-13.
+_UNDRAWN = -30.0
+
 
 @dataclass(frozen=True)
 class Gaussians:
@@ -84,8 +87,7 @@ class Gaussians:
 
     def undrawn(self) -> Gaussians:
         """The same number of Gaussians, all invisible: it keeps the place of an absent person in a composite."""
-        # A logit that no rasteriser draws: opacity 1e-13.
-        return replace(self, logit_opacities=np.full(self.count, -30.0, np.float32))
+        return replace(self, logit_opacities=np.full(self.count, _UNDRAWN, np.float32))
 
     def with_sh_degree(self, degree: int) -> Gaussians:
         """The same Gaussians with more (zero) or fewer (cut) spherical harmonics."""

@@ -20,6 +20,7 @@ from studiorecon.scene.step_files import CURE
 from studiorecon.scene.user_files import read_bytes
 
 _FORMAT = "format binary_little_endian 1.0"
+_HEADER_LIMIT = 1 << 16
 
 
 def property_names(bands: int) -> list[str]:
@@ -70,8 +71,7 @@ def read_ply(path: Path, remedy: str = CURE) -> Gaussians:
 
 def _gaussians(path: Path, data: bytes) -> Gaussians:
     """The Gaussians of ``data``; raises ValueError with the rest of a sentence that starts with the file's name."""
-    header_limit = 1 << 16
-    end = data.find(b"end_header", 0, header_limit)
+    end = data.find(b"end_header", 0, _HEADER_LIMIT)
     body = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or body == 0:
         raise ValueError("is not a PLY file (no header)")

@@ -11,6 +11,7 @@ from pathlib import Path
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
 
 _MAX_NAMED = 3
+_MAX_LISTED = 10_000
 
 
 def natural(name: str) -> list[tuple[int, str]]:
@@ -30,7 +31,6 @@ def missing_numbers(files: Sequence[Path]) -> list[int]:
     Of several numbers in the names the last one that differs counts. Nothing is missing where names are not numbered,
     or have a constant step (every fifth frame).
     """
-    max_listed = 10_000
     parts = [re.split(r"(\d+)", path.stem) for path in files]
     if len(files) < 2 or len({len(part) for part in parts}) > 1:
         return []
@@ -43,7 +43,7 @@ def missing_numbers(files: Sequence[Path]) -> list[int]:
     # Names that are times have no constant step, so no number is missing.
     if not steps or any(gap % step for gap in steps) or sum(gap == step for gap in steps) < len(steps) / 2:
         return []
-    return list(islice((n for a, b in pairwise(numbers) for n in range(a + step, b, step)), max_listed))
+    return list(islice((n for a, b in pairwise(numbers) for n in range(a + step, b, step)), _MAX_LISTED))
 
 
 def gaps_named(files: Sequence[Path]) -> str:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 MAX_SHOWN = 60
 """Number of characters shown of a refused value."""
+_LONGEST_NAME = 255
 
 
 def short_text(value: Any) -> str:
@@ -59,9 +60,8 @@ def name(value: Any, where: str) -> str:
 
 def path(value: Any, where: str) -> str:
     """``value`` as a path, with / for the \\ of Windows, whose parts are no longer than systems allow."""
-    longest_name = 255
     found = name(value, where).replace("\\", "/")
-    if max(map(len, found.split("/"))) > longest_name or "\0" in found:
+    if max(map(len, found.split("/"))) > _LONGEST_NAME or "\0" in found:
         raise UserError(f"{where} is {short_text(found)}; no file can be called so")
     return found
 

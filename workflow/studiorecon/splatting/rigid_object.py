@@ -30,6 +30,8 @@ MEASURED_TURNS, NO_TURNS = "measured", "undetermined"
 _DEVIATIONS, _COVERS = 1.0, 0.3
 # Its capsule needs so many such Gaussians, and spans these quantiles of them, so that outliers throw no shadow.
 _MIN_COVERING, _ENDS = 8, (0.01, 0.99)
+# OpenCV draws circles to this fraction of a pixel.
+_FINE_BITS, _FINE = 4, 16
 
 
 @dataclass(frozen=True)
@@ -157,8 +159,6 @@ class RigidObject:
 
     def _drawn(self, camera: Camera, frame: int, grown: float, depth_m: float, drawn: np.ndarray) -> np.ndarray:
         """The outline of an object with known rotations: a disc at every Gaussian with enough coverage."""
-        # OpenCV draws circles to this fraction of a pixel.
-        fine_bits, fine = 4, 16
         own, centre = self.gaussians, self.centre_at(frame)
         covers = own.logit_opacities > np.log(_COVERS / (1 - _COVERS))
         means = centre + grown * own.means_m[covers] @ self.turn_at(frame).T
@@ -167,8 +167,8 @@ class RigidObject:
         # No part of it is behind the camera, or its middle would be nearer than its radius.
         ahead = depths_m > self.radius_m / 4
         for (x, y), radius_px in zip(pixels[ahead], (reach_m * camera.focal_px[0] / depths_m)[ahead]):
-            at = round(float(x - 0.5) * fine), round(float(y - 0.5) * fine)
-            cv2.circle(drawn, at, round(float(radius_px) * fine), depth_m, cv2.FILLED, cv2.LINE_8, fine_bits)
+            at = round(float(x - 0.5) * _FINE), round(float(y - 0.5) * _FINE)
+            cv2.circle(drawn, at, round(float(radius_px) * _FINE), depth_m, cv2.FILLED, cv2.LINE_8, _FINE_BITS)
         return drawn
 
     def _between(self, frame: float) -> tuple[int, int, float]:

@@ -23,6 +23,8 @@ FLATNESS = 0.15
 _EDGE_SHARE = 0.24
 # Surfaces of two photos that are nearer to each other than this share of their depth are one.
 SAME_SURFACE = 0.03
+# Opacity of Gaussians at random positions: low enough for gradients to reach those behind them.
+_FAINT = 0.1
 
 
 def seeds_from_depth(
@@ -107,5 +109,4 @@ def random_volume(
     )
     points[: count // 4, 2] = 0.0
     grey = np.full((count, 3), 0.5)
-    # Opacity of Gaussians at random positions: low enough for gradients to reach those behind them.
-    return discs(points, np.tile([0.0, 0.0, 1.0], (count, 1)), grey, size_m, 1.0, 0.1, sh_degree)
+    return discs(points, np.tile([0.0, 0.0, 1.0], (count, 1)), grey, size_m, 1.0, _FAINT, sh_degree)

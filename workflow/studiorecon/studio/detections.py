@@ -16,6 +16,10 @@ from studiorecon.studio.tracing import Tracer
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+_OWN_BODY_M = 0.22  # a keypoint is inside its body: the body's own surface may be this far in front of it
+_MIN_SEEN = 5
+_HIDDEN_NOISE = 3.0  # factor on the noise of hidden points, which a detector guesses
+
 
 def detect(
     points_m: Float[np.ndarray, "P K 3"],
@@ -32,7 +36,6 @@ def detect(
     people or objects have one near 0.2 or are missing; points outside the picture are missing. A person with fewer than
     five good points is not reported.
     """
-    min_seen = 5
     people = []
     width, height = lens.wh
     for number, points in enumerate(points_m):
@@ -43,12 +46,11 @@ def detect(
         jitter, dice = rng.standard_normal((len(points), 2)), rng.uniform(size=(len(points), 3))
         confidence = np.where(behind_other, 0.2, np.where(behind_own, 0.55, 0.9)) + 0.08 * (dice[:, 0] - 0.5)
         lost = (behind_other & (dice[:, 1] < 0.5)) | (dice[:, 2] < options.drop_outs) | ~inside
-        # Factor on the noise of hidden points, which a detector guesses
-        spread = options.noise_px * np.where(behind_other, 3.0, 1.0)
+        spread = options.noise_px * np.where(behind_other, _HIDDEN_NOISE, 1.0)
         found = np.column_stack([pixels + spread[:, None] * jitter, confidence])
         found[lost] = 0.0
         overlooked = rng.uniform() < 0.1 * options.drop_outs
-        if not overlooked and (found[:, 2] > 0.4).sum() >= min_seen:
+        if not overlooked and (found[:, 2] > 0.4).sum() >= _MIN_SEEN:
             people.append(found)
     phantom_wanted = rng.uniform() < options.false_positives
     phantom = _phantom(points_m.shape[1], lens, rng)
@@ -84,8 +86,7 @@ def _hidden(points_m: np.ndarray, lens: Lens, tracer: Tracer, own: int) -> tuple
     hits = tracer.cast(centre_m(lens), towards)
     gap_m = (1 - hits.distance) * np.linalg.norm(towards, axis=1)
     other = hits.met & (hits.solid != own) & (gap_m > 0.01)
-    # A keypoint is inside its body: the body's own surface may be this far in front of it
-    return hits.met & (hits.solid == own) & (gap_m > 0.22), other
+    return hits.met & (hits.solid == own) & (gap_m > _OWN_BODY_M), other
 
 
 def _phantom(count: int, lens: Lens, rng: np.random.Generator) -> np.ndarray:

@@ -21,6 +21,7 @@ POINTS_PER_LAMP = 16
 _LAMP_WEIGHT = 9.4
 _AMBIENT = 0.24
 _SKIN_M = 2e-3  # shadow rays start this far off the surface, so that it does not shade itself
+_TO_THE_TARGET = 0.999  # shadow rays end at this share of their way, so that the target does not block itself
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,7 @@ class Tracer:
         self, origins_m: Float[np.ndarray, "... 3"], targets_m: Float[np.ndarray, "... 3"]
     ) -> Bool[np.ndarray, " N"]:
         """(N,) bool: a solid is between the points and their targets."""
-        # Shadow rays end at this share of their way, so that the target does not block itself
-        return self._scene.run(*_rays(origins_m, targets_m - origins_m), 0.999, query="OCCLUDED") >= 0
+        return self._scene.run(*_rays(origins_m, targets_m - origins_m), _TO_THE_TARGET, query="OCCLUDED") >= 0
 
 
 def lamp_points(subset: int, subsets: int) -> Float[np.ndarray, "M 4"]:

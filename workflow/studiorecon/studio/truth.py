@@ -21,6 +21,8 @@ from studiorecon.studio.tracing import Tracer
 if TYPE_CHECKING:
     from jaxtyping import Bool
 
+_DEPTH_UNITS_PER_M = 1000
+
 
 class TruthFrames:
     """Collects the truth of one camera frame by frame.
@@ -53,7 +55,6 @@ class TruthFrames:
         following: list[Mesh] | None,
     ) -> None:
         """Trace one frame at the pixels ``touched`` (N,); ``following`` are the ``moving`` solids one frame later."""
-        depth_units_per_m = 1000
         touched = np.flatnonzero(touched)
         hits = tracer.cast(centre_m(self.lens), self._rays[touched])
         seen = hits.solid >= self.first_moving
@@ -65,7 +66,7 @@ class TruthFrames:
         if self.options.depth_frames:
             depth = self.room_depth_m.ravel().astype(np.float64)
             depth[covered] = hits.distance
-            self.depths.append(np.rint(depth * depth_units_per_m).astype(np.uint16).reshape(self._shape))
+            self.depths.append(np.rint(depth * _DEPTH_UNITS_PER_M).astype(np.uint16).reshape(self._shape))
         if self.options.flow and following is not None:
             flow = np.zeros((mask.size, 2))
             weights = np.column_stack([1 - hits.barycentric.sum(axis=1), hits.barycentric])

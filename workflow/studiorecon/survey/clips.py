@@ -21,6 +21,9 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer
 
+# People's outlines grow by this share of their height and last this many frames more: clothes are wide, and detectors
+# miss single frames.
+_MARGIN, _HOLD = 0.06, 1
 # Pictures of a run are taken at about this rate, or the footage's own if that is less.
 _RUN_FPS = 30.0
 
@@ -94,9 +97,6 @@ def read_clip_pictures(
     """The ``wanted`` frames (T,), rising: (T, h, w, 3) uint8 shrunk to ``longest_px``, masks without people, and pixels
     per pixel.
     """
-    # People's outlines grow by this share of their height and last this many frames more: clothes are wide, and
-    # detectors miss single frames.
-    margin, hold = 0.06, 1
     scale = max(max(camera.wh) / longest_px, 1.0)
     wh = (round(camera.wh[0] / scale), round(camera.wh[1] / scale))
     held: list[np.ndarray] = []
@@ -108,7 +108,7 @@ def read_clip_pictures(
     else:
         keypoints = found.keypoints / np.array([scale, scale, 1.0])
         small = Detections(found.camera, found.layout, found.frame, found.track, keypoints)
-        free = ~people_regions(small, wanted, (wh[1], wh[0]), margin, hold * step)
+        free = ~people_regions(small, wanted, (wh[1], wh[0]), _MARGIN, _HOLD * step)
     return np.stack(held), free, scale
 
 

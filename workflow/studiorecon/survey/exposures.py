@@ -17,6 +17,8 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
+# Stride in pixels between compared surface points: neighbours share their errors, and count as one.
+_STRIDE = 4
 # Common surface points that two cameras need. A difference is certain beyond five standard errors; the interval has
 # two.
 MIN_PIXELS, CERTAIN, INTERVAL = 50, 5.0, 2.0
@@ -38,14 +40,12 @@ def overlaps(views: Sequence[ExposureView], tolerance: float, least_pixels: int)
     """Colour ratios of every pair of cameras on surfaces whose depths agree to ``tolerance``, and their standard
     errors.
     """
-    # Stride in pixels between compared surface points: neighbours share their errors, and count as one.
-    stride = 4
     found, errors = [], []
     for i, first in enumerate(views):
-        pixels = first.camera.pixel_centres()[::stride, ::stride].reshape(-1, 2)
-        depth_m = first.depth_m[::stride, ::stride].reshape(-1)
-        known = np.isfinite(depth_m) & (depth_m > 0) & first.measured[::stride, ::stride].reshape(-1)
-        colours = first.rgb[::stride, ::stride].reshape(-1, 3)[known]
+        pixels = first.camera.pixel_centres()[::_STRIDE, ::_STRIDE].reshape(-1, 2)
+        depth_m = first.depth_m[::_STRIDE, ::_STRIDE].reshape(-1)
+        known = np.isfinite(depth_m) & (depth_m > 0) & first.measured[::_STRIDE, ::_STRIDE].reshape(-1)
+        colours = first.rgb[::_STRIDE, ::_STRIDE].reshape(-1, 3)[known]
         points = first.camera.unproject(pixels[known], depth_m[known])
         for j, second in enumerate(views):
             if i == j or not len(points):

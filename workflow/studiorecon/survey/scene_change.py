@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _DARKER, _SAME_COLOUR, _FRAMES = 0.05, 0.02, 5
 _RING_M = 1.0
 _SIGMAS = 5.0
+# Regions below this share of the picture are not tracked.
+_MIN_REGION = 0.00025
 # Morphological opening correlates the errors of neighbouring pixels: this many count as one.
 _PATCH_PX = 9
 _MIN_RING_PX, _MIN_FREE = 200, 0.3
@@ -119,8 +121,7 @@ def moving_share(
     level, colour = _level_and_colour(ratio)
     shadow = (level < 0) & (colour < np.maximum(_SAME_COLOUR, 3 * noise_log))
     changed = free & (np.abs(level) + colour > np.maximum(_SIGMAS, _VISIBLE_LEVELS / noise) * noise_log) & ~shadow
-    # Regions below this share of the picture are not tracked.
-    least = max(0.00025 * height * width, 4.0)
+    least = max(_MIN_REGION * height * width, 4.0)
     best = (0.0, 0.0, least / (height * width))
     for run in runs:
         found = [_regions(c, f, least) for c, f in zip(changed[run], free[run])]

@@ -25,6 +25,8 @@ _MIN_POINTS, _STRIDE = 200, 4
 # Depth and calibration misplace a sample by about this much; where colours change within it, they do not show
 # specularity.
 _MISPLACED_PX = 1.5
+# The gains are estimates, and lenses darken towards the corners: smaller differences than this are not specular.
+_FLOOR = 0.01
 
 
 def varying_share(colours: Float[np.ndarray, "V N 3"], noise: Float[np.ndarray, "V N"]) -> Estimate:
@@ -75,9 +77,7 @@ def covisible(
             same &= (rgb[0] > DARKEST).all(-1) & (rgb[0] < BRIGHTEST).all(-1)
             seen[k, same] = (rgb[0] / gains[k])[same]
             error[k, same] = np.sqrt(
-                # The gains are estimates, and lenses darken towards the corners: smaller differences than this are not
-                # specular.
-                noise**2 + (_MISPLACED_PX * slope[0][same]) ** 2 + (0.01 * rgb[0][same].mean(-1)) ** 2
+                noise**2 + (_MISPLACED_PX * slope[0][same]) ** 2 + (_FLOOR * rgb[0][same].mean(-1)) ** 2
             )
         colours.append(seen)
         errors.append(error)

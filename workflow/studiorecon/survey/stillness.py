@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 # Blocks per side, fewest usable blocks, and the texture in grey levels per pixel below which a block gives no flow.
 _BLOCKS, _MIN_BLOCKS, _MIN_TEXTURE = 6, 6, 1.5
+# Gauss-Newton steps per block; phase correlation gives the start.
+_STEPS = 3
 
 
 def block_shifts(
@@ -54,8 +56,7 @@ def block_shifts(
         if np.sqrt(np.linalg.eigvalsh(g.T @ g / len(g))[0]) < _MIN_TEXTURE:
             continue
         shift = start.copy()
-        # Gauss-Newton steps per block; phase correlation gives the start.
-        for _ in range(3):
+        for _ in range(_STEPS):
             to_second = np.array([[1, 0, shift[0] + columns[c]], [0, 1, shift[1] + rows[r]]])
             moved = cv2.warpAffine(second, to_second, use.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
             design = np.concatenate([-g, moved[use][:, None], np.ones((len(g), 1))], axis=1)

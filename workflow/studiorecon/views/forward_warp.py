@@ -19,6 +19,10 @@ from studiorecon.splatting.seeds import SAME_SURFACE
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
+# Nothing nearer than this is drawn: one pixel would cover a view inside a surface.
+_NEAR_M = 0.1
+# Detail is a picture minus its local mean over this window of the view: side and standard deviation.
+_BLUR_PX, _DETAIL_PX = 11, 2.0
 # More samples of a photo in a pixel than this add no detail; a smaller mean than the second counts as none.
 _MAX_SAMPLES, _MIN_MEAN = 4.0, 1e-6
 
@@ -136,8 +140,7 @@ def _splat(rgb, depth, usable, pixel_map, shift, oversampling, tolerance, gather
                     z_source = 1.0 / inverse
                     u, v = x + 0.5 + p, y + 0.5 + q
                     w = z_source * (pixel_map[2, 0] * u + pixel_map[2, 1] * v + pixel_map[2, 2]) + shift[2]
-                    # Nothing nearer than this is drawn: one pixel would cover a view inside a surface.
-                    if w < 0.1:
+                    if w < _NEAR_M:
                         continue
                     tx = (z_source * (pixel_map[0, 0] * u + pixel_map[0, 1] * v + pixel_map[0, 2]) + shift[0]) / w
                     ty = (z_source * (pixel_map[1, 0] * u + pixel_map[1, 1] * v + pixel_map[1, 2]) + shift[1]) / w
@@ -201,7 +204,5 @@ def blend(
 
 def _local_mean(rgb: Float[np.ndarray, "H W 3"], shows: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) Gaussian means of the visible pixels; 0 far from any."""
-    # Detail is a picture minus its local mean over this window of the view: side and standard deviation.
-    blur_px, detail_px = 11, 2.0
-    share, total = (gaussian_blur(x, blur_px, detail_px) for x in (shows, rgb * shows[..., None]))
+    share, total = (gaussian_blur(x, _BLUR_PX, _DETAIL_PX) for x in (shows, rgb * shows[..., None]))
     return total / np.maximum(share, _MIN_MEAN)[..., None]

@@ -17,6 +17,9 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Num
 
+# 16:9 footage loses 2 % of its rows in 1280×704; footage that loses more than this share needs another crop.
+_MAX_CUT = 0.15
+
 
 @dataclass(frozen=True)
 class NetworkFrame:
@@ -55,8 +58,7 @@ def fit_network_frame(working_hw: tuple[int, int], network_hw: tuple[int, int]) 
     step = min(ours / theirs for ours, theirs in zip(working_hw, network_hw))
     left = tuple(ours - theirs * step for ours, theirs in zip(working_hw, network_hw))
     cut = 1 - (step * network_hw[0]) * (step * network_hw[1]) / (working_hw[0] * working_hw[1])
-    # 16:9 footage loses 2 % of its rows in 1280×704; footage that loses more than this share needs another crop.
-    if cut > 0.15:
+    if cut > _MAX_CUT:
         raise UserError(
             f"footage of {working_hw[1]}×{working_hw[0]} would lose {cut:.0%} of its "
             f"picture in {network_hw[1]}×{network_hw[0]}; "

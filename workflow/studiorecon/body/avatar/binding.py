@@ -26,6 +26,11 @@ if TYPE_CHECKING:
 
 _FITTED_ON = 2000
 _ROUNDS = 40
+# Clothes and hair are about this far from the body; points more than three times as far pull no harder.
+_STAND_OFF_M = 0.03
+# Shape coordinates are standard normal; offsets of neighbouring points are correlated, so only this many count as
+# independent.
+_INDEPENDENT_POINTS = 100
 # In another pose, hands or feet are further than this from any Gaussian.
 _FURTHEST_M = 0.10
 _HEIGHTS_M = (0.6, 2.5)
@@ -113,8 +118,6 @@ def _outside(model: BodyModel) -> np.ndarray:
 def _fit(points_m: np.ndarray, model: BodyModel) -> tuple[np.ndarray, np.ndarray, float]:
     """Shape (B,), offset (3,) of the rest pose to ``points_m``, and the distance within which 95 % of the body has a
     point."""
-    # Clothes and hair are about this far from the body; points more than three times as far pull no harder.
-    stand_off_m = 0.03
     vertices = np.flatnonzero(_outside(model))
     vertices = vertices[np.linspace(0, len(vertices) - 1, min(len(vertices), _FITTED_ON)).astype(int)]
     template, directions = model.template_m[vertices], model.shape_directions[vertices]
@@ -123,9 +126,7 @@ def _fit(points_m: np.ndarray, model: BodyModel) -> tuple[np.ndarray, np.ndarray
         axis=0
     )
     tree = scipy.spatial.cKDTree(points_m)
-    # Shape coordinates are standard normal; offsets of neighbouring points are correlated, so only this many count as
-    # independent.
-    ridge = np.append(np.ones(model.shapes), np.zeros(3)) * stand_off_m**2 * len(points_m) / 100
+    ridge = np.append(np.ones(model.shapes), np.zeros(3)) * _STAND_OFF_M**2 * len(points_m) / _INDEPENDENT_POINTS
     for _ in range(_ROUNDS):
         body = template + directions @ betas + shift
         to_point, point = tree.query(body)
@@ -135,7 +136,7 @@ def _fit(points_m: np.ndarray, model: BodyModel) -> tuple[np.ndarray, np.ndarray
         rows = np.concatenate([np.arange(len(body)), vertex])
         target = np.concatenate([points_m[point], points_m]) - template[rows]
         distance = np.concatenate([to_point, to_body])
-        pull = 1 / np.maximum(distance / (3 * stand_off_m), 1)
+        pull = 1 / np.maximum(distance / (3 * _STAND_OFF_M), 1)
         design = np.concatenate([directions[rows], np.broadcast_to(np.eye(3), (len(rows), 3, 3))], axis=2)
         normal = np.einsum("rxa,r,rxb->ab", design, pull, design, optimize=True) + np.diag(ridge)
         solution = np.linalg.solve(normal, np.einsum("rxa,r,rx->a", design, pull, target, optimize=True))

@@ -17,6 +17,9 @@ from studiorecon.body.avatar.temporal import TemporalNetwork
 if TYPE_CHECKING:
     from jaxtyping import Float, Num
 
+# Size of the cache in bytes: a thousand frames of some hundred points, or a hundred of ten thousand Gaussians.
+_KEPT = 1 << 26
+
 
 class Drift:
     """A network at the Gaussians that it was made for."""
@@ -25,8 +28,7 @@ class Drift:
         """Cache the network's residuals for Gaussians at ``means_m`` in the rest pose."""
         self._network, self._means_m = network, means_m
         rows = len(means_m) if network.control is None else len(network.control.points_m)
-        # Size of the cache in bytes: a thousand frames of some hundred points, or a hundred of ten thousand Gaussians.
-        self._answers = lru_cache(max(2, (1 << 26) // max(16 * rows, 1)))(self._evaluate)
+        self._answers = lru_cache(max(2, _KEPT // max(16 * rows, 1)))(self._evaluate)
 
     def residuals(self, frame: float) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
         """Residuals of the constant harmonic and of the logit opacity, float32, at a 0-based, possibly fractional

@@ -17,8 +17,13 @@ CLEAR_MARGIN = 1.5
 _MIN_AGREEMENT = 0.3
 _UNEVEN_LIGHT = 1.5
 _BURNT = 0.1
+# From this level on in all channels a pixel counts as white.
+_WHITE = 250
 # Error of detectors on real people with a careful calibration: 0.33 % of the longer side (6.3 of 1920 px, OpenPose).
 _NOISE_SHARE = 0.004
+# If people leave the cameras' relative rotation uncertain by more degrees than this, a sentence says so. Two people who
+# walk past each other leave 1.6, one man in one place 6 to 7.
+_TOLD_DEG = 2.0
 
 # The page's headline for each verdict.
 HEADLINES = {
@@ -164,9 +169,7 @@ def _left_open(report: dict[str, Any]) -> list[str]:
     if refined is None or refined["between_deg"] is None:
         return []
     asked, between = refined["disagreement_deg"], refined["between_deg"]
-    # If people leave the cameras' relative rotation uncertain by more degrees than this, a sentence says so. Two people
-    # who walk past each other leave 1.6, one man in one place 6 to 7.
-    if asked + between <= 2.0:
+    if asked + between <= _TOLD_DEG:
         return []
     remedy = "let a person walk through the whole room while all cameras film, or calibrate again if that is not enough"
     if refined["elsewhere"]:
@@ -256,8 +259,7 @@ def brightness_and_clipping(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) ->
     grey = float(np.mean([p[::4, ::4].mean() for p in pictures]) / 255)
     return {
         "brightness": grey,
-        # From this level on in all channels a pixel counts as white.
-        "burnt": float(np.mean([(p[::4, ::4].min(-1) >= 250).mean() for p in pictures])),
+        "burnt": float(np.mean([(p[::4, ::4].min(-1) >= _WHITE).mean() for p in pictures])),
     }
 
 

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _GRID = 24
+_ROOM_HEIGHT_M = 2.2
 
 
 def coverage(cameras: Sequence[Camera], middle_m: Float[np.ndarray, " 2"], radius_m: float) -> list[float]:
     """Share of the upright cylinder around ``middle_m`` (2,), 2.2 m high, that at least 1, 2, 3, 4 cameras see."""
-    room_height_m = 2.2
     x, y, z = np.meshgrid(
-        *(np.linspace(-1, 1, _GRID),) * 2, np.linspace(0.05, room_height_m, _GRID // 2), indexing="ij"
+        *(np.linspace(-1, 1, _GRID),) * 2, np.linspace(0.05, _ROOM_HEIGHT_M, _GRID // 2), indexing="ij"
     )
     inside = x**2 + y**2 <= 1
     points = np.stack([middle_m[0] + radius_m * x[inside], middle_m[1] + radius_m * y[inside], z[inside]], axis=-1)

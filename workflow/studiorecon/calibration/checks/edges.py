@@ -15,6 +15,9 @@ from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_refinement import edge_rotations
 from studiorecon.scene.camera import Camera
 
+# With a larger error a camera is 20 cm off at three metres: films would show it, whether edges or people are right.
+_FAR_DEG = 4.0
+
 
 def compare_edges(
     given: Sequence[Camera],
@@ -68,8 +71,7 @@ def compare_edges(
 
 def is_beyond_refinement(edges: dict[str, Any] | None) -> bool:
     """Whether the edges contradict the calibration by much, and refinement would not correct it."""
-    # With a larger error a camera is 20 cm off at three metres: films would show it, whether edges or people are right.
-    return edges is not None and edges["clear"] and not edges["mended"] and edges["off_deg"] > 4.0
+    return edges is not None and edges["clear"] and not edges["mended"] and edges["off_deg"] > _FAR_DEG
 
 
 def edge_sentence(edges: dict[str, Any]) -> str:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _FRAMES = 24
+_LAG_FRAMES = 6
 # Frames of a long take on which the clocks are compared: enough for any lag, and a second of work.
 _CLOCK_FRAMES = 200
 _NOBODY_REACH_M = 2.0
@@ -168,12 +169,11 @@ def _lens_models(readings: Readings, chosen: np.ndarray, few: np.ndarray, settin
 def _lags(
     cameras: Sequence[Camera], detections: Sequence[Detections], frames: int, gate_m: float
 ) -> dict[str, dict[str, Any]]:
-    lag_frames = 6
     half = min(frames, _CLOCK_FRAMES) // 2
     window = [replace_frames(d, frames // 2 - half, frames // 2 + half + 1) for d in detections]
     return {
         lag.camera: {"frames": lag.frames, "low": lag.low, "high": lag.high, "valid": lag.valid}
-        for lag in clocks.lags(window, cameras, lag_frames, gate_m)
+        for lag in clocks.lags(window, cameras, _LAG_FRAMES, gate_m)
     }
 
 

@@ -20,6 +20,11 @@ from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
+# The same number as in ``cameras.refine``.
+_FRAMES = 96
+# People must fit better by this share before they move a camera.
+_WORTH_REFINING = 0.1
+
 
 @dataclass(frozen=True)
 class RefinedCameras:
@@ -82,8 +87,7 @@ def refined_on_people(
     """
     if len(cameras) < 3 or len(watched) < 2:
         return None
-    # The same number as in ``cameras.refine``.
-    chosen = evenly_spread(frames, 96)
+    chosen = evenly_spread(frames, _FRAMES)
     before_px = np.nan if median_px is None else median_px
     anew = relocalise(cameras, detections, watched, chosen, gate_m, 0.0, limits, bundle, before_px, allowed_px, rooms)
     seen = make_observations(detections, cameras, chosen, gate_m)[0] if anew is None else anew.seen
@@ -97,6 +101,5 @@ def refined_on_people(
         else (0.0, moved_rotation_interval_deg(anew, limits))
     )
     disagreement_deg, between_deg = (None, None) if described is None else described
-    # People must fit better by this share before they move a camera.
-    better = median_px is None or px < (1 - 0.1) * median_px
+    better = median_px is None or px < (1 - _WORTH_REFINING) * median_px
     return RefinedCameras(held.cameras, seen, px, anew is not None, better, disagreement_deg, between_deg)

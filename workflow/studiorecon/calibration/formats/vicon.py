@@ -27,6 +27,8 @@ from studiorecon.scene.user_values import short_text
 
 _SQUARE = 0.001
 _SAMPLES = 41
+# Largest error of the lens after conversion to OpenCV's model.
+_MAX_LEFT_PX = 0.5
 
 
 def recognises(files: list[Path]) -> bool:
@@ -71,8 +73,7 @@ def _camera(name: str, element: Element, frame: Element, where: str, notes: list
     if not (focal > 0 and width > 1 and height > 1 and np.isfinite([*centre, *terms, *principal]).all()):
         raise UserError(f"{where}: its focal length, size or lens is not a camera's; calibrate it again")
     distortion, left_px = _opencv_lens((width, height), focal, principal, centre, terms)
-    # Largest error of the lens after conversion to OpenCV's model.
-    if not left_px <= 0.5:
+    if not left_px <= _MAX_LEFT_PX:
         raise UserError(
             f"{where}: its lens {terms.tolist()} cannot be written in OpenCV's numbers ({left_px:.2g} px are left); "
             "calibrate this camera again, or undistort its video in Vicon's program"

@@ -64,6 +64,8 @@ CARDS = (CARD,)
 PROMPT = "person"
 """The paper's prompt."""
 _LOWER = "lower masks.sam3.chunk, or set masks.source to embedded"
+# Two masks of the shared frame are one person when they share this part of their union.
+_SAME = 0.5
 
 
 def preprocess(
@@ -117,8 +119,7 @@ def match_labels(known: Integer[np.ndarray, "H W"], again: Integer[np.ndarray, "
             pairs.append((both / np.sum((again == new) | (known == old)), int(new), int(old)))
     found: dict[int, int] = {}
     for share, new, old in sorted(pairs, reverse=True):
-        # Two masks of the shared frame are one person when they share this part of their union.
-        if share >= 0.5 and new not in found and old not in found.values():
+        if share >= _SAME and new not in found and old not in found.values():
             found[new] = old
     return found
 

@@ -20,6 +20,8 @@ from studiorecon.models.catalogue.checksums import blob
 from studiorecon.models.catalogue.sandbox import may_fetch
 from studiorecon.progress import warn
 
+_PATIENCE_S = 60.0
+
 
 def fetch(file: WeightFile, folder: Path) -> str:
     """Put one file into ``folder``; returns the SHA-256 that its publisher states, or "".
@@ -177,11 +179,10 @@ def _unpack(archive: Path, file: WeightFile, target: Path) -> None:
 
 def _download(address: str, partial: Path) -> None:
     """Append the rest of ``address`` to its partial file."""
-    patience_s = 60.0
     have = partial.stat().st_size if partial.exists() else 0
     request = urllib.request.Request(address, headers={"Range": f"bytes={have}-"} if have else {})
     try:
-        with urllib.request.urlopen(request, timeout=patience_s) as answer:
+        with urllib.request.urlopen(request, timeout=_PATIENCE_S) as answer:
             # A server without range requests sends everything again.
             goes_on = answer.status == http.HTTPStatus.PARTIAL_CONTENT
             whole = int(answer.headers.get("Content-Length") or 0) + (have if goes_on else 0)

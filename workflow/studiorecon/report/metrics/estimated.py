@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool
 
 SOURCE = "fitted bodies, and the run's own depth"
+_UNITS_PER_M = 1000  # of the rendered depth film
 
 
 @dataclass(frozen=True)
@@ -77,8 +78,7 @@ def estimated_regions(
     masks = {path.stem: read_frames(path, 0, frames) for path in files.room_masks}
     height, width = camera.hw
     for frame, units in enumerate(read_frames_from(files.film_depth[0], start, start + frames)):
-        # Of the rendered depth film
-        depth_m = units[:height, :width].astype(np.float64) / 1000
+        depth_m = units[:height, :width].astype(np.float64) / _UNITS_PER_M
         people_here = body_outline(people, body, camera, frame)
         known = (depth_m > 0) & ~people_here
         points = camera.unproject(camera.pixel_centres(), np.where(known, depth_m, 1.0))

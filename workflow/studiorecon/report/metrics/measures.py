@@ -50,6 +50,8 @@ NAMES = (
     *SHARES,
     *TEMPORAL,
 )
+# Smaller pictures have no pyramid for the flow search; they get no temporal measures.
+_SMALLEST_FLOW_PX = 24
 # ꟻLIP takes ten times as long as the others, so it is measured in one frame of this many, starting with the first.
 FLIP_EVERY = 12
 
@@ -114,8 +116,7 @@ class Flicker:
         grey = grey_levels(photo)
         values: dict[str, dict[str, float | None]] = {name: dict.fromkeys(TEMPORAL) for name in (*pictures, "photo")}
         alike, measured = first_identical(pictures), dict[tuple[str, str], dict[str, float | None]]()
-        # Smaller pictures have no pyramid for the flow search; they get no temporal measures.
-        if self._grey is not None and min(grey.shape) >= 24:
+        if self._grey is not None and min(grey.shape) >= _SMALLEST_FLOW_PX:
             backward = dis_flow(grey, self._grey, self._preset)
             valid = forward_backward_consistent(backward, dis_flow(self._grey, grey, self._preset))
             assert self._photo is not None

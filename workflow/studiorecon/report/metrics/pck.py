@@ -19,6 +19,9 @@ ALPHAS = (0.05, 0.1)
 SIDE = "longer side of the true person's box"
 SMALLEST_SIDE_PX = 16.0
 DETECTED_OKS = 0.3
+# Object keypoint similarity with one constant for all points, as the scored joints need not be COCO's: k = 2 σ with σ
+# 0.08, the mean of COCO's σ over its body points.
+_OKS_K = 0.16
 
 
 @dataclass(frozen=True)
@@ -48,11 +51,7 @@ def similarity(found: Float[np.ndarray, "K 2"], person: TruePerson) -> float:
     squared = ((found[person.visible] - person.points[person.visible]) ** 2).sum(axis=-1)
     return float(
         np.where(
-            # Object keypoint similarity with one constant for all points, as the scored joints need not be COCO's: k =
-            # 2 σ with σ 0.08, the mean of COCO's σ over its body points.
-            np.isfinite(squared),
-            np.exp(-np.where(np.isfinite(squared), squared, 0) / (2 * area * 0.16**2)),
-            0,
+            np.isfinite(squared), np.exp(-np.where(np.isfinite(squared), squared, 0) / (2 * area * _OKS_K**2)), 0
         ).mean()
     )
 

@@ -25,6 +25,9 @@ from studiorecon.survey.stillness import light
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+# Frames in memory at a time.
+_TOGETHER = 64
+
 
 def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The largest change in any camera; the reason says that light changes in all cameras at once."""
@@ -84,10 +87,8 @@ def brightness_over_time(
 def _levels(
     path: Path, camera: Camera, frames: int, found: Detections | None, view: ExposureView, longest_px: int
 ) -> Iterator[np.ndarray]:
-    # Frames in memory at a time.
-    together = 64
-    for first in range(0, frames, together):
-        wanted = np.arange(first, min(first + together, frames))
+    for first in range(0, frames, _TOGETHER):
+        wanted = np.arange(first, min(first + _TOGETHER, frames))
         # Light varies over more than a few pixels: half of the survey's size suffices.
         pictures, free, _ = read_clip_pictures(path, camera, wanted, found, longest_px // 2)
         wh = (pictures.shape[2], pictures.shape[1])

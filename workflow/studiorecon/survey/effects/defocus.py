@@ -22,6 +22,13 @@ if TYPE_CHECKING:
 
 # Blur is stated in pixels at this width; working frames of another width have proportionally more or less.
 AT_WIDTH = 1280.0
+# The second blur; the share of the steepest slopes and the slope below which a pixel is no edge; the number of edges
+# needed.
+_AGAIN_PX, _STEEP_SHARE, _MIN_SLOPE, _MIN_EDGES = 1.0, 0.01, 0.01, 100
+# The sharpest of them show the focus: others are soft in the world.
+_SHARPEST = 0.25
+# Errors of pixels along one edge are correlated.
+_TOGETHER = 8
 # Scenes before the cameras differ in sharpness by this share of the blur, one standard deviation: 0.05 to 0.2 in a real
 # room and four synthetic ones. With this many cameras the spread is measured instead; a normal distribution's standard
 # deviation is 1.4826 median deviations.
@@ -83,30 +90,24 @@ def edge_blur_px(rgb: Float[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H 
     (Zhuo and Sim 2011, Defocus map estimation from a single image). Only the steepest pixel across each edge counts; a
     picture with few edges has no estimate.
     """
-    # Errors of pixels along one edge are correlated.
-    together = 8
-    # The second blur; the share of the steepest slopes and the slope below which a pixel is no edge; the number of
-    # edges needed.
-    again_px, steep_share, min_slope, min_edges = 1.0, 0.01, 0.01, 100
     require("rgb", rgb, ("H", "W", 3))
     require("measured", measured, rgb.shape[:2])
     grey = channel_sum(rgb.astype(np.float32)) / 3
-    again = cv2.GaussianBlur(grey, (0, 0), again_px)
+    again = cv2.GaussianBlur(grey, (0, 0), _AGAIN_PX)
     dx, dy = (cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1)))
     slope = np.hypot(dx, dy)
     softer = np.hypot(*(cv2.Sobel(again, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))))
     inside = cv2.erode(measured.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
     across = np.abs(dx) >= np.abs(dy)
     beside = np.where(across, _neighbours(slope, 1), _neighbours(slope, 0))
-    edge = inside & (slope >= beside) & (slope > min_slope) & (softer > 0) & (slope > 1.01 * softer)
-    if edge.sum() < min_edges:
+    edge = inside & (slope >= beside) & (slope > _MIN_SLOPE) & (softer > 0) & (slope > 1.01 * softer)
+    if edge.sum() < _MIN_EDGES:
         return NOTHING
-    edge &= slope >= np.quantile(slope[inside], 1 - steep_share)
+    edge &= slope >= np.quantile(slope[inside], 1 - _STEEP_SHARE)
     ratio = (slope[edge] / softer[edge]).astype(np.float64)
-    widths = np.sort(again_px / np.sqrt(ratio**2 - 1))
-    # The sharpest of them show the focus: others are soft in the world.
-    sharpest = widths[: max(int(0.25 * len(widths)), 1)]
-    return median(sharpest[::together], min_edges // (4 * together))
+    widths = np.sort(_AGAIN_PX / np.sqrt(ratio**2 - 1))
+    sharpest = widths[: max(int(_SHARPEST * len(widths)), 1)]
+    return median(sharpest[::_TOGETHER], _MIN_EDGES // (4 * _TOGETHER))
 
 
 def _neighbours(slope: np.ndarray, axis: int) -> np.ndarray:

@@ -16,6 +16,9 @@ from studiorecon.survey.effects.surveyed import Artefact, Measurement, SurveyedE
 from studiorecon.survey.evidence import Evidence, Recordings
 from studiorecon.survey.specularity import covisible, varying_share
 
+# Plates are medians of many pictures: their noise is a picture's over the root of about this many.
+_PLATE_PICTURES = 16
+
 
 def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The share of surface points whose colour differs between directions of view, after division by the cameras'
@@ -24,8 +27,7 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
     ``detail`` has the highest degree of harmonics that the real views can determine (G15).
     """
     material, sampling = evidence.material, evidence.sampling
-    # Plates are medians of many pictures: their noise is a picture's over the root of about this many.
-    noise = float(np.median([noise_levels(f.pictures) for f in material.films])) / 255 / np.sqrt(16)
+    noise = float(np.median([noise_levels(f.pictures) for f in material.films])) / 255 / np.sqrt(_PLATE_PICTURES)
     colours, errors = covisible(material.views, evidence.gains[2], noise, sampling.depth_tolerance)
     centre = np.array([*stage(material.cameras)[0], material.floor_m + sampling.height_m / 2])
     degree = degree_supported(np.array([c.centre_m - centre for c in material.cameras]))
