@@ -142,7 +142,7 @@ def test_a_camera_that_people_do_not_place_is_left_out_by_name(options, template
     )
     assert [c.name for c in found] == [c.name for c in truth]
     assert "sees no person" in report["left_out"]["blind"]
-    assert "shares too little of anybody" in report["left_out"]["late"]
+    assert "shares too few keypoints" in report["left_out"]["late"]
     assert set(report["left_out"]) == {"blind", "late"}
     assert set(report["sigma_deg"]) == {c.name for c in truth}
     degrees, metres, _ = after_similarity(found, truth)

@@ -89,4 +89,4 @@ def test_edges_that_people_contradict_move_no_camera(capsys: pytest.CaptureFixtu
     assert report["edges"]["off_deg"] > 2
     assert not report["edges"]["believed"]
     assert all(a is b for a, b in zip(found, truth))
-    assert "and no camera is moved for them" in capsys.readouterr().out
+    assert "and are not used" in capsys.readouterr().out

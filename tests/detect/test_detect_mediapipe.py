@@ -66,7 +66,7 @@ def test_one_person_of_the_older_solutions(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("found", "says"),
     [
-        ([person(0)[:20]], "frame 0: somebody has 20 landmarks; MediaPipe's bodies have 33"),
+        ([person(0)[:20]], "frame 0: a person has 20 landmarks; MediaPipe's bodies have 33"),
         ([[{"x": 300.0, "y": 200.0}] * 33], "frame 0: landmarks are up to 300; MediaPipe's are shares, 0 to 1"),
         ([[{"x": 0.3}] * 33], "frame 0: a landmark has no x and y"),
         ([[{"x": "a", "y": 0.1}] * 33], "frame 0: landmarks"),

@@ -56,7 +56,7 @@ def test_the_same_pictures_in_another_file_await_the_footage(tmp_path: Path, fir
     sources = [film(tmp_path / "a.mp4", 0), film(tmp_path / "b.mp4", 0, first, crf), film(tmp_path / "c.mp4", 1)]
     clocks, findings = tmp_path / "clocks.json", tmp_path / "sync.json"
     offsets.run(offsets.Settings(sync="never"), ["a", "b", "c"], sources, [], "{}", 0, 0, clocks, findings)
-    assert read_clocks(clocks).refusal.startswith("cameras a and b show the same picture: one film was given for both")
+    assert read_clocks(clocks).refusal.startswith("cameras a and b show the same picture: both have one film")
 
 
 def test_cameras_of_one_room_are_not_one_film(tmp_path: Path) -> None:

@@ -334,6 +334,6 @@ def test_in_how_many_frames_somebody_is_there_stands_beside_how_many_were_measur
         for name, present in (("p0", np.ones(9, bool)), ("p1", np.arange(9) < 5))
     )
     shown = timeline.surety([always, left], {})
-    assert "frames there" in shown
+    assert "frames present" in shown
     cells = [re.findall(r"<td[^>]*>([^<]*)</td>", row) for row in shown.split("<tr>")[2:]]
     assert [row[:3] for row in cells] == [["p0", "3 of 9", "all"], ["p1", "3 of 9", "5"]]

@@ -112,30 +112,24 @@ def paired_lenses(
     chosen = [camera for camera, _ in checked]
     notes = [*reading.notes, *(n for _, described in checked for n in described), *([note] if note else [])]
     if sizeless := [name for name, c in zip(cameras, chosen, strict=True) if 0 in c.wh]:
-        notes.append(f"{source} has no picture size of {', '.join(sizeless)}: that of the films was taken")
+        notes.append(f"{source} has no picture size of {', '.join(sizeless)}: the films' size is used")
     left_out = [c.name for c in reading.cameras if c.name not in matched.values()]
     if left_out:
         notes.append(f"the calibration also has {', '.join(left_out)}, without footage")
     poses = [normalise_pose(c.camera_from_world, settings.poses) for c in chosen]
     if settings.poses != "as_read":
-        notes.append(f"the poses were read as {settings.poses}, as the setting calibration.poses says")
+        notes.append(f"the poses were read as {settings.poses} (calibration.poses)")
     if settings.lens != "as_read":
-        notes.append(
-            f"the distortion numbers were read as those of the model {settings.lens}, "
-            "as the setting calibration.lens says"
-        )
+        notes.append(f"the distortion coefficients were read as {settings.lens} (calibration.lens)")
     if unknown := [c for c in settings.radial if c not in cameras]:
         raise UserError(f"calibration.radial names camera {unknown[0]}, but the footage has {', '.join(cameras)}")
-    notes += [
-        f"the k1 of camera {c} was changed by {k1:+g}, as the setting calibration.radial says"
-        for c, k1 in settings.radial.items()
-    ]
+    notes += [f"the k1 of camera {c} was changed by {k1:+g} (calibration.radial)" for c, k1 in settings.radial.items()]
     centres = np.array([-p[:3, :3].T @ p[:3, 3] for p in poses])
     refuse_wrong_places(cameras, poses, centres, source)
     factor, unit_note = metres_per_unit(centres, reading.unit, settings.unit)
     z_up, up_note = z_up_from_world(np.array([p[:3, :3] for p in poses]), settings.up)
     if settings.scale != 1.0:
-        notes.append(f"all lengths were multiplied by {settings.scale:g}, as the setting calibration.scale says")
+        notes.append(f"all lengths were multiplied by {settings.scale:g} (calibration.scale)")
     floor_known = bool(np.array_equal(z_up, np.eye(3))) and reading.format != "COLMAP"
     poses, moves = to_metric_world(poses, z_up, factor * settings.scale, floor_known)
     notes += [n for n in (unit_note, up_note) if n] + moves

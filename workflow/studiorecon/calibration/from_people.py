@@ -185,10 +185,10 @@ def _uncertain(
         )
     loose = turn / settings.max_sigma_deg + place / settings.max_sigma_m
     worst = int(np.argmax(loose))
-    known = f"{names[worst]} is known to ±{turn[worst]:.1f}° and ±{place[worst]:.2f} m"
+    known = f"{names[worst]} is uncertain by ±{turn[worst]:.1f}° and ±{place[worst]:.2f} m"
     if turn.max() > settings.max_sigma_deg or place.max() > settings.max_sigma_m:
         found.append(
-            f"camera {known} only: let a person walk all over the floor, use more frames, or bring a calibration"
+            f"camera {known} only: let a person walk across the whole floor, use more frames, or bring a calibration"
         )
     hopeless = turn.max() > _HOPELESS * settings.max_sigma_deg or place.max() > _HOPELESS * settings.max_sigma_m
     if hopeless or max((s for _, s in free), default=0.0) > _HOPELESS * settings.max_focal_sigma:
@@ -205,10 +205,10 @@ def _of_two(found: PoseConsensus, degrees: np.ndarray) -> str:
     """A sentence about two arrangements that fit about equally well and differ by ``degrees`` (V,)."""
     assert found.rival is not None
     return (
-        f"two solutions for the cameras fit the people about equally well ({found.rig.support} "
-        f"and {found.rival.support} keypoints) and differ by {degrees.max():.0f}°; the likelier "
-        "one is used, and its uncertainty covers the other: let a person walk all over the "
-        "floor, use more frames, or bring a calibration"
+        f"two solutions for the cameras fit the people about equally well ({found.rig.support} and "
+        f"{found.rival.support} keypoints) and differ by {degrees.max():.0f}°; the likelier one is used, and its "
+        "interval includes the other: let a person walk across the whole floor, use more frames, or bring a "
+        "calibration"
     )
 
 
@@ -221,8 +221,8 @@ def _settled_in_the_world(
     by_bones = Scale(
         bone_factor(points, rig.points, rig.seen, template_m) or 1.0,
         _OF_A_MEAN_BODY,
-        "lengths come from people's bones, taken to be those of the mean body: all of them may be 5 % off; write a "
-        "measured one into capture.yaml: height_m: {p0: 1.78}, or distance_m: [CAMERA, CAMERA, METRES]",
+        "lengths come from the bones of a mean body and may be 5 % off; write a measured one into capture.yaml: "
+        "height_m: {p0: 1.78}, or distance_m: [CAMERA, CAMERA, METRES]",
     )
 
     def upright(scale: Scale) -> tuple[np.ndarray, str]:
@@ -363,14 +363,14 @@ def _doubts(report: Mapping[str, Any]) -> list[str]:
 def _notes(report: Mapping[str, Any]) -> list[str]:
     return [
         f"the cameras were estimated from people in {report['frames']} frames: {report['median_px']:.1f} px median",
-        f"the rotation between any two cameras is known to ±{report['between_deg']:.1f}°, places to "
-        f"±{2 * max(report['sigma_m'].values()):.2f} m (95 %, a detector's own errors counted in)",
+        f"uncertainty (95 %, the detector's errors included): ±{report['between_deg']:.1f}° for the rotation "
+        f"between two cameras, ±{2 * max(report['sigma_m'].values()):.2f} m for positions",
         "turned by the room's edges: "
         + (
             ", ".join(f"{n} ({share:.0%} of their length)" for n, share in report["along_edges"].items())
             or "none, they do not run along three directions"
         ),
-        f"places on the floor that two cameras share: {sum(report['on_floor'].values()) or 'none'}",
+        f"matches on the floor: {sum(report['on_floor'].values()) or 'none'}",
         report["scale"],
         report["world"],
         "focal lengths: "

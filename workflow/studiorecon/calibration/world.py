@@ -62,7 +62,7 @@ def metres_per_unit(
     guessed."""
     factors = {"m": 1.0, "cm": 0.01, "mm": 0.001}
     if wanted != "auto":
-        return factors[wanted], f"lengths were read as {wanted}, as the setting calibration.unit says"
+        return factors[wanted], f"lengths were read as {wanted} (calibration.unit)"
     if unit in factors:
         return factors[unit], None
     # The distance within which half of the others are from most cameras: one far away, or wrong, does not decide the
@@ -108,9 +108,7 @@ def z_up_from_world(rotations: Float[np.ndarray, "N 3 3"], wanted: str) -> tuple
         turn = _turn_to_z(axis)
         return (
             turn,
-            None
-            if wanted == "z"
-            else f"the world was turned so that its {wanted} axis points up, as the setting calibration.up says",
+            None if wanted == "z" else f"the world was turned so that its {wanted} axis points up (calibration.up)",
         )
     up = camera_up(rotations)
     if up[2] > np.cos(np.radians(_UP_TOLERANCE_DEG)):
@@ -164,8 +162,7 @@ def to_metric_world(
     if not floor_known or abs(np.median(centres[:, 2])) > _FAR_FROM_ORIGIN_M:
         shift[2] = _EYE_HEIGHT_M - float(np.median(centres[:, 2]))
         notes.append(
-            f"where the floor is was not known: the cameras were put {_EYE_HEIGHT_M} "
-            "m above it until people are measured"
+            f"the floor's height is unknown: the cameras are {_EYE_HEIGHT_M} m above it until people are measured"
         )
     for pose in moved:
         pose[:3, 3] -= pose[:3, :3] @ shift

@@ -63,7 +63,7 @@ def read_transforms(path: Path) -> Transforms:
     ]
     if not all("cx" in lens and "cy" in lens for lens in lenses):
         notes.append(
-            f"{path.name} has no principal point (cx, cy) for some pictures: the middle of the picture was taken"
+            f"{path.name} has no principal point (cx, cy) for some pictures: the middle of the picture is used"
         )
     source_from_file = np.linalg.inv(applied)
     made = [_camera(lens, source_from_file, f"picture {index} of {path}") for index, lens in enumerate(lenses)]

@@ -41,8 +41,8 @@ def apply_edge_refinement(
     off = f"{before.off_deg:.1f}° ({before.sigmas:.1f} standard deviations) off between {' and '.join(before.cameras)}"
     if not found.believed:
         say(
-            f"the room's straight edges are {off}, and no camera is moved for them: people's "
-            f"keypoints would be {px[1]:.2f} px off, now {px[0]:.2f} px"
+            f"the room's straight edges are {off}, and are not used: people's keypoints would be {px[1]:.2f} px "
+            f"off, now {px[0]:.2f} px"
         )
         return adjusted, report
     changes = changes_since_refinement(given, found.cameras, report)
@@ -53,7 +53,7 @@ def apply_edge_refinement(
         + ", ".join(
             f"{c['camera']} turned by {c['turned_deg']:.1f}° and moved by {100 * c['moved_m']:.0f} cm" for c in changes
         )
-        + f"; relative to one another they are known to ±{found.between_deg:.1f}° (95 %), where walls and furniture "
+        + f"; rotations between cameras are uncertain by ±{found.between_deg:.1f}° (95 %), if walls and furniture "
         "are square"
     )
     edges |= {

@@ -84,5 +84,5 @@ def keep_floor_level(
         return adjusted, report
     level, tilt_deg, lift_m = align_to_floor(adjusted, risen, np.median(before.points_m[both, :2], axis=0))
     if tilt_deg or lift_m:
-        say(f"refinement had tilted the floor by {tilt_deg:.2f}° and lifted it by {1000 * lift_m:.0f} mm: put back")
+        say(f"refinement tilted the floor by {tilt_deg:.2f}° and lifted it by {1000 * lift_m:.0f} mm, which is undone")
     return level, {**report, "levelled": {"tilt_deg": tilt_deg, "lift_m": lift_m}}

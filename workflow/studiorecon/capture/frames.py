@@ -63,7 +63,7 @@ def describe_changes(
     """Sentences: all differences between the working frames and the file."""
     changes = list(source.notes)
     if source.rotation_deg:
-        changes.append(f"turned by {source.rotation_deg} degrees counter-clockwise, as its rotation tag asks")
+        changes.append(f"turned by {source.rotation_deg} degrees counter-clockwise (rotation tag)")
     if source.wh != view.wh:
         changes.append(f"resized from {source.wh[0]}×{source.wh[1]} to {view.wh[0]}×{view.wh[1]}")
     if np.any(lens.distortion != 0):

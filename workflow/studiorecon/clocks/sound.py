@@ -100,7 +100,7 @@ def compare(first: Float[np.ndarray, " N"], second: Float[np.ndarray, " M"]) -> 
             f"scatter, {_MIN_Z:.0f} would be clear)"
         )
     if ratio < _MIN_RATIO or (others and z < _MIN_RATIO * max(others)):
-        return _nothing("several times fit the sound tracks about equally well: a hum, or the same over and over")
+        return _nothing("several offsets fit the sound tracks about equally well (a hum, or repeated sound)")
     return heard
 
 

@@ -71,9 +71,7 @@ def add_footage(
             {"frame": int(frame), "file": held.file(jpeg(downscale_to_width(read_frame(video, int(frame))), QUALITY))}
             for frame in evenly_spread(frames, PHOTOS)
         ]
-    return [
-        f"of what a camera filmed {min(PHOTOS, frames)} of {frames} pictures are here; the nearest in time is shown"
-    ]
+    return [f"{min(PHOTOS, frames)} of {frames} photos per camera are included; the nearest in time is shown"]
 
 
 def _film(video: Path, path: Path, frames: int, fps: float) -> bytes:

@@ -39,8 +39,8 @@ def duplicate_film_note(sources: Mapping[str, FootageSource]) -> str:
     for one, two in combinations(still, 2):
         if same_view(still[one], still[two]):
             return (
-                f"cameras {one} and {two} show the same picture: one film was given for both, perhaps encoded again "
-                f"or cut; bring the footage of {two}, or leave it out (train: [...] in capture.yaml)"
+                f"cameras {one} and {two} show the same picture: both have one film, perhaps encoded again or cut; "
+                f"bring the footage of {two}, or leave it out (train: [...] in capture.yaml)"
             )
     return ""
 

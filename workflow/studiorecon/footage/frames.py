@@ -70,8 +70,8 @@ def decode(
 def damage_note(damaged: Sequence[int], count: int) -> str:
     """The sentence about the numbers of ``damaged`` frames among ``count``."""
     return (
-        f"{len(damaged)} of {count} frames are damaged, frame {damaged[0]} first: the picture before each is shown "
-        "again; if the original is whole, copy it again"
+        f"{len(damaged)} of {count} frames are damaged, frame {damaged[0]} first: the picture before each is "
+        "repeated; if the original is whole, copy it again"
     )
 
 

@@ -233,7 +233,7 @@ def _open_folder(path: Path, picture_fps: float) -> FootageSource:
             "cameras; copy the pictures again, or number them without a gap"
         )
     first = read_image(pictures[0], cv2.IMREAD_COLOR)
-    note = f"a folder of pictures has no frame rate: {picture_fps:g} per second, as capture.picture_fps says"
+    note = f"a folder of pictures has no frame rate: {picture_fps:g} per second is used (capture.picture_fps)"
     return FootageSource(
         path,
         (first.shape[1], first.shape[0]),

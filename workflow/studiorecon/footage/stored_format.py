@@ -129,7 +129,7 @@ def _display_matrix(frame: av.VideoFrame) -> tuple[tuple[tuple[int, int], tuple[
     if sorted(np.abs(signs).sum(0)) != [1, 1] or sorted(np.abs(signs).sum(1)) != [1, 1]:
         return _UPRIGHT, ["its rotation tag is no turn by quarters: the pictures stay as stored"]
     (a, b), (c, d) = signs.tolist()
-    return ((a, b), (c, d)), ["it is mirrored, as its rotation tag asks"] * (a * d - b * c < 0)
+    return ((a, b), (c, d)), ["it is mirrored (rotation tag)"] * (a * d - b * c < 0)
 
 
 def _colours(frame: av.VideoFrame) -> tuple[list[tuple[str, str]], list[str]]:

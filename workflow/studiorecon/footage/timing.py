@@ -117,11 +117,11 @@ def read_timing(path: Path) -> Timing:
             "rate is the setting capture.picture_fps"
         )
     if regular is None:
-        notes.append(f"its frames have no usable times: {rate:g} per second are assumed, as its header says")
+        notes.append(f"its frames have no usable times: {rate:g} per second is used, from its header")
         return Timing(tuple((np.arange(count) / rate).tolist()), rate, announced, False, tuple(notes))
     fps = _rate(regular, rate)
     if abs(rate / fps - 1) > _RATE_SHARE:
-        notes.append(f"its header says {rate:g} frames per second, but they come at {fps:.4g}, which is used")
+        notes.append(f"its header has {rate:g} frames per second, its time stamps {fps:.4g}, which is used")
     carried = carried and np.array_equal(regular, times[:count])
     return Timing(tuple(regular.tolist()), fps, announced, carried, tuple(notes))
 

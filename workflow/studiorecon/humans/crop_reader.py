@@ -86,7 +86,7 @@ def read_crops(
     inset_px = mask_inset_px(looks, label)
     if inset_px:
         say(
-            f"{fitted.name}: the masks end {inset_px} px inside the fitted body; pixels between are taken as the person"
+            f"{fitted.name}: the masks end {inset_px} px inside the fitted body; the pixels between count as the person"
         )
     crops: list[Crop] = []
     verdicts = classify_crops(looks, label, settings.additions.edge_px, settings.occluder_px, inset_px)

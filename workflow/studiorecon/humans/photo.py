@@ -41,9 +41,7 @@ def best_photo(masks: Sequence[Path], label: int) -> tuple[int, int]:
                 continue
             best, found = size, (index, frame)
     if found is None:
-        raise UserError(
-            "there is no frame in which this person is whole and alone in the picture; bring a photo of your own to LHM"
-        )
+        raise UserError("no frame shows this person whole and alone; give LHM a photo of your own")
     return found
 
 

@@ -186,7 +186,7 @@ class _Judge:
             sure = _clearly_better(top, tried[0].score)
         else:
             sure = top.enough and top.over(tried[0].score) > _NUMBER_SIGMAS
-        by = "" if index == 0 and numbers.certain else ", as what moves in its pictures says"
+        by = "" if index == 0 and numbers.certain else ", by the motion in its pictures"
         index, sure, by = (0, True, "") if numbers.certain and not sure else (index, sure, by)
         pictures = self.recorded.pictures
         span = f"the keypoints of camera {camera} are numbered {pictures[0]} to {pictures[-1]}, and its film has "

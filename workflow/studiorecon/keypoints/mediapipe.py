@@ -78,7 +78,7 @@ def _points(person: list[Any], picture_wh: tuple[int, int], where: str) -> np.nd
     given = [[one["x"], one["y"], one.get("visibility")] for one in person]
     points = numbers(given, f"{where}: landmarks", finite=False)
     if points.shape != (33, 3):
-        raise UserError(f"{where}: somebody has {len(person)} landmarks; MediaPipe's bodies have 33")
+        raise UserError(f"{where}: a person has {len(person)} landmarks; MediaPipe's bodies have 33")
     if np.nanmax(np.abs(points[:, :2]), initial=0) > _MAX_SHARE:
         raise UserError(f"{where}: landmarks are up to {np.nanmax(points[:, :2]):.0f}; MediaPipe's are shares, 0 to 1")
     # Shares count from the picture's border, keypoint files from the first pixel's centre.

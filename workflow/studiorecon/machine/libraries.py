@@ -58,7 +58,7 @@ def remedy(library: str) -> str:
     """The way to install a library: by its extra, from its source, or with the environment itself."""
     extra = EXTRAS.get(library.partition(".")[0])
     if extra:
-        return f"the extra {extra} brings it: uv sync --inexact --extra {extra}, or pip install 'studiorecon[{extra}]'"
+        return f"install the extra {extra}: uv sync --inexact --extra {extra}, or pip install 'studiorecon[{extra}]'"
     if library in SOME_MACHINES and platform.machine() != "x86_64":
         return f"it has no wheel for this processor ({platform.machine()}): build it from its source, or use another"
     return "it belongs to the plain environment: uv sync --inexact"

@@ -67,9 +67,7 @@ def describe_resource_error(error: BaseException) -> str | None:
     if number in _FULL:
         return f"the disk is full ({why}); make room and run again: {_KEPT}"
     if number in _CLOSED:
-        return (
-            f"this may not be read or written ({why}); give the user who runs it the right to, and run again: {_KEPT}"
-        )
+        return f"this may not be read or written ({why}); change its permissions and run again: {_KEPT}"
     if number in _FAILING:
         return f"the disk or its network does not answer ({why}); when it does, run again: {_KEPT}"
     if number in _NO_NAME:

@@ -75,4 +75,4 @@ def run(
         return
     say(f"camera {camera}: {title} follows {len(found)} people")
     if max(found) > _MAX:
-        say(f"camera {camera}: only the first {_MAX} numbers are kept; shorter chunks of a crowd make many")
+        say(f"camera {camera}: only the first {_MAX} numbers are kept; use longer chunks (masks.sam3.chunk)")

@@ -35,7 +35,7 @@ def described(file: WeightFile, folder: Path) -> str:
         if file.sha256
         else f"MD5 {file.md5}"
         if file.md5
-        else "no published checksum, held to the hub's own and to what it was then"
+        else "no published checksum; compared with the hub's and with the first download's"
         if file.revision
         else "no published checksum, compared with its first download"
     )
@@ -96,7 +96,7 @@ def run(models: list[str], weights: Place, fetching: str) -> None:
             if state != "verified":
                 failed.append(file.path if state == "missing" else state)
     if failed and fetching == "yes":
-        raise UserError(f"{len(failed)} of the files are not in place: {failed[0]}")
+        raise UserError(f"{len(failed)} of the files are missing or wrong: {failed[0]}")
     if failed:
         say(f"{len(failed)} files are missing or wrong; snakemake weights fetches those that need no registration")
 

@@ -201,8 +201,8 @@ def _perhaps(found: Mapping[str, tuple[Path, ...]], folder: Path) -> list[str]:
         return []
     example = ", ".join(film.relative_to(folder).as_posix() for film in sets[0])
     return [
-        f"{' and '.join(film.name for film in sets[0])} are taken as different cameras; if they are parts of one "
-        f"recording, write into capture.yaml: chapters: {{{sets[0][0].stem}: [{example}]}}, and so for the others"
+        f"{' and '.join(film.name for film in sets[0])} are used as different cameras; if they are parts of one "
+        f"recording, write into capture.yaml: chapters: {{{sets[0][0].stem}: [{example}]}}, and likewise for the others"
     ]
 
 

@@ -30,7 +30,7 @@ def clear_stale_lock(folder: Path) -> str:
     if _host_of_the_run(folder, min(since_s)) not in (platform.node(), None) or any(_living(folder)):
         return ""
     shutil.rmtree(locks)
-    return f"the run before this one in {folder.resolve()} was killed: its lock was taken away"
+    return f"the previous run in {folder.resolve()} was killed: its lock was removed"
 
 
 def _living(folder: Path) -> Iterator[int]:

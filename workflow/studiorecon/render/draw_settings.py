@@ -15,10 +15,10 @@ _FILMS = {
     "propertyNames": {
         "pattern": "^[a-z][a-z0-9_-]*$",
         "not": {"const": "train"},
-        "description": "Names of films are small letters, digits, - and _; train is taken.",
+        "description": "Names of films are lower-case letters, digits, - and _; train is reserved.",
     },
     "additionalProperties": {
-        "description": "A film; its kind says what else may be said of it.",
+        "description": "A film; its kind decides the other options.",
         "type": "object",
         "required": ["kind"],
         "properties": {"kind": {"enum": list(KINDS), "description": "Kind of camera path."}},

@@ -61,7 +61,7 @@ if TYPE_CHECKING:
 _NO_HELD_OUT = "no camera is held out: name some under held_out in capture.yaml"
 _NO_TRUTH = "there is no exact truth (only a synthetic studio has it)"
 _NO_REGIONS = "no held-out camera has rendered depth"
-_NO_DEPTH = "the studio kept no depth of the people: truth: {depth_frames: true} in its description"
+_NO_DEPTH = "the studio stored no depth of people; set truth: {depth_frames: true} in its description"
 
 
 @dataclass(frozen=True)

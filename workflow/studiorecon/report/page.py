@@ -154,7 +154,7 @@ def room_pictures(plates: Sequence[Path], depths: Sequence[Path], width: int) ->
         image = read_image(plate, cv2.IMREAD_UNCHANGED, CURE)
         figures.append(
             "<div>"
-            + html.figure(html.jpeg(image[..., 2::-1], width), f"{camera}: clean plate, black where never seen empty")
+            + html.figure(html.jpeg(image[..., 2::-1], width), f"{camera}: clean plate, black = always hidden")
             + html.figure(html.jpeg(picture, width), f"depth {near:.1f} m (bright) … {far:.1f} m (dark)")
             + "</div>"
         )

@@ -83,9 +83,9 @@ def _refusal(stature_m: float) -> str:
         if ADULTS_M[0] <= stature_m / per_metre <= ADULTS_M[1]:
             cause, factor = f" but, it seems, {unit};", 1 / per_metre
         elif ADULTS_M[0] <= stature_m * per_metre <= ADULTS_M[1]:
-            cause, factor = f", it seems that metres were taken for {unit};", per_metre
+            cause, factor = f", metres were probably read as {unit};", per_metre
     if ADULTS_M[0] <= 10 * stature_m <= ADULTS_M[1]:
-        cause, factor = ", it seems that centimetres were taken for millimetres: set calibration.unit: cm, or", 10.0
+        cause, factor = ", centimetres were probably read as millimetres: set calibration.unit: cm, or", 10.0
     return (
         f"people would be {stature_m:.3g} m tall by this calibration, so its lengths are not metres{cause or ';'} "
         f"multiply calibration.scale by {factor:.4g}, which makes people {stature_m * factor:.2f} m tall"

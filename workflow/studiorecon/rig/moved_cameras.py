@@ -127,9 +127,8 @@ def report_moved_cameras(given: Sequence[Camera], found: MovedCameras, between_d
         + ", ".join(
             f"{c.name} turned by {d:.1f}° and moved by {100 * m:.0f} cm" for c, d, m in zip(given, degrees, metres)
         )
-        + f"; relative to one another they are known to ±{between_deg:.1f}° (95 %) and "
-        f"±{100 * place.max():.0f} cm (one standard deviation), so "
-        "calibrate again if that is not enough"
+        + f"; they are uncertain by ±{between_deg:.1f}° between cameras (95 %) and ±{100 * place.max():.0f} cm (one "
+        "standard deviation): calibrate again if that is not enough"
     )
 
 

@@ -202,7 +202,7 @@ def _readings(
         if k != v and _same(seen, own[k]):
             cause = f"they belonged to {cameras[k].name}, whose keypoints they are"
             yield _Reading(cause, f"bring the footage or keypoints of {camera.name}", cameras[k], seen)
-    check_video = "bring its video and keypoints as the camera that was calibrated saw them"
+    check_video = "bring its video and keypoints from the calibrated camera"
     pixels = affine(1, 1)
     mirrored, *others = [*turned(camera.wh, pixels, pixels), *sizes(camera.wh, 0.0)]
     across = apply_reading(mirrored.film_from_recorded, seen)
@@ -213,7 +213,7 @@ def _readings(
         yield _Reading(f"its keypoints were {reading.words}", check_video, camera, shown)
     for k in range(len(cameras)):
         if k != v:
-            remedy = f"exchange or bring again what was mixed up with {cameras[k].name}"
+            remedy = f"exchange its files with those of {cameras[k].name}, or bring them again"
             there = replace(camera, camera_from_world=cameras[k].camera_from_world)
             yield _Reading(f"its pose were that of {cameras[k].name}", remedy, there, seen)
     moved = _offset_px(points_m, seen, camera)

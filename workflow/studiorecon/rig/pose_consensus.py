@@ -159,7 +159,7 @@ def _of(rig: Rig, placed: Sequence[int]) -> Rig:
 def _why(seen: Detections) -> str:
     if not len(seen.frame):
         return "it sees no person, and without a calibration, cameras are estimated from people"
-    return "it shares too little of anybody with the other cameras"
+    return "it shares too few keypoints with the other cameras"
 
 
 def _rival(found: Sequence[Rig], rival_share: float) -> Rig | None:

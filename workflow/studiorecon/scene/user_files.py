@@ -275,7 +275,7 @@ def user_file_context(path: Path | str, what: str) -> Iterator[None]:
             f"{path} is not laid out as {what} is ({first_line(error)}); write it again with the program that made it"
         ) from None
     except MemoryError:
-        raise UserError(f"{path} asks for more memory than there is; is it {what}?") from None
+        raise UserError(f"{path} needs more memory than there is; check that it is {what}") from None
 
 
 def _array(stream: Any, held: int, where: str, remedy: str = _COPY) -> np.ndarray:

@@ -271,7 +271,7 @@ def footage_notes(footage: Sequence[Mapping[str, Any]]) -> list[str]:
         (
             "fps",
             "frame rates",
-            "every frame is taken at its own time, and a slower camera shows a fast motion less often",
+            "every frame keeps its own time, and a slower camera samples fast motion less often",
         ),
         ("rotation_deg", "rotation tags", "harmless if the pictures below are upright"),
     ):

@@ -102,7 +102,7 @@ def edge_sentence(edges: dict[str, Any]) -> str:
     turned = ", ".join(
         f"{c} by {m['turned_deg']:.1f}° and {100 * m['moved_m']:.0f} cm" for c, m in edges["moves"].items()
     )
-    known = f", known to ±{edges['between_deg']:.1f}° (95 %)" if edges["between_deg"] is not None else ""
+    known = f", ±{edges['between_deg']:.1f}° (95 %)" if edges["between_deg"] is not None else ""
     return (
         f"{said}, and by {edges['after_deg']:.1f}° once refinement has moved the cameras ({turned}){known}; usable, "
         "with cameras.refine on; calibrate again if that is not enough"

@@ -66,7 +66,7 @@ def read(files: list[Path]) -> Reading:
             rotation, vector(_required(extri, f"T_{key}", where), f"{where}: T_{key}"), where
         )
         if abs(scale - 1) > 1e-3:
-            notes.append(f"camera {name}: a scale of {scale:.4g} was taken out of its rotation")
+            notes.append(f"camera {name}: a scale of {scale:.4g} was removed from its rotation")
         lens, described = _lens(intri, name, key, f"camera {name} in {intri_path}")
         notes += described
         cameras.append(replace(lens, camera_from_world=pose))

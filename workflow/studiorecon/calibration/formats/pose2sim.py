@@ -57,7 +57,7 @@ def camera_of_table(name: str, table: dict, path: Path, notes: list[str]) -> Raw
         where,
     )
     if abs(scale - 1) > 1e-3:
-        notes.append(f"camera {name}: a scale of {scale:.4g} was taken out of its rotation")
+        notes.append(f"camera {name}: a scale of {scale:.4g} was removed from its rotation")
     width, height = table.get("size", (0, 0))
     model = model_in(table, where)
     return RawCamera(

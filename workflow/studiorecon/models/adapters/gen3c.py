@@ -260,9 +260,9 @@ class Gen3c:
         found = evidence(request)
         check_evidence(found)
         return (
-            f"rendered again, the first key frame is {found.own_error_levels:.2f} levels off "
-            "itself, key frames agree in depth within "
-            f"{found.depth_agreement:.1%}, and {found.coverage.min():.0%} or more of every view is shown by one"
+            f"warped onto itself, the first key frame differs by {found.own_error_levels:.2f} levels; key frames "
+            f"agree in depth within {found.depth_agreement:.1%} and cover at least {found.coverage.min():.0%} of "
+            "every view"
         )
 
     def views(self, request: dict[str, Shaped[np.ndarray, " ..."]]) -> Iterator[Integer[np.ndarray, "t 704 1280 3"]]:

@@ -19,16 +19,16 @@ MISSING = "not measured"
 _MEASURES = (
     ("psnr", "PSNR ↑", "dB", 2, "whole picture"),
     ("ssim", "SSIM ↑", "", 4, "whole picture, windows inside it"),
-    ("ssim_3dgs", "SSIM, zero-padded ↑", "", 4, "as papers on Gaussian splatting print it"),
+    ("ssim_3dgs", "SSIM, zero-padded ↑", "", 4, "as in papers on Gaussian splatting"),
     ("lpips", "LPIPS ↓", "", 4, "perceptual distance, whole picture"),
     ("flip", "ꟻLIP ↓", "", 4, "perceptual distance that needs no weights, of some frames"),
     ("psnr_people", "PSNR, people ↑", "dB", 2, "pixels of people"),
     ("ssim_people", "SSIM, people ↑", "", 4, "windows inside people"),
     ("psnr_people_wide", "PSNR, people and edges ↑", "dB", 2, "pixels of people and 10 px around them"),
-    ("psnr_background", "PSNR, room ↑", "dB", 2, "everything else"),
-    ("ssim_background", "SSIM, room ↑", "", 4, "everything else"),
+    ("psnr_background", "PSNR, room ↑", "dB", 2, "all other pixels"),
+    ("ssim_background", "SSIM, room ↑", "", 4, "all other pixels"),
     ("psnr_seen", "PSNR, seen ↑", "dB", 2, "surfaces of the room that some training camera sees at that time"),
-    ("psnr_unseen", "PSNR, unseen ↑", "dB", 2, "surfaces of the room that none sees"),
+    ("psnr_unseen", "PSNR, unseen ↑", "dB", 2, "surfaces of the room that no training camera sees"),
     (
         "share_seen",
         "share seen",
@@ -37,13 +37,13 @@ _MEASURES = (
         "of the room's pixels; at a stricter and a looser depth agreement in metrics.json",
     ),
     ("psnr_people_seen", "PSNR, people seen ↑", "dB", 2, "surfaces of people that some training camera sees"),
-    ("psnr_people_unseen", "PSNR, people unseen ↑", "dB", 2, "surfaces of people that none sees"),
+    ("psnr_people_unseen", "PSNR, people unseen ↑", "dB", 2, "surfaces of people that no training camera sees"),
     (
         "psnr_colour_corrected",
         "PSNR, colours matched ↑",
         "dB",
         2,
-        "after the best affine map of colours: exposure taken out",
+        "after the best affine map of colours, which removes exposure",
     ),
     (
         "temporal_l1",
@@ -103,7 +103,7 @@ def numbers(metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
         entries.append((shown(found.get("value"), 2, "dB"), f"PSNR at held-out cameras{of}"))
     joints = f"mean joint error in the world, {len(people)} people" if people else "mean joint error"
     entries.append((shown(metrics["bodies"]["mpjpe_world_mm"], 0, "mm"), joints))
-    entries.append((duration(spent["total"]["seconds"]), "all jobs together, one after the other"))
+    entries.append((duration(spent["total"]["seconds"]), "all jobs, one after the other"))
     return html.tiles(entries)
 
 
@@ -141,7 +141,7 @@ def measures(metrics: Mapping[str, Any]) -> str:
         if c["turned_deg"] or not c["checked"]
     )
     columns = [*(_title(version, versions) for version in versions), *(["change"] if len(versions) > 1 else [])]
-    table = html.table(["measure", *columns, "of what"], rows, numeric=range(1, 1 + len(columns)))
+    table = html.table(["measure", *columns, "measured on"], rows, numeric=range(1, 1 + len(columns)))
     return table + per_camera + notes
 
 
@@ -169,7 +169,7 @@ def people(metrics: Mapping[str, Any]) -> str:
     ]
     if rows:
         parts.append(
-            html.table(["person", "is", "frames", "world", "pelvis", "similarity"], rows, numeric=(2, 3, 4, 5))
+            html.table(["person", "true person", "frames", "world", "pelvis", "similarity"], rows, numeric=(2, 3, 4, 5))
         )
     else:
         parts.append(f"<p>Joint errors are {MISSING}: {html.text(bodies['reason'])}.</p>")
@@ -212,7 +212,7 @@ def cameras(doctor: Any, sheet: str) -> str:
         doctor.get("cameras", ()), doctor.get("before_px_per_camera") or (), doctor.get("after_px_per_camera") or ()
     )
     rows = [[name, shown(before, 2, "px"), shown(after, 2, "px")] for name, before, after in errors]
-    header = ["camera", "keypoints off their projection, as calibrated", "as used"]
+    header = ["camera", "reprojection error as calibrated", "as used"]
     return (
         html.heading("Cameras", lead)
         + "".join(f"<p><b>{html.text(d)}</b></p>" for d in (doctor.get("calibration") or {}).get("doubts") or ())
@@ -253,7 +253,7 @@ def overlap(rig: Mapping[str, Any]) -> str:
         return ""
     rows = [
         ["training cameras", str(rig["training_cameras"]), "4", "3"],
-        ["between any two about the scene's middle", shown(rig["position_deg"], 0, "°"), "117 °", "17 °"],
+        ["between any two cameras, about the scene's middle", shown(rig["position_deg"], 0, "°"), "117 °", "17 °"],
         ["from an optical axis to the nearest other", shown(rig["viewing_deg"], 0, "°"), "70 °", "28 °"],
     ]
     return html.table(["angle", "here", "the paper's captures", "its prior work's"], rows, numeric=(1, 2, 3))

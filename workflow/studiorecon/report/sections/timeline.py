@@ -104,10 +104,10 @@ def surety(people: Sequence[Person], jitter: Mapping[str, Mapping[str, Any]]) ->
     header = [
         "person",
         "frames measured",
-        "frames there",
+        "frames present",
         "joint deviation, median",
         "95 %",
         "jitter of joints",
-        "of turns",
+        "of rotations",
     ]
     return html.table(header, rows, numeric=range(1, 7))
