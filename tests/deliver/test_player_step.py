@@ -3,21 +3,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from studiorecon.deliver import player
-from studiorecon.errors import UserError
 from studiorecon.scene.factors import write_factors
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.path import PathStep, write_path
 
 from tests.made.player import PARTS
-from tests.made.scene import FPS, FRAMES, WH, render_options, replace_gaussians, write_scene
+from tests.made.scene import FPS, FRAMES, WH, render_options, write_scene
 from tests.made.steps import call
 
 TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
@@ -64,17 +61,6 @@ def test_exposures_and_shadows_come_along(files: dict, tmp_path: Path, capsys: p
     text = files["page"].read_text(encoding="utf-8")
     assert text.count('"exposure":') == 1
     assert '"shade":' in text
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_a_gaussian_that_is_no_number_leaves_no_page(files: dict) -> None:
-    own = read_ply(files["gaussians"][0])
-    sh = own.sh.copy()
-    sh[7, 0, 1] = np.inf
-    replace_gaussians(files["gaussians"][0], files["avatars"][0], replace(own, sh=sh))
-    with pytest.raises(UserError, match=r"p0\.ply holds 1 Gaussians with a value that is no number.*number 7"):
-        call(player.run, **files)
-    assert not files["page"].exists()
 
 
 def test_the_player_s_scripts_stay_small() -> None:

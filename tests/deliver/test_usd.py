@@ -17,7 +17,7 @@ from studiorecon.errors import UserError
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.splatting.rigid_object import RigidObject
 
-from tests.made.scene import FPS, FRAMES, render_options, replace_gaussians, write_scene
+from tests.made.scene import FPS, FRAMES, render_options, write_scene
 from tests.made.steps import call
 
 TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
@@ -130,20 +130,6 @@ def test_an_empty_room_and_a_crowd(tmp_path: Path, root: Path, people: int) -> N
     call(usd.run, **options(tmp_path, people))
     stage = Usd.Stage.Open(str(tmp_path / "deliver/scene.usdc"))
     assert sum(prim.GetTypeName() == "SkelRoot" for prim in stage.Traverse()) == people
-
-
-@pytest.mark.usefixtures("loads")
-@pytest.mark.filterwarnings("ignore")
-def test_a_gaussian_that_is_no_number_leaves_no_stage(tmp_path: Path, root: Path) -> None:
-    write_scene(tmp_path, root, people=1, filmed=False)
-    given = options(tmp_path, 1)
-    own = read_ply(given["gaussians"][0])
-    means = own.means_m.copy()
-    means[5, 1] = np.nan
-    replace_gaussians(given["gaussians"][0], given["avatars"][0], replace(own, means_m=means))
-    with pytest.raises(UserError, match=r"p0\.ply holds 1 Gaussians.*number 5"):
-        call(usd.run, **given)
-    assert not given["stage"].exists()
 
 
 def test_without_usd_core_it_says_which_extra_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:

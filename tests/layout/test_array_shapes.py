@@ -7,8 +7,6 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 from tests.made.sources import tree
 
 PACKAGE = Path(__file__).resolve().parents[2] / "workflow" / "studiorecon"
@@ -43,18 +41,3 @@ def test_public_functions_and_fields_say_the_shapes_of_their_arrays() -> None:
     assert not [name for parts, body in bodies.items() for name, a in annotations(body, ".".join(parts)) if bare(a)], (
         'say the shape: Float[np.ndarray, "N 3"]; of what has any, as files and memory do, Shaped[np.ndarray, " ..."]'
     )
-
-
-@pytest.mark.parametrize(
-    ("annotation", "says_none"),
-    [
-        ("np.ndarray", True),
-        ('Float[np.ndarray, "N 3"]', False),
-        ('tuple[Float[np.ndarray, "N 3"], np.ndarray]', True),
-        ('Mapping[str, Float[np.ndarray, "N 3"]] | None', False),
-        ("Mapping[str, np.ndarray]", True),
-        ("tuple[np.ndarray, ...]", True),
-    ],
-)
-def test_an_array_without_a_shape_is_seen_wherever_it_stands(annotation: str, says_none: bool) -> None:
-    assert bare(ast.parse(annotation, mode="eval").body) == says_none

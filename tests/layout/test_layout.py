@@ -112,34 +112,6 @@ def test_files_are_short_and_licensed() -> None:
     assert not [p for p in MODULES if re.search(r"(^|_)(utils?|helpers?|misc|manager|common)$", p.stem)]
 
 
-@pytest.mark.parametrize("path", [p for p in MODULES if p.parent.name == "adapters"], ids=name_of)
-def test_adapters_import_upstream_names_only_inside_functions(path: Path) -> None:
-    allowed = {
-        "__future__",
-        "numpy",
-        "dataclasses",
-        "typing",
-        "pathlib",
-        "collections",
-        "contextlib",
-        "functools",
-        "json",
-        "math",
-        "os",
-        "importlib",
-        "studiorecon",
-    }
-    for node in tree(path).body:
-        names = (
-            [a.name for a in node.names]
-            if isinstance(node, ast.Import)
-            else [node.module]
-            if isinstance(node, ast.ImportFrom)
-            else []
-        )
-        assert {str(n).split(".")[0] for n in names} <= allowed
-
-
 def test_every_rule_file_is_a_stage_s_or_a_tool_s() -> None:
     files = {path.stem for path in (ROOT / "workflow/rules").glob("*.smk")}
     assert files == {"common", "studio", *STAGES, "placement", "sweep", "weights", "images"}
