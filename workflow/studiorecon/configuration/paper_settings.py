@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -63,8 +64,8 @@ CONSTANTS: tuple[tuple[str, str, Any, str], ...] = (
     ("humans.training:Growing", "every", 500, "densification, appendix C"),
     ("humans.training:Growing", "gradient", 2e-4, "gradient threshold, appendix C"),
     ("humans.train_settings:Settings", "grid_resolution", 64, "64³ voxels, appendix D"),
-    ("views.fitted:Settings", "dilation_px", 21, "of people in synthesized views, appendix on preprocessing; U24"),
-    ("recursive.injection:Injection", "decay", 0.5, "temporal decay, appendix Recursive Enhancement Module; U03"),
+    ("views.fitted:Settings", "dilation_px", 21, "people in synthesized views; U24"),
+    ("recursive.injection:Injection", "decay", 0.5, "temporal decay; U03"),
     ("humans.appearance:OverTime", "layers", 8, "8 layers, appendix D"),
     ("report.evaluate:Settings", "seen_tolerance", 0.05, "Seen/Unseen Fidelity; U57"),
 )
@@ -76,7 +77,7 @@ _HEAD = """\
 Written by `python -m studiorecon.configuration.paper_settings`; do not edit by hand.
 The table has every setting with a value in the paper, and the value that `config/presets/paper.yaml` and
 `networks.yaml` give it; empty = the [default](settings.md), which is the paper's.
-U-numbers are [readings](readings.md).
+U-numbers are [readings](readings.md), (A) to (D) appendices.
 
 | setting | the paper | presets |
 |---|---|---|
@@ -151,13 +152,18 @@ def page() -> str:
         preset = "" if letter == default else _short(letter)
         remark = state(name, setting, config).removeprefix("literal").removeprefix(" (default)").removeprefix("; ")
         last = "; ".join(filter(None, [preset, remark]))
-        cells = [f"`{name}`", setting.described.paper, last]
+        cells = [f"`{name}`", _source(setting.described.paper), last]
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
     constants = [
-        f"| `{place.partition(':')[0]}` `{name}` | {where} | `{value_text(constant(place, name))}` |\n"
+        f"| `{place.partition(':')[0]}` `{name}` | {_source(where)} | `{value_text(constant(place, name))}` |\n"
         for place, name, _, where in CONSTANTS
     ]
     return _HEAD + "".join(rows) + _BETWEEN + "".join(constants)
+
+
+def _source(text: str) -> str:
+    """The paper's value with its appendix as a letter in brackets."""
+    return re.sub(r", appendix ([A-D])\b", r" (\1)", text)
 
 
 def _short(value: Any) -> str:
