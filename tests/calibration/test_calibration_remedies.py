@@ -138,6 +138,11 @@ ROWS = {
         "rename the videos",
         {"films": NAMES, "people": True},
     ),
+    "one more film": (
+        Capture(cameras=tuple(RIG[:3])),
+        r"has no camera d: leave it out with train: \[a, b, c\] in capture\.yaml",
+        {"films": ("a", "b", "c")},
+    ),
     "radial": (
         Capture(settings={"radial": {"cam1": 0.01}}),
         "the footage has a, b, c, d",

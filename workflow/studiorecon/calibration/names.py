@@ -67,7 +67,14 @@ def pairings(footage: Sequence[str], calibrated: Sequence[str], source: str) -> 
 
 
 def mismatch_error(footage: Sequence[str], calibrated: Sequence[str], source: str) -> UserError:
-    """The refusal of a calibration whose names do not fit, with both lists."""
+    """The refusal of a calibration whose names do not fit, or that lacks some of the cameras."""
+    lacking = [film for film in footage if film not in calibrated]
+    if len(footage) - len(lacking) > 1:
+        named = ", ".join(film for film in footage if film in calibrated)
+        return UserError(
+            f"{source} has no camera {', '.join(lacking)}: leave it out with train: [{named}] in capture.yaml, or bring "
+            "a calibration of all cameras"
+        )
     return UserError(
         f"{source} is a calibration for other cameras: it has "
         f"{', '.join(calibrated) or 'none'}, the footage has {', '.join(footage)}; "
