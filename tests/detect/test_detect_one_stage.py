@@ -175,7 +175,7 @@ def test_it_stands_behind_the_detector_like_any_other(root: Path, tmp_path: Path
     [
         ((256, 192), 17, "auto", "must take a square"),
         ((9000, 9000), 17, "auto", "must take a square"),
-        ((EDGE, EDGE), 11, "auto", "no known layout has"),
+        ((EDGE, EDGE), 11, "auto", "layout is known"),
         ((EDGE, EDGE), 17, "halpe26", "halpe26 has 26"),
     ],
 )

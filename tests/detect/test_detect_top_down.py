@@ -159,7 +159,7 @@ def test_where_both_know_a_point_the_better_network_says_where_it_is(root: Path,
     ("points", "layout", "sides", "kind", "why"),
     [
         (25, "auto", (256, 192), {}, "may be body_25 or body_25b"),
-        (21, "auto", (256, 192), {}, "no known layout has"),
+        (21, "auto", (256, 192), {}, "layout is known"),
         (17, "halpe26", (256, 192), {}, "halpe26 has 26"),
         (17, "auto", ("height", "width"), {}, "export it again"),
         (17, "auto", (256, 9000), {}, "export it again"),

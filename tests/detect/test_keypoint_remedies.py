@@ -150,3 +150,30 @@ def test_a_layout_named_as_advised_is_taken(given: str, points: int, said: str, 
     with pytest.raises(UserError, match=said):
         choose_layout(keypoints, given, "cam.json")
     assert choose_layout(keypoints, advised, "cam.json")[0] in LAYOUTS
+
+
+def standing(layout: str, parts: float = 1.0) -> np.ndarray:
+    """(4, K, 3) a person who stands upright, of whom the upper share ``parts`` is seen, in the order of ``layout``."""
+    heights = {
+        "head_top": 0, "nose": 12, "eye": 10, "ear": 12, "face": 14, "neck": 25, "thorax": 30, "shoulder": 35,
+        "elbow": 65, "wrist": 95, "spine": 70, "hip": 100, "knee": 145, "ankle": 190,
+    }  # fmt: skip
+    points = []
+    for name in LAYOUTS[layout].keypoints:
+        part = next(key for key in heights if key in name)
+        wide = {"eye": 4, "ear": 8}.get(part, 20)
+        across = wide if name.startswith("left") else -wide if name.startswith("right") else 0
+        points.append([300 + across, 80 + heights[part], 0.9 * (heights[part] <= 200 * parts)])
+    return np.tile(np.array(points), (4, 1, 1))
+
+
+@pytest.mark.parametrize("parts", [1.0, 0.3])
+@pytest.mark.parametrize("layout", ["coco17", "human36m17"])
+def test_seventeen_points_are_coco_s_unless_whole_people_show_another_order(layout: str, parts: float) -> None:
+    chosen, sentence = choose_layout(standing(layout, parts), "auto", "cam.json")
+    assert chosen == (layout if parts == 1.0 else "coco17")
+    assert (sentence is not None) == (chosen == "human36m17")
+
+
+def test_mpii_s_sixteen_points_are_known_by_their_number() -> None:
+    assert choose_layout(standing("mpii16"), "auto", "cam.json")[0] == "mpii16"

@@ -258,3 +258,10 @@ def test_the_description_may_be_spelled_otherwise(made: Callable[..., Path], nam
     found = open_dataset(folder)
     assert found.first_frame == 3
     assert not any(name in note for note in found.notes)
+
+
+def test_cameras_named_on_a_mac_have_composed_letters(made: Callable[..., Path]) -> None:
+    apart = unicodedata.normalize("NFD", "Überkopf")
+    found = open_dataset(made(f"videos/{apart}.mp4 videos/b.mp4 keypoints/Überkopf.json keypoints/b.json"))
+    assert set(found.footage) == {"b", "Überkopf"}
+    assert set(found.keypoints) == {"b", "Überkopf"}

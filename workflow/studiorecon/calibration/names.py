@@ -72,8 +72,8 @@ def mismatch_error(footage: Sequence[str], calibrated: Sequence[str], source: st
     if len(footage) - len(lacking) > 1:
         named = ", ".join(film for film in footage if film in calibrated)
         return UserError(
-            f"{source} has no camera {', '.join(lacking)}: leave it out with train: [{named}] in capture.yaml, or bring "
-            "a calibration of all cameras"
+            f"{source} has no camera {', '.join(lacking)}: leave it out with train: [{named}] in capture.yaml, or "
+            "calibrate all cameras"
         )
     return UserError(
         f"{source} is a calibration for other cameras: it has "

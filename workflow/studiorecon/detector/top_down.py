@@ -18,7 +18,7 @@ import numpy as np
 
 from studiorecon.detector.crops import Region, sampled
 from studiorecon.errors import UserError
-from studiorecon.keypoints.layouts import BY_COUNT, LAYOUTS
+from studiorecon.keypoints.layouts import BY_COUNT, LAYOUTS, USUAL
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -109,10 +109,13 @@ def named(points: int, layout: str, path: Path) -> str:
         if (wanted := len(LAYOUTS[layout].keypoints)) != points:
             raise UserError(f"{path} gives {points} points; detect.network_layout {layout} has {wanted}")
         return layout
-    known = BY_COUNT.get(points, ())
-    if len(known) != 1:
-        what = "may be " + " or ".join(known) if known else "no known layout has"
-        raise UserError(f"{path} gives {points} points, which {what}; set detect.network_layout to what they are")
+    known = (USUAL[points],) if points in USUAL else BY_COUNT.get(points, ())
+    if not known:
+        counts = ", ".join(map(str, BY_COUNT))
+        raise UserError(f"{path} gives {points} points; use a network whose layout is known: of {counts} points")
+    if len(known) > 1:
+        which = " or ".join(known)
+        raise UserError(f"{path} gives {points} points, which may be {which}; set detect.network_layout to one of them")
     return known[0]
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.keypoints.layouts import BY_COUNT, LAYOUTS
+from studiorecon.keypoints.layouts import BY_COUNT, LAYOUTS, USUAL
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -52,10 +52,15 @@ def choose_layout(keypoints: Num[np.ndarray, "D K 3"], given: str, where: str) -
         raise UserError(f"{where}: no layout has {count} keypoints; write them in the order of one of {listed}")
     if len(candidates) == 1:
         return candidates[0], None
-    lengths = {name: _limb_length(keypoints, LAYOUTS[name].keypoints) for name in candidates}
+    usual = USUAL.get(count)
+    asked = keypoints[(keypoints[..., 2] > 0).all(-1)] if usual else keypoints
+    lengths = {name: _limb_length(asked, LAYOUTS[name].keypoints) for name in candidates}
     short, long, *_ = sorted(candidates, key=lambda name: lengths[name])
     ratio = lengths[long] / max(lengths[short], 1e-9)
-    if not (np.isfinite(ratio) and ratio > _CLEAR):
+    clear = bool(np.isfinite(ratio) and ratio > _CLEAR)
+    if usual and (not clear or short == usual):
+        return usual, None
+    if not clear:
         raise UserError(
             f"{where}: {count} keypoints may be {' or '.join(candidates)}, and the limbs do not show which; set "
             "keypoint_layout in capture.yaml"

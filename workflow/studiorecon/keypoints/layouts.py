@@ -81,6 +81,16 @@ _HALPE26 = (
     "left_heel",
     "right_heel",
 )
+# Human3.6M's 17, as networks that lift poses to 3D write them.
+_HUMAN36M17 = (
+    "mid_hip", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "middle_spine",
+    "thorax", "middle_face", "head_top", "left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow",
+    "right_wrist",
+)  # fmt: skip
+_MPII16 = (
+    "right_ankle", "right_knee", "right_hip", "left_hip", "left_knee", "left_ankle", "mid_hip", "thorax", "upper_neck",
+    "head_top", "right_wrist", "right_elbow", "right_shoulder", "left_shoulder", "left_elbow", "left_wrist",
+)  # fmt: skip
 # MediaPipe's 33. Its eyes have corners, its feet one tip, which is the big toe's.
 _BLAZEPOSE33 = (
     "nose", "left_inner_eye", "left_eye", "left_outer_eye", "right_inner_eye", "right_eye", "right_outer_eye",
@@ -92,6 +102,8 @@ _BLAZEPOSE33 = (
 _NAMES = {
     "blazepose33": _BLAZEPOSE33,
     "coco17": _COCO17,
+    "human36m17": _HUMAN36M17,
+    "mpii16": _MPII16,
     "openpose_coco18": _COCO18,
     "body_25": _BODY_25,
     "body_25b": _BODY_25B,
@@ -175,10 +187,15 @@ BY_COUNT = {
     for count in sorted({len(names) for names in _NAMES.values()})
 }
 
+USUAL = {17: "coco17"}
+"""Number of keypoints → the layout that is meant unless whole people show another one."""
+
 # Names that programs use for them.
 _WRITTEN_BY = {
     "blazepose33": "MediaPipe Pose, BlazePose",
     "coco17": "COCO, RTMPose, ViTPose, AlphaPose",
+    "human36m17": "Human3.6M, VideoPose3D, MotionBERT",
+    "mpii16": "MPII, Stacked Hourglass",
     "openpose_coco18": "OpenPose COCO",
     "body_25": "OpenPose BODY_25",
     "body_25b": "OpenPose BODY_25B",

@@ -37,7 +37,7 @@ from studiorecon.scene.capture_yaml import (
     read_starts,
 )
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset, colmap_files
-from studiorecon.scene.names import check_name, check_path
+from studiorecon.scene.names import check_name, check_path, composed
 from studiorecon.scene.user_files import file_size
 
 _BYTES = 1 << 20
@@ -64,7 +64,7 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
 
 def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
     recordings = find_recordings(check_path(folder), chapters(description))
-    films = recordings.films
+    films = {composed(camera): parts for camera, parts in recordings.films.items()}
     if strange := [camera for camera in chapters(description) if camera not in films]:
         raise UserError(
             f"capture.yaml: chapters names films of {strange[0]} that are not in {recordings.place}; paths are "

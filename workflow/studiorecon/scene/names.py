@@ -38,9 +38,14 @@ def check_path(path: Path) -> Path:
     return path
 
 
+def composed(name: str) -> str:
+    """``name`` with composed letters: macOS stores u and a mark for ü."""
+    return unicodedata.normalize("NFC", name)
+
+
 def fold_name(name: str) -> str:
-    """``name`` in the form for comparison: composed letters (macOS stores decomposed ones), without case."""
-    return unicodedata.normalize("NFC", name).casefold()
+    """``name`` in the form for comparison: composed letters, without case."""
+    return composed(name).casefold()
 
 
 def of_the_system(path: Path) -> bool:
