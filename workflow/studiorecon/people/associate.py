@@ -125,9 +125,8 @@ def run(
         found = as_corrected(corrected[0], given)
     else:
         evidence = witnesses.of(cameras, footage)
-        limits = settings.association, settings.triangulation
-        about = footage.frames, footage.fps, evidence
-        found = Associated(*identities_from_keypoints(*limits, cameras, given, videos, *about))
+        limits, (frames, fps) = (settings.association, settings.triangulation), (footage.frames, footage.fps)
+        found = Associated(*identities_from_keypoints(*limits, cameras, given, videos, frames, fps, evidence))
     _warn_of_nobody(found, given, footage)
     rows_look = _readouts(given, found.table, cameras, footage)
     newcomer = f"p{max((int(row[0][1:]) for row in found.rows), default=-1) + 1}"

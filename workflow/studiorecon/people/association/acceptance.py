@@ -170,8 +170,8 @@ def pair_terms(groups: Sequence[Group], cameras: Sequence[Camera], fps: float) -
 def solve(nats: Sequence[float], pairs: dict[tuple[int, int], float]) -> Bool[np.ndarray, " G"]:
     """(G,) which groups are accepted: the set with the largest sum of ``nats`` and of the ``pairs`` (≤ 0) within it."""
     count = len(nats)
-    together = {tuple(sorted(key)) for key in pairs}
-    costs = {key: pairs.get(key, 0.0) + pairs.get(key[::-1], 0.0) for key in sorted(together)}
+    together = sorted({(min(g, h), max(g, h)) for g, h in pairs})
+    costs = {(g, h): pairs.get((g, h), 0.0) + pairs.get((h, g), 0.0) for g, h in together}
     objective = -np.array([*nats, *costs.values()])
     if not count:
         return np.zeros(0, dtype=bool)

@@ -75,13 +75,13 @@ def join_over_gaps(
     """The groups, joined by ``merge`` where they are one person, and every return that is decided or in question."""
     count, area_m2 = len(groups), _area_m2(groups)
     seen = [np.flatnonzero(np.isfinite(g.centres_m).all(-1)) for g in groups]
-    terms: dict[tuple[int, int], tuple[Term, ...]] = {}
+    terms: dict[tuple[int, int], list[Term]] = {}
     for i in range(count):
         for j in range(count):
             if len(seen[i]) and len(seen[j]) and seen[i][-1] < seen[j][0] and _apart(groups[i], groups[j], stable):
-                own = (_way(groups[i], groups[j], seen[i], seen[j], fps, area_m2), _size(groups[i], groups[j]))
+                own = [_way(groups[i], groups[j], seen[i], seen[j], fps, area_m2), _size(groups[i], groups[j])]
                 if clothes is not None and sum(term.nats for term in own) > -2 * REACH_NATS:
-                    own = (*own, _worn(clothes(groups[i], groups[j])))
+                    own.append(_worn(clothes(groups[i], groups[j])))
                 terms[i, j] = own
     nats = np.full((count, count), -np.inf)
     for pair, own in terms.items():
@@ -100,7 +100,9 @@ def join_over_gaps(
                 continue
             margin = -nats[i, j]
         ends = seen[i][-1] / fps, seen[j][0] / fps
-        returns.append(Return(groups[i].members[0], groups[j].members[0], *ends, own, float(margin), (i, j) in chosen))
+        returns.append(
+            Return(groups[i].members[0], groups[j].members[0], *ends, tuple(own), float(margin), (i, j) in chosen)
+        )
     after = dict(chosen)
     out = []
     for i in sorted(set(range(count)) - set(after.values())):

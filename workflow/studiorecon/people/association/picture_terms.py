@@ -121,7 +121,7 @@ def _coverage(
         if one is not None
     ]
     mask, presence, plate = (
-        float(np.nanmax(v)) if np.isfinite(v).any() else np.nan for v in zip(*found or [[np.nan] * 3])
+        float(np.nanmax(v)) if np.isfinite(v).any() else np.nan for v in zip(*found or [(np.nan, np.nan, np.nan)])
     )
     odds = np.log(np.clip(presence, 1e-4, 1 - 1e-4) / (1 - np.clip(presence, 1e-4, 1 - 1e-4)))
     nats = [_JOINTS * _normal_nats(share, _COVERED, _BARE) for share in (mask, plate)]
