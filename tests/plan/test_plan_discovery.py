@@ -191,7 +191,7 @@ def test_parts_that_are_not_sure_are_joined_as_the_sentence_says(made: Callable[
     found = open_dataset(folder)
     assert len(found.footage) == 4
     (note,) = found.notes
-    line = note.partition("capture.yaml: ")[2].partition(", and so")[0]
+    line = note.partition("capture.yaml: ")[2].partition(", and likewise")[0]
     other = line.partition("{")[2].rstrip("}").replace("cam1", "cam2")
     (folder / "capture.yaml").write_text(f"{line.rstrip('}')}, {other}}}\n")
     found = open_dataset(folder)
