@@ -14,13 +14,13 @@ from studiorecon.body.silhouettes import dilated_silhouettes
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_stack, write_lossless
+from studiorecon.images.palette import UNASSIGNED
 from studiorecon.images.plate import write_plate
 from studiorecon.images.regions import dilate, signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import front_person, mesh_depth
 from studiorecon.masks import labelling
 from studiorecon.masks import segment as step
 from studiorecon.masks.log_odds import colour_difference
-from studiorecon.masks.tracks import UNASSIGNED
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, write_footage
 from studiorecon.scene.factors import write_factors

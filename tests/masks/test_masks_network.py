@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from studiorecon.configuration.settings import load
 from studiorecon.footage.video import read_stack, write_lossless
+from studiorecon.images.palette import UNASSIGNED
 from studiorecon.masks import network
-from studiorecon.masks.tracks import UNASSIGNED, assign_people
+from studiorecon.masks.tracks import assign_people
 from studiorecon.masks.user_masks import label_given_masks
 from studiorecon.models.adapters import sam3
 from studiorecon.models.catalogue.card import Card

@@ -16,13 +16,10 @@ from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import read_decisions
 from studiorecon.scene.gaussians import concatenate
 from studiorecon.scene.people import read_people
-from studiorecon.splatting.device import rasteriser
+from studiorecon.splatting.device import DRAWN_FROM_M, rasteriser
 from studiorecon.splatting.rendering import Rendering
 from studiorecon.splatting.rigid_object import RigidObject
 from studiorecon.splatting.scene_files import SceneFiles
-
-# Near limit of drawing.
-_NEAR_M = 0.2
 
 
 def load(folder: str | Path, body: str | Path | None = None) -> FinishedScene:
@@ -89,7 +86,7 @@ def draw(
         raise UserError(f"scene {scene.name} has frames 0 to {scene.capture.frames - 1}, not {frame:g}")
     shown = [] if "room" in without else [scene.room]
     shown += [one.posed(frame) for name, one in moving.items() if name not in without]
-    return rasteriser("cpu", near_m=_NEAR_M).forward(concatenate(shown), camera, background_rgb)
+    return rasteriser("cpu", near_m=DRAWN_FROM_M).forward(concatenate(shown), camera, background_rgb)
 
 
 def _people(place: Path, scene: str) -> list[str]:

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
 T = TypeVar("T")
-_FRAMES = 24
+# Frames on which people judge a calibration, spread over the take.
+FRAMES = 24
 # As where cameras are judged on people; wide, since a calibration may be slightly off and still be the right one.
 _GATE_M = 0.25
 _LIMITS = Limits(outlier_units=9.0)
@@ -64,7 +65,7 @@ def _observed(
 ) -> tuple[Integer[np.ndarray, " F"], list[Camera], Observations | None]:
     """Some frames, the lenses' pinholes, and what these see of people in those frames; None for nobody."""
     last = max((int(d.frame.max()) for d in people if len(d.frame)), default=-1)
-    frames = evenly_spread(last + 1, _FRAMES) if last >= 0 else np.zeros(0, int)
+    frames = evenly_spread(last + 1, FRAMES) if last >= 0 else np.zeros(0, int)
     both = [to_pinhole(d, lens, wh) for d, lens, wh in zip(people, lenses, sizes, strict=True)]
     cameras, seen = [c for c, _ in both], [d for _, d in both]
     if not any(len(d.frame) for d in seen):

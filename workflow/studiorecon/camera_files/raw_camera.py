@@ -10,6 +10,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.geometry.rotations import exp, project_to_so3
+from studiorecon.scene.capture_yaml import MAX_FOCAL_PX, MIN_FOCAL_PX
 from studiorecon.scene.user_values import numbers
 
 if TYPE_CHECKING:
@@ -21,8 +22,6 @@ _AGAIN = "calibrate this camera again"
 # telescopes.
 _MIN_FOCAL, _MAX_FOCAL = 0.09, 100.0
 _MAX_SIDE_PX = 65_536
-# For a camera without a size: lenses have smaller numbers in millimetres, videos larger ones in pixels.
-_MIN_FOCAL_PX, _MAX_FOCAL_PX = 50.0, 1e6
 _MAX_COEFFICIENT = 1e4
 _MAX_LENGTH = 1e9
 # Share of the picture's size: cropping a corner of a sensor moves the principal point outside, but not a whole picture
@@ -70,7 +69,7 @@ def check_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, 
     if min(camera.wh) < 0 or longer > _MAX_SIDE_PX or (0 in camera.wh and longer):
         raise UserError(f"{where}: its pictures are {camera.wh[0]}×{camera.wh[1]} pixels; correct the size")
     intrinsics, notes = _pinhole(camera.intrinsics, where)
-    least, most = (_MIN_FOCAL * longer, _MAX_FOCAL * longer) if longer else (_MIN_FOCAL_PX, _MAX_FOCAL_PX)
+    least, most = (_MIN_FOCAL * longer, _MAX_FOCAL * longer) if longer else (MIN_FOCAL_PX, MAX_FOCAL_PX)
     for axis, focal in (("fx", intrinsics[0, 0]), ("fy", intrinsics[1, 1])):
         if not least <= focal <= most:
             size = f" for pictures of {camera.wh[0]}×{camera.wh[1]}" if longer else ""

@@ -21,12 +21,11 @@ from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.provenance import INVENTED
-from studiorecon.splatting.device import rasteriser
+from studiorecon.splatting.device import DRAWN_FROM_M, rasteriser
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-NEAR_M = 0.2
 OPAQUE = 0.9
 """Smallest alpha of a pixel whose depth counts: below it the blended depth is between surfaces."""
 _EDGE = 0.04
@@ -71,7 +70,7 @@ def render_views(
     background: Gaussians, provenance: Integer[np.ndarray, " N"], cameras: Sequence[Camera]
 ) -> list[FusedView]:
     """The views of the room's Gaussians from every camera; ``provenance`` (N,) is that of each Gaussian."""
-    draw = rasteriser("cpu", near_m=NEAR_M)
+    draw = rasteriser("cpu", near_m=DRAWN_FROM_M)
     invented = (provenance == INVENTED).astype(np.float32)[:, None]
     seen = []
     for camera in cameras:

@@ -19,7 +19,7 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.deliver.finished import FinishedScene, read_finished
 from studiorecon.deliver.packing import Bytes
-from studiorecon.deliver.player_data import NEAR_M, describe_scene, read_shade
+from studiorecon.deliver.player_data import describe_scene, read_shade
 from studiorecon.footage.video import Codec, read_frame, read_frames, to_bytes, write_film
 from studiorecon.images.encoded import jpeg
 from studiorecon.progress import say
@@ -27,7 +27,7 @@ from studiorecon.scene.factors import read_factors
 from studiorecon.scene.files import complete, write_text
 from studiorecon.scene.gaussians import concatenate
 from studiorecon.signature import Written
-from studiorecon.splatting.device import rasteriser
+from studiorecon.splatting.device import DRAWN_FROM_M, rasteriser
 from studiorecon.splatting.scene_files import SceneFiles
 
 if TYPE_CHECKING:
@@ -97,7 +97,9 @@ def render_poster(scene: FinishedScene) -> Integer[np.ndarray, "H W 3"]:
     frame = steps[len(steps) // 2].frame if steps else (scene.capture.frames - 1) / 2
     size = _POSTER_WIDTH, round(_POSTER_WIDTH * camera.wh[1] / camera.wh[0])
     people, things = ([one.posed(frame) for one in several] for several in (scene.people, scene.things))
-    drawn = rasteriser("cpu", near_m=NEAR_M).forward(concatenate([scene.room, *people, *things]), camera.resized(size))
+    drawn = rasteriser("cpu", near_m=DRAWN_FROM_M).forward(
+        concatenate([scene.room, *people, *things]), camera.resized(size)
+    )
     return to_bytes(drawn.rgb)
 
 

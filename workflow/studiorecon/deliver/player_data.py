@@ -22,6 +22,7 @@ from studiorecon.scene.path import PathStep
 from studiorecon.scene.schema import ASCENDING, Schema, real, whole
 from studiorecon.scene.step_files import read
 from studiorecon.splatting.conventions import ALPHA_LOG2_MIN, ALPHA_MAX, DILATION_PX2, FRAME_MARGIN
+from studiorecon.splatting.device import DRAWN_FROM_M
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
@@ -31,7 +32,6 @@ MOTION_BYTES, CHANGES_BYTES, SHADE_BYTES = 3_000_000, 1_500_000, 3_000_000
 _POSE_BYTES = 24 * 8 + 12
 # Brightness of a shaded Gaussian, as a multiple of its own.
 _SHADE_MAX = 1.5
-NEAR_M = 0.2
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def describe_scene(
         ],
         "centre": scene_centre(scene.cameras).tolist(),
         "drawing": {
-            "near": NEAR_M,
+            "near": DRAWN_FROM_M,
             "dilation": float(DILATION_PX2),
             "faintest": float(ALPHA_LOG2_MIN),
             "strongest": float(ALPHA_MAX),

@@ -12,6 +12,7 @@ import numpy as np
 
 from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.avatar.control_points import ControlPoints
+from studiorecon.deliver.gltf import BONES
 from studiorecon.deliver.packing import Bytes, quantise_weights
 from studiorecon.geometry import rotations
 from studiorecon.splatting.rigid_object import RigidObject
@@ -19,7 +20,6 @@ from studiorecon.splatting.rigid_object import RigidObject
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
 
-_BONES = 4
 # Number of body points at which the player evaluates a network that the renderer evaluates at every Gaussian.
 _PLACES = 512
 
@@ -68,10 +68,10 @@ def skin(held: Bytes, bones: Integer[np.ndarray, "N J"], weights: Float[np.ndarr
     exactly one.
     """
     count, given = weights.shape
-    if given < _BONES:
-        bones = np.concatenate([bones, np.zeros((count, _BONES - given), bones.dtype)], axis=1)
-        weights = np.concatenate([weights, np.zeros((count, _BONES - given))], axis=1)
-    strongest = np.argsort(-weights, axis=1, kind="stable")[:, :_BONES]
+    if given < BONES:
+        bones = np.concatenate([bones, np.zeros((count, BONES - given), bones.dtype)], axis=1)
+        weights = np.concatenate([weights, np.zeros((count, BONES - given))], axis=1)
+    strongest = np.argsort(-weights, axis=1, kind="stable")[:, :BONES]
     kept = np.take_along_axis(np.asarray(weights, np.float64), strongest, axis=1)
     shares = quantise_weights(kept / kept.sum(axis=1, keepdims=True))
     return {"bones": held.whole(np.take_along_axis(bones, strongest, 1), 8), "shares": held.whole(shares, 8)}

@@ -4,6 +4,8 @@ person."""
 
 from __future__ import annotations
 
+UNASSIGNED = 255
+"""Label of a mask's pixels that show somebody or something else; people are 1, 2, …, the background is 0."""
 NOBODY = (160, 160, 160)
 _PEOPLE = ((230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178), (213, 94, 0), (204, 121, 167))
 

@@ -20,6 +20,7 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.body.model import BodyModel
 from studiorecon.configuration.setting import setting
 from studiorecon.footage.video import read_frames, to_float
+from studiorecon.images.palette import UNASSIGNED
 from studiorecon.images.regions import signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import front_person, mesh_depth
 from studiorecon.masks.detector_masks import DetectorMasks
@@ -33,7 +34,6 @@ from studiorecon.masks.log_odds import (
     temporal_difference,
 )
 from studiorecon.masks.loose_objects import subtract_objects
-from studiorecon.masks.tracks import UNASSIGNED
 from studiorecon.progress import progress
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.masks.tracks import UNASSIGNED
+from studiorecon.images.palette import UNASSIGNED
 from studiorecon.scene.camera import Camera
 from studiorecon.splatting.rigid_object import RigidObject
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.images.palette import UNASSIGNED
 from studiorecon.images.silhouette import front_person
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-UNASSIGNED = 255
 # A number belongs to a person only if at least this share of its pixels is on them; clothes are wider than bodies.
 MIN_SHARE = 0.3
 

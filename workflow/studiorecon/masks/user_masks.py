@@ -17,9 +17,10 @@ from studiorecon.footage.stills import read_image
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.images.channels import channel_max
+from studiorecon.images.palette import UNASSIGNED
 from studiorecon.images.regions import signed_distance_px
 from studiorecon.images.silhouette import front_person
-from studiorecon.masks.tracks import MIN_SHARE, UNASSIGNED, overlaps
+from studiorecon.masks.tracks import MIN_SHARE, overlaps
 from studiorecon.progress import warn
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_footage

@@ -8,6 +8,7 @@ from typing import Any
 
 from studiorecon.configuration.setting import setting
 from studiorecon.render.kinds import KINDS
+from studiorecon.splatting.device import DRAWN_FROM_M
 
 # A film must have a kind; its other settings are in the schema's $defs, kind by kind.
 _FILMS = {
@@ -44,4 +45,4 @@ class DrawSettings:
         shape=_FILMS,
         paper="4 held-out cameras at 45 degrees",
     )
-    near_m: float = 0.2
+    near_m: float = DRAWN_FROM_M

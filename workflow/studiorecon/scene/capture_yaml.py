@@ -21,6 +21,7 @@ _KEYS = {
 
 
 MAX_PEOPLE = 100
+# Focal lengths in pixels: lenses have smaller numbers in millimetres, and no telescope a larger one.
 MIN_FOCAL_PX, MAX_FOCAL_PX = 50.0, 1e6
 MIN_HEIGHT_M, MAX_HEIGHT_M = 0.5, 2.8
 MAX_DISTANCE_M = 1000.0

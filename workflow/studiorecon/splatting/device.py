@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
 
 Device = Literal["cpu", "cuda"]
+# Near limit of depth at which a finished scene is drawn, metres, as in 3DGS: nearer, one Gaussian would cover a film.
+DRAWN_FROM_M = 0.2
 
 
 def resolve(setting: str, what: str = "Gaussians are drawn") -> Device:

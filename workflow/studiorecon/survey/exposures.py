@@ -35,6 +35,14 @@ class ExposureView:
     measured: Bool[np.ndarray, "H W"]
     depth_m: Float[np.ndarray, "H W"]
 
+    def surface(self) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
+        """Measured surface points, metres, on every fourth pixel, and their colours."""
+        pixels = self.camera.pixel_centres()[::_STRIDE, ::_STRIDE].reshape(-1, 2)
+        depth_m = self.depth_m[::_STRIDE, ::_STRIDE].reshape(-1)
+        known = np.isfinite(depth_m) & (depth_m > 0) & self.measured[::_STRIDE, ::_STRIDE].reshape(-1)
+        points_m = self.camera.unproject(pixels[known], depth_m[known])
+        return points_m, self.rgb[::_STRIDE, ::_STRIDE].reshape(-1, 3)[known]
+
 
 def overlaps(views: Sequence[ExposureView], tolerance: float, least_pixels: int) -> tuple[list[Overlap], list[float]]:
     """Colour ratios of every pair of cameras on surfaces whose depths agree to ``tolerance``, and their standard
@@ -42,11 +50,7 @@ def overlaps(views: Sequence[ExposureView], tolerance: float, least_pixels: int)
     """
     found, errors = [], []
     for i, first in enumerate(views):
-        pixels = first.camera.pixel_centres()[::_STRIDE, ::_STRIDE].reshape(-1, 2)
-        depth_m = first.depth_m[::_STRIDE, ::_STRIDE].reshape(-1)
-        known = np.isfinite(depth_m) & (depth_m > 0) & first.measured[::_STRIDE, ::_STRIDE].reshape(-1)
-        colours = first.rgb[::_STRIDE, ::_STRIDE].reshape(-1, 3)[known]
-        points = first.camera.unproject(pixels[known], depth_m[known])
+        points, colours = first.surface()
         for j, second in enumerate(views):
             if i == j or not len(points):
                 continue

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _LIMIT = 0.99
-_MIN_POINTS, _STRIDE = 200, 4
+_MIN_POINTS = 200
 # Depth and calibration misplace a sample by about this much; where colours change within it, they do not show
 # specularity.
 _MISPLACED_PX = 1.5
@@ -62,10 +62,7 @@ def covisible(
     colours, errors = [], []
     slopes = [_slope(v.rgb) for v in views]
     for first in views:
-        pixels = first.camera.pixel_centres()[::_STRIDE, ::_STRIDE].reshape(-1, 2)
-        depth_m = first.depth_m[::_STRIDE, ::_STRIDE].reshape(-1)
-        known = np.isfinite(depth_m) & (depth_m > 0) & first.measured[::_STRIDE, ::_STRIDE].reshape(-1)
-        points = first.camera.unproject(pixels[known], depth_m[known])
+        points, _ = first.surface()
         seen, error = np.full((len(views), len(points), 3), np.nan), np.full((len(views), len(points)), np.nan)
         for k, other in enumerate(views if len(points) else ()):
             there, z = other.camera.project(points)

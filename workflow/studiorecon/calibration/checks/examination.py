@@ -15,6 +15,7 @@ from studiorecon.calibration.checks import coverage as health
 from studiorecon.calibration.checks.advice import verdict
 from studiorecon.calibration.checks.edges import compare_edges
 from studiorecon.calibration.checks.refined import refined_on_people
+from studiorecon.calibration.people_evidence import FRAMES
 from studiorecon.errors import UserError
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
@@ -30,7 +31,6 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_FRAMES = 24
 _LAG_FRAMES = 6
 # Frames of a long take on which the clocks are compared: enough for any lag, and a second of work.
 _CLOCK_FRAMES = 200
@@ -63,7 +63,7 @@ def examine(
     """
     names = [c.name for c in cameras]
     frames = min(int(a["frames"]) for a in about)
-    chosen, people = evenly_spread(frames, _FRAMES), any(len(d.frame) for d in detections)
+    chosen, people = evenly_spread(frames, FRAMES), any(len(d.frame) for d in detections)
     few = chosen[:: max(1, len(chosen) // 6)]
     fit = _fit_of_people(cameras, detections, chosen, settings)
     limit_px = settings.max_error_share * max(max(c.wh) for c in cameras)

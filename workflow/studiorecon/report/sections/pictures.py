@@ -9,12 +9,11 @@ import cv2
 import numpy as np
 
 from studiorecon.images.channels import channel_sum
-from studiorecon.images.palette import NOBODY, person_colour
+from studiorecon.images.palette import NOBODY, UNASSIGNED, person_colour
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
-_UNASSIGNED = 255
 # measured, inferred, invented.
 _TRUTH_RGB = {255: (70, 130, 180), 128: (240, 200, 80), 0: (200, 80, 70)}
 
@@ -50,7 +49,7 @@ def mask_picture(photo: Integer[np.ndarray, "H W 3"], mask: Integer[np.ndarray, 
     """
     tinted = photo.astype(np.float32)
     for label in np.unique(mask[mask > 0]):
-        colour = NOBODY if label == _UNASSIGNED else person_colour(int(label) - 1)
+        colour = NOBODY if label == UNASSIGNED else person_colour(int(label) - 1)
         tinted[mask == label] = 0.45 * tinted[mask == label] + 0.55 * np.array(colour)
     return tinted.astype(np.uint8)
 
