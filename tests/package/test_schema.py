@@ -126,7 +126,7 @@ def test_whole_numbers_may_be_written_with_a_point_and_small_ones_without() -> N
             "render={shots: {a: {kind: orbit, target: nobody}}}",
             "setting render.shots.a.target is 'nobody', but it must fit: people, scene, ",
         ),
-        ("render={shots: {train: {kind: orbit}}}", "train is taken"),
+        ("render={shots: {train: {kind: orbit}}}", "train is reserved"),
         ("render=", "setting render is empty"),
         ("depth=3", "setting depth is 3; it must be a section"),
     ],
