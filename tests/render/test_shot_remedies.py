@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a sentence about a film's description advises is done here, and then the film is planned."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from studiorecon.errors import UserError
+from studiorecon.render.look_at_targets import LookAtTargets
+from studiorecon.render.planning import plan
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.path import PathStep
+
+from tests.made.scene import FPS, ring, room
+
+CAMERAS = ring([0, 90, 180, 270], "cam")
+FRAMES = 9
+SCALED = {"fl_x": 100, "w": 10, "h": 10, "frames": [{"transform_matrix": (2 * np.eye(4)).tolist()}]}
+RIGID = {**SCALED, "frames": [{"transform_matrix": np.eye(4).tolist()}]}
+KEYS = [{"picture": 0, "camera": "cam0"}, {"picture": 5, "camera": "cam1"}]
+
+# The shot, how many cameras there are (training, held out), what is said, and the same once that was done.
+ROWS: dict[str, tuple[dict[str, Any], tuple[int, int], str, dict[str, Any], tuple[int, int]]] = {
+    "unknown kind": ({"kind": "orbits"}, (4, 0), "known kinds are .*orbit", {"kind": "orbit"}, (4, 0)),
+    "held-out": ({"kind": "heldout"}, (4, 0), "name some under held_out", {"kind": "heldout"}, (3, 1)),
+    "one camera": (
+        {"kind": "spline"},
+        (1, 0),
+        "give it keys",
+        {"kind": "spline", "keys": [KEYS[0], KEYS[0] | {"picture": 4}]},
+        (1, 0),
+    ),
+    "one key": (
+        {"kind": "spline", "keys": KEYS[:1]},
+        (4, 0),
+        "at least two keys",
+        {"kind": "spline", "keys": KEYS},
+        (4, 0),
+    ),
+    "nobody's name": (
+        {"kind": "orbit", "target": "p7"},
+        (4, 0),
+        "known targets are people, scene.*p0",
+        {"kind": "orbit", "target": "p0"},
+        (4, 0),
+    ),
+    "no such camera": (
+        {"kind": "oscillate", "camera": "x"},
+        (4, 0),
+        "training cameras are cam0",
+        {"kind": "oscillate", "camera": "cam0"},
+        (4, 0),
+    ),
+    "too near": (
+        {"kind": "dolly_zoom", "camera": "cam1", "distances": [1.0, 0.01]},
+        (4, 0),
+        "raise its distances",
+        {"kind": "dolly_zoom", "camera": "cam1", "distances": [1.0, 0.5]},
+        (4, 0),
+    ),
+    "a scaled pose": (
+        {"kind": "path", "file": SCALED},
+        (4, 0),
+        "remove its scale of 2",
+        {"kind": "path", "file": RIGID},
+        (4, 0),
+    ),
+}
+
+
+def planned(shot: dict[str, Any], counts: tuple[int, int], folder: Path) -> Sequence[PathStep]:
+    if isinstance(content := shot.get("file"), dict):
+        (folder / "transforms.json").write_text(json.dumps(content))
+        shot = shot | {"file": str(folder / "transforms.json")}
+    training: list[Camera] = CAMERAS[: counts[0]]
+    held_out = CAMERAS[counts[0] : sum(counts)]
+    steady = np.tile([0.0, 0.0, 0.95], (FRAMES, 1))
+    facing, there = np.tile([1.0, 0.0], (FRAMES, 1)), np.ones(FRAMES, bool)
+    subjects = LookAtTargets({"p0": steady}, {"p0": facing}, {"p0": there}, np.array([0, 0, 1.0]), FRAMES, FPS)
+    return plan("shot", {"shot": shot}, 0, 0.3, training, held_out, subjects, room(np.random.default_rng(0), 0.4))
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_a_shot_described_as_advised_is_planned(row: str, tmp_path: Path) -> None:
+    shot, counts, said, mended, enough = ROWS[row]
+    with pytest.raises(UserError, match=said):
+        planned(shot, counts, tmp_path)
+    assert len(planned(mended, enough, tmp_path)) > 0
