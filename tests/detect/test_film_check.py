@@ -72,6 +72,31 @@ def test_people_who_stand_still_raise_no_alarm(seed: int) -> None:
     assert not found.notes
 
 
+FILMS_OF_NOTHING = {
+    "frozen": lambda pictures, rng: np.repeat(pictures[:1], len(pictures), 0),
+    "black": lambda pictures, rng: np.zeros_like(pictures),
+    "noise": lambda pictures, rng: rng.integers(0, 256, pictures.shape, dtype=np.uint8),
+}
+
+
+@pytest.mark.parametrize("film", FILMS_OF_NOTHING)
+def test_a_film_in_which_nobody_of_the_keypoints_moves_is_named(takes: list[Take], film: str) -> None:
+    own = takes[0]
+    pictures = FILMS_OF_NOTHING[film](np.array(own.pictures), np.random.default_rng(0))
+    found = verdict(own, own.recorded, takes[1])
+    assert not found.notes
+    found = verdict(replace(own, pictures=list(pictures)), own.recorded, takes[1])
+    assert "people move in the keypoints of camera a" in " ".join([*found.notes, found.refusal])
+
+
+@pytest.mark.parametrize("part", [slice(0, 36), slice(20, 72), slice(8, 64)])
+def test_frames_whose_people_are_missing_are_named(takes: list[Take], part: slice) -> None:
+    own = takes[0]
+    missing = ~np.isin(own.recorded.frame, np.arange(72)[part])
+    found = verdict(own, own.recorded.only(~missing), takes[1])
+    assert ("hold nobody in" in " ".join(found.notes)) == (np.unique(own.recorded.frame[missing]).size > 18)
+
+
 def test_an_empty_room_is_no_fault(takes: list[Take]) -> None:
     own = takes[0]
     nobody = own.recorded.only(np.zeros(len(own.recorded.frame), bool))
