@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import pytest
 from studiorecon.humans.training import Rates
 
 from tests.made.background import cameras, capture
@@ -72,6 +73,7 @@ def killed_and_taken_up(step: str, section: dict, options: Mapping, names: Mappi
     assert not (folder / "whole" / "working" / stored.name).exists()
 
 
+@pytest.mark.slow  # the plain suite kills a person's training, which has the same loop
 def test_a_killed_background_ends_with_the_same_bytes(
     default_settings: Callable, capture: dict, tmp_path: Path
 ) -> None:
