@@ -146,14 +146,12 @@ def test_two_cameras_are_told_apart_by_edges_too() -> None:
     assert of_edges(report)
 
 
+# Cheaper: test_a_calibration_that_is_right_stays_good, and one that people accept and edges contradict.
+@pytest.mark.slow
 @pytest.mark.real
 @pytest.mark.parametrize(
     ("file", "clear", "off_deg"),
-    [
-        # Cheaper: test_a_calibration_that_is_right_stays_good.
-        pytest.param("Calib.qca.txt", False, (0.0, 1.2), marks=pytest.mark.slow),
-        ("Calib_scene.toml", True, (1.8, 3.4)),
-    ],
+    [("Calib.qca.txt", False, (0.0, 1.2)), ("Calib_scene.toml", True, (1.8, 3.4))],
 )
 def test_of_a_real_man_s_two_calibrations_edges_contradict_the_hand_picked_one(
     real_data: Path, root: Path, tmp_path: Path, file: str, clear: bool, off_deg: tuple[float, float]
