@@ -47,6 +47,7 @@ def find(default_settings: Callable[..., dict[str, Any]], tmp_path: Path) -> Cal
         starts: str = "{}",
         seen: Sequence[Detections] = (),
         own_s: dict[str, np.ndarray] | None = None,
+        count: int = 0,
     ) -> Found:
         world = world_sound(sound, seconds + 25)
         paths = []
@@ -64,7 +65,7 @@ def find(default_settings: Callable[..., dict[str, Any]], tmp_path: Path) -> Cal
             [tmp_path / f"{d.camera}.npz" for d in seen],
             starts,
             0,
-            0,
+            count,
             tmp_path / "clocks.json",
             tmp_path / "sync.json",
         )
@@ -192,9 +193,16 @@ class TestUse:
 
     def test_videos_of_two_lengths_and_unknown_clocks_are_refused_later(self, find) -> None:
         own = {"b": np.arange(200) / FPS}
-        found, _ = find([Recorder("a", 10.0, deaf=True), Recorder("b", 10.0, deaf=True)], "silence", 8, own_s=own)
+        films = [Recorder("a", 10.0, deaf=True), Recorder("b", 10.0, deaf=True)]
+        found, _ = find(films, "silence", 8, own_s=own)
         assert "b.mp4 has 200 frames and" in found.refusal
+        assert "frames: {first: 0, count: 200}" in found.refusal
         assert "starts: {CAMERA: frame}" in found.refusal
+        # Either advice, followed.
+        found, _ = find(films, "silence", 8, own_s=own, count=200)
+        assert (found.refusal, found.frames) == ("", 200)
+        found, _ = find(films, "silence", 8, own_s=own, starts=json.dumps({"a": 30, "b": 0}))
+        assert (found.refusal, found.frames) == ("", 200)
 
     def test_a_variable_rate_is_put_on_the_common_clock(self, find) -> None:
         """A phone that gives 24 to 33 frames per second, as it likes, beside one that keeps time."""
