@@ -38,7 +38,7 @@ def test_a_missing_network_and_another_one_are_refused(root: Path, tmp_path: Pat
     with pytest.raises(UserError, match=r"nowhere\.onnx is missing"):
         DetectorFiles([tmp_path / "nowhere.onnx", folder / FILES[1]]).detector()
     for finder, placer in ((FILES[1], FILES[1]), (FILES[0], FILES[0])):
-        with pytest.raises(UserError, match="another network"):
+        with pytest.raises(UserError, match=r"is not (MoveNet|BlazePose)"):
             DetectorFiles([folder / finder, folder / placer]).detector()
 
 
@@ -163,6 +163,24 @@ def test_how_often_is_looked_follows_the_clock_and_not_the_frame_count() -> None
     assert sixty.passes <= ten.passes
 
 
+@pytest.mark.parametrize(("shake_px", "share"), [(0.0, 0.6), (6.0, 1.0)], ids=["even walk", "shaking"])
+def test_pictures_between_are_interpolated_only_where_the_way_is_smooth(shake_px: float, share: float) -> None:
+    """At 60 per second an even walk costs little more than half of the looks, and each picture has its person where
+    they are; who shakes is placed in all pictures."""
+    pictures, frames = [], 90
+    x = 60 + 2.0 * np.arange(frames) + shake_px * (np.arange(frames) // 2 % 2)
+    for t in range(frames):
+        pictures.append(np.zeros((200, 400, 3), np.uint8))
+        pictures[-1][100, round(x[t])] = 255
+    detector, _, placer = made()
+    seen = list(detect_people(pictures, detector, fps=60.0))
+    hips = [LAYOUTS[LAYOUT].keypoints.index(f"{side}_hip") for side in ("left", "right")]
+    for t, one in enumerate(seen):
+        assert len(one) == 1
+        assert one[0].keypoints[hips, 0].mean() == pytest.approx(np.round(x[t]) + 0.5, abs=1.1)
+    assert share * frames * 0.8 < placer.looks < share * frames + 20
+
+
 def test_whom_only_a_close_look_finds_is_looked_for_closely_as_long_as_that_finds_more() -> None:
     """Close looks are dear: every five seconds, and at every look while they add people."""
     empty, nobody, _ = made()
@@ -212,8 +230,8 @@ def test_a_region_follows_a_speed_and_not_a_number_of_pictures() -> None:
     """Somebody at 120 pixels per second: a twelfth of a second later they are expected at nearly the same place, seen
     once in that time or ten times."""
     seen = MadePlacer().look(np.zeros((10, 10, 3), np.uint8), Region(np.zeros(2), 60.0, 0.0))
-    slow = Walker(seen, np.array([10.0, 0.0])).region(12.0).centre
-    fast = Walker(seen, np.array([1.0, 0.0])).region(120.0).centre
+    slow = Walker(seen, np.array([10.0, 0.0]), 0).region(12.0).centre
+    fast = Walker(seen, np.array([1.0, 0.0]), 0).region(120.0).centre
     assert slow[0] == pytest.approx(8.1, abs=0.1)
     assert fast[0] == pytest.approx(0.98, abs=0.01)
 

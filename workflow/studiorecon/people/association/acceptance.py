@@ -187,8 +187,8 @@ def solve(nats: Sequence[float], pairs: dict[tuple[int, int], float]) -> Bool[np
 
 
 def name_people(groups: Sequence[Group]) -> list[Group]:
-    """The groups as p0, p1, …: by first frame seen by two cameras, then by duration, then by x."""
-    return sorted(groups, key=lambda g: (g.frames[0], -len(g.frames), float(np.nanmedian(g.centres_m[:, 0]))))
+    """The groups as p0, p1, …: by first frame seen by two cameras, then by frames of all cameras, then by x."""
+    return sorted(groups, key=lambda g: (g.frames[0], -int(g.seen.sum()), float(np.nanmedian(g.centres_m[:, 0]))))
 
 
 def _verdicts(
