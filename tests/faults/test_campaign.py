@@ -8,6 +8,7 @@ import json
 import mmap
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -108,6 +109,14 @@ def test_keypoints_that_are_nowhere_are_left_out_and_counted(
     assert bool(out) == bool(said)
     assert not found.keypoints[1, 3, 2] > 0
     np.testing.assert_array_equal(np.delete(found.keypoints.reshape(40, 3), 23, 0), np.tile([10, 20, 0.8], (39, 1)))
+
+
+@pytest.mark.parametrize("kind", [complex, bool, "U4", "M8[s]", [("x", "f4")]], ids=str)
+def test_arrays_of_no_real_numbers_are_named_by_their_kind(kind: Any, tmp_path: Path) -> None:
+    array = np.zeros((2, 1, 17, 3), kind)
+    (tmp_path / "k.npz").write_bytes(npz(keypoints=array))
+    with pytest.raises(UserError, match=r"k\.npz: keypoints: the array holds .*; it must hold real numbers"):
+        read_keypoints(tmp_path / "k.npz")
 
 
 def test_keypoints_without_scores_all_count_and_it_is_said(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

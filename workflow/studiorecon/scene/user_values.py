@@ -102,6 +102,8 @@ def numbers(value: Any, where: str, *, finite: bool = True) -> Float[np.ndarray,
         array = np.asarray(value)
         if array.dtype == object and _plain(array):
             array = np.array([math.nan if v is None else v for v in array.reshape(-1)], float).reshape(array.shape)
+        if isinstance(value, np.ndarray) and array.dtype.kind not in "iufO":
+            raise UserError(f"{where}: the array holds {array.dtype}; it must hold real numbers")
         if array.dtype.kind not in "iuf":
             raise UserError(f"{where}: {short_text(value)} are not numbers in lists of one length")
         array = array.astype(np.float64)
