@@ -7,6 +7,7 @@ import io
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import av
@@ -56,11 +57,17 @@ def found(take: tuple[list[Camera], list[Detections]], body: BodyModel) -> Calla
 
     def once(name: str, known: bool) -> Callable:
         solve = getattr(from_people, name)
-        return lambda *problem: solved.get((name, known)) or solved.setdefault((name, known), solve(*problem))
+
+        def solve_once(*problem: Any) -> Any:
+            if (name, known) not in solved:
+                solved[name, known] = solve(*problem)
+            return solved[name, known]
+
+        return solve_once
 
     def posed(given: GivenLengths, told_px: dict | None = None, known: bool = True) -> tuple[list[Camera], dict]:
         focal_px = {c.name: c.focal_px[0] for c in truth} if known else {}
-        kept = ("find_pose_consensus", "self_calibrate", "pose_sigmas")
+        kept = ("find_pose_consensus", "estimate_rig", "intervals")
         about = told_px, given, stature_m(body)
         with mock.patch.multiple(from_people, **{name: once(name, known) for name in kept}):
             return from_people.pose_cameras(seen, [c.wh for c in truth], focal_px, 60, template_m, settings, *about)

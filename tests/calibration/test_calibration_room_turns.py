@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from studiorecon.body.model import BodyModel
 from studiorecon.calibration import from_people
-from studiorecon.calibration.room_pictures import read_room_pictures, room_edges
+from studiorecon.calibration.room_pictures import read_room_pictures
 from studiorecon.geometry.bundle import move_camera
 from studiorecon.geometry.rotations import angle, exp
 from studiorecon.rig.room_turns import room_turns, straight_edges
@@ -124,7 +124,7 @@ def test_edges_of_footage_are_those_of_the_empty_room(tmp_path: Path, capsys: py
         cv2.imwrite(str(folder / f"{k:03}.png"), picture)
     size = {"cam": (320, 240), "gone": (320, 240)}
     rooms = read_room_pictures(["cam", "gone"], [folder, tmp_path / "gone.mp4"], size)
-    found = room_edges(rooms)
+    found = {name: straight_edges(room.grey) for name, room in rooms.items()}
     assert list(found) == ["cam"]
     assert "gone" in capsys.readouterr().out
     ends = found["cam"].reshape(-1, 2, 2)

@@ -36,6 +36,7 @@ FOUNDATIONS = [
     "keypoints",
     "detector",
     "body",
+    "estimate",
     "rig",
 ]
 FOUNDATIONS += ["splatting", "recursive"]

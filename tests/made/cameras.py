@@ -96,7 +96,7 @@ def detect(
             for t in np.flatnonzero(inside.sum(-1) >= 6):
                 frames.append(t)
                 tracks.append(track)
-                keypoints.append(_in_coco(np.where(inside[t, :, None], pixels[t], np.nan), inside[t]))
+                keypoints.append(in_coco(np.where(inside[t, :, None], pixels[t], np.nan), inside[t]))
         order_in_time = np.argsort(frames, kind="stable")
         found.append(
             Detections(
@@ -132,7 +132,7 @@ def _coco_places() -> list[int]:
     return [LAYOUTS["coco17"].index(k) for k in STABLE_KEYPOINTS]
 
 
-def _in_coco(pixels: np.ndarray, present: np.ndarray) -> np.ndarray:
+def in_coco(pixels: np.ndarray, present: np.ndarray) -> np.ndarray:
     full = np.full((17, 3), [np.nan, np.nan, 0.0])
     full[_coco_places()] = np.concatenate([pixels, np.where(present, 0.9, 0.0)[:, None]], axis=1)
     return full

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,24 +13,23 @@ import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.calibration.known_lenses import ideal_pinhole, lens_at_pose, lenses_of_cameras, undistort_detections
-from studiorecon.calibration.room_pictures import read_room_pictures, room_edges, without_distortion
+from studiorecon.calibration.room_evidence import radial_lens, with_edges, with_floor
+from studiorecon.calibration.room_pictures import read_room_pictures, without_distortion
 from studiorecon.errors import UserError
+from studiorecon.estimate.intervals import intervals
 from studiorecon.footage.lens_metadata import focal_px_from_metadata
-from studiorecon.geometry.bundle import BundleResult, LensPrior
 from studiorecon.geometry.lens import lens_with_pixel_map
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.keypoints.resampling import resample_keypoints
 from studiorecon.progress import say, warn
 from studiorecon.rig.bundle import AgreementLimits
-from studiorecon.rig.from_tracks import Rig, bone_factor, scale_camera
-from studiorecon.rig.gravity import world_from_people
-from studiorecon.rig.ground_plane import align_to_ground_plane
-from studiorecon.rig.metric_scale import GivenLengths, Scale, scale_from_lengths, stature_m
+from studiorecon.rig.estimate import estimate_rig
+from studiorecon.rig.lens_knowledge import lens_knowledge
+from studiorecon.rig.metric_scale import GivenLengths, stature_m
 from studiorecon.rig.pose_consensus import PoseConsensus, find_pose_consensus, pose_distance
-from studiorecon.rig.pose_uncertainty import pose_sigmas, rotation_interval_deg
 from studiorecon.rig.room_picture import RoomPicture
-from studiorecon.rig.self_calibration import rotate_by_edges, self_calibrate
-from studiorecon.scene.camera import Camera, Lens
+from studiorecon.rig.world_of_people import in_world_of_people
+from studiorecon.scene.camera import Camera
 from studiorecon.scene.clocks import Clocks, read_clocks
 from studiorecon.scene.files import write_json
 from studiorecon.scene.keypoint_verdict import read_keypoint_verdict
@@ -43,8 +42,6 @@ if TYPE_CHECKING:
 
 # Beyond so many times the accepted sigmas, bodies are not where the people were.
 _HOPELESS = 6.0
-# Sigma of adults' sizes, as a share.
-_OF_A_MEAN_BODY = 0.05
 _NO_LENGTHS = GivenLengths()
 _MIN_CAMERAS = 2
 _WOULD_HELP = (
@@ -96,53 +93,56 @@ def pose_cameras(
     stature: float = 1.7,
     edges: Mapping[str, Float[np.ndarray, "N 4"]] | None = None,
     rooms: Mapping[str, RoomPicture] | None = None,
+    straight: Collection[str] = (),
 ) -> tuple[list[Camera], dict[str, Any]]:
     """Cameras in metres, z up, floor at 0, and a report; raises UserError when people show too little.
 
     ``focal_px``: given focal lengths by camera name, ``told_px`` those in the files' metadata; the others are estimated
-    along with the poses, or kept as guessed when the people do not determine them. ``given``: measured lengths;
-    ``stature``: height of the mean body, metres; ``edges``: (N, 4) ends of the room's straight edges, pixels, and
-    ``rooms``, pictures of it, of the cameras in use.
+    along with the poses. ``given``: measured lengths; ``stature``: height of the mean body, metres; ``edges``: (N, 4)
+    ends of the room's straight edges, pixels, and ``rooms``, pictures of its floor. Cameras that are not ``straight``
+    distort: k1 of each is estimated too, and is in the report.
     """
     known = {**(told_px or {}), **focal_px}
     about = settings.people_rig
     found = find_pose_consensus(
         detections, wh, known, frames, about.frames, template_m, settings.gate_m, settings.limits, about.rival_share
     )
-    if found is None:
+    start = None if found is None else [found.rig.cameras[v] for v in sorted(found.rig.cameras)]
+    names = [c.name for c in start or []]
+    sigma = {n: about.focal_sigma if n in focal_px else about.focal_told_sigma for n in known}
+    knowledge = lens_knowledge(
+        start or [], {n: (known[n], sigma[n]) for n in known}, straight, about.focal_unknown_sigma
+    )
+    allowed = template_m, settings.gate_m, settings.limits
+    estimate = found and start and estimate_rig(start, np.zeros(len(start)), found.seen, knowledge, *allowed)
+    if not found or not estimate:
         raise UserError(
             "the cameras are undetermined: no two cameras see enough of one person at once to "
             "estimate their poses; check that the videos are synchronised, or bring a calibration"
         )
-    names = [d.camera for d in found.seen.detections]
-    # Known focal lengths have their value as prior in every round; unknown ones are free.
-    wide = {n: about.focal_sigma if n in focal_px else about.focal_told_sigma for n in known}
-    lens = LensPrior(np.array([wide.get(n, about.focal_unknown_sigma) for n in names]), 0.0)
-    known_px = {v: known[n] for v, n in enumerate(names) if n in known}
-    rig, result = self_calibrate(found.rig, found.seen, template_m, lens, known_px, settings)
-    described = {v: edges[n] for v, n in enumerate(names) if n in edges} if edges else {}
-    rig, result, turns = rotate_by_edges(rig, result, found.seen, template_m, lens, known_px, described, settings)
-    pictures = [(rooms or {}).get(n) for n in names]
-    rig, result, marks = align_to_ground_plane(
-        rig, result, found.seen, template_m, lens, known_px, pictures, settings, turns
-    )
-    turn, place, focal_sigma = pose_sigmas(rig, result, lens, settings.limits, known_px, turns, marks)
-    uncertain = _uncertain(names, focal_px, turn, place, focal_sigma, about)
+    estimate = with_edges(estimate, knowledge, template_m, edges or {})
+    estimate = with_floor(estimate, knowledge, template_m, rooms or {})
+    known_to = intervals(estimate.solution)
+    turn, place, between_deg = known_to.turn_deg, known_to.place_m, known_to.between_deg
+    uncertain = _uncertain(names, focal_px, turn, place, known_to.focal, about)
     if found.rival is not None:
-        degrees, metres = pose_distance(found.rival, result.cameras)
+        degrees, metres = pose_distance(found.rival, estimate.cameras)
         turn, place = np.hypot(turn, degrees), np.hypot(place, metres)
+        between_deg = float(np.hypot(between_deg, 2 * degrees.max()))
         uncertain.append(_of_two(found, degrees))
     if unplaced := [n for n in given.between if n in found.left_out]:
         uncertain.append(f"distance_m is measured from camera {unplaced[0]}, which is left out, so it gives no scale")
         given = replace(given, between=())
-    cameras, points, how, scale = _settled_in_the_world(result, rig, template_m, given, stature)
-    error = rig.points.error_px[:, rig.points.verified if len(names) > 2 else rig.points.valid]
+    cameras, how, scale = in_world_of_people(estimate, template_m, given, stature)
+    rig = estimate.rig
+    error = rig.points.error_px[:, rig.counted]
     median = float(np.median(error[np.isfinite(error)]))
     if median > settings.max_error_share * max(max(c.wh) for c in cameras):
         raise UserError(
             f"the cameras are undetermined: the best arrangement leaves people {median:.0f} px "
             "off; check that the videos are synchronised and that no camera moves"
         )
+    marks = estimate.room.marks
     report = {
         "source": "people",
         "median_px": median,
@@ -152,13 +152,16 @@ def pose_cameras(
         "sigma_deg": dict(zip(names, turn.tolist())),
         "sigma_m": dict(zip(names, place.tolist())),
         "focal_px": {c.name: c.focal_px[0] for c in cameras},
-        "focal_sigma": dict(zip(names, focal_sigma.tolist())),
+        "focal_sigma": dict(zip(names, known_to.focal.tolist())),
+        "radial_k1": dict(zip(names, estimate.radial.tolist())),
+        "shared_m": estimate.noise.shared_m,
+        "radial_sigma": dict(zip(names, known_to.radial.tolist())),
         "world": how,
-        "points": points,
-        "between_deg": rotation_interval_deg(turn),
+        "points": int(rig.counted.sum()),
+        "between_deg": between_deg,
         "uncertain": uncertain,
         "on_floor": {} if marks is None else {f"{names[a]} {names[b]}": n for (a, b), n in marks.seen_by.items()},
-        "along_edges": {names[v]: turn.along for v, turn in turns.items()},
+        "along_edges": {names[v]: turn.along for v, turn in estimate.room.turns.items()},
         "scale": scale.basis,
         "scale_sigma": scale.sigma,
         "focal_from": {n: "given" if n in focal_px else "the file" if n in known else "people" for n in names},
@@ -210,40 +213,6 @@ def _of_two(found: PoseConsensus, degrees: np.ndarray) -> str:
         "interval includes the other: let a person walk across the whole floor, use more frames, or bring a "
         "calibration"
     )
-
-
-def _settled_in_the_world(
-    result: BundleResult, rig: Rig, template_m: np.ndarray, given: GivenLengths, stature: float
-) -> tuple[list[Camera], int, str, Scale]:
-    used = rig.points.verified if len(result.cameras) > 2 else rig.points.valid
-    points = np.full_like(rig.points.points_m, np.nan)
-    points[used] = result.points_m
-    by_bones = Scale(
-        bone_factor(points, rig.points, rig.seen, template_m) or 1.0,
-        _OF_A_MEAN_BODY,
-        "lengths come from the bones of a mean body and may be 5 % off; write a measured one into capture.yaml: "
-        "height_m: {p0: 1.78}, or distance_m: [CAMERA, CAMERA, METRES]",
-    )
-
-    def upright(scale: Scale) -> tuple[np.ndarray, str]:
-        found = world_from_people(points * scale.factor, rig.seen.group, rig.seen.frame, rig.seen.keypoint)
-        if found is None:
-            raise UserError(
-                "no person is visible from ankles to shoulders, so the up direction is unknown; move "
-                "the cameras back, or bring a calibration"
-            )
-        return found
-
-    # The order of p0, p1, … depends on people's positions in the world that association will use.
-    turned = points @ upright(by_bones)[0][:3, :3].T
-    measured = scale_from_lengths(given, result.cameras, turned, rig.points, rig.seen, template_m, stature)
-    scale = measured or by_bones
-    world_from_rig, how = upright(scale)
-    cameras = []
-    for camera in result.cameras:
-        pose = scale_camera(camera, scale.factor).camera_from_world @ np.linalg.inv(world_from_rig)
-        cameras.append(replace(camera, camera_from_world=pose))
-    return cameras, int(used.sum()), how, scale
 
 
 def _focal_px_from_files(cameras: Sequence[str], sources: Sequence[Path], size: Mapping[str, tuple[int, int]]) -> dict:
@@ -312,8 +281,9 @@ def run(
         told_px,
         measured,
         stature_m(fitted),
-        room_edges(rooms),
+        {c: room.edges_px for c, room in rooms.items()},
         rooms,
+        known,
     )
     if sum(c.name in training for c in found) < _MIN_CAMERAS:
         raise UserError(
@@ -330,9 +300,7 @@ def run(
     placed = [
         lens_at_pose(known[c.name], c)
         if c.name in known
-        else lens_with_pixel_map(
-            Lens(c.name, c.wh, c.intrinsics, "opencv", np.zeros(8), c.camera_from_world, np.eye(2, 3)), maps[c.name]
-        )
+        else lens_with_pixel_map(radial_lens(c, report["radial_k1"][c.name]), maps[c.name])
         for c in found
     ]
     content = {"source": "people", "format": "found from people", "lenses": [lens.as_json() for lens in placed]}
@@ -378,4 +346,6 @@ def _notes(report: Mapping[str, Any]) -> list[str]:
             f"{n} {f:.0f} px ± {report['focal_sigma'][n]:.1%} (from {report['focal_from'][n]})"
             for n, f in report["focal_px"].items()
         ),
+        "lens distortion k1: "
+        + ", ".join(f"{n} {k1:.2f} ± {report['radial_sigma'][n]:.2f}" for n, k1 in report["radial_k1"].items()),
     ]

@@ -17,11 +17,10 @@ from studiorecon.footage.source import open_source
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.progress import warn
 from studiorecon.rig.room_picture import RoomPicture
-from studiorecon.rig.room_turns import straight_edges
 from studiorecon.scene.camera import Camera, Lens
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Integer
+    from jaxtyping import Integer
 
 # Pictures whose median is the room, spread over the footage; a pixel moves where half of them differ from it by so many
 # grey levels.
@@ -88,8 +87,3 @@ def without_distortion(room: RoomPicture, lens: Lens, camera: Camera) -> RoomPic
         grey[strip] = cv2.remap(room.grey, x, y, cv2.INTER_LINEAR)
         known[strip] = cv2.remap(filmed, x, y, cv2.INTER_NEAREST) > 0
     return RoomPicture(grey, known)
-
-
-def room_edges(rooms: Mapping[str, RoomPicture]) -> dict[str, Float[np.ndarray, "N 4"]]:
-    """camera → (N, 4) ends of the straight edges of its room, pixels."""
-    return {name: straight_edges(room.grey) for name, room in rooms.items()}

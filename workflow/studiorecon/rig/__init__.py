@@ -14,15 +14,17 @@ What cameras see
 Cameras from people alone
     ``from_tracks``       cameras from tracks
     ``pose_consensus``    the best such rig, and the cameras not in it
-    ``self_calibration``  refined with focal lengths
-    ``room_turns``        and the room's straight edges
-    ``ground_plane``      the rig aligned to the floor marks
+    ``estimate``          refined with lenses, edges and floor marks
+    ``lens_knowledge``    what is known of lenses before
+    ``detector_noise``    the keypoints' errors
+    ``room_turns``        a room's three directions
     ``gravity``           up and the floor
     ``metric_scale``      metres
-    ``pose_uncertainty``  sigmas
+    ``world_of_people``   all three
 Calibrated cameras
     ``bundle``            refines them
     ``moved_cameras``     cameras that were moved since
+    ``pose_uncertainty``  what people determine about them
     ``room_refinement``   refinement on floor and edges too
     ``edge_refinement``   edges that contradict cameras that fit people
     ``floor_alignment``   keeps the floor level

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.bundle import BundleResult, BundleSettings, LensPrior, adjust_with_lenses, move_camera
+from studiorecon.geometry.bundle import BundleResult, BundleSettings, LensPrior, adjust_with_lenses
 from studiorecon.geometry.relative_pose import (
     essential_matrix,
     in_front,
@@ -28,8 +28,6 @@ from studiorecon.geometry.scale import scene_scale
 from studiorecon.geometry.triangulation import Limits, TriangulatedPoints, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
 from studiorecon.rig.correspondences import Observations, make_observations
-from studiorecon.rig.floor_marks import FloorMarks
-from studiorecon.rig.room_turns import RoomTurn
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -42,7 +40,7 @@ BONES = np.array([[STABLE_KEYPOINTS.index(f"{s}_{e}") for e in bone] for s in ("
 # that suffice.
 _TRIED_TRACKS = 9
 _TRIED_SEEDS, _ENOUGH_WORLDS = 8, 2
-_MIN_SHARED = 60
+MIN_SHARED = 60
 # Share of a pair of tracks that must agree to be one person: wrong pairs reach 0.8 in one pair of cameras, but not
 # together with the right pairs of all others.
 _AGREE = 0.6
@@ -77,6 +75,11 @@ class Rig:
     seen: Observations
     points: TriangulatedPoints
     support: int
+
+    @property
+    def counted(self) -> Bool[np.ndarray, " N"]:
+        """(N,) the points on which three cameras agree, or both of two."""
+        return self.points.verified if len(self.cameras) > 2 else self.points.valid
 
 
 def sightings(detections: Sequence[Detections], frames: Integer[np.ndarray, " F"], min_confidence: float) -> Sightings:
@@ -116,53 +119,20 @@ def propose_rigs(
     return sorted(grown, key=lambda r: (-len(r.cameras), -r.support))
 
 
-def adjust_rig(
-    rig: Rig,
-    lens: LensPrior,
-    limits: Limits,
-    known_px: Mapping[int, float] | None = None,
-    turns: Mapping[int, RoomTurn] | None = None,
-    marks: FloorMarks | None = None,
-) -> tuple[BundleResult, Bool[np.ndarray, " N"]]:
-    """The rig's cameras (ascending view) after bundle adjustment of poses and lenses, and which points it used.
+def _adjusted(rig: Rig, limits: Limits) -> tuple[BundleResult, Bool[np.ndarray, " N"]]:
+    """The rig's cameras (ascending view) with better poses, and which points determined them; lenses are guesses yet.
 
-    ``known_px``: view → the focal length that is the prior; by default the rig's own. ``turns``: view → its rotation by
-    the room's edges; ``marks``: the views' points on the floor. A detector's error of a joint is the same for similar
-    views of the body, so observations are weighted by the number of cells of 20 cm in which a joint was seen, not by
-    the number of frames: a person who does not move is one observation.
+    A detector's error of a joint is the same for similar views of the body, so observations are weighted by the number
+    of cells of 20 cm in which a joint was seen: a person who does not move is one observation.
     """
-    views, turn = sorted(rig.cameras), turns or {}
-    cameras = [rig.cameras[v] for v in views]
-    given = [with_focal(c, (known_px or {}).get(v, c.focal_px[0])) for v, c in zip(views, cameras)]
-    given = [
-        move_camera(c, turn[v].rotation_camera_from_world, c.centre_m) if v in turn else c for v, c in zip(views, given)
-    ]
-    held_deg = np.array([turn[v].sigma_deg if v in turn else _FREE.prior_deg for v in views])
-    found = rig.points
-    used = found.verified if len(cameras) > 2 else found.valid
-    distinct = places_of_joints(rig, used)
-    weights = np.where(found.inliers, rig.seen.confidence, 0.0)[:, used] * (distinct / max(int(used.sum()), 1))
-    pixels, points_m = rig.seen.pixels[:, used], found.points_m[used]
-    if marks is not None:
-        pixels, weights, points_m = marks.joined(pixels, weights, points_m, cameras, limits)
-    result = adjust_with_lenses(
-        cameras, pixels, weights, points_m, unit_px(cameras, limits), replace(_FREE, prior_deg=held_deg), lens, given
-    )
-    return replace(result, points_m=result.points_m[: int(used.sum())]), used
-
-
-def with_focal(camera: Camera, focal_px: float) -> Camera:
-    """The camera with another focal length, pixels of its width."""
-    factor = np.where(np.diag([True, True, False]), focal_px / camera.focal_px[0], 1.0)
-    return replace(camera, intrinsics=camera.intrinsics * factor)
-
-
-def places_of_joints(rig: Rig, used: Num[np.ndarray, " N"]) -> int:
-    """Number of different cells of 20 cm in which the joints of the points ``used`` (N,) were seen, per person."""
-    cells = np.floor(rig.points.points_m[used] / _CELL_M).astype(int)
-    return len(
-        np.unique(np.concatenate([rig.seen.group[used, None], rig.seen.keypoint[used, None], cells], axis=1), axis=0)
-    )
+    cameras, used, found = [rig.cameras[v] for v in sorted(rig.cameras)], rig.counted, rig.points
+    cells = np.floor(found.points_m[used] / _CELL_M).astype(int)
+    key = np.concatenate([rig.seen.group[used, None], rig.seen.keypoint[used, None], cells], axis=1)
+    share = len(np.unique(key, axis=0)) / max(int(used.sum()), 1)
+    weights = np.where(found.inliers, rig.seen.confidence, 0.0)[:, used] * share
+    unit, held = unit_px(cameras, limits), LensPrior(0.0, 0.0)
+    result = adjust_with_lenses(cameras, rig.seen.pixels[:, used], weights, found.points_m[used], unit, _FREE, held)
+    return result, used
 
 
 def bone_factor(
@@ -206,7 +176,7 @@ def _pair(
     for i, one in enumerate(first):
         for j, two in enumerate(second):
             both = np.isfinite(one).all(-1) & np.isfinite(two).all(-1)
-            if both.sum() >= _MIN_SHARED:
+            if both.sum() >= MIN_SHARED:
                 shared[i, j] = both
     best = None
     for i, j in sorted(shared, key=lambda ij: (-int(shared[ij].sum()), ij))[:_TRIED_TRACKS]:
@@ -268,7 +238,7 @@ def _grown(
         a: replace(cameras[a], camera_from_world=np.eye(4)),
         b: replace(cameras[b], camera_from_world=second_from_first),
     }
-    rig = refine_rig(seen, placed, template_m, gate_m, limits, first_pair=True)
+    rig = _refined_rig(seen, placed, template_m, gate_m, limits, first_pair=True)
     while rig is not None:
         candidates = [
             (v, found)
@@ -278,26 +248,23 @@ def _grown(
         if not candidates:
             return rig
         view, (_, pose) = max(candidates, key=lambda c: (c[1][0], -c[0]))
-        rig = refine_rig(
+        rig = _refined_rig(
             seen, {**rig.cameras, view: replace(cameras[view], camera_from_world=pose)}, template_m, gate_m, limits
         )
     return None
 
 
-def refine_rig(
+def _refined_rig(
     seen: Sightings,
     placed: Mapping[int, Camera],
     template_m: Num[np.ndarray, "12 3"],
     gate_m: float,
     limits: Limits,
     first_pair: bool = False,
-    turns: Mapping[int, RoomTurn] | None = None,
-    marks: FloorMarks | None = None,
 ) -> Rig | None:
     """The rig after two rounds of grouping, triangulation and adjustment; people's bones give a first pair its scale.
 
-    Before its scale is known (``first_pair``), the gate is a tenth of the pair's baseline. ``turns`` and
-    ``marks`` as for ``adjust_rig``.
+    Before its scale is known (``first_pair``), the gate is a tenth of the pair's baseline.
     """
     views = sorted(placed)
     current = dict(placed)
@@ -311,12 +278,12 @@ def refine_rig(
             return None
         points = triangulate(found.pixels, found.confidence, cameras, loose if round_number < 2 else limits)
         counted = points.verified if len(views) > 2 else points.valid
-        if counted.sum() < _MIN_SHARED:
+        if counted.sum() < MIN_SHARED:
             return None
         rig = Rig(dict(current), found, points, int(points.inliers[:, counted].sum()))
         if round_number == 2:
             break
-        better, used = adjust_rig(rig, LensPrior(0.0, 0.0), limits, turns=turns, marks=marks)
+        better, used = _adjusted(rig, limits)
         all_points = np.full_like(points.points_m, np.nan)
         all_points[used] = better.points_m
         factor = bone_factor(all_points, points, found, template_m)
@@ -339,7 +306,7 @@ def _placed(seen: Sightings, camera: Camera, view: int, rig: Rig, limits: Limits
         for k, track in enumerate(tracks):
             pixels = track[row[which], rig.seen.keypoint[which]]
             present = np.isfinite(pixels).all(-1)
-            if present.sum() >= _MIN_SHARED:
+            if present.sum() >= MIN_SHARED:
                 pairs[int(g), k] = found.points_m[which][present], pixels[present]
     best: tuple[int, np.ndarray] | None = None
     for key in sorted(pairs, key=lambda gk: (-len(pairs[gk][0]), gk))[:_TRIED_TRACKS]:

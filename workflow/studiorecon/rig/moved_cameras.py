@@ -55,7 +55,7 @@ HALF_OF_THE_JOINTS = np.array([k % 4 in (0, 3) for k in range(len(STABLE_KEYPOIN
 # Keypoints of a mean adult with arms out (metres): a rig from people alone is aligned to the given cameras, so only its
 # gates are in metres.
 _SIDE_M = np.array([[0.16, 0.49], [0.44, 0.47], [0.70, 0.46], [0.10, -0.03], [0.16, -0.45], [0.15, -0.86]])
-_ADULT_M = np.stack([np.pad(_SIDE_M * [s, 1.0], ((0, 0), (0, 1))) for s in (1.0, -1.0)], axis=1).reshape(-1, 3)
+ADULT_M = np.stack([np.pad(_SIDE_M * [s, 1.0], ((0, 0), (0, 1))) for s in (1.0, -1.0)], axis=1).reshape(-1, 3)
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def refine_with_wider_prior(
         few = frames[:: max(1, len(frames) // _RIG_FRAMES)]
         followed = sightings(detections, few, limits.min_confidence)
         rig = next(
-            (r for r in propose_rigs(followed, given, _ADULT_M, gate_m, limits) if len(r.cameras) == len(given)), None
+            (r for r in propose_rigs(followed, given, ADULT_M, gate_m, limits) if len(r.cameras) == len(given)), None
         )
         if rig is not None:
             start = remove_drift([rig.cameras[v] for v in range(len(given))], given)[0]

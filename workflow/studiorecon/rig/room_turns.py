@@ -76,11 +76,13 @@ class RoomTurn:
 
     Attributes:
         rotation_camera_from_world: (3, 3), in the world of the given rotations.
+        rotation_camera_from_room: (3, 3), the room's three directions in the camera.
         sigma_deg: sigma of each of its three numbers.
         along: share of the length of its edges that is along the room's three directions.
     """
 
     rotation_camera_from_world: Num[np.ndarray, "3 3"]
+    rotation_camera_from_room: Num[np.ndarray, "3 3"]
     sigma_deg: float
     along: float
 
@@ -112,7 +114,7 @@ def room_turns(cameras: Mapping[int, Camera], edges: Mapping[int, Num[np.ndarray
         turn = _turn(own, turned[v] @ world_from_room)
         if turn is not None:
             rotation, sigma_deg, along = turn
-            found[v] = RoomTurn(rotation @ world_from_room.T, sigma_deg, along)
+            found[v] = RoomTurn(rotation @ world_from_room.T, rotation, sigma_deg, along)
     return found if len(found) >= 2 else {}
 
 

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An estimate of cameras by people, improved by what the empty room shows where people allow it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.calibration.room_pictures import without_distortion
+from studiorecon.estimate.intervals import intervals
+from studiorecon.progress import say
+from studiorecon.rig.estimate import RigEstimate, RoomEvidence, with_room
+from studiorecon.rig.floor_marks import floor_marks
+from studiorecon.rig.gravity import world_from_people
+from studiorecon.rig.lens_knowledge import LensKnowledge, straight_points, with_distortion
+from studiorecon.rig.room_picture import RoomPicture
+from studiorecon.rig.room_turns import room_turns
+from studiorecon.scene.camera import Camera, Lens
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+# Largest distance between the cameras' floors, metres: by the uncertainty from people, then by the remaining one.
+_FLOOR_REACH_M = (0.30, 0.12, 0.12)
+
+
+def _straight_rooms(found: RigEstimate, rooms: Mapping[str, RoomPicture]) -> list[RoomPicture | None]:
+    """Pictures of the room as the estimated pinholes show it."""
+    straight = {
+        c.name: without_distortion(rooms[c.name], radial_lens(c, k1), c) if k1 else rooms[c.name]
+        for c, k1 in zip(found.cameras, found.radial)
+        if c.name in rooms
+    }
+    return [straight.get(c.name) for c in found.cameras]
+
+
+def radial_lens(camera: Camera, radial: float) -> Lens:
+    """The lens of ``camera`` with k1 ``radial``, at its pose."""
+    distortion = np.array([radial] + 7 * [0.0])
+    return Lens(camera.name, camera.wh, camera.intrinsics, "opencv", distortion, camera.camera_from_world, np.eye(2, 3))
+
+
+def with_edges(
+    found: RigEstimate,
+    knowledge: LensKnowledge,
+    template_m: Num[np.ndarray, "12 3"],
+    edges: Mapping[str, Num[np.ndarray, "N 4"]],
+) -> RigEstimate:
+    """The estimate with the room's straight edges too, where they have three directions and people allow it."""
+    own = {v: edges[c.name] for v, c in enumerate(found.cameras) if c.name in edges}
+    spread = float(np.median(intervals(found.solution).focal))
+    tried = []
+    # People may leave focal lengths uncertain, and at a wrong one the edges have no three directions.
+    for factor in np.exp(spread * np.array([0.0, -1.0, 1.0])):
+        cameras = [replace(c, intrinsics=c.intrinsics * _focal_scaling(factor)) for c in found.cameras]
+        ends = {
+            v: straight_points(e.reshape(-1, 2), cameras[v], found.radial[v]).reshape(-1, 4) for v, e in own.items()
+        }
+        tried.append(room_turns(dict(enumerate(cameras)), {v: e[np.isfinite(e).all(1)] for v, e in ends.items()}))
+    turns = max(tried, key=lambda found: sum(turn.along for turn in found.values()))
+    if not turns:
+        return found
+    after, allowed = with_room(found, knowledge, template_m, RoomEvidence(turns, own))
+    if not allowed:
+        say(f"the room's edges were left out: people contradict them ({_rise(found, after)})")
+    return after if allowed else found
+
+
+def _focal_scaling(factor: float) -> np.ndarray:
+    return np.where(np.diag([True, True, False]), factor, 1.0)
+
+
+def with_floor(
+    found: RigEstimate, knowledge: LensKnowledge, template_m: Num[np.ndarray, "12 3"], rooms: Mapping[str, RoomPicture]
+) -> RigEstimate:
+    """The estimate with the floor's marks too, matched anew as cameras get better, where people allow it."""
+    best = found
+    for reach_m in _FLOOR_REACH_M:
+        seen = best.rig.seen
+        upright = world_from_people(best.points_m, seen.group, seen.frame, seen.keypoint)
+        if upright is None:
+            return best
+        rig_from_world = np.linalg.inv(upright[0])
+        cameras = [replace(c, camera_from_world=c.camera_from_world @ rig_from_world) for c in best.cameras]
+        marks = floor_marks(cameras, _straight_rooms(best, rooms), np.zeros(2), 0.0, reach_m)
+        if marks is None:
+            return best
+        marks = with_distortion(marks, best.cameras, best.radial)
+        after, allowed = with_room(found, knowledge, template_m, replace(found.room, marks=marks))
+        if not allowed:
+            say(f"the floor was left out: people contradict it ({_rise(found, after)})")
+            return found
+        best = after
+    return best
+
+
+def _rise(found: RigEstimate, after: RigEstimate) -> str:
+    return f"their squared error in standard deviations rises by {after.people_cost - found.people_cost:.0f}"

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A detector's errors: those of one frame, and those that it repeats while a body is seen from the same side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.estimate.factors.keypoints import LEAST_SHARED_M, SHARED_M, sides
+from studiorecon.estimate.unknowns import PER_CAMERA
+from studiorecon.geometry.triangulation import Limits, unit_px
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.rig.correspondences import Observations
+from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+SHOULDERS = [STABLE_KEYPOINTS.index(f"{s}_shoulder") for s in ("left", "right")]
+_SIGMA_OF_MEDIAN = 1.4826
+# A detector's least noise, as a share of the longer side.
+_LEAST_NOISE = 0.0005
+
+
+@dataclass(frozen=True)
+class DetectorNoise:
+    """Standard deviations of keypoints: ``frame_px`` (V,) anew in every frame, and ``shared_m`` for as long as a body
+    is seen from one side, across the line of sight."""
+
+    frame_px: Num[np.ndarray, " V"]
+    shared_m: float
+
+    @classmethod
+    def usual(cls, cameras: Sequence[Camera], limits: Limits) -> DetectorNoise:
+        """Of a detector of which nothing is known yet."""
+        return cls(unit_px(cameras, limits) / 2, SHARED_M)
+
+
+def shared_cells(
+    seen: Observations,
+    points_m: np.ndarray,
+    cameras: Sequence[Camera],
+    place: np.ndarray,
+    view: np.ndarray,
+    point: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(M,) which of the observations share their error, as numbers of cells, and pixels per metre at each."""
+    time = np.unique(seen.frame, return_inverse=True)[1]
+    person = np.unique(seen.group, return_inverse=True)[1]
+    ends = place[person, time][:, SHOULDERS]
+    across = np.where((ends >= 0).all(axis=1, keepdims=True), points_m[ends[:, 0]] - points_m[ends[:, 1]], np.nan)
+    rotations = np.stack([c.camera_from_world[:3, :3] for c in cameras])
+    side = sides((rotations[view] @ across[point][..., None])[..., 0])
+    key = np.stack([view, person[point], seen.keypoint[point], side], axis=1)
+    cell = np.unique(key, axis=0, return_inverse=True)[1].reshape(-1)
+    depth = np.stack([c.project(points_m)[1] for c in cameras])[view, point]
+    return cell, np.array([c.focal_px[0] for c in cameras])[view] / np.maximum(depth, 0.3)
+
+
+def noise_in(
+    off: np.ndarray, view: np.ndarray, cell: np.ndarray, px_per_m: np.ndarray, cameras: Sequence[Camera]
+) -> DetectorNoise:
+    """The noise that residuals (M, 2) in pixels show, with the numbers that points and cameras took.
+
+    Within a cell it is the frames' own; the cells' means show the shared error.
+    """
+    views, count = max(len(cameras), 2), np.bincount(cell)
+    taken = np.sqrt(2 * views / (2 * views - 3))
+    means = np.stack([np.bincount(cell, o) / count for o in off.T], axis=1)
+    frame_px = []
+    for v, camera in enumerate(cameras):
+        own = np.abs(off - means[cell])[(view == v) & (count[cell] > 1)]
+        spread = _SIGMA_OF_MEDIAN * float(np.median(own)) if own.size else 0.0
+        frame_px.append(max(taken * spread, _LEAST_NOISE * max(camera.wh)))
+    # Of cells that are the mean of some frames; half of a two-dimensional normal's squares are below 2 ln 2.
+    metres = means * (count / np.bincount(cell, px_per_m))[:, None]
+    of_frames = np.bincount(cell, np.array(frame_px)[view] / px_per_m) / count / np.sqrt(count)
+    squared = np.maximum(((metres**2).sum(1) / 2), 0.0)
+    left = 2 * len(count) / max(2 * len(count) - PER_CAMERA * views, 0.2 * len(count))
+    variance = taken**2 * left * np.median(squared) / np.log(2) - float(np.median(of_frames**2))
+    return DetectorNoise(np.array(frame_px), float(np.sqrt(max(variance, LEAST_SHARED_M**2))))

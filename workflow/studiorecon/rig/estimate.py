@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses and lenses of cameras from the people they see, as one estimate (``studiorecon.estimate``)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import chi2
+
+from studiorecon.estimate.factor import Factor
+from studiorecon.estimate.factors.bones import bones
+from studiorecon.estimate.factors.edges import room_edges
+from studiorecon.estimate.factors.feet import feet_on_floor
+from studiorecon.estimate.factors.keypoints import keypoints, sides
+from studiorecon.estimate.factors.lenses import alike_lenses, known_lenses
+from studiorecon.estimate.solver import Solution, solve
+from studiorecon.estimate.unknowns import LOG_FOCAL, PER_CAMERA, PRINCIPAL, RADIAL, Unknowns
+from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.rig.correspondences import Observations, make_observations
+from studiorecon.rig.detector_noise import SHOULDERS, DetectorNoise, noise_in, shared_cells
+from studiorecon.rig.floor_marks import FloorMarks
+from studiorecon.rig.from_tracks import BONES, MIN_SHARED, Rig, Sightings
+from studiorecon.rig.lens_knowledge import LensKnowledge, distort_points, straight_points, straighten
+from studiorecon.rig.room_turns import RoomTurn
+from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+_ANKLES = [STABLE_KEYPOINTS.index(f"{s}_ankle") for s in ("left", "right")]
+# Rounds of grouping people and estimating; the search ends when focal lengths change by less than this share.
+_ROUNDS, _SETTLED_SHARE = 8, 0.001
+# Multiples of the limits' outlier units: at first, while lenses are guessed, and then. The factors' tails do the rest.
+_LOOSE, _NARROW = 3.0, 1.5
+# Probability with which the room may raise people's cost as much as it does.
+_LEVEL = 0.99
+# Patches of the floor overlap and are matched from several cameras: one counts as a tenth.
+MARK_WEIGHT = 0.1
+# An edge that is this far from all of the room's directions, degrees, runs along none of them.
+_ALONG_DEG = 2.0
+_MARKS_MEET = Limits(min_confidence=0.1, huber_share=0.01, outlier_units=5.0)
+# Bodies in one cell of this size, seen from one side, are in the same posture.
+_CELL_M = 0.3
+# Half the bones of ``BONES`` are left, half right, and a person's are equally long.
+_KINDS = len(BONES) // 2
+
+
+@dataclass(frozen=True)
+class RoomEvidence:
+    """What the empty room shows: views' ``turns`` by its straight ``edges`` (view → (N, 4) ends), and ``marks`` on its
+    floor, both in distorted pixels."""
+
+    turns: Mapping[int, RoomTurn] = field(default_factory=dict)
+    edges: Mapping[int, Num[np.ndarray, "N 4"]] = field(default_factory=dict)
+    marks: FloorMarks | None = None
+
+
+_NO_ROOM = RoomEvidence()
+
+
+@dataclass(frozen=True)
+class RigEstimate:
+    """The estimate of a rig.
+
+    Attributes:
+        cameras: pinholes; ``radial``: (V,) k1.
+        rig: the people by which they were estimated, without distortion.
+        points_m: (N, 3) the rig's points, NaN where they were not used.
+        solution: of the solver.
+        noise: of the keypoints.
+        people_cost: twice the negative log posterior without the room.
+        room: the evidence that was used.
+    """
+
+    cameras: list[Camera]
+    radial: Num[np.ndarray, " V"]
+    rig: Rig
+    points_m: Num[np.ndarray, "N 3"]
+    solution: Solution
+    noise: DetectorNoise
+    people_cost: float
+    room: RoomEvidence
+
+
+def estimate_rig(
+    cameras: Sequence[Camera],
+    radial: Num[np.ndarray, " V"],
+    seen: Sightings,
+    knowledge: LensKnowledge,
+    template_m: Num[np.ndarray, "12 3"],
+    gate_m: float,
+    limits: Limits,
+) -> RigEstimate | None:
+    """The cameras and lenses of most posterior probability from ``cameras`` on, with people grouped again in between;
+    None where people show too little."""
+    found, noise = None, DetectorNoise.usual(cameras, limits)
+    # Lenses differ at first: from equal ones, a lens of another make would not be released.
+    alone = replace(knowledge, makes=tuple(range(len(cameras))))
+    current, k1 = list(cameras), np.asarray(radial, float)
+    for number in range(_ROUNDS):
+        outliers = limits.outlier_units * (_LOOSE if number == 0 else _NARROW)
+        rig = _grouped(current, k1, seen, gate_m, replace(limits, outlier_units=outliers))
+        if rig is None:
+            return found
+        before, found = found, estimate_once(rig, k1, knowledge if number else alone, template_m, noise)
+        current, k1, noise = found.cameras, found.radial, found.noise
+        if before is not None:
+            change = [np.log(a.focal_px[0] / b.focal_px[0]) for a, b in zip(found.cameras, before.cameras)]
+            if np.abs(change).max() < _SETTLED_SHARE:
+                break
+    return found
+
+
+def with_room(
+    found: RigEstimate, knowledge: LensKnowledge, template_m: Num[np.ndarray, "12 3"], room: RoomEvidence
+) -> tuple[RigEstimate, bool]:
+    """The estimate with the room as well, and whether people allow it.
+
+    People contradict it where their cost rises by more than the cameras' numbers explain (99 % of a chi-square
+    distribution).
+    """
+    cameras = dict(enumerate(found.cameras))
+    rig = replace(found.rig, cameras=cameras)
+    after = estimate_once(rig, found.radial, knowledge, template_m, found.noise, room, found.points_m)
+    numbers = int(found.solution.free[: PER_CAMERA * len(cameras)].sum())
+    return after, bool(after.people_cost - found.people_cost <= chi2.ppf(_LEVEL, numbers))
+
+
+def _grouped(
+    cameras: Sequence[Camera], radial: np.ndarray, seen: Sightings, gate_m: float, limits: Limits
+) -> Rig | None:
+    """People as ``cameras`` see them without distortion; None where they are too few."""
+    straight = straighten(seen.detections, cameras, radial)
+    observed, _ = make_observations(straight, cameras, seen.frames, gate_m)
+    if not len(observed.frame):
+        return None
+    points = triangulate(observed.pixels, observed.confidence, cameras, limits)
+    rig = Rig(dict(enumerate(cameras)), observed, points, 0)
+    counted = rig.counted
+    if counted.sum() < MIN_SHARED:
+        return None
+    return replace(rig, support=int(points.inliers[:, counted].sum()))
+
+
+def estimate_once(
+    rig: Rig,
+    radial: Num[np.ndarray, " V"],
+    knowledge: LensKnowledge,
+    template_m: Num[np.ndarray, "12 3"],
+    noise: DetectorNoise,
+    room: RoomEvidence = _NO_ROOM,
+    start_m: Num[np.ndarray, "N 3"] | None = None,
+) -> RigEstimate:
+    """The estimate by people as ``rig`` groups them, from its cameras with ``radial`` terms on.
+
+    ``template_m``: (12, 3) stable keypoints of a mean adult; ``noise`` of the keypoints; ``start_m``: the
+    first points, by default where the rig's cameras see them.
+    """
+    cameras, used = [rig.cameras[v] for v in sorted(rig.cameras)], rig.counted
+    points_m = (rig.points.points_m if start_m is None else start_m)[used]
+    seen = rig.seen.of(used)
+    people, person = np.unique(seen.group, return_inverse=True)
+    place = _places(seen, person)
+    template = np.linalg.norm(template_m[BONES[:_KINDS, 0]] - template_m[BONES[:_KINDS, 1]], axis=-1)
+    usual_m = np.tile(template, len(people))
+    first, second, kind = _bones(place)
+    alike = _alike(seen, points_m, person, place, cameras[0])
+    lower, axes, floor = _lower_ankles(place, points_m)
+    marks, on_floor = _marks(room.marks, cameras, radial)
+    every_m = np.concatenate([points_m, on_floor])
+    start = Unknowns.of(cameras, radial, every_m, bones=np.log(usual_m), floor=floor, room=np.zeros(3))
+    view, point = np.nonzero(rig.points.inliers[:, used])
+    pixels = distort_points(seen.pixels[view, point], cameras, radial, view)
+    cell, px_per_m = shared_cells(seen, points_m, cameras, place, view, point)
+    shared_px = noise.shared_m * px_per_m * np.sqrt(np.bincount(cell)[cell])
+    sigma_px = np.hypot(noise.frame_px[view], shared_px) / np.sqrt(np.maximum(seen.confidence[view, point], 0.1))
+    aspect = np.array([c.focal_px[1] / c.focal_px[0] for c in cameras])
+    of_people = keypoints(start, view, point, pixels, sigma_px, aspect)
+    factors: list[Factor] = [
+        of_people,
+        *bones(start, first, second, kind, alike[first], usual_m),
+        *([feet_on_floor(start, lower, axes, alike[lower])] if len(lower) else []),
+        known_lenses(start, knowledge.expected, knowledge.sigma),
+        *alike_lenses(start, knowledge.makes),
+    ]
+    of_room: list[Factor] = []
+    if room.turns:
+        of_room.append(room_edges(start, *_edges(room, cameras, radial), aspect))
+    if marks is not None:
+        views, which = np.nonzero(np.isfinite(marks.pixels).all(-1))
+        sigma = marks.sigma_px[views] / np.sqrt(MARK_WEIGHT)
+        of_room.append(keypoints(start, views, len(points_m) + which, marks.pixels[views, which], sigma, aspect))
+    free = np.ones(len(start.values), bool)
+    numbers = free[: PER_CAMERA * len(cameras)].reshape(-1, PER_CAMERA)
+    numbers[:, [LOG_FOCAL, RADIAL, PRINCIPAL.start, PRINCIPAL.start + 1]] = knowledge.sigma > 0
+    # The world is the first camera's.
+    numbers[0, :6] = False
+    free[start.starts["floor"] :][:3], free[start.starts["room"] :] = len(lower) > 0, len(room.turns) > 0
+    solution = solve(start, [*factors, *of_room], free)
+    found = solution.unknowns
+    after = np.full_like(rig.points.points_m, np.nan)
+    after[used] = found.group("points", 3 * len(points_m)).reshape(-1, 3)
+    return RigEstimate(
+        [found.camera(c, v) for v, c in enumerate(cameras)],
+        found.of_cameras[:, RADIAL].copy(),
+        rig,
+        after,
+        solution,
+        noise_in(of_people.evaluate(found) * sigma_px[:, None], view, cell, px_per_m, cameras),
+        sum(f.cost(f.evaluate(found)) for f in factors),
+        room,
+    )
+
+
+def _edges(
+    room: RoomEvidence, cameras: Sequence[Camera], radial: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """View, ends (distorted pixels) and direction of every edge that runs along one, and the directions."""
+    views, ends, axes = [], [], []
+    for v, turn in room.turns.items():
+        points = straight_points(room.edges[v].reshape(-1, 2), cameras[v], radial[v]).reshape(-1, 2, 2)
+        rays = (points - cameras[v].principal_px) / np.array(cameras[v].focal_px)
+        rays = np.concatenate([rays, np.ones((len(points), 2, 1))], axis=-1)
+        normals = np.cross(rays[:, 0], rays[:, 1])
+        off = np.abs(normals @ turn.rotation_camera_from_room) / np.linalg.norm(normals, axis=1, keepdims=True)
+        near = off.min(1) < np.radians(_ALONG_DEG)
+        views.append(np.full(int(near.sum()), v))
+        ends.append(room.edges[v][near])
+        axes.append(off[near].argmin(1))
+    first = next(iter(room.turns.values()))
+    world_from_room = first.rotation_camera_from_world.T @ first.rotation_camera_from_room
+    return np.concatenate(views), np.concatenate(ends), np.concatenate(axes), world_from_room
+
+
+def _marks(
+    marks: FloorMarks | None, cameras: Sequence[Camera], radial: np.ndarray
+) -> tuple[FloorMarks | None, np.ndarray]:
+    """Those of the floor's points that the cameras see in one place, and these places."""
+    if marks is None:
+        return None, np.zeros((0, 3))
+    straight = np.stack([straight_points(p, c, k1) for p, c, k1 in zip(marks.pixels, cameras, radial)])
+    # Matches were compared before; the cameras may still be off by more than their sigma.
+    found = triangulate(straight, np.isfinite(straight).all(-1).astype(float), cameras, _MARKS_MEET)
+    return marks.of(found.valid), found.points_m[found.valid]
+
+
+def _places(seen: Observations, person: np.ndarray) -> np.ndarray:
+    """(people, frames, joints) index of each point, -1 where there is none."""
+    times, time = np.unique(seen.frame, return_inverse=True)
+    place = np.full((int(person.max()) + 1, len(times), len(STABLE_KEYPOINTS)), -1)
+    place[person, time, seen.keypoint] = np.arange(len(seen.frame))
+    return place
+
+
+def _bones(place: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ends of every bone that was seen, and which length it has."""
+    ends = place[:, :, BONES]
+    who, when, bone = np.nonzero((ends >= 0).all(-1))
+    return ends[who, when, bone, 0], ends[who, when, bone, 1], who * _KINDS + bone % _KINDS
+
+
+def _alike(
+    seen: Observations, points_m: np.ndarray, person: np.ndarray, place: np.ndarray, camera: Camera
+) -> np.ndarray:
+    """(N,) in how many frames the person of each point is in that place, seen from that side by ``camera``."""
+    time = np.unique(seen.frame, return_inverse=True)[1]
+    body, of_body = np.unique(np.stack([person, time], axis=1), axis=0, return_inverse=True)
+    ends = place[body[:, 0], body[:, 1]]
+    whole = np.where((ends >= 0)[..., None], points_m[ends], np.nan)
+    cells = np.floor(np.nanmean(whole, axis=1) / _CELL_M).astype(int)
+    shoulders = whole[:, SHOULDERS]
+    side = sides((shoulders[:, 0] - shoulders[:, 1]) @ camera.camera_from_world[:3, :3].T)
+    key = np.concatenate([body[:, :1], cells, side[:, None]], axis=1)
+    _, cell, count = np.unique(key, axis=0, return_inverse=True, return_counts=True)
+    return count[cell.reshape(-1)][of_body.reshape(-1)].astype(float)
+
+
+def _lower_ankles(place: np.ndarray, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of the lower ankles, axes with people's mean direction upwards last, and a first floor in these."""
+    ends = place[:, :, [*SHOULDERS, *_ANKLES]]
+    whole = ends[(ends >= 0).all(-1)]
+    if len(whole) < 10:
+        return np.zeros(0, int), np.eye(3), np.zeros(3)
+    joints = points_m[whole]
+    up = np.median(joints[:, :2].mean(1) - joints[:, 2:].mean(1), axis=0)
+    up /= np.linalg.norm(up)
+    axes = np.concatenate([np.linalg.svd(up[None])[2][1:], up[None]])
+    ankles = whole[:, 2:]
+    lower = ankles[np.arange(len(ankles)), (points_m[ankles] @ up).argmin(1)]
+    return lower, axes, np.array([0.0, 0.0, np.median(points_m[lower] @ up)])

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is known of lenses before an estimate, and pixels with and without the distortion that it finds."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.estimate.factors.lenses import PRINCIPAL_SHARE, RADIAL_SIGMA
+from studiorecon.geometry.distortion import distort, undistort
+from studiorecon.rig.floor_marks import FloorMarks
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer, Num
+
+# Horizontal field of view of a camera of which nothing is known: phones and webcams.
+_USUAL_HFOV_DEG = 65.0
+
+
+@dataclass(frozen=True)
+class LensKnowledge:
+    """What is known of V lenses: ``expected`` and ``sigma`` (V, 4) of log focal length, k1 and principal point, and the
+    ``makes`` of which cameras are alike (None: of no other's)."""
+
+    expected: Num[np.ndarray, "V 4"]
+    sigma: Num[np.ndarray, "V 4"]
+    makes: tuple[object, ...]
+
+
+def lens_knowledge(
+    cameras: Sequence[Camera],
+    focal_px: Mapping[str, tuple[float, float]],
+    straight: Collection[str],
+    usual_sigma: float,
+) -> LensKnowledge:
+    """Knowledge of lenses. ``focal_px``: camera → focal length and its sigma as a share; others are usual to within
+    ``usual_sigma``. ``straight``: cameras without distortion."""
+    expected, sigma, makes = [], [], []
+    for camera in cameras:
+        side, held = max(camera.wh), camera.name in straight
+        usual_px = 0.5 * side / np.tan(np.radians(_USUAL_HFOV_DEG) / 2)
+        focal, share = focal_px.get(camera.name, (usual_px, usual_sigma))
+        expected.append([np.log(focal), 0.0, camera.wh[0] / 2, camera.wh[1] / 2])
+        rest = [0.0, 0.0, 0.0] if held else [RADIAL_SIGMA, PRINCIPAL_SHARE * side, PRINCIPAL_SHARE * side]
+        sigma.append([share, *rest])
+        makes.append(camera.name if held else camera.wh)
+    return LensKnowledge(np.array(expected), np.array(sigma), tuple(makes))
+
+
+def lenses_as_given(cameras: Sequence[Camera]) -> LensKnowledge:
+    """Knowledge of calibrated lenses, which stay as they are."""
+    expected = [[np.log(c.focal_px[0]), 0.0, *c.principal_px] for c in cameras]
+    return LensKnowledge(np.array(expected), np.zeros((len(cameras), 4)), tuple(c.name for c in cameras))
+
+
+def with_distortion(marks: FloorMarks, cameras: Sequence[Camera], radial: Num[np.ndarray, " V"]) -> FloorMarks:
+    """The marks in distorted pixels."""
+    view = np.repeat(np.arange(len(cameras)), marks.pixels.shape[1])
+    return replace(
+        marks, pixels=distort_points(marks.pixels.reshape(-1, 2), cameras, radial, view).reshape(marks.pixels.shape)
+    )
+
+
+def straighten(
+    seen: Sequence[Detections], cameras: Sequence[Camera], radial: Num[np.ndarray, " V"]
+) -> list[Detections]:
+    """The detections without the distortion of ``radial``, in pixels of ``cameras``; points without a ray are
+    dropped."""
+    found = []
+    for d, camera, k1 in zip(seen, cameras, radial, strict=True):
+        points = d.keypoints.copy()
+        points[..., :2] = straight_points(points[..., :2], camera, k1)
+        points[..., 2] = np.where(np.isfinite(points[..., 0]), points[..., 2], 0.0)
+        found.append(replace(d, keypoints=points) if k1 else d)
+    return found
+
+
+def straight_points(pixels: Num[np.ndarray, "... 2"], camera: Camera, radial: float) -> Num[np.ndarray, "... 2"]:
+    """Pixels without the distortion of a lens with k1 ``radial``; NaN where it has no such ray."""
+    focal, principal = np.array(camera.focal_px), np.array(camera.principal_px)
+    rays, _ = undistort((pixels - principal) / focal, "opencv", np.array([radial]))
+    return rays * focal + principal
+
+
+def distort_points(
+    pixels: Num[np.ndarray, "M 2"],
+    cameras: Sequence[Camera],
+    radial: Num[np.ndarray, " V"],
+    view: Integer[np.ndarray, " M"],
+) -> Num[np.ndarray, "M 2"]:
+    """Pixels (M, 2) of pinholes as the lenses of their cameras ``view`` (M,), with k1 ``radial`` (V,), distort them."""
+    found = pixels.copy()
+    for v, camera in enumerate(cameras):
+        own, focal, principal = view == v, np.array(camera.focal_px), np.array(camera.principal_px)
+        found[own] = distort((pixels[own] - principal) / focal, "opencv", np.array([radial[v]])) * focal + principal
+    return found
