@@ -164,7 +164,7 @@ def test_of_a_real_man_s_two_calibrations_edges_contradict_the_hand_picked_one(
     calibrated = out / "calibration.json"
     files.run(loaded(files.Settings), [take / "calibration" / file], names, out / "read.json")
     footage = [dataset.footage[c] for c in names]
-    choose.run(loaded(choose.Settings), out / "read.json", names, footage, [], maps, 60.0, calibrated)
+    choose.run(loaded(choose.Settings), out / "read.json", names, footage, [], maps, 60.0, [], calibrated)
     for c in names:
         first = str(dataset.keypoint_first_frame.get(c, "auto"))
         recorded = dataset.keypoint_layout, first, dataset.footage[c], 60.0

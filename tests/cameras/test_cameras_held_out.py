@@ -120,7 +120,7 @@ def test_a_real_held_out_camera_is_put_right_by_a_real_man(
     calibrated = settings_module.load(files.Settings, default_settings("calibration"), "calibration")
     files.run(calibrated, list(data.calibration), names, tmp_path / "read.json")
     footage, maps = [data.footage[n] for n in names], json.dumps(dict(data.pixel_maps))
-    choose.run(calibrated, tmp_path / "read.json", names, footage, [], maps, 30.0, lenses)
+    choose.run(calibrated, tmp_path / "read.json", names, footage, [], maps, 30.0, [], lenses)
     clocks = common_moments(
         [clock_as_filmed(n, read_timeline(open_source(data.footage[n], 30.0))) for n in names], 0, 0
     )
