@@ -32,7 +32,7 @@ from studiorecon.depth import box as walls
 from studiorecon.depth import refine, sweep
 from studiorecon.depth import room as room_box
 from studiorecon.depth.layout.primitives import read_primitives
-from studiorecon.footage.exr import read_depth
+from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import to_bytes
 from studiorecon.scene.camera import Camera
@@ -43,10 +43,13 @@ from studiorecon.views import synthesize
 from studiorecon.views.forward_warp import blend, source
 
 from tests.defaults import default_settings, loaded
+from tests.made.bent_depth import bent
 
 ROOT = Path(__file__).resolve().parents[1]
 # Cases in which the settings differ: without boxes and cylinders.
 CHANGES = {"bare": ["primitives=0"]}
+# Cases with a planted network's depth (``tests.made.bent_depth``): the cameras of which it is wrong altogether.
+NETWORK: dict[str, set[int]] = {"network": set(), "network, one wrong": {1}}
 
 
 def section(stage: str, preset: str, changes: list[str]) -> dict:
@@ -135,8 +138,15 @@ def disturbed(room: Room, what: str, rng: np.random.Generator) -> Room:
     return room
 
 
-def measure(room: Room, values: dict, pictures: Path | None) -> dict:
-    """One estimate of all cameras' depth, compared with the truth."""
+def planted(room: Room, wrong: set[int]) -> list[np.ndarray]:
+    """A planted network's depth (H, W) of every camera; of the ``wrong`` ones the mirrored depth of the next."""
+    truth = room.truth + room.truth[:1]
+    shown = [truth[i + 1][:, ::-1] if i in wrong else truth[i] for i in range(len(room.cameras))]
+    return [bent(depth, np.random.default_rng([i, 7])) for i, depth in enumerate(shown)]
+
+
+def measure(room: Room, values: dict, pictures: Path | None, network: list[np.ndarray] | None = None) -> dict:
+    """One estimate of all cameras' depth, compared with the truth; with a ``network``'s depth (H, W) of each."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_model(folder, room.cameras)
@@ -175,10 +185,12 @@ def measure(room: Room, values: dict, pictures: Path | None) -> dict:
             passes,
         )
         lap()
-        for camera, path in zip(room.cameras, maps):
-            refine.run(
-                load(refine.Settings, values, "depth"), camera.name, model, plates, passes, box, primitives, path
-            )
+        settings, estimates = load(refine.Settings, values, "depth"), [[] for _ in maps]
+        for camera, numbers, paths in zip(room.cameras, network or [], estimates):
+            paths.append(folder / f"{camera.name}.estimate.exr")
+            write_depth(paths[0], numbers, np.ones_like(numbers))
+        for camera, given, path in zip(room.cameras, estimates, maps):
+            refine.run(settings, camera.name, model, plates, passes, box, primitives, given, path)
         lap()
         found = [read_depth(path)[0] for path in maps]
         fitted, furniture = read_room(box), read_primitives(primitives)
@@ -235,7 +247,9 @@ def main() -> None:
     parser.add_argument("--rooms", type=Path, nargs="*", default=[])
     parser.add_argument("--posed", type=Path)
     parser.add_argument("--views", type=int, nargs="*", default=[], help="of the posed renderings, only these")
-    parser.add_argument("--cases", nargs="*", default=["plain", "bare", "gains", "poses"], help="see CHANGES")
+    parser.add_argument(
+        "--cases", nargs="*", default=["plain", "bare", "gains", "poses"], help="see CHANGES and NETWORK"
+    )
     parser.add_argument("--preset", default="")
     parser.add_argument("--set", nargs="*", default=[], dest="changes")
     parser.add_argument("--pictures", type=Path, default=None, help="folder for depth, views and primitives")
@@ -250,7 +264,8 @@ def main() -> None:
             # Every room its own errors, the same in every run.
             rng = np.random.default_rng([len(what), *room.name.encode()])
             shown = given.pictures / what if given.pictures and what == "plain" else None
-            result = measure(disturbed(room, what, rng), values, shown)
+            network = planted(room, NETWORK[what]) if what in NETWORK else None
+            result = measure(disturbed(room, what, rng), values, shown, network)
             told = {"changes": given.changes} | ({} if room.made else {"views": given.views})
             stored["runs"][f"{room.name} {what}"] = result | {k: v for k, v in told.items() if v}
             print(room.name, what, json.dumps(result), flush=True)

@@ -80,7 +80,9 @@ def estimate(folder: Path, cameras: list[Camera], plates: list[Path], section: d
     maps = []
     for camera in cameras:
         out = folder / f"{camera.name}.exr"
-        refine.run(load(refine.Settings, section, "depth"), camera.name, model, plates, passes, box, primitives, out)
+        refine.run(
+            load(refine.Settings, section, "depth"), camera.name, model, plates, passes, box, primitives, [], out
+        )
         maps.append(read_depth(out))
     return Found(read_room(folder / "room.json"), [d for d, _ in maps], [a for _, a in maps])
 
@@ -162,6 +164,7 @@ def test_same_inputs_same_bytes(furnished: tuple[Found, list[np.ndarray], Path],
         folder / "passes.npz",
         folder / "room.json",
         folder / "primitives.json",
+        [],
         again,
     )
     assert again.read_bytes() == (folder / "cam2.exr").read_bytes()

@@ -36,7 +36,7 @@ NO_NOUN = {
     "report/metrics/folders.py": "pictures and films of users",
     "report/compare.py": "results that users compare",
     "detector/network_files.py": "the confidence table that comes with the detector",
-    "depth/aligned.py": "depth of users and networks",
+    "depth/estimates.py": "depth of users and networks",
     "tracks/bodies.py": "bodies of networks that ran elsewhere",
     "body/model.py": "body models of users",
     "deliver": "finished files that are packed as they are",

@@ -18,7 +18,7 @@ import torch
 import yaml
 from studiorecon.body.model import BodyModel
 from studiorecon.calibration.files import Settings, paired_lenses, read_calibration
-from studiorecon.depth.aligned import read_estimate
+from studiorecon.depth.estimates import read_estimate
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.footage.frames import decode
 from studiorecon.footage.lens_metadata import focal_px_from_metadata

@@ -51,7 +51,7 @@ def test_what_forbids_commercial_use_names_what_does_instead() -> None:
             assert model(alternative).terms.commercial != "no"
     assert model("pi3").terms.alternative == "mapanything"
     assert model("difix").terms.alternative == "fixer"
-    assert [m.name for m in of_kind("monocular depth")] == ["moge", "moge3"]
+    assert [m.name for m in of_kind("monocular depth")] == ["moge", "moge3", "moge_vits", "moge_vitb"]
 
 
 def test_an_unknown_model_lists_the_known() -> None:

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import yaml
+from studiorecon.models.catalogue.registry import MODELS
 from studiorecon.models.catalogue.selection import select_networks
 
 from tests.made.plan import dataset, on
@@ -30,7 +31,7 @@ def test_networks_jobs_take_the_place_of_the_stages_own(house: House, dataset: P
         "detect_keypoints": 3,
         "tracks_bodies": 3,
     }.items() <= plan.items()
-    assert {"depth_network": 1, "depth_refine": 3, "depth_aligned": 3}.items() <= plan.items()
+    assert {"depth_network": 1, "depth_refine": 3}.items() <= plan.items()
     assert {"views_request": 3, "views_generate": 3, "views_fitted": 3}.items() <= plan.items()
     assert not {"tracks_keypoints", "views_synthesize"} & set(plan)
 
@@ -49,6 +50,24 @@ def test_an_enhancer_that_is_a_network_repairs_views_of_the_half_trained_room(ho
     sections = {"enhance": {"enhancer": "residual"}, "background": {"refinement": {"views": 12}}}
     refused = on(house, dataset).snakemake("--dry-run", "--configfile", house.overlay(**sections), check=False)
     assert "enhance.enhancer is residual: set that to a network (difix, fixer), or the views to 0" in refused.stdout
+
+
+def test_a_laptops_networks_are_one_preset_and_need_no_gpu() -> None:
+    preset = yaml.safe_load((ROOT / "config/presets/laptop.yaml").read_text())
+    chosen = [name for _, name in select_networks(preset)]
+    assert chosen == ["rtmpose", "moge_vits"]
+    assert all(MODELS[name].memory.gpu_gb is None and MODELS[name].terms.commercial == "yes" for name in chosen)
+
+
+def test_a_depth_network_of_ones_own_is_planned_and_a_missing_one_refused(
+    house: House, dataset: Path, tmp_path: Path
+) -> None:
+    own = tmp_path / "mine.onnx"
+    settings = "--configfile", house.overlay(depth={"source": "onnx", "network": str(own)})
+    refused = on(house, dataset).snakemake("--dry-run", *settings, check=False)
+    assert f"depth.network is '{own}', which is no file" in refused.stdout
+    own.write_bytes(b"a network")
+    assert {"depth_network": 1, "depth_refine": 3}.items() <= on(house, dataset).plan(*settings).items()
 
 
 def test_the_papers_networks_are_one_preset() -> None:

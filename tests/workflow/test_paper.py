@@ -38,7 +38,7 @@ def test_the_whole_preset_is_planned_on_videos_alone(house: House, videos: Path)
     assert {"calibration_network": 1, "detect_people": 4, "tracks_bodies": 4}.items() <= plan.items()
     # Depth is the first moment's by the network that finds the cameras: no planes, no depth of plates.
     assert {"depth_first": 4, "capture_frames": 5}.items() <= plan.items()
-    assert not {"depth_network", "depth_aligned", "depth_refine"} & set(plan)
+    assert not {"depth_network", "depth_refine"} & set(plan)
     assert plan["body_plain"] == 1
     # Pelvises at the scene's depth: association waits for them.
     assert plan["people_lift"] == 4

@@ -96,7 +96,8 @@ def test_the_papers_presets_run_whole_on_files_of_every_network(ran: tuple[House
     }
     settings = ("--configfile", PAPER, NETWORKS, house.overlay(**(SMALL | elsewhere)))
     planned = house.plan(*settings)
-    assert {"tracks_bodies": 4, "depth_aligned": 4}.items() <= planned.items()
+    assert {"tracks_bodies": 4, "depth_refine": 4}.items() <= planned.items()
+    assert "depth_network" not in planned
     said = house.snakemake("--cores", "2", *settings).stdout
     assert house.plan(*settings) == {}, "nothing is left to do"
 

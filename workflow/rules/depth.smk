@@ -1,5 +1,5 @@
 # Depth of the static scene: every camera looks for planes, the room is fitted to what they found, every camera looks again.
-# A depth map the user brought takes the place of the last look; a network's (depth.source) is put to the scale of that look.
+# A depth map the user brought takes the place of the last look; a network's (depth.source) is one term of it.
 
 
 ruleorder: depth_given > depth_refine
@@ -7,11 +7,7 @@ ruleorder: depth_given > depth_refine
 
 if PLAN.networks.first_depth:
 
-    ruleorder: depth_given > depth_first
-
-elif PLAN.networks.depth:
-
-    ruleorder: depth_given > depth_aligned
+    ruleorder: depth_given > depth_first > depth_refine
 
 
 rule depth_sweep:
@@ -182,12 +178,9 @@ rule depth_refine:
         room_box="results/{scene}/depth/room.json",
         primitives="results/{scene}/depth/primitives.json",
         passes="results/{scene}/depth/passes.npz",
+        estimates=files.estimated_depth,
     output:
-        depth=(
-            "results/{scene}/depth/{camera}.planes.exr"
-            if PLAN.networks.depth or PLAN.networks.first_depth
-            else "results/{scene}/depth/{camera}.exr"
-        ),
+        depth="results/{scene}/depth/{camera}.exr",
     log:
         "logs/{scene}/depth/refine/{camera}.log",
     benchmark:
@@ -261,6 +254,7 @@ if PLAN.networks.depth not in ("", "precomputed") and not PLAN.networks.first_de
         input:
             model=MODEL,
             plates=collect("results/{scene}/plates/{camera}.png", camera=files.training, allow_missing=True),
+            network=files.depth_network,
         output:
             # Whoever is left out when cameras are found is known only then: of those the estimate is empty.
             depths=collect("results/{scene}/depth/{camera}.estimate.exr", camera=PLAN.training, allow_missing=True),
@@ -272,7 +266,7 @@ if PLAN.networks.depth not in ("", "precomputed") and not PLAN.networks.first_de
             model_image(PLAN.networks.depth)
         threads: 1
         resources:
-            mem_mb=memory(16000),
+            mem_mb=memory(16000 if gpus(PLAN.networks.depth) else 4000),
             gpu=gpus(PLAN.networks.depth),
         params:
             settings=settings("depth.network"),
@@ -281,28 +275,3 @@ if PLAN.networks.depth not in ("", "precomputed") and not PLAN.networks.first_de
             device=config["device"],
         shell:
             command("depth.network")
-
-
-if PLAN.networks.depth and not PLAN.networks.first_depth:
-
-    rule depth_aligned:
-        input:
-            model=MODEL,
-            estimate=files.estimated_depth,
-            planes="results/{scene}/depth/{camera}.planes.exr",
-        output:
-            depth="results/{scene}/depth/{camera}.exr",
-        log:
-            "logs/{scene}/depth/aligned/{camera}.log",
-        benchmark:
-            "timings/{scene}/depth/aligned/{camera}.tsv"
-        container:
-            image("core")
-        threads: 1
-        resources:
-            mem_mb=memory(1000),
-        params:
-            settings=settings("depth.aligned"),
-            code=code("depth.aligned"),
-        shell:
-            command("depth.aligned")

@@ -93,6 +93,9 @@ class People:
 class Depth:
     """The path of a network's depth, and its input."""
 
+    network: str = setting(
+        "", "Your own depth network in ONNX, for source onnx: one RGB picture in, depth or inverse depth out."
+    )
     precomputed: str = setting(
         "", "Folder with <camera>.exr, .npy, .npz or 16-bit .png (millimetres) for every camera."
     )

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """``depth.network``: an upstream network's depth of every clean plate, in its own unit, one job for all cameras.
 
-Writes ``depth/<camera>.estimate.exr``: Z in the network's unit, A its confidence. ``depth.aligned`` converts it to
-metres.
+Writes ``depth/<camera>.estimate.exr``: Z in the network's unit, A its confidence. ``depth.refine`` converts it to
+metres and lets it compete with planes and furniture.
 """
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
@@ -30,9 +31,12 @@ from studiorecon.signature import Place, Written
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
+    from studiorecon.models.protocols import MonocularDepth
+
 # A principal point further off the middle than this share of the width biases a network that uses a known focal length.
 _OFF_CENTRE = 0.05
 _SUFFIX = ".estimate.exr"
+_OF_ONE_PICTURE = ("monocular depth", "inverse depth")
 _NOTHING = np.zeros((1, 1), np.float32)
 
 
@@ -42,7 +46,8 @@ class Settings:
 
     source: DepthSource = setting(
         "embedded",
-        "embedded (planes), a network aligned to the planes, or precomputed files in any unit.",
+        "embedded (planes alone), a network beside the planes, onnx (your own: depth.network), or precomputed files in "
+        "any unit.",
         paper="Pi3, then MoGe; U21",
         paper_value="moge",
     )
@@ -56,11 +61,19 @@ class Settings:
 
 
 def estimates(
-    source: str, cameras: list[Camera], pictures: list[Integer[np.ndarray, "H W 3"]], weights: Path, device: str
+    source: str,
+    cameras: list[Camera],
+    pictures: list[Integer[np.ndarray, "H W 3"]],
+    own: list[Path],
+    weights: Path,
+    device: str,
 ) -> list[tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]]:
-    """(H, W) depth (0 = unknown) and confidence of every picture (H, W, 3) uint8, at the picture's own size."""
-    if card_of(source).kind == "monocular depth":
-        network = load("monocular depth", source, weights, device)
+    """(H, W) depth (0 = unknown) and confidence of every picture (H, W, 3) uint8, at the picture's own size.
+
+    ``own`` is the user's network where ``source`` is onnx.
+    """
+    if own or card_of(source).kind in _OF_ONE_PICTURE:
+        network = _network_of_one_picture(source, own, weights, device)
         made = [
             network.depth(picture, camera.focal_px[0]) for camera, picture in zip(cameras, progress(pictures, "plates"))
         ]
@@ -78,28 +91,48 @@ def estimates(
     ]
 
 
+def _network_of_one_picture(source: str, own: list[Path], weights: Path, device: str) -> MonocularDepth:
+    if own:
+        # By name, as ``models.loading`` does: the module counts only in runs that use it.
+        adapter = importlib.import_module("studiorecon.models.adapters.onnx_depth")
+        return cast("MonocularDepth", adapter.DepthNetwork(own[0], own[0].name))
+    if card_of(source).kind == "inverse depth":
+        return load("inverse depth", source, weights, device)
+    return load("monocular depth", source, weights, device)
+
+
 def run(
-    settings: Settings, model: Path, plates: list[Path], weights: Place, device: str, depths: list[Written]
+    settings: Settings,
+    model: Path,
+    plates: list[Path],
+    network: list[Path],
+    weights: Place,
+    device: str,
+    depths: list[Written],
 ) -> None:
     """Write ``depths`` (EXR, in the network's unit) of the ``plates``; empty for a camera that the model lacks.
 
-    The plates are in the order of the model's cameras.
+    The plates are in the order of the model's cameras. ``network`` is the user's own, for source onnx.
     """
     cameras = read_model(model.parent)
     one_each(cameras, plates=plates)
     written = {path.name.removesuffix(_SUFFIX): path for path in depths}
     for name in written.keys() - {camera.name for camera in cameras}:
         write_depth(written[name], _NOTHING, _NOTHING)
-    card = card_of(settings.source)
+    title = network[0].name if network else card_of(settings.source).title
     for camera in cameras:
         off = np.abs(np.array(camera.principal_px) / camera.wh - 0.5).max()
         if off > _OFF_CENTRE:
             warn(
-                f"{camera.name}: the principal point is {off:.0%} off the image centre, which {card.title} ignores; "
+                f"{camera.name}: the principal point is {off:.0%} off the image centre, which {title} ignores; "
                 "its depth will be tilted"
             )
     pictures = [to_bytes(read_plate(plate)[0]) for plate in plates]
-    say(f"depth of {len(cameras)} plates by {card.title} ({card.terms.weights}), upstream at {card.runtime.commit}")
-    for camera, (depth, sure) in zip(cameras, estimates(settings.source, cameras, pictures, weights, device)):
+    if network:
+        say(f"depth of {len(cameras)} plates by {title}")
+    else:
+        card = card_of(settings.source)
+        say(f"depth of {len(cameras)} plates by {title} ({card.terms.weights}), upstream at {card.runtime.commit}")
+    for camera, (depth, sure) in zip(cameras, estimates(settings.source, cameras, pictures, network, weights, device)):
         say(f"{camera.name}: {np.mean(depth > 0):.0%} known")
         write_depth(written[camera.name], depth, sure)

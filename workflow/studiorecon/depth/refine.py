@@ -4,11 +4,13 @@ edges.
 
 Writes ``depth/<camera>.exr``: Z metres, A confidence. Pixels that have the room box's depth because no other camera
 could judge them have A at or below ``default_confidence``; measured ones are above it. Furniture
-(``depth/primitives.json``) is drawn in front.
+(``depth/primitives.json``) is drawn in front. With a network's depth (``depth.source``) planes, furniture and network
+compete for every pixel (``fusion``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,15 +20,28 @@ from numba import njit
 
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
+from studiorecon.depth.estimates import estimate_of
+from studiorecon.depth.fusion import Surface, calibrated_network, label_with_network
 from studiorecon.depth.layout.primitives import Primitive, in_front, read_primitives
+from studiorecon.depth.learned import Output
 from studiorecon.depth.stereo.free_space import snap_to_room_box
-from studiorecon.depth.stereo.passes import PassSettings, PlaneLabelling, explain, plane_depths, plane_scores
+from studiorecon.depth.stereo.kernels import FIRST
+from studiorecon.depth.stereo.passes import (
+    PassSettings,
+    PlaneCosts,
+    PlaneLabelling,
+    choose,
+    plane_costs,
+    plane_depths,
+    plane_scores,
+)
 from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures
 from studiorecon.depth.sweep_settings import DefaultConfidence
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.stills import read_plate
+from studiorecon.images.sizes import resample_nearest
 from studiorecon.images.warp import sample
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
@@ -52,6 +67,11 @@ class Settings(PassSettings, DefaultConfidence):
         "Picture width of the last evaluation of chosen planes, at most the working width.",
         minimum=32,
         maximum=4096,
+    )
+    output: Output = setting(
+        "auto",
+        "Numbers of the depth network: metric (metres up to a scale), affine (depth up to scale and shift) or inverse "
+        "(inverse depth up to scale and shift); auto = what fits the room better.",
     )
 
 
@@ -129,42 +149,60 @@ def at_full_size(
     small: Picture,
     labelled: PlaneLabelling,
     planes: Float[np.ndarray, "L 4"],
+    further: Sequence[Float[np.ndarray, "H W"]] = (),
 ) -> tuple[Float[np.ndarray, "H W"], Integer[np.ndarray, "H W"]]:
     """(H, W) float32 depth of the carried planes, evaluated exactly at every full-size pixel, and the source index (H,
-    W)."""
+    W).
+
+    Labels after the planes are the surfaces ``further`` (H, W).
+    """
     source = upsample_indices(labelled.plane, small.rgb, rgb)
-    plane = planes[labelled.plane.ravel()[source]]
-    depth_m = replace(small, camera=camera).plane_depths_of_pixels(plane)
+    chosen = labelled.plane.ravel()[source]
+    depth_m = replace(small, camera=camera).plane_depths_of_pixels(planes[np.minimum(chosen, len(planes) - 1)])
+    for number, surface_m in enumerate(further, len(planes)):
+        depth_m = np.where(chosen == number, surface_m, depth_m)
     # A grazing plane can diverge just beyond its pixel: never further than its neighbours' depth.
     found = labelled.depth_m.ravel()[source]
     runaway = (depth_m <= 0) | (depth_m > 1.5 * found + 0.1)
     return np.where(runaway, found, depth_m).astype(np.float32), source
 
 
-def label_at_size(
+def costs_at_size(
     cameras: list[Camera],
     pictures: list[Picture],
     index: int,
     room_box: RoomBox,
     passes: list[Float[np.ndarray, "h w"]],
     settings: Settings,
-) -> PlaneLabelling:
-    """One camera labelled at this size against all others, whose surfaces are known from the agreed ``passes`` (h, w)
-    depths."""
+) -> PlaneCosts:
+    """Costs of all planes in one camera at this size against all others, whose surfaces are known from the agreed
+    ``passes`` (h, w) depths."""
     picture = pictures[index]
     depths = plane_depths(picture, room_box.planes, room_box, settings)
     rest = [i for i in range(len(pictures)) if i != index]
     scores = [plane_scores(picture, pictures[i], room_box.planes, depths, settings) for i in rest]
     seen = [(cameras[i].resized((passes[i].shape[1], passes[i].shape[0])), passes[i]) for i in rest]
-    return explain(picture, room_box.planes, depths, scores, seen, settings)
+    return plane_costs(picture, room_box.planes, depths, scores, seen, settings)
+
+
+def furniture_surface(
+    index: int, pictures: list[Picture], room_box: RoomBox, primitives: list[Primitive], settings: Settings
+) -> tuple[Surface, PhotoCostVolume]:
+    """The furniture in one camera and what photos say of it, where it is in front of the room box."""
+    room = PhotoCostVolume.by_room_box(pictures, room_box, settings.refine_window, settings.mean_weight, looks=False)
+    if primitives:
+        room.replace_all(np.array([primitive.numbers for primitive in primitives]))
+    rows, columns = pictures[index].camera.hw
+    depth_m, cost, judges, surface = (
+        a[index, :rows, :columns] for a in (room.depth, room.cost, room.judges, room.surface)
+    )
+    return Surface(np.where(surface >= FIRST, depth_m, 0), cost, judges > 0), room
 
 
 def draw_primitives(
     camera: Camera,
-    index: int,
-    pictures: list[Picture],
-    room_box: RoomBox,
     primitives: list[Primitive],
+    furniture: Surface,
     depth_m: Float[np.ndarray, "H W"],
     certain: Float[np.ndarray, "H W"],
     settings: Settings,
@@ -175,19 +213,8 @@ def draw_primitives(
     Parts of a primitive that another camera sees have the confidence of their match; the rest counts as a default.
     """
     depth_m, shown = in_front(primitives, camera, depth_m)
-    if not shown.any():
-        return depth_m, certain, shown
-    room = PhotoCostVolume.by_room_box(pictures, room_box, settings.refine_window, settings.mean_weight)
-    room.replace_all(np.array([primitive.numbers for primitive in primitives]))
-    small = PlaneLabelling(
-        *(
-            a[: pictures[index].camera.hw[0], : pictures[index].camera.hw[1]]
-            for a in (room.surface[index], room.depth[index], room.cost[index], room.judges[index] > 0)
-        )
-    )
-    stated = confidence(
-        replace(small, plane=np.full_like(small.plane, 6)), np.zeros(6, bool), settings.default_confidence
-    )
+    small = PlaneLabelling(np.full(furniture.depth_m.shape, 6), furniture.depth_m, furniture.cost, furniture.judged)
+    stated = confidence(small, np.zeros(6, bool), settings.default_confidence)
     certainty, _ = sample(stated, camera.pixel_centres() * (np.array(stated.shape[::-1]) / camera.wh), "nearest")
     return depth_m, np.where(shown, certainty, certain).astype(np.float32), shown
 
@@ -200,9 +227,10 @@ def run(
     passes: Path,
     room_box: Path,
     primitives: Path,
+    estimates: list[Path],
     depth: Written,
 ) -> None:
-    """Write one camera's depth and confidence."""
+    """Write one camera's depth and confidence; ``estimates`` is a network's depth of it, if there is one."""
     cameras = read_model(model.parent)
     names = [c.name for c in cameras]
     if camera not in names:
@@ -212,34 +240,43 @@ def run(
     agreed = list(read(passes, {f"depth_{name}": metres(f"H_{name} W_{name}", low=0) for name in names}).values())
     gains = np.stack([room.gains[name] for name in names])
     pictures = equalise_exposure(read_pictures(cameras, plates, settings.refine_width), gains)
-    labelled = label_at_size(cameras, pictures, index, room, agreed, settings)
+    costs = costs_at_size(cameras, pictures, index, room, agreed, settings)
     others = [(c.resized(a.shape[::-1]), a) for i, (c, a) in enumerate(zip(cameras, agreed)) if i != index]
-    labelled, floating = snap_to_room_box(labelled, pictures[index].camera, room, others)
+    picture, furniture = pictures[index], read_primitives(primitives)
+    labelled, floating = snap_to_room_box(choose(picture, costs, settings.refine_penalty), picture.camera, room, others)
     say(
         f"{camera}: {floating:.1%} of the pixels are confirmed by no other camera and would float; moved to walls "
         "and floor"
     )
     rgb, _ = read_plate(plates[index], cameras[index].wh)
-    depth_m, source = at_full_size(
-        cameras[index], rgb / gains[index].astype(np.float32), pictures[index], labelled, room.planes
-    )
+    rgb = rgb / gains[index].astype(np.float32)
+    drawn, volume = furniture_surface(index, pictures, room, furniture, settings)
+    further: list[np.ndarray] = []
+    for path in estimates:
+        estimate = estimate_of(path, cameras[index])
+        calibration, learned = calibrated_network(estimate, picture, labelled, drawn, room, settings.output)
+        seen_m = [resample_nearest(depth_m, p.camera.hw) for depth_m, p in zip(agreed, pictures)]
+        seen_m[index] = learned.depth_m
+        network = Surface(learned.depth_m, *volume.cost_of(index, seen_m))
+        labelled = label_with_network(picture, costs, drawn, network, learned, settings)
+        further = [
+            in_front(furniture, cameras[index], np.zeros(cameras[index].hw, np.float32))[0],
+            calibration.sharp_depth(estimate, rgb),
+        ]
+    depth_m, source = at_full_size(cameras[index], rgb, picture, labelled, room.planes, further)
     certainty = confidence(labelled, room.fitted, settings.default_confidence).ravel()[source]
     say(
         f"{camera}: {(~labelled.judged).mean():.0%} of the pixels have default depth, because no other camera sees "
         "that surface"
     )
-    depth_m, certainty, shown = draw_primitives(
-        cameras[index],
-        index,
-        pictures,
-        room,
-        read_primitives(primitives),
-        depth_m,
-        certainty.reshape(depth_m.shape),
-        settings,
-    )
+    certainty = certainty.reshape(depth_m.shape)
+    shown = labelled.plane == len(room.planes)
+    if furniture and not estimates:
+        depth_m, certainty, shown = draw_primitives(cameras[index], furniture, drawn, depth_m, certainty, settings)
+    inside = (labelled.plane >= 6) & (labelled.plane < len(room.planes))
     say(
-        f"{camera}: {shown.mean():.0%} of the pixels show boxes and cylinders, {(labelled.plane >= 6).mean():.0%} "
+        f"{camera}: {shown.mean():.0%} of the pixels show boxes and cylinders, {inside.mean():.0%} "
         "other surfaces inside the room"
+        + (f", {(labelled.plane > len(room.planes)).mean():.0%} the network's own" if estimates else "")
     )
     write_depth(depth, depth_m, certainty)

@@ -103,10 +103,11 @@ class PoseAndDepth(Protocol):
 
 
 class MonocularDepth(Protocol):
-    """Estimates depth of one picture: MoGe."""
+    """Estimates depth of one picture: MoGe; or its inverse, up to scale and shift (kind "inverse depth")."""
 
     def depth(self, picture: Integer[np.ndarray, "H W 3"], focal_px: float | None) -> Float[np.ndarray, "H W"]:
-        """(H, W) float32 depth of a uint8 picture, 0 = unknown; ``focal_px``: horizontal, when it is known."""
+        """(H, W) float32 depth (or inverse depth) of a uint8 picture, 0 = unknown; ``focal_px``: horizontal, when it is
+        known."""
         ...
 
 

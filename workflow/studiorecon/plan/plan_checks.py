@@ -22,6 +22,8 @@ PRECOMPUTED = {
     "views": (".mkv", ".mp4"),
     "enhance": (".mkv", ".mp4"),
 }
+# Depth networks that need no GPU.
+_ON_A_CPU = [card.name for card in of_kind("monocular depth", "inverse depth") if card.memory.gpu_gb is None]
 
 
 def find_precomputed(config: Mapping[str, Any], section: str, stem: str) -> Path:
@@ -47,6 +49,11 @@ def check_plan(plan: Plan, config: Mapping[str, Any]) -> None:
         known = " or ".join(card.name for card in of_kind("point detector"))
         raise UserError(
             f"detect.network names {named}, which does not exist; name an .onnx file, or {known}, or leave it empty"
+        )
+    if plan.networks.depth == "onnx" and not Path(config["depth"]["network"]).is_file():
+        raise UserError(
+            f"depth.source is onnx and depth.network is {config['depth']['network']!r}, which is no file: name your "
+            f".onnx file, or set the source to one that snakemake weights fetches ({', '.join(_ON_A_CPU)})"
         )
     if plan.people:
         _keypoints(plan)

@@ -164,11 +164,17 @@ class UserInputs:
 
     # ---- made by a network or outside this workflow ----
 
-    def estimated_depth(self, wildcards: Any) -> str:
-        """Estimated depth of one camera, in an arbitrary unit."""
+    def estimated_depth(self, wildcards: Any) -> list[str]:
+        """A network's depth of one camera, in an arbitrary unit, where ``depth.source`` selects one."""
+        if not self.plan.networks.depth or self.plan.networks.first_depth:
+            return []
         if self.plan.networks.depth != "precomputed":
-            return f"results/{wildcards.scene}/depth/{wildcards.camera}.estimate.exr"
-        return self.precomputed("depth", wildcards.camera)
+            return [f"results/{wildcards.scene}/depth/{wildcards.camera}.estimate.exr"]
+        return [self.precomputed("depth", wildcards.camera)]
+
+    def depth_network(self, _: Any) -> list[str]:
+        """The user's own depth network, where ``depth.source`` is onnx."""
+        return [self.local(self.config["depth"]["network"])] if self.plan.networks.depth == "onnx" else []
 
     def generated_film(self, wildcards: Any) -> str:
         """Film of one gap's synthesised views."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # second share.
 _THROUGH_SHARE, _CONFIRM_SHARE = 0.07, 0.05
 # A plane inside the room stays where another camera judges it with at least half of the possible agreement of colours.
-_MAX_COST = 0.5
+MAX_COST = 0.5
 
 
 def is_looked_through(
@@ -57,7 +57,7 @@ def snap_to_room_box(
     it badly: where floor and walls match nothing, a plane that is hidden from all other cameras has a lower cost. Only
     planes inside the room (label ≥ 6) are tested; all others are on the room box already.
     """
-    unproven = ~labelled.judged | (labelled.cost > _MAX_COST)
+    unproven = ~labelled.judged | (labelled.cost > MAX_COST)
     floating = (is_looked_through(camera, labelled.depth_m, others) | unproven) & (labelled.plane >= 6)
     origin, directions = camera.rays()
     length, face = room_box.intersect(origin, directions)

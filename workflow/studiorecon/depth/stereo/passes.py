@@ -28,7 +28,8 @@ _AGREEING_M = 0.03
 _DISAGREEING_WEIGHT = 0.5
 # A second, larger window stabilises weak texture; it loses by this much when both fit.
 _LARGER_WINDOW, _LARGER_LOSS = 6, 0.05
-_OUTSIDE = 2.5
+OUTSIDE = 2.5
+"""Cost of a surface that a pixel's ray does not meet."""
 _OUTSIDE_MARGIN_M = 0.05
 
 
@@ -95,16 +96,26 @@ def plane_scores(
     return scores
 
 
-def explain(
+@dataclass(frozen=True)
+class PlaneCosts:
+    """Every plane at every pixel of one picture: depth (L, H, W), cost (H, W, L), and (H, W, L) bool: another camera
+    judged it."""
+
+    depths_m: Float[np.ndarray, "L H W"]
+    cost: Float[np.ndarray, "H W L"]
+    judged: Bool[np.ndarray, "H W L"]
+
+
+def plane_costs(
     picture: Picture,
     planes: Float[np.ndarray, "L 4"],
     depths: Float[np.ndarray, "L H W"],
     scores: Sequence[Float[np.ndarray, "L H W"]],
     others: Sequence[tuple[Camera, Float[np.ndarray, "h w"]]],
     settings: PassSettings,
-) -> PlaneLabelling:
-    """The labelling of one picture from its scores against every other camera, given those cameras and their latest
-    depth (H', W').
+) -> PlaneCosts:
+    """The costs of one picture from its scores against every other camera, given those cameras and their latest depth
+    (H', W').
 
     The first six planes are the room box: where no camera can judge, they cost ``room_box_default`` and all others
     ``other_default``, which puts pixels seen by one camera on the walls.
@@ -127,17 +138,34 @@ def explain(
         value = np.where(flat, np.maximum(value, settings.room_box_default), value) + (
             0.0 if of_room_box else settings.other_extra
         )
-        cost[..., k] = np.where(depths[k] > 0, value, _OUTSIDE)
+        cost[..., k] = np.where(depths[k] > 0, value, OUTSIDE)
         judged[..., k] = weight > 0
-    chosen = label(cost, picture.rgb, settings.refine_penalty)
+    return PlaneCosts(depths, cost, judged)
+
+
+def choose(picture: Picture, costs: PlaneCosts, change_penalty: float) -> PlaneLabelling:
+    """The labelling of one picture: the surface of least cost at every pixel, smooth except at the photo's edges."""
+    chosen = label(costs.cost, picture.rgb, change_penalty)
     pick = chosen[..., None]
-    depth_m = np.take_along_axis(np.moveaxis(depths, 0, -1), pick, axis=-1)[..., 0]
+    depth_m = np.take_along_axis(np.moveaxis(costs.depths_m, 0, -1), pick, axis=-1)[..., 0]
     return PlaneLabelling(
         chosen,
         depth_m,
-        np.take_along_axis(cost, pick, axis=-1)[..., 0],
-        np.take_along_axis(judged, pick, axis=-1)[..., 0],
+        np.take_along_axis(costs.cost, pick, axis=-1)[..., 0],
+        np.take_along_axis(costs.judged, pick, axis=-1)[..., 0],
     )
+
+
+def explain(
+    picture: Picture,
+    planes: Float[np.ndarray, "L 4"],
+    depths: Float[np.ndarray, "L H W"],
+    scores: Sequence[Float[np.ndarray, "L H W"]],
+    others: Sequence[tuple[Camera, Float[np.ndarray, "h w"]]],
+    settings: PassSettings,
+) -> PlaneLabelling:
+    """The labelling of one picture by ``plane_costs`` alone."""
+    return choose(picture, plane_costs(picture, planes, depths, scores, others, settings), settings.refine_penalty)
 
 
 @njit(cache=True)

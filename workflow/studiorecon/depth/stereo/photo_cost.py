@@ -72,8 +72,10 @@ class PhotoCostVolume:
     primitives: Float[np.ndarray, "K 8"]
 
     @staticmethod
-    def by_room_box(pictures: Sequence[Picture], room_box: RoomBox, window: int, mean_weight: float) -> PhotoCostVolume:
-        """The empty room: every pixel on the room box."""
+    def by_room_box(
+        pictures: Sequence[Picture], room_box: RoomBox, window: int, mean_weight: float, looks: bool = True
+    ) -> PhotoCostVolume:
+        """The empty room: every pixel on the room box. Without ``looks`` dissimilarity (``odds``) is left at 0."""
         count = len(pictures)
         height, width = np.max([p.camera.hw for p in pictures], axis=0)
         shape = (count, height, width)
@@ -115,9 +117,25 @@ class PhotoCostVolume:
             np.zeros((0, 8)),
         )
         room.replace_all(room.primitives)
-        for own, unlike in zip(room.odds, foreground_log_odds(pictures, room_box)):
-            own[: unlike.shape[0], : unlike.shape[1]] = unlike
+        if looks:
+            for own, unlike in zip(room.odds, foreground_log_odds(pictures, room_box)):
+                own[: unlike.shape[0], : unlike.shape[1]] = unlike
         return room
+
+    def cost_of(
+        self, view: int, depths_m: Sequence[Float[np.ndarray, "h w"]]
+    ) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+        """Cost (h, w) of one view's own surface, any depth map, and whether another camera judged it; ``depths_m``: of
+        all views, at their size."""
+        depth = np.zeros_like(self.depth)
+        for own, depth_m in zip(depth, depths_m):
+            own[: depth_m.shape[0], : depth_m.shape[1]] = depth_m
+        known = self.known & (depth > 0)
+        pair, at, z, cost, judges = (np.zeros_like(a) for a in (self.pair, self.at, self.z, self.cost, self.judges))
+        surface, how = np.zeros_like(self.surface), (self.half, self.mean_weight)
+        explain_all(self.lens, self.pose, self.centre, self.rgb, known, depth, surface, pair, at, z, cost, judges, *how)
+        rows, columns = depths_m[view].shape
+        return cost[view, :rows, :columns], judges[view, :rows, :columns] > 0
 
     def gains(self, primitives: Float[np.ndarray, "N 8"], looks: bool = True) -> Float[np.ndarray, " N"]:
         """(N,) decrease of the cost of all pixels with each of N primitives (N, 8) added alone.

@@ -14,6 +14,7 @@ HUB = "Hugging Face"
 Kind = Literal[
     "pose and depth",
     "monocular depth",
+    "inverse depth",
     "person segmenter",
     "body estimator",
     "body model",

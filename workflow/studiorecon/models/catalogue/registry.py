@@ -16,6 +16,7 @@ MODULES = (
     "adapters.pi3",
     "adapters.mapanything",
     "adapters.moge",
+    "adapters.onnx_depth",
     "adapters.sam3",
     "adapters.comotion",
     "smpl",

@@ -46,7 +46,12 @@ CHOICES = {
         ("body estimator",), ("tracks.bodies",), ("auto", "detector", "keypoints"), ("precomputed",)
     ),
     "masks.source": Choice(("person segmenter",), ("masks.network",), ("embedded",), ("precomputed",)),
-    "depth.source": Choice(("monocular depth", "pose and depth"), ("depth.network",), ("embedded",), ("precomputed",)),
+    "depth.source": Choice(
+        ("monocular depth", "inverse depth", "pose and depth"),
+        ("depth.network",),
+        ("embedded",),
+        ("onnx", "precomputed"),
+    ),
     "views.synthesizer": Choice(
         ("view synthesizer",), ("views.request", "views.generate", "views.fitted"), ("warp",), ("precomputed",)
     ),
@@ -95,7 +100,8 @@ def adapter_modules(step: str, config: Mapping[str, Any]) -> list[str]:
     names += [str(at(config, f"enhance.{key}")) for key in ("enhancer", "flow") if step == "background.refined"]
     names += [str(at(config, "masks.source"))] if step == "views.people" else []
     names += [CANONICAL] if step == "humans.canonical" else []
-    return sorted({adapter_module(name) for name in names if name in MODELS})
+    own = {"models.adapters.onnx_depth"} if step == "depth.network" and "onnx" in names else set()
+    return sorted({adapter_module(name) for name in names if name in MODELS} | own)
 
 
 def at(config: Mapping[str, Any], where: str) -> Any:
