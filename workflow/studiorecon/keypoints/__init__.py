@@ -7,7 +7,8 @@ order:
 * ``layouts``: names and orders, SMPL's joints among them; ``layout_choice``: the layout of keypoints without a name;
 * ``readers`` opens a user's files (``file_numbers``, ``picture_content``, ``result_files``, ``deeplabcut``,
   ``mediapipe``);
-* ``film_check`` compares them with the film (``numbering``, ``coordinate_readings``, ``motion``, ``motion_agreement``);
+* ``film_check`` compares them with the film (``numbering``, ``coordinate_readings``, ``motion``, ``motion_agreement``,
+  ``unmatched``);
 * ``detections`` (undistorted, tracked), ``tracking`` (one camera), ``temporal_smoothing`` (smooths a network's jitter),
   ``resampling`` (the common clock);
 * ``correspondence``: which tracks of different cameras show the same person.

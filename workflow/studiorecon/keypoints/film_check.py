@@ -15,6 +15,7 @@ from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.motion import Motion
 from studiorecon.keypoints.motion_agreement import Movers, Score, best, is_frozen, is_upside_down, movers, score
 from studiorecon.keypoints.numbering import Numbering, Numberings
+from studiorecon.keypoints.unmatched import without_motion, without_people
 from studiorecon.scene.recorded_keypoints import RecordedKeypoints
 
 if TYPE_CHECKING:
@@ -29,11 +30,6 @@ BORNE_OUT = 0.3
 """Lift from which a film bears keypoints out; below it, other cameras' keypoints are compared with it too."""
 # No reading fits: lift is no better than chance although people move in keypoints and film.
 _CHANCE, _CHANCE_SIGMAS, _CHANCE_POINTS = 0.1, 2.0, 200
-# Share of the picture's height that people have where a film without their motion is named: twice the height from which
-# `Motion.busy` sees one.
-_MIN_TALL = 0.2
-# Share of the frames that hold nobody, although as much moves in them as in the others, from which they are named.
-_MIN_UNSEEN = 0.25
 _SHIFTS = 60
 # A smaller shift is a detector's smoothing.
 _MIN_SHIFT = 2
@@ -140,7 +136,7 @@ def check_against_film(recorded: RecordedKeypoints, numbers: Numberings, film: F
     if chosen.shift and not refusal:
         said.append(judge.shifted(chosen))
     if not refusal:
-        said += [*judge.without_motion(chosen), *judge.without_people(chosen)]
+        said += judge.unmatched(chosen)
     if not refusal and not (chosen.score.enough and chosen.score.lift > _LIFT):
         said += _of_heads(recorded, film.camera)
     refusal = refusal or _outside(recorded.keypoints, chosen.reading, film)
@@ -288,36 +284,20 @@ class _Judge:
             "capture.yaml)"
         )
 
-    def without_motion(self, now: _Hypothesis) -> list[str]:
-        """A warning where people walk through the keypoints and nothing moves in the film."""
-        motion, keypoints = self.film.motion, self.recorded.keypoints
-        if motion is None or motion.busy or now.score.points < _CHANCE_POINTS:
+    def unmatched(self, now: _Hypothesis) -> list[str]:
+        """Warnings of people without motion in the film, and of motion without people."""
+        motion, seen, camera = self.film.motion, self.recorded, self.film.camera
+        if motion is None:
             return []
-        shown = apply_reading(now.reading.film_from_recorded, keypoints[..., :2])[..., 1]
-        there = np.where((keypoints[..., 2] > 0) & (keypoints[..., :2] != 0).any(-1), shown, np.nan)
-        present = np.isfinite(there)
-        tall = np.nanmax(there[present.any(-1)], axis=-1) - np.nanmin(there[present.any(-1)], axis=-1)
-        if len(self.moving.person) < 0.5 * present.sum() or np.median(tall) < _MIN_TALL * self.film.wh[1]:
+        if not motion.busy and now.score.points >= _CHANCE_POINTS:
+            shown = apply_reading(now.reading.film_from_recorded, seen.keypoints[..., :2])
+            share = len(self.moving.person) / max(len(_points(seen.keypoints)), 1)
+            return without_motion(camera, shown[..., 1] / self.film.wh[1], seen.keypoints, share)
+        if not (now.score.enough and now.score.lift > _LIFT):
             return []
-        return [
-            f"people move in the keypoints of camera {self.film.camera}, and nothing of their size does in its "
-            "pictures: see whether film and keypoints are of one take"
-        ]
-
-    def without_people(self, now: _Hypothesis) -> list[str]:
-        """A warning where the keypoints hold nobody in many frames in which the film moves as in the others."""
-        motion = self.film.motion
-        if motion is None or not (now.score.enough and now.score.lift > _LIFT):
-            return []
-        shown = now.numbering.frame_of[np.searchsorted(self.recorded.pictures, self.recorded.frame)] - now.shift
-        somebody = np.isin(motion.frame, shown)
-        moves = (motion.near == 1).mean(axis=(1, 2))
-        if (~somebody).mean() < _MIN_UNSEEN or np.median(moves[~somebody]) < 0.5 * np.median(moves[somebody]):
-            return []
-        return [
-            f"the keypoints of camera {self.film.camera} hold nobody in {(~somebody).mean():.0%} of its film's frames, "
-            "in which as much moves as in the others: see whether some of them are missing"
-        ]
+        return without_people(
+            camera, motion, now.numbering.frame_of[np.searchsorted(seen.pictures, seen.frame)] - now.shift
+        )
 
     def evidence(self, right: _Hypothesis, now: _Hypothesis | None = None) -> str:
         """The film's evidence, in brackets."""

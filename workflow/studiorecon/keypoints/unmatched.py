@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Warns of people who walk through a film in which nothing moves, and of moving films without people."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.keypoints.motion import Motion
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer, Num
+
+# Share of the picture's height that people have where a film without their motion is named: twice the height from which
+# `Motion.busy` sees one.
+_MIN_TALL = 0.2
+# Share of their keypoints that are where bodies seldom are: people who stay in one place may be invisible motion.
+_MIN_WALKING = 0.5
+# Share of the frames that hold nobody, although as much moves in them as in the others, from which they are named.
+_MIN_UNSEEN = 0.25
+
+
+def without_motion(
+    camera: str, height_share: Num[np.ndarray, "D K"], keypoints: Num[np.ndarray, "D K 3"], walking_share: float
+) -> list[str]:
+    """A warning where tall people walk, for a film in which nothing moves; ``height_share``: y over the picture's
+    height."""
+    there = (keypoints[..., 2] > 0) & (keypoints[..., :2] != 0).any(-1) & np.isfinite(height_share)
+    shown = np.where(there, height_share, np.nan)[there.any(-1)]
+    if not len(shown) or walking_share < _MIN_WALKING:
+        return []
+    if np.median(np.nanmax(shown, axis=-1) - np.nanmin(shown, axis=-1)) < _MIN_TALL:
+        return []
+    return [
+        f"people move in the keypoints of camera {camera}, and nothing of their size does in its pictures: see whether "
+        "film and keypoints are of one take"
+    ]
+
+
+def without_people(camera: str, motion: Motion, frame: Integer[np.ndarray, " D"]) -> list[str]:
+    """A warning where the detections, in frames ``frame`` of the film, leave out many frames that move as the others
+    do."""
+    somebody = np.isin(motion.frame, frame)
+    moves = (motion.near == 1).mean(axis=(1, 2))
+    if (~somebody).mean() < _MIN_UNSEEN or np.median(moves[~somebody]) < 0.5 * np.median(moves[somebody]):
+        return []
+    return [
+        f"the keypoints of camera {camera} hold nobody in {(~somebody).mean():.0%} of its film's frames, in which as "
+        "much moves as in the others: see whether some of them are missing"
+    ]
