@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.estimate.factors.keypoints import LEAST_SHARED_M, SHARED_M, sides
+from studiorecon.estimate.factors.keypoints import SHARED_M, sides
 from studiorecon.estimate.unknowns import PER_CAMERA
 from studiorecon.geometry.triangulation import Limits, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
@@ -81,4 +81,4 @@ def noise_in(
     squared = np.maximum(((metres**2).sum(1) / 2), 0.0)
     left = 2 * len(count) / max(2 * len(count) - PER_CAMERA * views, 0.2 * len(count))
     variance = taken**2 * left * np.median(squared) / np.log(2) - float(np.median(of_frames**2))
-    return DetectorNoise(np.array(frame_px), float(np.sqrt(max(variance, LEAST_SHARED_M**2))))
+    return DetectorNoise(np.array(frame_px), float(np.sqrt(max(variance, SHARED_M**2))))

@@ -20,9 +20,9 @@ from studiorecon.estimate.unknowns import Unknowns
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
-# Standard deviation of the shared error across the line of sight, metres, before residuals show it, and its least:
-# joints of BlazePose and OpenPose on a real man differ by 1 to 2 cm between views.
-SHARED_M, LEAST_SHARED_M = 0.015, 0.008
+# Least standard deviation of the shared error across the line of sight, metres. Joints of BlazePose and OpenPose on a
+# real man differ by 1 to 2 cm between views; with less, intervals of cameras around him did not hold the truth.
+SHARED_M = 0.015
 # The shared error is another one when a body is seen from this much further round.
 SIDES = 6
 # A few per cent of joints are elsewhere.
