@@ -84,7 +84,7 @@ def test_what_may_be_fetched_is_fetched_verified_and_pinned(
     file.write_bytes(b"faked")
     with pytest.raises(UserError, match=r"has SHA-256 .*delete it and get it again"):
         staged_weights(MODELS["fixer"], tmp_path)
-    with pytest.raises(UserError, match="1 of the files are not in place"):
+    with pytest.raises(UserError, match="1 of the files are missing or wrong"):
         weights.run(["fixer"], tmp_path, "yes")
 
 

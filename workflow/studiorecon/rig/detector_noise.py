@@ -17,12 +17,12 @@ from studiorecon.rig.correspondences import Observations
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Integer, Num
 
 SHOULDERS = [STABLE_KEYPOINTS.index(f"{s}_shoulder") for s in ("left", "right")]
 _SIGMA_OF_MEDIAN = 1.4826
 # A detector's least noise, as a share of the longer side.
-_LEAST_NOISE = 0.0005
+_MIN_NOISE = 0.0005
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,16 @@ class DetectorNoise:
 
 def shared_cells(
     seen: Observations,
-    points_m: np.ndarray,
+    points_m: Num[np.ndarray, "N 3"],
     cameras: Sequence[Camera],
-    place: np.ndarray,
-    view: np.ndarray,
-    point: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """(M,) which of the observations share their error, as numbers of cells, and pixels per metre at each."""
+    place: Integer[np.ndarray, "P T K"],
+    view: Integer[np.ndarray, " M"],
+    point: Integer[np.ndarray, " M"],
+) -> tuple[Integer[np.ndarray, " M"], Num[np.ndarray, " M"]]:
+    """(M,) which of the observations share their error, as numbers of cells, and pixels per metre at each.
+
+    ``place``: the point of every person, moment and keypoint, -1 where there is none.
+    """
     time = np.unique(seen.frame, return_inverse=True)[1]
     person = np.unique(seen.group, return_inverse=True)[1]
     ends = place[person, time][:, SHOULDERS]
@@ -61,7 +64,11 @@ def shared_cells(
 
 
 def noise_in(
-    off: np.ndarray, view: np.ndarray, cell: np.ndarray, px_per_m: np.ndarray, cameras: Sequence[Camera]
+    off: Num[np.ndarray, "M 2"],
+    view: Integer[np.ndarray, " M"],
+    cell: Integer[np.ndarray, " M"],
+    px_per_m: Num[np.ndarray, " M"],
+    cameras: Sequence[Camera],
 ) -> DetectorNoise:
     """The noise that residuals (M, 2) in pixels show, with the numbers that points and cameras took.
 
@@ -74,7 +81,7 @@ def noise_in(
     for v, camera in enumerate(cameras):
         own = np.abs(off - means[cell])[(view == v) & (count[cell] > 1)]
         spread = _SIGMA_OF_MEDIAN * float(np.median(own)) if own.size else 0.0
-        frame_px.append(max(taken * spread, _LEAST_NOISE * max(camera.wh)))
+        frame_px.append(max(taken * spread, _MIN_NOISE * max(camera.wh)))
     # Of cells that are the mean of some frames; half of a two-dimensional normal's squares are below 2 ln 2.
     metres = means * (count / np.bincount(cell, px_per_m))[:, None]
     of_frames = np.bincount(cell, np.array(frame_px)[view] / px_per_m) / count / np.sqrt(count)
