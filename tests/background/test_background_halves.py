@@ -150,5 +150,5 @@ def test_without_views_there_is_no_half(
     tmp_path: Path,
 ) -> None:
     files = {name: tmp_path / name for name in ("half", "provenance", "renders", "renders_path")}
-    with pytest.raises(UserError, match="nothing is looked at half-way"):
+    with pytest.raises(UserError, match="it needs at least one view"):
         call(half.run, settings(), **capture, **files, working=tmp_path)

@@ -47,5 +47,5 @@ def test_the_papers_views_lie_between_the_synthesized_ones(cameras: list[Camera]
         assert np.arctan2(turn[1, 2], turn[2, 2]) == pytest.approx(np.arctan2(up_m, radius_m), abs=1e-9)
         assert (raised.forward[2] < straight.forward[2]) == (up_m > 1e-9)
     assert min(np.linalg.norm((c.centre_m - middle)[:2]) for c in level) < 0.9 * radius_m
-    with pytest.raises(UserError, match="there are 0 of them"):
+    with pytest.raises(UserError, match="there are 0"):
         refinement_cameras(cameras, [], letter)

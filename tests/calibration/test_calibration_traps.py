@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -56,17 +55,15 @@ def write_calibration(
 
 @pytest.fixture
 def capture(tmp_path: Path) -> Path:
-    """A good capture: grey pictures, OpenPose files of two people, EasyMocap calibration."""
+    """A good capture: pictures of light boxes for people, OpenPose files of two, EasyMocap calibration."""
     found = detect(cameras(), PEOPLE, 1.5, np.random.default_rng(0))
     write_calibration(tmp_path, cameras())
     (tmp_path / "capture.yaml").write_text("keypoint_layout: coco17\n")
     for camera, seen in zip(cameras(), found):
         (tmp_path / "images" / camera.name).mkdir(parents=True)
-        picture = tmp_path / "images" / camera.name / "000000.jpg"
-        cv2.imwrite(str(picture), np.full(camera.hw, 128, np.uint8))
-        for t in range(1, FRAMES + 4):
-            os.link(picture, picture.with_name(f"{t:06d}.jpg"))
         (tmp_path / "keypoints" / camera.name).mkdir(parents=True)
+        for t in range(FRAMES, FRAMES + 4):
+            draw_people(tmp_path, camera.name, t, [])
         for t in range(FRAMES):
             people = [
                 {"pose_keypoints_2d": np.nan_to_num(k).reshape(-1).tolist()} for k in seen.keypoints[seen.frame == t]
@@ -75,7 +72,18 @@ def capture(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def draw_people(folder: Path, camera: str, frame: int, people: list[dict[str, Any]]) -> None:
+    picture = np.full(cameras()[0].hw, 90, np.uint8)
+    for person in people:
+        points = np.reshape(person.get("pose_keypoints_2d", []), (-1, 3))
+        if (points[:, 2:] > 0).any():
+            inside = points[points[:, 2] > 0, :2].astype(int)
+            cv2.rectangle(picture, inside.min(0).tolist(), inside.max(0).tolist(), 180, -1)
+    cv2.imwrite(str(folder / "images" / camera / f"{frame:06d}.jpg"), picture)
+
+
 def write_people(folder: Path, camera: str, frame: int, people: list[dict[str, Any]]) -> None:
+    draw_people(folder, camera, frame, people)
     (folder / "keypoints" / camera / f"{camera}_{frame:012d}_keypoints.json").write_text(json.dumps({"people": people}))
 
 
@@ -166,6 +174,7 @@ def stray_files(folder: Path) -> None:
 def half_a_clip(folder: Path) -> None:
     for t in range(FRAMES // 2, FRAMES):
         (folder / "keypoints" / "02" / f"02_{t:012d}_keypoints.json").unlink()
+        draw_people(folder, "02", t, [])
 
 
 def everybody_leaves(folder: Path) -> None:
@@ -179,6 +188,10 @@ def test_what_the_doctor_says_about_a_camera_started_early_makes_it_agree(captur
     for path in sorted((capture / "keypoints" / "01").iterdir(), reverse=True):
         frame = int(path.name.split("_")[1])
         path.rename(path.with_name(f"01_{frame + 3:012d}_keypoints.json"))
+        picture = capture / "images" / "01" / f"{frame:06d}.jpg"
+        picture.rename(picture.with_name(f"{frame + 3:06d}.jpg"))
+    for frame in range(3):
+        draw_people(capture, "01", frame, [])
     advice = examine(capture)["advice"]
     (said,) = [found[0] for sentence in advice if (found := re.search(r"starts: \{.*?\}", sentence))]
     assert re.search(r'"01": (2\.[89]|3)', said), advice

@@ -22,8 +22,8 @@ _WHITE = 250
 # Error of detectors on real people with a careful calibration: 0.33 % of the longer side (6.3 of 1920 px, OpenPose).
 _NOISE_SHARE = 0.004
 # If people leave the cameras' relative rotation uncertain by more degrees than this, a sentence says so. Two people who
-# walk past each other leave 1.6, one man in one place 6 to 7.
-_TOLD_DEG = 2.0
+# walk past each other leave 2.9, one man in one place 7.
+_MAX_OPEN_DEG = 4.0
 
 # The page's headline for each verdict.
 HEADLINES = {
@@ -169,7 +169,7 @@ def _left_open(report: dict[str, Any]) -> list[str]:
     if refined is None or refined["between_deg"] is None:
         return []
     asked, between = refined["disagreement_deg"], refined["between_deg"]
-    if asked + between <= _TOLD_DEG:
+    if asked + between <= _MAX_OPEN_DEG:
         return []
     remedy = "let a person walk through the whole room while all cameras film, or calibrate again if that is not enough"
     if refined["elsewhere"]:
