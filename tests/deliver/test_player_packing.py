@@ -223,7 +223,7 @@ def test_what_cameras_filmed_is_a_film_or_some_photos(tmp_path: Path, monkeypatc
     monkeypatch.setattr(player, "FILM_FRAMES", 10)
     cameras = [{} for _ in videos]
     told = player.add_footage(held, cameras, videos, 20, 15.0)
-    assert "8 of 20 pictures" in told[0]
+    assert "8 of 20 photos" in told[0]
     assert [photo["frame"] for photo in cameras[0]["photos"]][:: len(cameras[0]["photos"]) - 1] == [0, 19]
 
 
