@@ -13,12 +13,12 @@ import onnxruntime
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 from studiorecon.detector.blazepose import BlazePose
-from studiorecon.detector.crops import opened
 from studiorecon.detector.one_stage import OneStage, agreements
 from studiorecon.detector.second_network import second_network
 from studiorecon.detector.top_down import TopDown
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.machine.onnx_network import open_network
 
 EDGE, PEOPLE, RADIUS = 256, 2, 5.0
 COCO, LANDMARKS = LAYOUTS["coco17"].keypoints, LAYOUTS["blazepose33"].keypoints
@@ -125,7 +125,7 @@ def test_of_two_people_the_one_who_agrees_with_the_landmarks_counts(tmp_path: Pa
 
 
 def read(path: Path, layout: str) -> OneStage:
-    return OneStage(opened(path, ""), path, layout)
+    return OneStage(open_network(path, ""), path, layout)
 
 
 def test_where_nobody_agrees_or_nobody_is_sure_the_landmarks_stand(tmp_path: Path) -> None:
@@ -186,7 +186,7 @@ def test_what_is_no_such_network_is_refused(
     with pytest.raises(UserError, match=why):
         second_network([path], layout)
     with pytest.raises(UserError, match="must return heat maps"):
-        TopDown(opened(path := written(tmp_path / "square.onnx"), ""), path, "auto")
+        TopDown(open_network(path := written(tmp_path / "square.onnx"), ""), path, "auto")
 
 
 def test_the_file_is_opened_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,12 +12,13 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 from studiorecon.detector.blazepose import BlazePose, Landmarks
-from studiorecon.detector.crops import Region, opened
+from studiorecon.detector.crops import Region
 from studiorecon.detector.second_network import second_network
 from studiorecon.detector.top_down import TopDown, choose_crop, from_heat, from_rows
 from studiorecon.detector.tracking import keypoints_with_confidence
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.machine.onnx_network import open_network
 
 WH = (192, 256)
 COCO = LAYOUTS["coco17"].keypoints
@@ -93,7 +94,7 @@ def painted(points: int, wh: tuple[int, int], radius: float) -> tuple[np.ndarray
 
 
 def read(path: Path, layout: str) -> TopDown:
-    return TopDown(opened(path, "set detect.network to a readable file"), path, layout)
+    return TopDown(open_network(path, "set detect.network to a readable file"), path, layout)
 
 
 @pytest.mark.parametrize("rows_of_scores", [False, True], ids=["heat maps", "SimCC"])

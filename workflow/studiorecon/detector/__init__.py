@@ -8,9 +8,3 @@
   ``network_files`` opens both;
 * ``film_rotation`` measures whether a film is turned.
 """
-
-import os
-
-# From 1.32 on ONNX Runtime tells Microsoft of its use, and keeps a file in the user's cache, unless this is set before
-# it is loaded. Nothing here leaves the machine.
-os.environ["ORT_DISABLE_TELEMETRY"] = "1"

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.detector.crops import Region, opened, sampled
+from studiorecon.detector.crops import Region, sampled
 from studiorecon.detector.second_network import SecondNetwork
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.machine.onnx_network import open_network
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
@@ -66,7 +67,7 @@ class BlazePose:
 
     def __init__(self, landmarks: Path, second: SecondNetwork | None = None) -> None:
         """``second`` has the say where points are; raises UserError when a file is missing or not what it should be."""
-        self._landmarks = opened(landmarks, "take it from a fresh copy of resources/detector")
+        self._landmarks = open_network(landmarks, "take it from a fresh copy of resources/detector")
         if (given := tuple(self._landmarks.get_inputs()[0].shape)) != (1, _CROP_PX, _CROP_PX, 3):
             raise UserError(f"{landmarks} takes an array of {given}, so it is not BlazePose")
         self._second = second

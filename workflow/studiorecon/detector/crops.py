@@ -1,20 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Square parts of pictures that somebody is looked for in, and networks opened to look at them."""
+"""Square parts of pictures that somebody is looked for in."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import onnxruntime
 
 from studiorecon.arrays import require
-from studiorecon.errors import UserError
-from studiorecon.machine.resource_errors import is_memory_error
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
@@ -98,18 +94,3 @@ def sampled(picture: Num[np.ndarray, "H W 3"], region: Region, edge: int) -> Int
     centred = affine.copy()
     centred[:, 2] += affine[:, :2].sum(1) / 2 - 0.5
     return cv2.warpAffine(picture, centred, (edge, edge), flags=cv2.INTER_LINEAR)
-
-
-def opened(path: Path, cure: str) -> onnxruntime.InferenceSession:
-    """A network on one core; raises UserError naming the file, and ``cure``, when it is missing or none."""
-    if not path.is_file():
-        raise UserError(f"network {path} is missing; {cure}")
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime raises a dozen types of its own, without a common base
-        if is_memory_error(error):
-            raise
-        raise UserError(f"{path} cannot be read as an ONNX network ({error}); {cure}") from None

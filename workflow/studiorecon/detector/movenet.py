@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.detector.crops import opened
 from studiorecon.errors import UserError
+from studiorecon.machine.onnx_network import open_network
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
@@ -51,7 +51,7 @@ class MoveNet:
 
     def __init__(self, network: Path) -> None:
         """Raises UserError when the file is missing or another network."""
-        self._session = opened(network, "take it from a fresh copy of resources/detector")
+        self._session = open_network(network, "take it from a fresh copy of resources/detector")
         if {out.name for out in self._session.get_outputs()} != _MAPS:
             raise UserError(f"{network} is not MoveNet; restore it from a fresh copy of resources/detector")
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from studiorecon.detector.crops import opened
 from studiorecon.detector.one_stage import OneStage, is_one_stage
 from studiorecon.detector.top_down import TopDown
+from studiorecon.machine.onnx_network import open_network
 
 SecondNetwork = TopDown | OneStage
 
@@ -18,5 +18,5 @@ def second_network(files: list[Path], layout: str) -> SecondNetwork | None:
     if not files:
         return None
     (path,) = files
-    session = opened(path, "set detect.network to a readable file")
+    session = open_network(path, "set detect.network to a readable file")
     return OneStage(session, path, layout) if is_one_stage(session) else TopDown(session, path, layout)

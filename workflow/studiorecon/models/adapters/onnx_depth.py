@@ -16,7 +16,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.images.sizes import as_float, resample
-from studiorecon.machine.resource_errors import is_memory_error
+from studiorecon.machine.onnx_network import open_network
 from studiorecon.models.catalogue.card import HUB, Card, Kind, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import staged_weights
 
@@ -108,17 +108,8 @@ class DepthNetwork:
     """
 
     def __init__(self, path: Path, title: str) -> None:
-        import onnxruntime
-
         self._path, self._title = path, title
-        options = onnxruntime.SessionOptions()
-        options.log_severity_level = 3
-        try:
-            self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime raises a dozen types of its own, without a common base
-            if is_memory_error(error):
-                raise
-            raise UserError(f"{path} cannot be read as an ONNX network ({str(error).splitlines()[0]})") from None
+        self._session = open_network(path, "set depth.network to a readable file", threads=0)
         given = self._session.get_inputs()
         pictures = [one for one in given if len(one.shape or ()) == 4]
         if len(pictures) != 1 or len(given) > 2 or pictures[0].type != "tensor(float)":
