@@ -122,7 +122,7 @@ def test_the_best_photo_shows_the_person_whole_alone_and_large(tmp_path: Path, m
     for path, mask in zip(paths, labels):
         write_lossless(path, mask, 24.0)
     assert photo.best_photo(paths, 1) == (1, 5)
-    with pytest.raises(UserError, match="no frame in which this person is whole"):
+    with pytest.raises(UserError, match="no frame shows this person whole"):
         photo.best_photo(paths, 3)
 
     write_people(tmp_path / "people.tsv", [("p0", 11, "a,b", 1.0, "keypoints")])
