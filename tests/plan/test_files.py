@@ -80,9 +80,9 @@ def test_what_was_made_elsewhere_is_found_by_its_name(configured, home, tmp_path
         files_of(config, home)
     for camera in ("left", "right", "back"):
         (tmp_path / f"depth/{camera}.npy").touch()
-    assert files_of(config, home).estimated_depth(Wildcards(camera="left")) == f"local:{tmp_path}/depth/left.npy"
+    assert files_of(config, home).estimated_depth(Wildcards(camera="left")) == [f"local:{tmp_path}/depth/left.npy"]
     own = files_of(configured(depth={"source": "moge"}), home)
-    assert own.estimated_depth(Wildcards(scene="s", camera="right")) == "results/s/depth/right.estimate.exr"
+    assert own.estimated_depth(Wildcards(scene="s", camera="right")) == ["results/s/depth/right.estimate.exr"]
 
 
 def test_the_detectors_cameras_are_looked_at_twice(configured, capture, home):
