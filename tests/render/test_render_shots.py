@@ -237,6 +237,14 @@ def test_a_shot_of_people_looks_where_they_are_while_they_are_there(subjects: Lo
     assert left.still("people", "shot") == pytest.approx(np.median(both, axis=0))
 
 
+def test_somebody_who_watches_from_behind_the_cameras_is_no_aim(subjects: LookAtTargets) -> None:
+    behind = replace(subjects, pelvis_m={**subjects.pelvis_m, "p1": subjects.pelvis_m["p1"] + [0, 4.0, 0]}, reach_m=3.0)
+    np.testing.assert_allclose(behind.still("people", "shot"), np.median(subjects.pelvis_m["p0"], axis=0))
+    np.testing.assert_allclose(behind.still("p1", "shot"), [0, 5, 0.95])
+    alone = replace(behind, pelvis_m={"p1": behind.pelvis_m["p1"]})
+    np.testing.assert_allclose(alone.still("people", "shot"), [0, 5, 0.95])
+
+
 def test_people_without_people_means_the_scene(subjects: LookAtTargets) -> None:
     empty = replace(subjects, pelvis_m={}, facing={}, present={})
     assert empty.still("people", "shot") == pytest.approx(subjects.scene_m)

@@ -15,8 +15,8 @@ from studiorecon.errors import UserError
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Num
 
-# ``people`` (the middle of all positions of people), ``scene`` (the common centre of the cameras' views), a person's
-# id, or a point in metres.
+# ``people`` (the middle of the positions of people among the cameras), ``scene`` (the common centre of the cameras'
+# views), a person's id, or a point in metres.
 Target = str | tuple[float, float, float]
 
 
@@ -31,6 +31,7 @@ class LookAtTargets:
         scene_m: (3,) common centre of the training cameras' views.
         frames: T.
         fps: frames per second of the capture.
+        reach_m: horizontal distance of the training cameras from ``scene_m``: people beyond it are bystanders.
     """
 
     pelvis_m: Mapping[str, Float[np.ndarray, "T 3"]]
@@ -39,11 +40,13 @@ class LookAtTargets:
     scene_m: Float[np.ndarray, " 3"]
     frames: int
     fps: float
+    reach_m: float = np.inf
 
     def still(self, target: Target, shot: str) -> Float[np.ndarray, " 3"]:
         """(3,) one point for a whole film: of people the median over the frames in which they are present.
 
-        Without people ``people`` means ``scene``. Raises UserError for an unknown person.
+        Somebody who watches from behind the cameras counts only where nobody is among them. Without people ``people``
+        means ``scene``. Raises UserError for an unknown person.
         """
         if not isinstance(target, str):
             return np.asarray(target, np.float64)
@@ -51,7 +54,9 @@ class LookAtTargets:
             return np.asarray(self.scene_m, np.float64)
         if target == "people":
             there = [track[self.present[person]] for person, track in self.pelvis_m.items()]
-            return np.median(np.concatenate(there), axis=0)
+            away_m = [np.linalg.norm(np.median(track, axis=0)[:2] - self.scene_m[:2]) for track in there]
+            among = [track for track, far in zip(there, away_m) if far < self.reach_m]
+            return np.median(np.concatenate(among or there), axis=0)
         return np.median(self._of(self.pelvis_m, target, shot)[self.present[target]], axis=0)
 
     def at(

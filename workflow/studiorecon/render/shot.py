@@ -63,7 +63,9 @@ def find_targets(people: Sequence[Avatar], cameras: Sequence[Camera], frames: in
     pelvis = {person.person: np.asarray(person.trans, np.float64) for person in people}
     facing = {person.person: person.facing() for person in people}
     present = {person.person: person.present for person in people}
-    return LookAtTargets(pelvis, facing, present, scene_centre(cameras), frames, fps)
+    centre_m = scene_centre(cameras)
+    reach_m = float(np.median([np.linalg.norm((camera.centre_m - centre_m)[:2]) for camera in cameras]))
+    return LookAtTargets(pelvis, facing, present, centre_m, frames, fps, reach_m)
 
 
 def picture(
