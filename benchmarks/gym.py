@@ -5,7 +5,7 @@ Five cameras, 12 s at 15 pictures a second, seven people: three walk about, one 
 and returns 4 s later, one sits on a chair, one sits behind a desk that hides hips and legs from two cameras. Besides
 them a poster, a television, a mirror, and twelve chairs, which a detector takes for somebody who sits, in two of five
 cameras each, for a second or so. No picture is drawn: keypoints have the errors of a detector (those of each camera
-last, 1.2 % of a person's height; 3 % outliers; 5 % drop-outs; whoever stands behind somebody is missed). Pictures, of
+last, 1.2 % of a person's height; 3 % outliers; 5 % drop-outs; people behind others are missed). Pictures, of
 thick limbs in everybody's colours, only show where something moves and who wears what; there are no masks. Prints a
 table and writes benchmarks/results/gym.json.
 """
@@ -133,7 +133,7 @@ def people() -> list[np.ndarray]:
 
 
 def images() -> list[np.ndarray]:
-    """(T, K, 3) of the poster, of whoever walks on the television, and of the first person in the mirror."""
+    """(T, K, 3) of the poster, of the person on the television, and of the first person in the mirror."""
     t = np.arange(FRAMES) / FPS
     poster = np.repeat((posed(False) * [1, 0, 1] + [-1.5, 2.95, 0.4])[None], FRAMES, axis=0)
     screen = walking(posed(False), np.column_stack([0.6 * np.sin(t), 0.2 * t]))

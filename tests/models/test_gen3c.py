@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -267,7 +268,8 @@ def test_upstreams_own_cache_renders_our_request_as_our_check_does(
     pytest.importorskip("einops", reason="einops is not installed")
     upstream_sources("nv-tlabs+GEN3C")
     # NVIDIA Warp only serves foreground masking, which is off.
-    monkeypatch.setitem(sys.modules, "warp", SimpleNamespace())
+    if find_spec("warp") is None:
+        monkeypatch.setitem(sys.modules, "warp", SimpleNamespace())
     from cosmos_predict1.diffusion.inference.cache_3d import Cache3D_BufferSelector
 
     frames = key_frames()
@@ -290,3 +292,27 @@ def test_upstreams_own_cache_renders_our_request_as_our_check_does(
     both = (depth > 0) & (masks[0, 1, chosen, 0].numpy() > 0)
     assert both.mean() > 0.5
     assert np.median(np.abs(pixels[0, 1, chosen].numpy() - ours)[:, both]) < 0.02
+
+
+@pytest.mark.weights
+def test_upstreams_foreground_masking_takes_our_request_and_hides_points(
+    small: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+    pytest.importorskip("einops", reason="einops is not installed")
+    warp = pytest.importorskip("warp", reason="warp-lang is not installed")
+    upstream_sources("nv-tlabs+GEN3C")
+    launch = warp.launch
+    # Upstream names cuda:0 whatever the tensors' device is.
+    monkeypatch.setattr(warp, "launch", lambda *given, **named: launch(*given, **{**named, "device": "cpu"}))
+    from cosmos_predict1.diffusion.inference.cache_3d import Cache3D_BufferSelector
+
+    frames = key_frames()
+    made = preprocess(frames, way(frames))
+    targets = torch.from_numpy(made["w2cs_all"][[0, 40]])[None], torch.from_numpy(made["Ks_all"][[0, 40]])[None]
+    shown = []
+    for masked in (False, True):
+        selector = partial(Cache3D_BufferSelector, filter_points_threshold=0.05, foreground_masking=masked)
+        shown.append(gen3c.warp_cache(selector, made, "cpu").render_cache(*targets)[1].numpy() > 0)
+    assert 0.1 < shown[1].mean() < shown[0].mean()
+    assert not (shown[1] & ~shown[0]).any()

@@ -11,13 +11,13 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 from studiorecon.errors import UserError
+from studiorecon.images.sizes import resample_corners
 from studiorecon.models.adapters.onnx_depth import (
     DepthNetwork,
     anything_size,
     moge_depth,
     moge_size,
     resized_cubic,
-    stretched,
 )
 from studiorecon.models.catalogue.registry import model
 
@@ -183,4 +183,4 @@ def test_depth_anything_as_upstream_runs_it(tmp_path: Path) -> None:
     wide = torch.nn.functional.interpolate(
         torch.from_numpy(small)[None, None], (11, 20), mode="bilinear", align_corners=True
     )
-    np.testing.assert_allclose(stretched(small, (11, 20)), wide[0, 0].numpy(), atol=1e-3)
+    np.testing.assert_allclose(resample_corners(small, (11, 20)), wide[0, 0].numpy(), atol=1e-3)

@@ -14,6 +14,7 @@ from studiorecon.errors import UserError
 from studiorecon.scene.gaussians import Gaussians, empty
 from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.splatting.cuda.tensor_set import TensorSet
+from studiorecon.splatting.train import terms
 from studiorecon.splatting.train.checkpoint import Checkpoint
 from studiorecon.splatting.train.still import TrainedGaussians
 from studiorecon.splatting.train.still import train_still as train_cpu
@@ -206,6 +207,23 @@ def test_a_poisoned_start_is_left_out_and_nothing_to_train_is_a_sentence() -> No
 
 
 TERMS = {"L1 and SSIM": L1AndSsim(0.7, 0.3), **{name: make(0.2) for name, make in WEIGHED.items()}}
+
+
+def test_no_more_statistics_of_targets_are_kept_on_a_card_than_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    rgb, alpha, weight = torch.rand(3, 21, 35, 3), torch.ones(21, 35), torch.ones(21, 35)
+    view = plane_view(np.ones((5, 21, 35), np.float32), np.ones((21, 35, 3), np.float32), np.ones((21, 35), np.float32))
+    one_target = 2 * 3 * 21 * 35 * 4
+    losses = {}
+    for bound in (0, 2 * one_target, 1 << 30):
+        monkeypatch.setattr(terms, "STATISTICS_BYTES_MAX", bound)
+        term = L1AndSsim(0.7, 0.3)
+        shown = [
+            TensorView(view.target, 0, rng, rgb[k], alpha, rgb[k - 1].permute(2, 0, 1), weight, k) for k in range(3)
+        ]
+        losses[bound] = [float(term.on_cuda(one)) for one in (*shown, *shown)]
+        assert len(term._windowed) == min(3, bound // one_target)
+    assert losses[0] == losses[2 * one_target] == losses[1 << 30]
 
 
 @pytest.mark.parametrize("masked", [False, True])

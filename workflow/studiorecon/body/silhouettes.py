@@ -15,7 +15,13 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Person
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool
+    from jaxtyping import Bool, Float
+
+
+def person_depth_m(person: Person, body: BodyModel, camera: Camera, frame: int) -> Float[np.ndarray, "H W"]:
+    """(H, W) z-depth of one person's body at one frame, metres; 0 where it is not."""
+    pose, place = person.poses[frame : frame + 1], person.trans[frame : frame + 1]
+    return mesh_depth(body.vertices(pose, person.betas, place, body.proxy_vertices)[0], body.proxy_faces, camera)
 
 
 def dilated_silhouettes(
@@ -36,8 +42,7 @@ def dilated_silhouettes(
         assert body is not None
         if not person.present[frame]:
             continue
-        pose, place = person.poses[frame : frame + 1], person.trans[frame : frame + 1]
-        depth_m = mesh_depth(body.vertices(pose, person.betas, place, body.proxy_vertices)[0], body.proxy_faces, camera)
+        depth_m = person_depth_m(person, body, camera, frame)
         if (depth_m > 0).any():
             margin = margin_m * (1.0 if person.valid[frame] else filled_margin)
             radius = max(1, round(margin * camera.focal_px[0] / float(np.median(depth_m[depth_m > 0]))))

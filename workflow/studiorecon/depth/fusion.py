@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 _NAT = 0.15
 # Cost of the network's own surface above a wall's, and its further cost per factor e of uncertainty above 2 %.
 _NETWORK_EXTRA, _USUAL_SIGMA = 0.2, 0.02
-
-
 # Standard deviation of log depth beyond which a network is wrong about a camera altogether.
 _WORST_SIGMA = 0.1
 

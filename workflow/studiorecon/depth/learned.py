@@ -11,12 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-import cv2
 import numpy as np
 
 from studiorecon.depth.depth_edges import sharpened
 from studiorecon.geometry.depth_alignment import Alignment, align_depth
 from studiorecon.geometry.statistics import SIGMA_OF_MAD
+from studiorecon.images.sizes import corner_shares, resample_corners
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -60,11 +60,7 @@ class Calibration:
     def depth(self, estimate: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
         """(H, W) float32 depth in metres at any size; 0 = unknown."""
         flat = _flat(estimate, self.alignment, self.inverse)
-        rows, columns = (
-            np.linspace(0, count - 1, side, dtype=np.float32) for count, side in zip(self.nodes.shape, estimate.shape)
-        )
-        across, down = (np.ascontiguousarray(a) for a in np.meshgrid(columns, rows))
-        field = cv2.remap(self.nodes.astype(np.float32), across, down, cv2.INTER_LINEAR)
+        field = resample_corners(self.nodes, estimate.shape)
         return np.where(flat > 0, flat * np.exp(field), 0).astype(np.float32)
 
     def sharp_depth(
@@ -182,11 +178,7 @@ def _flat(estimate: np.ndarray, alignment: Alignment, inverse: bool) -> np.ndarr
 def _basis(shape: tuple[int, ...]) -> np.ndarray:
     """(R, C, H, W) float32 the part of every node of the field in every pixel."""
     rows, columns = (max(2, round(_NODES * side / max(shape))) for side in shape)
-    parts = []
-    for count, side in ((rows, shape[0]), (columns, shape[1])):
-        at = np.linspace(0, count - 1, side)
-        parts.append(np.maximum(1 - np.abs(at - np.arange(count)[:, None]), 0).astype(np.float32))
-    return np.einsum("ry,cx->rcyx", *parts)
+    return np.einsum("yr,xc->rcyx", corner_shares(rows, shape[0]), corner_shares(columns, shape[1]))
 
 
 def _field(basis: np.ndarray, ratio: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

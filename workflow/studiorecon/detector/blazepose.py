@@ -82,7 +82,7 @@ class BlazePose:
             )
 
     def look(self, picture: Integer[np.ndarray, "H W 3"], region: Region) -> Landmarks:
-        """Landmarks of whoever is in ``region`` of ``picture`` (H, W, 3 uint8 RGB); ``presence`` says whether somebody
+        """Landmarks of the person in ``region`` of ``picture`` (H, W, 3 uint8 RGB); ``presence`` says whether somebody
         is."""
         crop = sampled(picture, region, _CROP_PX)
         given = {self._landmarks.get_inputs()[0].name: crop[None] * np.float32(1 / 255)}

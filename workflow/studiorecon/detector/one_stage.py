@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # Where its file leaves the size open it was trained on squares of so many pixels.
 _USUAL_PX, _LARGEST_PX = 640, 2048
 _BEYOND = 114
-# Side of the square, in sides of the box around the landmarks: neighbours must be whole enough to be told apart.
+# Side of the square, in sides of the box around the landmarks: neighbours must be whole enough to be distinguished.
 _MARGIN = 1.6
 _MIN_SCORE = 0.3
 # Points a tenth of the body from the landmarks agree to 0.37; this much in the mean is the same person.
@@ -74,7 +74,7 @@ class OneStage:
 
     def look(self, picture: Num[np.ndarray, "H W 3"], landmarks: Num[np.ndarray, "33 2"]) -> Num[np.ndarray, "K 3"]:
         """(K, 3) x, y in pixels of ``picture`` (uint8 RGB, centres at +0.5) and score in [0, 1] of the points of
-        whoever has BlazePose's ``landmarks``; NaN where the network sees nobody like that."""
+        the person with BlazePose's ``landmarks``; NaN where the network sees nobody like that."""
         low, high = landmarks.min(0), landmarks.max(0)
         side = max(_MARGIN * float((high - low).max()), 1.0)
         square = sampled(picture, Region((low + high) / 2, side, 0.0), self._edge)

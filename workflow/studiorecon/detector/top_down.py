@@ -75,7 +75,7 @@ class TopDown:
 
     def look(self, picture: Num[np.ndarray, "H W 3"], landmarks: Num[np.ndarray, "N 2"]) -> Num[np.ndarray, "K 3"]:
         """(K, 3) x, y in pixels of ``picture`` (uint8 RGB, centres at +0.5) and score in [0, 1] of the points of
-        whoever has ``landmarks``."""
+        the person with ``landmarks``."""
         crop = choose_crop(landmarks, self.wh)
         edge = max(self.wh)
         square = sampled(picture, Region(crop.centre, edge * crop.scale, 0.0), edge)

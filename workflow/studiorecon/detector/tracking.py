@@ -105,11 +105,11 @@ def detect_people(
             if known_there is None:
                 continue
             found = follow(network, held[back], found, placed_fps)
-            # Whoever runs into somebody known has been followed already.
+            # A track that meets a known person is that person's.
             everybody = drop_overlapping([*known_there.values(), *(w.seen for w in found)])
             found = [w for w in found if any(w.seen is e for e in everybody)]
             known_there |= {w.number: w.seen for w in found}
-        # The last picture is looked at again: whoever is found next time goes back to it.
+        # The last picture is kept: people of the next look are followed back to it.
         yield from fill_between(network, held, results)[:-1]
         held, results = [picture], [results[-1]]
     if results and results[-1] is None:
@@ -124,7 +124,7 @@ def fill_between(
     first and last.
 
     Between two pictures that both show somebody they are interpolated, if their way around is smooth enough for that;
-    else they are placed, and so is whoever only one of the two shows.
+    else they are placed, as are people whom only one of the two shows.
     """
     placed = [k for k, one in enumerate(results) if one is not None]
     known = [one or {} for one in results]

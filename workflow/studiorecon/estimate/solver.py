@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 # A step that lowers the cost by less than this share ends the search.
 _CONVERGED_SHARE = 1e-6
+# Shares of the diagonal: at first, and from where no step would move anything.
 _DAMPING = 1e-4
 _MAX_DAMPING = 1e6
 # Added to the diagonal: directions that no factor determines (the world's place) do not move.

@@ -28,6 +28,21 @@ def resample(picture: Num[np.ndarray, "H W ..."], hw: tuple[int, int]) -> Float[
     return np.ascontiguousarray(taken)
 
 
+def corner_shares(count: int, size: int) -> Float[np.ndarray, "size count"]:
+    """(size, count) float32 share of each of ``count`` nodes in each of ``size`` pixels, linear between nodes, the
+    outermost nodes on the outermost pixels' centres (torch's ``align_corners``)."""
+    place = np.linspace(0, count - 1, size)[:, None]
+    return np.maximum(1 - np.abs(place - np.arange(count)), 0).astype(np.float32)
+
+
+def resample_corners(values: Num[np.ndarray, "H W ..."], hw: tuple[int, ...]) -> Float[np.ndarray, "h w ..."]:
+    """A map at another size, float32, bilinear, by ``corner_shares``."""
+    taken = values.astype(np.float32)
+    for axis, size in enumerate(hw):
+        taken = _along(axis, taken, corner_shares(taken.shape[axis], size))
+    return np.ascontiguousarray(taken)
+
+
 def sample_part(
     picture: Num[np.ndarray, "H W ..."], hw: tuple[int, int], start: tuple[float, float], step: float
 ) -> tuple[Float[np.ndarray, "h w ..."], Float[np.ndarray, "h w"]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opens networks in ONNX, for the CPU. Every other module asks here, so that none tells anybody that it ran."""
+"""Opens networks in ONNX, for the CPU. All modules open theirs here, so that none reports its use."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def open_network(path: Path, remedy: str, threads: int = 1) -> onnxruntime.InferenceSession:
     """A network on so many cores (0: all); raises UserError with ``remedy`` where a file is missing or no network."""
-    # From 1.32 on ONNX Runtime tells Microsoft of its use, and keeps a file in the user's cache, unless this is set
+    # From 1.32 on ONNX Runtime reports its use to Microsoft, and keeps a file in the user's cache, unless this is set
     # before it is loaded. Nothing here leaves the machine.
     os.environ["ORT_DISABLE_TELEMETRY"] = "1"
     import onnxruntime

@@ -11,6 +11,7 @@ import numpy as np
 
 from studiorecon.estimate.factors.keypoints import SHARED_M, sides
 from studiorecon.estimate.unknowns import PER_CAMERA
+from studiorecon.geometry.statistics import SIGMA_OF_MAD
 from studiorecon.geometry.triangulation import Limits, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.rig.correspondences import Observations
@@ -20,8 +21,7 @@ if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
 SHOULDERS = [STABLE_KEYPOINTS.index(f"{s}_shoulder") for s in ("left", "right")]
-_SIGMA_OF_MEDIAN = 1.4826
-# A detector's least noise, as a share of the longer side.
+# Least noise of a detector, as a share of the longer side: half a pixel of 960. Real ones are worse.
 _MIN_NOISE = 0.0005
 
 
@@ -80,7 +80,7 @@ def noise_in(
     frame_px = []
     for v, camera in enumerate(cameras):
         own = np.abs(off - means[cell])[(view == v) & (count[cell] > 1)]
-        spread = _SIGMA_OF_MEDIAN * float(np.median(own)) if own.size else 0.0
+        spread = SIGMA_OF_MAD * float(np.median(own)) if own.size else 0.0
         frame_px.append(max(taken * spread, _MIN_NOISE * max(camera.wh)))
     # Of cells that are the mean of some frames; half of a two-dimensional normal's squares are below 2 ln 2.
     metres = means * (count / np.bincount(cell, px_per_m))[:, None]

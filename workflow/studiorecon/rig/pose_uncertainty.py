@@ -53,7 +53,7 @@ def rotation_observability(cameras: Sequence[Camera], seen: Observations, limits
 def moved_rotation_interval_deg(found: MovedCameras, limits: Limits) -> float:
     """``rotation_interval_deg`` of refined moved cameras, for errors about all three axes.
 
-    From their fit's sigmas and, where no room was used, from the difference between halves of the people.
+    From their fit's sigmas and, where no room was used, from what people alone determine.
     """
     found_deg = rotation_interval_deg(np.array(list(found.report["sigma_deg"].values())))
     if not found.report.get("room", {}).get("explained"):
@@ -66,7 +66,7 @@ def rotation_interval_deg(turn_deg: Num[np.ndarray, " V"]) -> float:
     """Half of the 95 % interval, degrees, of the rotation between the two least certain cameras, valid for the worst
     pair.
 
-    ``turn_deg`` are the rotations' sigmas from ``pose_sigmas``. 3 standard deviations: of six pairs, between 2.6 for
+    ``turn_deg`` are the rotations' standard deviations. 3 standard deviations: of six pairs, between 2.6 for
     errors about one axis and 3.4 for errors about all three.
     """
     return float(3.0 * np.sqrt((np.sort(turn_deg)[-2:] ** 2).sum()))

@@ -19,9 +19,9 @@ import scipy
 
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
+from studiorecon.body.silhouettes import person_depth_m
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frame, to_float
-from studiorecon.images.silhouette import mesh_depth
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors
 from studiorecon.scene.files import one_each
@@ -51,9 +51,7 @@ class FirstMomentPeople:
         nearest = np.full(camera.hw, np.inf)
         for person in (one for one in self.people if one.present[_FIRST]):
             assert self.body is not None
-            pose, place = person.poses[_FIRST : _FIRST + 1], person.trans[_FIRST : _FIRST + 1]
-            vertices = self.body.vertices(pose, person.betas, place, self.body.proxy_vertices)[0]
-            depth = mesh_depth(vertices, self.body.proxy_faces, camera)
+            depth = person_depth_m(person, self.body, camera, _FIRST)
             nearest = np.where((depth > 0) & (depth < nearest), depth, nearest)
         return np.where(np.isfinite(nearest), nearest, 0.0)
 

@@ -6,5 +6,4 @@
 ``feet``        the lower foot is on the floor
 ``lenses``      what is known of a lens, and cameras of one make are alike
 ``edges``       the room's straight edges have three directions
-``projection``  of points by distorting cameras
 """

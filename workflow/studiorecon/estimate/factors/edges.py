@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 EDGE_DEG, SQUARE_DEG = 0.6, 0.3
 # Some edges run along no wall.
 _FREEDOM = 2.0
+# Each doubles the digits: eight end at rounding wherever a lens has a ray.
 _NEWTON_STEPS = 8
 _OF_CAMERA = [*range(TURN.start, TURN.stop), LOG_FOCAL, RADIAL, *range(PRINCIPAL.start, PRINCIPAL.stop)]
 

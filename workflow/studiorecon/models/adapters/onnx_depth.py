@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.images.sizes import as_float, resample
+from studiorecon.images.sizes import as_float, resample, resample_corners
 from studiorecon.machine.onnx_network import open_network
 from studiorecon.models.catalogue.card import HUB, Card, Kind, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import staged_weights
@@ -137,9 +137,9 @@ class DepthNetwork:
         if not depths:
             answers = ", ".join(f"{name} {value.shape}" for name, value in found.items())
             raise UserError(f"{self._path} answers with {answers}; a depth network answers with one map (1, H, W)")
-        made = stretched(maps[depths[0]].astype(np.float32), shape)
+        made = resample_corners(maps[depths[0]], shape[:2])
         if masks:
-            made = np.where(stretched(maps[masks[0]].astype(np.float32), shape) > 0.5, made, 0)
+            made = np.where(resample_corners(maps[masks[0]], shape[:2]) > 0.5, made, 0)
         return self._known(made)
 
     def _size(self, wanted: tuple[int, int]) -> tuple[int, int]:
@@ -190,15 +190,6 @@ def resized_cubic(picture: Integer[np.ndarray, "H W 3"], hw: tuple[int, int]) ->
     import cv2
 
     return cv2.resize(as_float(picture), hw[::-1], interpolation=cv2.INTER_CUBIC)
-
-
-def stretched(values: Float[np.ndarray, "h w"], shape: tuple[int, ...]) -> Float[np.ndarray, "H W"]:
-    """A map at another size, bilinear, its corner pixels' centres on the corners' (torch's ``align_corners``)."""
-    import cv2
-
-    rows, columns = (np.linspace(0, before - 1, after, dtype=np.float32) for before, after in zip(values.shape, shape))
-    across, down = (np.ascontiguousarray(a) for a in np.meshgrid(columns, rows))
-    return cv2.remap(values, across, down, cv2.INTER_LINEAR)
 
 
 def moge_depth(

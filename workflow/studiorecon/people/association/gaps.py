@@ -21,15 +21,24 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Where somebody reappears: deviation at once, m, and what unseen time adds, m/s; never more than the room allows.
-_PLACE_M, _SPEED_M_S = 0.2, 0.7
+# Deviation of the place where somebody reappears at once, m: a joint's error at either end.
+_PLACE_M = 0.2
+# What a second unseen adds to it, m/s: people in a room turn and stop; they walk at 1.4 m/s.
+_SPEED_M_S = 0.7
 # Area in which somebody else may appear, at least, m².
 _MIN_AREA_M2 = 10.0
-# Deviations of the logarithm of a person's lengths: measured twice, and of two people.
-_SAME_SIZE, _OTHER_SIZE = 0.04, 0.09
-# Places and velocities at both ends are fitted to so long, s, and to so many places; a velocity is forgotten to 1/e
-# after that time, s; nobody walks faster, m/s.
-_END_S, _MIN_PLACES, _KEPT_S, _WALKS_M_S = 0.4, 4, 0.8, 3.0
+# Deviation of the logarithm of one person's bone lengths, measured twice.
+_SAME_SIZE = 0.04
+# The same of two people's: adults differ by 7 %, and both are measured.
+_OTHER_SIZE = 0.09
+# Time at either end to which place and velocity are fitted, s: half a step.
+_END_S = 0.4
+# Fewer places give no velocity.
+_MIN_PLACES = 4
+# Time in which a velocity is forgotten to 1/e, s: about a step.
+_KEPT_S = 0.8
+# Velocities above this are errors, m/s: a fast walk.
+_MAX_WALK_M_S = 3.0
 # Difference of the colours of one part of the body in one camera, CIELAB: of one person's, and of two people's.
 _SAME_COLOUR, _OTHER_COLOUR = (7.0, 0.7), (28.0, 0.6)
 # Ratios within so many nats of 0 are worth a question.
@@ -155,7 +164,7 @@ def _end(group: Group, frames: np.ndarray, fps: float) -> tuple[np.ndarray, np.n
         return np.median(places, axis=0), np.zeros(2)
     times_s = (near - near[0]) / fps
     slope, place = np.polyfit(times_s, places, 1)
-    return place, np.clip(slope, -_WALKS_M_S, _WALKS_M_S)
+    return place, np.clip(slope, -_MAX_WALK_M_S, _MAX_WALK_M_S)
 
 
 def _size(first: Group, second: Group) -> Term:

@@ -34,7 +34,9 @@ _WHOLE, _HIDDEN = 0.95, 0.005
 # Somebody else may move where a single limb is taken to be.
 _ELSEWHERE = 0.15
 # A camera's film is trusted where somebody's motion is confirmed by this.
-_TRUSTED_NATS, _MOST_VIEW_NATS = 2.0, 3.0
+_TRUSTED_NATS = 2.0
+# One camera's film says no more than this: a shadow or a shaking camera changes pixels too.
+_MAX_VIEW_NATS = 3.0
 # Someone who keeps still, whose landmarks wander, is so unlikely in nats; a mask or a plate over them adds its own.
 _STILL_NATS = -12.0
 # Share of the places of joints that a mask covers, or that differ from the empty room: (mean, deviation). Several
@@ -96,7 +98,7 @@ def view_nats(counts: Num[np.ndarray, "12 2"]) -> float:
     limbs = [counts[ends].sum(0) for ends in LIMB_ENDS]
     moving = [min(np.exp(_ratio(*limb)), 1 / _ELSEWHERE) if limb[1] else 0.0 for limb in limbs]
     odds = _WHOLE * np.exp(_ratio(*counts.sum(0))) + (1 - _WHOLE) * float(np.mean(moving))
-    return float(min(np.log(odds + _HIDDEN), _MOST_VIEW_NATS))
+    return float(min(np.log(odds + _HIDDEN), _MAX_VIEW_NATS))
 
 
 def _ratio(changed: float, places: float) -> float:

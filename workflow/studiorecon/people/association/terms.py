@@ -30,19 +30,22 @@ _OTHER_SIDE = [
 ]
 # One candidate of twenty is a person before anything is measured.
 PRIOR_NATS = -3.0
-# Time in which two cameras agree, s: people stay for seconds, chance ends after a moment.
-_STAYS_S, _CHANCE_S = (5.0, 1.2), (0.1, 0.8)
+# Time in which two cameras agree on a person, s: people stay for seconds.
+_STAYS_S = (5.0, 1.2)
+# The same by chance, which ends after a moment.
+_CHANCE_S = (0.1, 0.8)
 # A camera that looks at the place of a person detects one in 80 % of the frames, and one where nobody is in 20 %.
-_HIT_NATS, _MISS_NATS = np.log(0.8 / 0.2), np.log(0.2 / 0.8)
+_HIT_NATS = np.log(0.8 / 0.2)
 # Least deviation of the distance of two rays to one joint, m: landmarks mean points some centimetres apart from
 # different sides.
 _RAY_SIGMA_M = 0.03
 # Share of the keypoints that agree in a camera: (mean, deviation); by chance any from half of them is as likely.
 _AGREEMENT = (0.95, 0.15)
-# Middle of the shoulders to that of the hips, m: people from children to giants; anything, of something else.
-_TRUNK_M, _ANY_TRUNK_M = (0.5, 0.28), (0.5, 1.2)
-# Bones as shares of the trunk, of people and of anything else. (Real people and the studio's: shoulders 0.65 to 0.71;
-# dogs: 0.15 to 0.35.) Rarely is one of somebody's bones mismeasured; it costs no more than that.
+# Middle of the shoulders to that of the hips, m: people from children to giants.
+_TRUNK_M = (0.5, 0.28)
+# The same of something else: anything.
+_ANY_TRUNK_M = (0.5, 1.2)
+# Bones as shares of the trunk. (Real people and the studio's: shoulders 0.65 to 0.71; dogs: 0.15 to 0.35.)
 _SHARES = {
     "shoulders": (0.68, [("left_shoulder", "right_shoulder")]),
     "hips": (0.4, [("left_hip", "right_hip")]),
@@ -51,22 +54,40 @@ _SHARES = {
     "thighs": (0.82, [("left_hip", "left_knee"), ("right_hip", "right_knee")]),
     "shins": (0.8, [("left_knee", "left_ankle"), ("right_knee", "right_ankle")]),
 }
-_SHARE_SIGMA, _ANY_SHARE_SIGMA, _MISMEASURED_NATS = 0.18, 0.6, -5.0
-# Median relative change of a bone's length (people 0.01 to 0.06, dogs and false landmarks 0.08 to 0.3).
-_STEADY, _UNSTEADY = (0.035, 0.7), (0.16, 0.5)
-# Angle between the postures that two cameras see, radians (filmed people 0.2 to 0.6, one whose legs are hidden 0.9).
-_SAME_POSE, _OTHER_POSE = (0.5, 0.45), (0.9, 0.35)
-# Deviation of all joints and extremities from one plane in trunks (filmed people 0.17 to 0.54, arms hanging 0.14;
-# posters and screens 0.03 to 0.05).
-_DEEP_SHARE, _FLAT_SHARE = (0.24, 0.3), (0.04, 0.35)
+# Deviations of the logarithm of such a share: of people, and of anything else.
+_SHARE_SIGMA = 0.18
+_ANY_SHARE_SIGMA = 0.6
+# Rarely is one of somebody's bones mismeasured; it costs no more than that.
+_MISMEASURED_NATS = -5.0
+# Median relative change of a person's bone lengths (filmed people: 0.01 to 0.06).
+_STEADY = (0.035, 0.7)
+# The same of dogs and false landmarks (0.08 to 0.3).
+_UNSTEADY = (0.16, 0.5)
+# Angle between the postures of one person in two cameras, radians (0.2 to 0.6; with hidden legs 0.9).
+_SAME_POSE = (0.5, 0.45)
+# The same of two skeletons that have nothing to do with each other.
+_OTHER_POSE = (0.9, 0.35)
+# Deviation of a person's joints and extremities from one plane, in trunks (0.17 to 0.54, arms hanging 0.14).
+_DEEP_SHARE = (0.24, 0.3)
+# The same on posters and screens (0.03 to 0.05).
+_FLAT_SHARE = (0.04, 0.35)
 _DEEP = ("nose", "left_ear", "right_ear", "left_heel", "right_heel", "left_big_toe", "right_big_toe")
-# Joints are averaged over so long before that, s, so that noise does not count as depth; so many must be known.
-_CALM_S, _MIN_JOINTS = 0.25, 8
-# Distance from the reflection of somebody else, m: of their mirror image, of another person in a like place; the
-# person must move so far, m, and be seen so long, s, to know a reflection from symmetry.
-_REFLECTED_M, _SYMMETRIC_M, _MOVED_M, _LASTING_S = 0.05, 0.5, 0.3, 1.0
-# Distance of joints, m, of one person detected twice, and of two people.
-_ONE_M, _TWO_M = (0.05, 0.4), (0.8, 0.4)
+# Time over which joints are averaged before that, s: noise is no depth.
+_CALM_S = 0.25
+# Fewer known joints show neither a plane nor another person's place.
+_MIN_JOINTS = 8
+# Deviation of a mirror image from the reflection of the person, m: two triangulations.
+_REFLECTED_M = 0.05
+# The same of another person in a like place.
+_SYMMETRIC_M = 0.5
+# Way, m, that makes one independent place of a reflection: one person in one place may only look symmetric.
+_MOVED_M = 0.3
+# Shorter, s, no reflection is known.
+_LASTING_S = 1.0
+# Distance of the joints of one person detected twice, m.
+_ONE_M = (0.05, 0.4)
+# The same of two people side by side.
+_TWO_M = (0.8, 0.4)
 # A length needs so many frames, or half of those with any known point.
 _MIN_FRAMES = 3
 
@@ -123,7 +144,7 @@ def views(group: Group, cameras: Sequence[Camera]) -> Term:
         inside = (depth > 0) & (pixels >= 0).all(-1) & (pixels < camera.wh).all(-1)
         if inside.any():
             share = float(seen[known[inside]].mean())
-            nats.append(_HIT_NATS * share + _MISS_NATS * (1 - share))
+            nats.append(_HIT_NATS * (2 * share - 1))
             counted += 1
             names += [camera.name] * (share >= 0.5)
     said = f"{len(names)} of the {counted} cameras in whose pictures it would be see it most of the time"

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.body.model import BodyModel
+from studiorecon.body.silhouettes import person_depth_m
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import read_frames, read_frames_from
 from studiorecon.images.regions import dilate
-from studiorecon.images.silhouette import mesh_depth
 from studiorecon.images.warp import nearest_pixels
 from studiorecon.report.metrics.truth import WIDE_PX, is_visible
 from studiorecon.scene.camera import Camera
@@ -46,19 +46,6 @@ class EstimatedFiles:
     body: list[Path] = field(default_factory=list)
 
 
-def body_outline(
-    people: Sequence[Person], body: BodyModel | None, camera: Camera, frame: int
-) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: pixels that the bodies of the people who are present in a frame cover."""
-    covered = np.zeros(camera.hw, bool)
-    for person in (one for one in people if one.present[frame]):
-        assert body is not None
-        pose, place = person.poses[frame : frame + 1], person.trans[frame : frame + 1]
-        vertices = body.vertices(pose, person.betas, place, body.proxy_vertices)[0]
-        covered |= mesh_depth(vertices, body.proxy_faces, camera) > 0
-    return covered
-
-
 def estimated_regions(
     files: EstimatedFiles,
     people: Sequence[Person],
@@ -79,7 +66,10 @@ def estimated_regions(
     height, width = camera.hw
     for frame, units in enumerate(read_frames_from(files.film_depth[0], start, start + frames)):
         depth_m = units[:height, :width].astype(np.float64) / _UNITS_PER_M
-        people_here = body_outline(people, body, camera, frame)
+        people_here = np.zeros(camera.hw, bool)
+        for person in (one for one in people if one.present[frame]):
+            assert body is not None
+            people_here |= person_depth_m(person, body, camera, frame) > 0
         known = (depth_m > 0) & ~people_here
         points = camera.unproject(camera.pixel_centres(), np.where(known, depth_m, 1.0))
         seen = [np.zeros(camera.hw, bool) for _ in tolerances]
