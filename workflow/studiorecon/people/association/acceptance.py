@@ -72,14 +72,11 @@ def identities_from_keypoints(
     compared = Compared.of(given, cameras, association)
     clothes = compare_clothes(cameras, videos) if videos else None
     groups, returns = groups_and_returns(compared, frames, fps, association, triangulation, clothes)
-    about = [_keypoint_terms(group, compared, fps, association, triangulation) for group in groups]
-    if videos:
-        _add_picture_terms(about, groups, compared, videos, fps, witnesses)
-    pairs = pair_terms(groups, cameras, fps)
-    accepted = solve([total_nats(own) for own in about], {key: term.nats for key, term in pairs.items()})
-    for (g, h), term in pairs.items():
-        if accepted[h] and not accepted[g]:
-            about[g].append(term)
+    if association.method == "star":
+        # The paper rejects nobody: each person of its reference view is one.
+        about, accepted = [[] for _ in groups], np.ones(len(groups), dtype=bool)
+    else:
+        about, accepted = _judge(groups, compared, videos, fps, association, triangulation, witnesses)
     kept = name_people([g for g, one in zip(groups, accepted) if one])
     rejected = [(g, own) for g, own, one in zip(groups, about, accepted) if not one]
     for group, own in rejected:
@@ -95,6 +92,27 @@ def identities_from_keypoints(
     )
     _report_returns(returns, table, cameras)
     return table, rows, list_rejected(rejected, cameras, frames, fps)
+
+
+def _judge(
+    groups: Sequence[Group],
+    compared: Compared,
+    videos: Sequence[Path],
+    fps: float,
+    association: AssociationLimits,
+    agree: Limits,
+    witnesses: Sequence[CameraEvidence | None],
+) -> tuple[list[list[Term]], Bool[np.ndarray, " G"]]:
+    """The terms of each group, and which groups are people."""
+    about = [_keypoint_terms(group, compared, fps, association, agree) for group in groups]
+    if videos:
+        _add_picture_terms(about, groups, compared, videos, fps, witnesses)
+    pairs = pair_terms(groups, compared.cameras, fps)
+    accepted = solve([total_nats(own) for own in about], {key: term.nats for key, term in pairs.items()})
+    for (g, h), term in pairs.items():
+        if accepted[h] and not accepted[g]:
+            about[g].append(term)
+    return about, accepted
 
 
 def _keypoint_terms(
