@@ -315,8 +315,22 @@ def test_a_fit_of_another_body_is_not_delivered(tmp_path: Path, person: Person, 
     assert sorted(p.name for p in written) == [f"p2.{ending}" for ending in endings]
     assert all(p.stat().st_size > 1000 for p in written)
     other = Person(**{**vars(person), "body": "smpl_neutral"})
-    with pytest.raises(UserError, match="p2 was fitted with the body model smpl_neutral"):
+    with pytest.raises(UserError, match=r"p2 was fitted with the body model smpl_neutral.*use the same body file"):
         motion(tmp_path, other, body)
+
+
+def test_a_motion_too_long_for_a_glb_fits_with_fewer_frames(
+    tmp_path: Path, person: Person, body: BodyModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_glb(path := tmp_path / "p2.glb", person, body)
+    monkeypatch.setattr(gltf, "_MAX_BYTES", path.stat().st_size - 1)
+    with pytest.raises(UserError, match=r"take fewer frames \(frames: "):
+        write_glb(path, person, body)
+    fewer = FRAMES - 2
+    per_frame = {
+        name: getattr(person, name)[:fewer] for name in ("poses", "trans", "joints", "valid", "sigma", "present")
+    }
+    write_glb(path, replace(person, **per_frame), body)
 
 
 def test_while_somebody_is_away_formats_say_so_that_can(tmp_path: Path, person: Person, body: BodyModel) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -89,16 +90,44 @@ def test_files_of_a_network_are_read_whatever_they_are(folder: Path, kind: str) 
     assert np.median(np.abs(2 * found[11:] / room_views(WH)[0][2][11:] - 1)) < 0.01
 
 
-def test_files_that_hold_no_depth_are_refused(folder: Path) -> None:
-    camera = room_views(WH)[0][0]
-    with pytest.raises(UserError, match=r"is missing; depth\.precomputed"):
-        estimate_of(folder / "none.npy", camera)
-    np.save(folder / "square.npy", np.ones((50, 50)))
-    with pytest.raises(UserError, match="another shape than camera cam1"):
-        estimate_of(folder / "square.npy", camera)
-    np.savez(folder / "other.npz", colour=np.ones((54, 96)))
-    with pytest.raises(UserError, match="holds colour"):
-        estimate_of(folder / "other.npz", camera)
+DEPTH = np.full((54, 96), 2.0, np.float32)
+
+
+def text(path: Path, content: np.ndarray) -> None:
+    np.save(path, content.astype(str))
+
+
+# What is in the file, what is said, and the content that the sentence asks for.
+REFUSED: dict[str, tuple[Callable[[Path, np.ndarray], Any], np.ndarray, str, Callable[[Path, np.ndarray], Any]]] = {
+    "cam1.exr": (lambda *_: None, DEPTH, r"is missing; .*cam.*\.exr", lambda p, d: write_depth(p, d, np.ones_like(d))),
+    "square.npy": (np.save, np.ones((50, 50)), "another shape than camera cam1 .*undistorted", np.save),
+    "other.npz": (lambda p, d: np.savez(p, colour=d), DEPTH, "looked for as depth", lambda p, d: np.savez(p, depth=d)),
+    "film.npy": (np.save, np.stack([DEPTH] * 3), "save one frame", np.save),
+    "text.npy": (text, DEPTH, "save the depth as floats", np.save),
+    "grey.png": (
+        lambda p, d: cv2.imwrite(str(p), d.astype(np.uint8)),
+        DEPTH,
+        "write a 16-bit grey picture of millimetres",
+        lambda p, d: cv2.imwrite(str(p), (1000 * d).astype(np.uint16)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_file_without_depth_changed_as_advised_is_read(name: str, folder: Path) -> None:
+    camera, (write, content, said, mended) = room_views(WH)[0][0], REFUSED[name]
+    write(folder / name, content)
+    with pytest.raises(UserError, match=said):
+        estimate_of(folder / name, camera)
+    mended(folder / name, DEPTH)
+    np.testing.assert_allclose(estimate_of(folder / name, camera), 2.0)
+
+
+def test_inverse_depth_below_zero_is_named_and_depth_is_not(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for sign, warned in ((-1, True), (1, False)):
+        np.save(folder / "signed.npy", sign * DEPTH)
+        estimate_of(folder / "signed.npy", room_views(WH)[0][0])
+        assert ("write depth, not its inverse" in capsys.readouterr().out) == warned
 
 
 def test_pi3s_depth_comes_at_the_pictures_size(

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
+from studiorecon.people.association.rejected_people import RejectedPerson, report_rejected
 from studiorecon.people.corrected_identities import people_table_rows, read_corrected
 from studiorecon.scene.people import Detections
 
@@ -37,15 +39,37 @@ def test_corrections_are_taken_and_what_is_left_out_belongs_to_nobody(tmp_path: 
     assert {key for key, person in short.items() if not person} == {("a", 1), ("b", 4), ("c", 2)}
 
 
+B = ("b", 0, "p0")
+
+
 @pytest.mark.parametrize(
-    ("line", "words"),
+    ("lines", "words", "mended"),
     [
-        (("a", 7, "p0"), "track 7 of camera a, which was not detected"),
-        (("d", 0, "p0"), "track 0 of camera d"),
-        (("a", 0, "Anna"), "'Anna'; people are called p0"),
-        (("a", 0, "p0"), "gives p0 tracks of camera a only"),
+        ([("a", 7, "p0"), B], "track 7 of camera a, .*start from people/identities.tsv", [("a", 1, "p0"), B]),
+        ([("d", 0, "p0"), B], "track 0 of camera d", [("c", 2, "p0"), B]),
+        ([("a", 0, "Anna"), B], "'Anna'; people are called p0", [("a", 0, "p0"), B]),
+        ([("a", 0, "Anna"), B], "empty = no person", [("a", 0, ""), ("a", 1, "p0"), B]),
+        ([("a", 0, "p0")], "gives p0 tracks of camera a only; .*two cameras", [("a", 0, "p0"), B]),
     ],
 )
-def test_mistakes_are_named(tmp_path: Path, line: tuple[str, int, str], words: str) -> None:
+def test_lines_changed_as_advised_make_a_person(
+    tmp_path: Path, lines: list[tuple[str, int, str]], words: str, mended: list[tuple[str, int, str]]
+) -> None:
     with pytest.raises(UserError, match=words):
-        read_corrected(write(tmp_path, line), FOUND)
+        read_corrected(write(tmp_path, *lines), FOUND)
+    rows = people_table_rows(read_corrected(write(tmp_path, *mended), FOUND), FOUND)
+    assert [row[0] for row in rows] == ["p0"]
+
+
+def test_the_lines_of_a_warning_accept_the_person_and_join_two_names(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    missed = RejectedPerson("r0", 3, 0.1, ("a", "b"), (("a", 0), ("b", 0)), 0.5, -1.0, "too short")
+    report_rejected([missed], "p1")
+    lines = re.findall(r"([a-d])\t(\d+)\t(p\d+)", capsys.readouterr().out)
+    identities = {("a", 0): "", ("a", 1): "p0", ("b", 0): "", ("b", 4): "", ("c", 2): "p0"}
+    told = identities | {(camera, int(track)): person for camera, track, person in lines}
+    rows = people_table_rows(read_corrected(write(tmp_path, *((*key, who) for key, who in told.items())), FOUND), FOUND)
+    assert [(row[0], row[2]) for row in rows] == [("p0", "a,c"), ("p1", "a,b")]
+    joined = write(tmp_path, *((*key, who and "p0") for key, who in told.items()))
+    assert [row[2] for row in people_table_rows(read_corrected(joined, FOUND), FOUND)] == ["a,b,c"]

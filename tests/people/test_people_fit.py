@@ -169,36 +169,52 @@ def test_smoothing_lowers_jitter(body: BodyModel, made: Made, default_settings) 
     assert error_mm(smooth, made) < error_mm(raw, made)
 
 
-def test_person_seen_by_one_camera_is_refused_by_name(body: BodyModel, made: Made, default_settings) -> None:
-    with pytest.raises(UserError, match=r"person p0 is never seen by two cameras .*frames 0–39"):
-        solve(body, made, detect(body, made, 1)[:1], default_settings("people"), views=1)
+def shifted(detections: list[Detections]) -> list[Detections]:
+    """The same with the second camera's keypoints 150 pixels lower."""
+    down = np.array([0.0, 150.0, 0.0])
+    return [replace(d, keypoints=d.keypoints + down * (i == 1)) for i, d in enumerate(detections)]
 
 
-def test_random_keypoints_are_no_person(body: BodyModel, made: Made, default_settings) -> None:
-    detections = detect(body, made, 1)
-    rng = np.random.default_rng(5)
+def at_random(detections: list[Detections]) -> list[Detections]:
+    rng, drawn = np.random.default_rng(5), []
     for d in detections:
-        d.keypoints[..., :2] = rng.uniform(0, 700, d.keypoints[..., :2].shape)
-    with pytest.raises(UserError, match=r"person p0: the body is more than .* off the keypoints"):
-        solve(body, made, detections, default_settings("people"))
+        pixels = rng.uniform(0, 700, d.keypoints[..., :2].shape)
+        drawn.append(replace(d, keypoints=np.concatenate([pixels, d.keypoints[..., 2:]], axis=-1)))
+    return drawn
 
 
-def test_cameras_that_never_agree_are_refused(body: BodyModel, made: Made, default_settings) -> None:
-    detections = detect(body, made, 1)
-    detections[1].keypoints[..., 1] += 150
-    with pytest.raises(UserError, match="person p0: no frame of 0–39 has enough keypoints"):
-        solve(body, made, detections, default_settings("people"), views=2)
+def in_turns(detections: list[Detections]) -> list[Detections]:
+    """Two cameras' keypoints, of which one has the first half of the frames and the other one the rest."""
+    return [d.only((d.frame < FRAMES // 2) == (i == 0)) for i, d in enumerate(detections[:2])]
 
 
-def test_world_in_feet_is_refused(body: BodyModel, made: Made, default_settings) -> None:
-    detections = detect(body, made, 1)
-    feet = []
-    for camera in made.cameras:
-        camera_from_world = camera.camera_from_world.copy()
-        camera_from_world[:3, 3] /= 0.3048
-        feet.append(replace(camera, camera_from_world=camera_from_world))
-    with pytest.raises(UserError, match="check that the calibration is in metres"):
-        solve(body, replace(made, cameras=feet), detections, default_settings("people"))
+def longer(cameras: list[Camera], factor: float) -> list[Camera]:
+    poses = [c.camera_from_world.copy() for c in cameras]
+    for pose in poses:
+        pose[:3, 3] *= factor
+    return [replace(c, camera_from_world=pose) for c, pose in zip(cameras, poses)]
+
+
+# What is wrong with the detections, how long the calibration's lengths are, and what is said. Then the identities, the
+# keypoints or the calibration are what the sentence demands.
+REFUSED = {
+    "in turns": (in_turns, 1.0, r"p0 is never seen by two cameras .*; correct p0 in a copy of .*identities"),
+    "shifted": (lambda seen: shifted(seen[:2]), 1.0, "p0: no frame of 0–39 .*check the calibration"),
+    "at random": (at_random, 1.0, r"p0: the body is more than .* off the keypoints.*identities"),
+    "feet": (list, 1 / 0.3048, "check that the calibration is in metres"),
+}
+
+
+@pytest.mark.parametrize("row", REFUSED)
+def test_a_person_changed_as_advised_is_fitted(row: str, body: BodyModel, made: Made, default_settings) -> None:
+    broken, factor, said = REFUSED[row]
+    right = detect(body, made, 1)
+    refused = broken(right)
+    wrong = replace(made, cameras=longer(made.cameras, factor))
+    with pytest.raises(UserError, match=said):
+        solve(body, wrong, refused, default_settings("people"), views=len(refused))
+    person = solve(body, made, right, default_settings("people"), views=len(refused))
+    assert error_mm(person, made) < 20
 
 
 def literal(section: dict[str, Any], **changed: Any) -> dict[str, Any]:
@@ -247,14 +263,12 @@ def test_the_solver_of_the_default_takes_a_size_too(body: BodyModel, made: Made,
 
 
 def test_bones_that_nobody_has_are_refused(body: BodyModel, made: Made, default_settings) -> None:
-    own = body.scaled(3.28)
-    moved = replace(made, trans=3.28 * made.trans)
-    cameras = [replace(c, camera_from_world=c.camera_from_world.copy()) for c in made.cameras]
-    for camera in cameras:
-        camera.camera_from_world[:3, 3] *= 3.28
-    moved = replace(moved, cameras=cameras)
-    with pytest.raises(UserError, match=r"p0: the bones are 3\.\d\d times as long as a mean adult's"):
-        solve(body, moved, detect(own, moved, 1), literal(default_settings("people"), scale="bones"))
+    section = literal(default_settings("people"), scale="bones")
+    feet = replace(made, cameras=longer(made.cameras, 3.28))
+    with pytest.raises(UserError, match=r"p0: the bones are 3\.\d\d times .*calibration is in metres"):
+        solve(body, feet, detect(body, made, 1), section)
+    # In metres, as the sentence demands.
+    assert error_mm(solve(body, made, detect(body, made, 1), section), made) < 30
 
 
 def test_run_writes_the_same_bytes_twice(

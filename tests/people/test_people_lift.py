@@ -221,12 +221,15 @@ def test_two_cameras_find_the_same_people_by_them(tmp_path: Path, monkeypatch: p
     # Beyond 0.3 m two pelvises are two people.
     assert alike[0, 1] == alike[1, 0] == 0
     nobody = [replace(one, pelvis=None) for one in found]
-    with pytest.raises(UserError, match="depth is unknown at every pelvis"):
-        sights(nobody, nobody, cameras, limits)
+    for position, said in (("scene", "depth is unknown at every pelvis; set it to rays"), ("pelvis", "set it to rays")):
+        with pytest.raises(UserError, match=said):
+            sights(nobody, nobody, cameras, replace(limits, position=position))
+    assert len(sights(nobody, nobody, cameras, replace(limits, position="rays"))) == 2
 
 
 def test_a_depth_of_another_view_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(UserError, match="differ by"):
+    """Its remedy, ``position: rays``, needs no depth."""
+    with pytest.raises(UserError, match=r"differ by.*set people\.association\.position to rays"):
         run_lifting(tmp_path, monkeypatch, rig()[0], other_view=True)
 
 

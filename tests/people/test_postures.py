@@ -88,5 +88,7 @@ def test_who_stands_where_rays_cannot_tell_is_told_by_posture(root: Path) -> Non
     other = (pairs.track[:, None] != pairs.track[None]) & (pairs.view[:, None] != pairs.view[None])
     assert pairs.affinity[same].min() > 2 * pairs.affinity[other].max()
     blind = [replace(one, points_m=None) for one in found]
-    with pytest.raises(UserError, match="no detection has a body pose"):
+    with pytest.raises(UserError, match=r"no detection has a body pose.*set it to both or position"):
         sights(blind, blind, CAMERAS, limits)
+    for affinity in ("both", "position"):
+        assert len(sights(blind, blind, CAMERAS, AssociationLimits(affinity=affinity))) == len(CAMERAS)

@@ -93,6 +93,6 @@ def require_finite(gaussians: Gaussians, source: Path) -> Gaussians:
     if len(bad):
         raise UserError(
             f"{source} holds {len(bad)} Gaussians that are not finite (the first is number {bad[0]}), and other "
-            "programs would draw nothing; train it again"
+            "programs would draw nothing; delete it and run again"
         )
     return gaussians

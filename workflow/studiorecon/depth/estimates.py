@@ -34,8 +34,8 @@ def estimate_of(path: Path, camera: Camera) -> Float[np.ndarray, "H W"]:
     shape = (given.shape[1] / given.shape[0]) / (camera.wh[0] / camera.wh[1])
     if abs(shape - 1) > _SHAPE_TOLERANCE:
         raise UserError(
-            f"{path} is {given.shape[1]}×{given.shape[0]}, another shape than "
-            f"camera {camera.name} ({camera.wh[0]}×{camera.wh[1]})"
+            f"{path} is {given.shape[1]}×{given.shape[0]}, another shape than camera {camera.name} "
+            f"({camera.wh[0]}×{camera.wh[1]}): run the network on the undistorted capture/{camera.name}.mkv"
         )
     return resample_nearest(np.where(sure > 0, given, 0).astype(np.float32), camera.hw)
 
@@ -50,12 +50,12 @@ def read_estimate(path: Path) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarra
     if path.suffix == ".png":
         stored = read_image(path, cv2.IMREAD_UNCHANGED)
         if stored.dtype != np.uint16 or stored.ndim != 2:
-            raise UserError(f"{path} is not a 16-bit grey picture of millimetres")
+            raise UserError(f"{path} is {stored.dtype} {stored.shape}; write a 16-bit grey picture of millimetres")
         depth = stored.astype(np.float32) / _MILLIMETRES
     else:
         depth = np.squeeze(_numbers(path))
     if depth.ndim != 2:
-        raise UserError(f"{path} holds an array of shape {depth.shape}, expected one depth map (H, W)")
+        raise UserError(f"{path} holds an array of shape {depth.shape}, and not one depth map (H, W); save one frame")
     if below := int((depth < 0).sum()):
         warn(f"{path}: {below} of {depth.size} depths are below 0 and count as unknown; write depth, not its inverse")
     depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)

@@ -57,8 +57,7 @@ def run(settings: Settings, camera: str, model: Path, source: Path, depth: Writt
     if abs(shape - 1) > _SHAPE_TOLERANCE:
         raise UserError(
             f"{source} is {given_m.shape[1]}×{given_m.shape[0]}, another shape than camera "
-            f"{camera} ({found[0].wh[0]}×{found[0].wh[1]}):"
-            " render it for the undistorted working view"
+            f"{camera} ({found[0].wh[0]}×{found[0].wh[1]}): make it of the undistorted capture/{camera}.mkv"
         )
     depth_m, certain = fit(given_m, certain, found[0], settings.near_m)
     known = depth_m > 0

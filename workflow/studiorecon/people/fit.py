@@ -140,9 +140,8 @@ def fit_person(
     keys = settings.fit
     if not (points.cameras >= 2).any():
         raise UserError(
-            f"person {person} is never seen by two cameras in the same frame (frames "
-            f"0–{frames - 1}); correct {person} in "
-            "people/identities.tsv, or leave the person out there"
+            f"person {person} is never seen by two cameras in the same frame (frames 0–{frames - 1}); correct {person} "
+            "in a copy of people/identities.tsv in the capture's folder, or leave the name empty there"
         )
     options = fitting.FitSettings(
         **{f.name: getattr(keys, f.name) for f in fields(keys) if f.name in _FITTED}, free_scale=False
@@ -154,8 +153,8 @@ def fit_person(
     if not result.valid.any():
         raise UserError(
             f"person {person}: no frame of 0–{frames - 1} has enough keypoints on which "
-            "two cameras agree; check the calibration "
-            "(cameras/refinement.png) and the identities (people/identities.tsv)"
+            "two cameras agree; check the calibration (cameras/refinement.png), or correct the identities in a copy "
+            "of people/identities.tsv in the capture's folder"
         )
     median = _row_median(result.residual_m)
     valid = result.valid & (median <= keys.max_frame_m)

@@ -102,7 +102,7 @@ def run(
     for person, fit in zip(people, fits):
         if len(person.poses) != capture.frames:
             raise UserError(
-                f"{fit} has {len(person.poses)} frames and the capture {capture.frames}; fit {person.name} again"
+                f"{fit} has {len(person.poses)} frames and the capture {capture.frames}; delete {fit} and run again"
             )
     seen = read_detections(detections[0]) if detections else None
     known = read_identities(identities)

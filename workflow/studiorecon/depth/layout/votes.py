@@ -97,7 +97,8 @@ def read_sweeps(sweeps: Sequence[Path], cameras: int) -> Swept:
     swept = [read(path, _SWEEP, _checked, sizes={"V": cameras}) for path in sweeps]
     if len(swept) != cameras or not all(np.array_equal(s["planes"], swept[0]["planes"]) for s in swept):
         raise UserError(
-            f"{len(swept)} sweeps for {cameras} cameras, or sweeps of different settings: run depth.sweep again for all"
+            f"{', '.join(map(str, sweeps))} are not one sweep for each of {cameras} cameras, or of different settings; "
+            "delete them and run again"
         )
     first = swept[0]
     votes = Votes(first["planes"], [s["chosen"].astype(int) for s in swept], [s["confident"] for s in swept])
