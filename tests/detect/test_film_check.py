@@ -40,6 +40,8 @@ def test_what_is_mixed_up_is_put_right_or_named(takes: list[Take], row: str) -> 
         assert found.notes or "camera a" in found.refusal
     if row == "of another film":
         return
+    if row.startswith("shares"):
+        np.testing.assert_allclose(found.recorded.keypoints[..., :2], own.recorded.keypoints[..., :2], atol=1e-6)
     if wanted == "mended" and row not in ("12 frames late", "numbered from 1, last ones missing"):
         assert len(found.recorded.frame) == len(own.recorded.frame)
 

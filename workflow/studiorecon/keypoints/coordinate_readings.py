@@ -44,14 +44,15 @@ def affine(scale_x: float, scale_y: float, x: float = 0.0, y: float = 0.0) -> Fl
     return np.array([[scale_x, 0, x], [0, scale_y, y]], dtype=np.float64)
 
 
-def shares(wh: tuple[int, int]) -> list[Reading]:
-    """Readings as shares of the picture's sides, from its border."""
+def shares(wh: tuple[int, int], centre: float) -> list[Reading]:
+    """Readings as shares of the picture's sides: programs divide their pixels, to which ``centre`` is added to reach
+    centres at +0.5."""
     w, h = wh
     longer = max(wh)
     return [
-        Reading("shares of the picture, 0 to 1", affine(w, h), True, True),
-        Reading("shares of the picture, -1 to 1", affine(w / 2, h / 2, w / 2, h / 2), True, True),
-        Reading("shares of the picture's longer side", affine(longer, longer), True, True),
+        Reading("shares of the picture, 0 to 1", affine(w, h, centre, centre), True, True),
+        Reading("shares of the picture, -1 to 1", affine(w / 2, h / 2, w / 2 + centre, h / 2 + centre), True, True),
+        Reading("shares of the picture's longer side", affine(longer, longer, centre, centre), True, True),
     ]
 
 

@@ -320,7 +320,7 @@ def _plain(keypoints: Num[np.ndarray, "D K 3"], as_read: Reading, film: Film) ->
     points = np.abs(_points(keypoints))
     if not len(points) or np.quantile(points, 0.99) > _SHARES_WITHIN or min(film.wh) < _SMALLEST_PX:
         return [as_read]
-    both = shares(film.wh)
+    both = shares(film.wh, film.centre)
     return [both[1], both[0]] if np.quantile(_points(keypoints), 0.05) < _BELOW_0 else both
 
 
