@@ -78,8 +78,7 @@ def imported_at(statements: list[ast.stmt]) -> set[str]:
 
 def _modules() -> Mapping[str, Path]:
     """File of every module of this package by its name, "" the package itself; listed again when a folder has
-    changed.
-    """
+    changed."""
     folders, modules = _find_module(PACKAGE)
     if any(not os.path.isdir(folder) or os.stat(folder).st_mtime_ns != seen for folder, seen in folders.items()):
         _find_module.cache_clear()

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room as static Gaussians: reads plates, synthesized views and depth, writes ``background.ply`` and its
-provenance.
+"""The room as static Gaussians: reads plates, synthesized views and depth, writes ``background.ply`` and provenance.
 
 ``train`` is the step: ``preparation`` (first Gaussians; ``targets``, the pictures to fit; ``hole_filling``, surfaces
 that no camera sees), ``fitting`` (the iterations), ``refinement`` (enhanced renders become targets). If a network

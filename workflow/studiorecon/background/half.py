@@ -36,10 +36,7 @@ def run(
     specularity: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
 ) -> None:
-    """Write the half-trained room (``half``, ``provenance``) and a film of it (``renders``, ``renders_path``).
-
-    Inputs are as in ``background.train``, which continues from here.
-    """
+    """Write the half-trained room (``half``, ``provenance``) and a film of it; inputs as in ``background.train``."""
     device = resolve(device)
     cameras = read_model(sources.model.parent)
     rng = np.random.default_rng(settings.seed)

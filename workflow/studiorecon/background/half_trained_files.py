@@ -25,7 +25,7 @@ _FPS = 30.0
 
 
 def write_room(half: Path, provenance: Path, room: Gaussians, marks: Integer[np.ndarray, " N"]) -> None:
-    """Write the Gaussians (PLY) and the provenance (N,), ``marks``, of each (npz)."""
+    """Write the Gaussians (PLY) and the provenance, ``marks``, of each (npz)."""
     write_ply(half, room)
     write_provenance(provenance, marks)
 
@@ -33,7 +33,7 @@ def write_room(half: Path, provenance: Path, room: Gaussians, marks: Integer[np.
 def write_renders(
     renders: Path, renders_path: Path, cameras: list[Camera], pictures: list[Float[np.ndarray, "H W 3"]]
 ) -> None:
-    """Write views (H, W, 3) in [0, 1] of the room from ``cameras`` as a lossless film, with its path."""
+    """Write views in [0, 1] of the room from ``cameras`` as a lossless film, with its path."""
     write_lossless(renders, (to_bytes(picture) for picture in pictures), _FPS)
     write_path(renders_path, [PathStep(camera, 0, "refinement") for camera in cameras], _FPS)
 
@@ -41,8 +41,8 @@ def write_renders(
 def read_half(files: list[Path], weight: float) -> tuple[Gaussians, Integer[np.ndarray, " N"], list[Target]]:
     """The half-trained room, its Gaussians' provenance, and enhanced views of it as targets (paper, appendix C).
 
-    Every pixel of the targets has ``weight``. ``files``: the room, its provenance, the path of the views, and the film
-    of them. Raises UserError for files that do not belong together.
+    Every pixel of the targets has ``weight``. ``files``: the room, its provenance, the path and the film of the views.
+    Raises UserError for files that do not belong together.
     """
     room_file, marks_file, path_file, film = files
     room = read_ply(room_file)

@@ -46,14 +46,7 @@ def node_step(faces: Sequence[Face], step_m: float, limit: int) -> float:
 
 @dataclass(frozen=True)
 class PaintedFace:
-    """An atlas of one face.
-
-    Attributes:
-        face: the rectangle.
-        points_m: (R, C, 3) nodes.
-        rgb: (R, C, 3) float64: averaged over the cameras where ``seen``, otherwise painted.
-        seen: (R, C) bool.
-    """
+    """An atlas of one face: nodes, and float64 colours averaged over the cameras where ``seen``, otherwise painted."""
 
     face: Face
     points_m: Float[np.ndarray, "R C 3"]
@@ -80,8 +73,7 @@ def paint(
 ) -> list[PaintedFace]:
     """The atlas of every face: photographed where a camera sees it, continued next to that, otherwise borrowed.
 
-    A wall without seen parts borrows from other walls, at the same height. ``plates`` (H, W, 3) float, ``known`` (H, W)
-    bool where a plate is measured, ``depths_m`` (H, W), 0 unknown.
+    A wall without seen parts borrows from other walls, at the same height. ``known``: where a plate is measured.
     """
     looked = [(face, face.nodes(step_m)) for face in faces]
     gathered = [_gather(face, nodes, cameras, plates, known, depths_m) for face, nodes in looked]
@@ -147,7 +139,7 @@ def _upright(face: Face) -> bool:
 
 
 def draw_faces(camera: Camera, painted: Sequence[PaintedFace]) -> Float[np.ndarray, "H W 3"]:
-    """(H, W, 3) float64: the painted, empty room from a camera; black where no face is in view."""
+    """The painted, empty room from a camera; black where no face is in view."""
     rays = camera.unproject(camera.pixel_centres(), np.ones(camera.hw)) - camera.centre_m
     nearest, rgb = np.full(camera.hw, np.inf), np.zeros((*camera.hw, 3))
     for own in painted:

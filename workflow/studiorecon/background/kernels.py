@@ -28,8 +28,7 @@ _NEAR_M = 0.1
 
 
 def run(threads: int, kernels: Written) -> None:
-    """Train a handful of Gaussians for two steps, as a room and as a person, and discard them; write ``kernels`` when
-    done."""
+    """Train a handful of Gaussians for two steps, as a room and as a person; write ``kernels`` when done."""
     _as_a_room(threads)
     _as_a_person(threads)
     say("the kernels of training are compiled")

@@ -69,7 +69,7 @@ class PreparedTraining:
 
     Attributes:
         settings: with no more harmonics than the cameras can distinguish.
-        photos: of the training cameras. start: first Gaussians; marks: (N,) uint8, their provenance.
+        start, marks: first Gaussians, and their provenance.
         real, synthesized: targets.
     """
 
@@ -83,8 +83,7 @@ class PreparedTraining:
 
 @dataclass(frozen=True)
 class Photo:
-    """A training camera's clean plate: ``rgb`` (H, W, 3) float32, ``known`` (H, W) bool, ``depth_m`` and ``confidence``
-    (H, W)."""
+    """A training camera's clean plate, where it is ``known``, and its depth and confidence."""
 
     camera: Camera
     rgb: Float[np.ndarray, "H W 3"]
@@ -104,8 +103,7 @@ def paint_room(photos: Sequence[Photo], box: RoomBox, settings: Settings) -> lis
 def initial_gaussians(
     photos: Sequence[Photo], painted: Sequence[hole_filling.PaintedFace], settings: Settings
 ) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
-    """First Gaussians and their provenance (N,) uint8: discs on measured depth, and on unseen parts of the ``painted``
-    room."""
+    """First Gaussians and their provenance: discs on measured depth, and on unseen parts of the ``painted`` room."""
     degree = settings.training.sh_degree
     sets, marks = [], []
     wanted = finest([p.camera for p in photos], [p.depth_m for p in photos], [p.known for p in photos])
@@ -132,8 +130,7 @@ def initial_gaussians(
 
 
 def limit_harmonics(settings: Settings, start: Gaussians, cameras: Sequence[Camera], varied: bool = True) -> Settings:
-    """The settings, with ``limit_sh_to_views`` limited to the harmonics that the real cameras distinguish at the middle
-    of the room.
+    """The settings, with harmonics limited to those that the real cameras distinguish at the middle of the room.
 
     None at all unless colours are ``varied`` with the direction of view. Synthesized views are made of the photos and
     have no highlights of their own to add (G15).
@@ -152,8 +149,7 @@ def limit_harmonics(settings: Settings, start: Gaussians, cameras: Sequence[Came
 
 
 def plate_targets(photos: Sequence[Photo], boost: float) -> list[Target]:
-    """Every plate as a target, with its depth; a photo has distance 0 from itself, so its pixels weigh 1 + ``boost``
-    (U15, U16)."""
+    """Every plate as a target, with its depth; at distance 0 from itself its pixels weigh 1 + ``boost`` (U15, U16)."""
     weight = view_weight(0.0, cutoff_angle([p.camera for p in photos]), boost)
     return [Target(p.camera, p.rgb, p.known * np.float32(weight)) for p in photos]
 
@@ -166,12 +162,10 @@ def view_targets(
     painted: Sequence[hole_filling.PaintedFace],
     settings: Settings,
 ) -> list[Target]:
-    """Every synthesized view as a target; its weight falls with the angle to the nearest real camera (paper, appendix
-    C).
+    """Every synthesized view as a target; its weight falls with the angle to the nearest real camera (appendix C).
 
-    Its painted pixels without support continue the hole's rim, which is often furniture. There the target fades to the
-    ``painted`` room, if there is one. Views at a photo's pose are left out, because the photo is a target already
-    (U16).
+    Painted pixels without support continue the hole's rim, which is often furniture: there the target fades to the
+    ``painted`` room, if any. Views at a photo's pose are left out, because the photo is a target already (U16).
     """
     cutoff = cutoff_angle(cameras)
     targets = []
@@ -193,10 +187,7 @@ def view_targets(
 def mask_people(
     photos: Sequence[Photo], videos: Sequence[Path], masks: Sequence[Path], dilation_px: int, gains: Factors
 ) -> list[Photo]:
-    """The first pictures instead of the plates (paper, Eq. 5), without people.
-
-    Pixels are unknown where a mask has a person within the square of ``dilation_px``; without ``masks`` all are known.
-    """
+    """The first pictures instead of the plates (paper, Eq. 5), unknown within ``dilation_px`` of people's ``masks``."""
     one_each([p.camera for p in photos], videos=list(videos))
     if masks:
         one_each([p.camera for p in photos], masks=list(masks))

@@ -43,10 +43,10 @@ def run(
     """Train the background and write it with its provenance; plates are divided by their gains, if any.
 
     With ``photos`` "first_frames" the first pictures of the videos are used, without the people in the masks. Without a
-    file in ``specularity`` the survey decided against colours that change with the view; None: no decision was made.
-    ``half``: the half-trained room, the provenance of its Gaussians, and views of it with their path, which a network
-    has enhanced (``background.half``, ``background.refined``), where ``refinement`` is on. ``working`` is a folder of
-    its own: preview pictures, and the checkpoint of a killed run; ``lpips`` holds the weights of the perceptual term.
+    file in ``specularity`` colours do not change with the view; None: no decision was made. ``half``: the half-trained
+    room, its provenance, and enhanced views of it with their path, where ``refinement`` is on. ``working`` is a folder
+    of its own: preview pictures, and the checkpoint of a killed run; ``lpips`` holds the weights of the perceptual
+    term.
     """
     device = resolve(device)
     cameras = read_model(sources.model.parent)

@@ -19,21 +19,14 @@ _MIN_VERTICES = 6
 
 @dataclass(frozen=True)
 class Occluder:
-    """Capsules in the shaped rest pose.
-
-    Attributes:
-        joint: (C,) the joint that moves each.
-        ends_m: (C, 2, 3) ends of their axes in the rest pose.
-        radius_m: (C,) radii.
-    """
+    """Capsules in the shaped rest pose: the joint that moves each, the ends of their axes, and radii."""
 
     joint: Num[np.ndarray, " C"]
     ends_m: Num[np.ndarray, "C 2 3"]
     radius_m: Num[np.ndarray, " C"]
 
     def posed(self, world_from_rest: Num[np.ndarray, "24 4 4"]) -> Num[np.ndarray, "C 7"]:
-        """(C, 7) capsules in the world, two ends and a radius, from joint transforms; none if a transform is not
-        finite.
+        """Capsules in the world, two ends and a radius, from joint transforms; none if a transform is not finite.
 
         Raises ValueError for another shape.
         """

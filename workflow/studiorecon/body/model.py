@@ -43,16 +43,15 @@ class BodyModel:
 
     Attributes:
         identity: names the model and its shape space; betas are only comparable within one identity.
-        names: 24 joint names; ``parents``: (24,) int, −1 for the root.
-        faces: (F, 3) int, outward by the right-hand rule.
-        template_m: (V, 3) float64 T-pose; ``shape_directions``: (V, 3, B), metres per unit of beta.
-        joint_template_m: (24, 3); ``joint_directions``: (24, 3, B).
-        weights: (V, 24) float32 skinning weights, rows sum to 1.
-        pose_directions: (V, 3, 207) pose correctives of an SMPL file, or None.
-        keypoint_names: names that ``keypoint_vertices`` (K, V) and ``keypoint_joints`` (K, 24) regress, see
-            ``layouts``.
-        region: (V,) uint8 index into ``region_names``, for clothes and colours; all "skin" for an SMPL file.
-        proxy_vertices: (P,) vertices of a coarse mesh with ``proxy_faces`` (Q, 3), for silhouettes.
+        parents: −1 for the root.
+        faces: outward by the right-hand rule.
+        template_m, shape_directions: T-pose, and metres per unit of beta.
+        joint_template_m, joint_directions: the same of the joints.
+        weights: float32 skinning weights, rows sum to 1.
+        pose_directions: pose correctives of an SMPL file, or None.
+        keypoint_names: names that ``keypoint_vertices`` and ``keypoint_joints`` regress, see ``layouts``.
+        region: uint8 index into ``region_names``, for clothes and colours; all "skin" for an SMPL file.
+        proxy_vertices: vertices of a coarse mesh with ``proxy_faces``, for silhouettes.
     """
 
     identity: str
@@ -96,9 +95,8 @@ class BodyModel:
         return self.shape_directions.shape[-1]
 
     def scaled(self, scale: float) -> BodyModel:
-        """The body with all its lengths times ``scale``, in the same shape space (paper, Eq. 4).
-
-        Its betas β are the unscaled body's ``of_size(β, scale)``.
+        """The body with all lengths times ``scale``; its betas β are the unscaled body's ``of_size(β, scale)`` (paper,
+        Eq. 4).
         """
         lengths = ("template_m", "shape_directions", "joint_template_m", "joint_directions", "pose_directions")
         held = {name: getattr(self, name) for name in lengths}
@@ -117,10 +115,8 @@ class BodyModel:
     def joints(
         self, poses: Num[np.ndarray, "T 72"], betas: Num[np.ndarray, " B"], trans_m: Num[np.ndarray, "T 3"]
     ) -> Num[np.ndarray, "T 24 3"]:
-        """World joints of axis-angle poses, betas and pelvis positions, metres.
-
-        Raises ValueError for other shapes; so do the functions below.
-        """
+        """World joints, metres; ``trans_m`` is the pelvis. Raises ValueError for other shapes, as the functions
+        below."""
         poses, trans_m = _frames(poses, trans_m)
         local = rotations.exp(poses.reshape(-1, 24, 3))
         return skinning.forward_kinematics(local, self.rest_joints(betas), self.parents)[1] + trans_m[:, None]
@@ -128,8 +124,7 @@ class BodyModel:
     def joint_transforms(
         self, poses: Num[np.ndarray, "T 72"], betas: Num[np.ndarray, " B"], trans_m: Num[np.ndarray, "T 3"]
     ) -> Num[np.ndarray, "T 24 4 4"]:
-        """``world_from_rest`` of every joint; rest is the shaped T-pose (``rest_vertices``). Raises as ``joints``
-        does."""
+        """``world_from_rest`` of every joint; rest is the shaped T-pose. Raises as ``joints`` does."""
         poses, trans_m = _frames(poses, trans_m)
         rest = self.rest_joints(betas)
         world, joints = skinning.forward_kinematics(rotations.exp(poses.reshape(-1, 24, 3)), rest, self.parents)
@@ -142,10 +137,8 @@ class BodyModel:
         trans_m: Num[np.ndarray, "T 3"],
         chosen: Integer[np.ndarray, " C"] | None = None,
     ) -> Float[np.ndarray, "T V 3"]:
-        """World vertices, float32; only those ``chosen`` (indices, e.g. ``proxy_vertices``) when given.
-
-        Raises as ``joints`` does.
-        """
+        """World vertices, float32; only those ``chosen`` (e.g. ``proxy_vertices``) if given. Raises as ``joints``
+        does."""
         poses, trans_m = _frames(poses, trans_m)
         everything = slice(None) if chosen is None else chosen
         rest = self.rest_vertices(betas)[everything]
@@ -164,7 +157,7 @@ class BodyModel:
         betas: Num[np.ndarray, " B"],
         trans_m: Num[np.ndarray, "T 3"],
     ) -> Num[np.ndarray, "T K 3"]:
-        """World keypoints by name (``keypoint_names``); exact for the surface without pose correctives.
+        """World keypoints by name; exact for the surface without pose correctives.
 
         Raises as ``joints`` does, and KeyError for a name that the body lacks.
         """
@@ -178,11 +171,10 @@ class BodyModel:
         return np.einsum("tjxy,kjy->tkx", world, offsets) + np.einsum("kj,tjx->tkx", share, joints) + trans_m[:, None]
 
     def keypoint_basis(self, names: Sequence[str]) -> tuple[Num[np.ndarray, "K 24"], Num[np.ndarray, "K 24 3 1+B"]]:
-        """Shares and anchors that give K keypoints without the mesh.
+        """Shares and anchors that give K keypoints without the mesh. Raises KeyError for a name that the body lacks.
 
         A linear surface point under skinning is Σ_j G_j (anchor_kj(β) − share_kj J_j(β)) + share_kj J_j^posed, G_j the
-        joint's world rotation: the sums over vertices are done once, here. Raises KeyError for a name that the body
-        lacks.
+        joint's world rotation: the sums over vertices are done once, here.
         """
         rows = [self.keypoint_names.index(n) if n in self.keypoint_names else _missing(n) for n in names]
         vertices, joints = self.keypoint_vertices[rows], self.keypoint_joints[rows]
@@ -208,8 +200,7 @@ class BodyModel:
 
 
 def upright_global_orientation(heading_rad: float) -> Num[np.ndarray, " 3"]:
-    """(3,) axis-angle for ``poses[:, :3]`` of an upright body in the z-up world, facing (cos, sin) of
-    ``heading_rad``."""
+    """Axis-angle for ``poses[:, :3]`` of an upright body in the z-up world, facing (cos, sin) of ``heading_rad``."""
     c, s = np.cos(heading_rad), np.sin(heading_rad)
     # Columns: directions of the body's left (x), up (y) and forward (z) in the world.
     return rotations.log(np.array([[-s, 0.0, c], [c, 0.0, s], [0.0, 1.0, 0.0]]))
@@ -225,18 +216,13 @@ def of_size(betas: Num[np.ndarray, " B"], scale: float) -> Num[np.ndarray, " B+1
 
 
 def shape_and_size(betas: Num[np.ndarray, " _"], shapes: int) -> tuple[Num[np.ndarray, " B"], float]:
-    """Coordinates (B,) of the shape space and the scale encoded in ``betas``, for B ``shapes``; the inverse of
-    ``of_size``.
-
-    Raises ValueError as ``rest_joints`` does.
-    """
+    """Coordinates of the shape space and scale in ``betas``, the inverse of ``of_size``. Raises as ``rest_joints``."""
     shape, size = _betas(betas, shapes)
     return shape / size, size
 
 
 def _betas(betas: np.ndarray, count: int) -> tuple[np.ndarray, float]:
-    """Factors (B,) of the shape directions and of the template; missing betas are 0, and surplus ones must be except
-    the size."""
+    """Factors of the shape directions and the template; missing betas are 0, surplus ones must be, except the size."""
     given = np.asarray(betas, dtype=np.float64).reshape(-1)
     if np.any(given[count + 1 :] != 0) or (len(given) > count and not given[count] > -1):
         raise ValueError(f"{len(given)} betas for a shape space of {count}")
@@ -305,8 +291,7 @@ def _read(data: dict[str, np.ndarray], path: Path) -> BodyModel:
 
 
 def _keypoints(data: dict[str, np.ndarray], vertex_count: int) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
-    """Names and regressors (K, V), (K, 24) from the file or from SMPL's vertices and joints; every joint is
-    ``<name>_joint``."""
+    """Names and regressors, from the file or from SMPL's vertices and joints; every joint is ``<name>_joint``."""
     rows: dict[str, tuple[dict[int, float], dict[int, float]]] = {
         f"{n}_joint": ({}, {j: 1.0}) for j, n in enumerate(JOINT_NAMES)
     }

@@ -29,11 +29,11 @@ _CHAIN = ("shoulder", "hip", "knee", "ankle")
 def people_regions(
     detections: Detections, frames: Num[np.ndarray, " T"], hw: tuple[int, int], margin: float, hold: int
 ) -> Bool[np.ndarray, "T H W"]:
-    """(T, H, W) bool: where detected people are at the working frames ``frames`` (T,).
+    """Regions of detected people at the working frames ``frames``.
 
     Thick limbs, torso and head along the layout's bones, grown by ``margin`` times the person's height, because clothes
-    and hair are wider than bodies. A detection also covers ``hold`` frames before and after, because detectors miss
-    single frames.
+    and hair are wider than bodies. A detection covers ``hold`` frames before and after, because detectors miss single
+    frames.
     """
     regions = np.zeros((len(frames), *hw), np.uint8)
     layout = LAYOUTS[detections.layout]
@@ -52,7 +52,7 @@ def draw_person(
     bones: Sequence[tuple[str, str]],
     margin: float,
 ) -> None:
-    """Draw one person into ``region`` (H, W) uint8; ``points`` are pixels by keypoint name, absent when not seen."""
+    """Draw one person into ``region``; ``points`` are pixels by keypoint name, absent when not seen."""
     if len(points) < 3:
         return
     height_px = _height_px(points)

@@ -42,9 +42,9 @@ def write_person(path: Path, person: Person) -> None:
 
 
 def read_person(path: Path) -> Person:
-    """The person of a file; frames with numbers that are not finite are filled and not valid.
+    """The person of a file; a warning counts frames that are not finite, which are filled and not valid.
 
-    A warning counts them. Raises UserError as ``step_files.read`` does, also when no frame is finite.
+    Raises UserError as ``step_files.read`` does, also when no frame is finite.
     """
 
     def made(data: dict[str, Any]) -> tuple[Person, np.ndarray]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def person_depth_m(person: Person, body: BodyModel, camera: Camera, frame: int) -> Float[np.ndarray, "H W"]:
-    """(H, W) z-depth of one person's body at one frame, metres; 0 where it is not."""
+    """Z-depth of one person's body at one frame, metres; 0 where it is not."""
     pose, place = person.poses[frame : frame + 1], person.trans[frame : frame + 1]
     return mesh_depth(body.vertices(pose, person.betas, place, body.proxy_vertices)[0], body.proxy_faces, camera)
 
@@ -32,10 +32,10 @@ def dilated_silhouettes(
     margin_m: float,
     filled_margin: float = 1.0,
 ) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: the bodies of ``people`` at one frame, grown by ``margin_m`` at their distance.
+    """Pixels of the bodies of ``people`` at one frame, grown by ``margin_m`` at their distance.
 
-    Bodies that were filled in at this frame are grown ``filled_margin`` times as much, because they may be further off.
-    People who are away have no region. ``body`` may be None where there are no people.
+    Filled-in bodies are grown ``filled_margin`` times as much, because they may be further off. People who are away
+    have no region. ``body`` may be None where there are no people.
     """
     covered = np.zeros(camera.hw, np.uint8)
     for person in people:

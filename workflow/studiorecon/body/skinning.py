@@ -21,9 +21,9 @@ def forward_kinematics(
 ) -> tuple[Num[np.ndarray, "T J 3 3"], Num[np.ndarray, "T J 3"]]:
     """World rotations and joints, root joint at ``root_m``, by default the origin.
 
-    ``rotations`` are relative to each joint's parent; ``rest_joints_m`` is the shaped T-pose, for all frames or one per
-    frame. Parents come before their children. Raises ValueError that names the argument for other shapes. A rotation
-    that is not finite spoils only its own frame.
+    ``rotations`` are relative to each joint's parent, which comes before it; ``rest_joints_m`` is the shaped T-pose,
+    for all frames or one per frame. Raises ValueError that names the argument for other shapes. A rotation that is not
+    finite spoils only its own frame.
     """
     sizes = require("rotations", rotations, ("T", "J", 3, 3))
     require("rest_joints_m", rest_joints_m, ("J", 3) if np.ndim(rest_joints_m) == 2 else ("T", "J", 3), sizes)
@@ -45,10 +45,10 @@ def world_from_rest(
     joints_m: Num[np.ndarray, "T J 3"],
     rest_joints_m: Num[np.ndarray, "J 3"],
 ) -> Num[np.ndarray, "T 24 4 4"]:
-    """(T, 24, 4, 4) transforms of rest points to the world: rotate about the rest joint, then move to the posed joint.
+    """Transforms of rest points to the world: rotate about the rest joint, then move to the posed joint.
 
-    With the T-pose and the rest joints this is the identity (L08: the inverse bind is included). Raises ValueError that
-    names the argument for other shapes.
+    With the T-pose and the rest joints this is the identity (L08). Raises ValueError with the argument for other
+    shapes.
     """
     sizes = require("world_rotations", world_rotations, ("T", "J", 3, 3))
     require("joints_m", joints_m, ("T", "J", 3), sizes)

@@ -30,7 +30,7 @@ _UNIT = 1e-6
 
 
 def quaternion_from_rotation(rotation: Num[np.ndarray, "3 3"]) -> Num[np.ndarray, " 4"]:
-    """(4,) unit quaternion (w, x, y, z), w ≥ 0, of a (3, 3) rotation, as in COLMAP's files."""
+    """Unit quaternion (w, x, y, z), w ≥ 0, of a rotation, as in COLMAP's files."""
     direction = rotations.largest_quaternion_row(rotation)
     # The length of one vector: along an axis numpy rounds differently, and the last digits of models would change.
     quaternion = direction / np.linalg.norm(direction)
@@ -45,8 +45,8 @@ def write_model(
 ) -> None:
     """Write ``cameras.txt``, ``images.txt`` and ``points3D.txt``; image names are ``<camera>.png``.
 
-    ``points_m`` (N, 3) and ``colours`` (N, 3) in [0, 1] are optional. Numbers are printed with 17 digits: reading gives
-    the same bits for intrinsics, and rotations to 1e-15.
+    ``points_m`` and ``colours`` in [0, 1] are optional. Numbers are printed with 17 digits: reading gives the same bits
+    for intrinsics, and rotations to 1e-15.
     """
     camera_lines = ["# Camera list: CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]; pixel centres at 0.5"]
     image_lines = ["# Image list: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of 2D points (none)"]
@@ -109,7 +109,7 @@ def _cameras(rows: Sequence[Sequence[str]], models: Mapping[str, tuple[tuple[int
 
 
 def read_points(folder: Path) -> Num[np.ndarray, "N 3"]:
-    """(N, 3) points of a model written by ``write_model``; raises UserError with the file's name."""
+    """Points of a model written by ``write_model``; raises UserError with the file's name."""
     with step_file_context(folder / "points3D.txt"):
         rows = [[float(v) for v in row[1:4]] for row in _rows(folder / "points3D.txt", 8)]
         points = np.array(rows, dtype=np.float64).reshape(-1, 3)

@@ -59,8 +59,7 @@ def camera_name(image: str) -> str:
 
 def _read(files: Sequence[Path]) -> Any:
     """The model without its 3D points, which pycolmap would read but no step needs: they may be missing, or
-    gigabytes.
-    """
+    gigabytes."""
     try:
         import pycolmap
     except ImportError as error:

@@ -42,7 +42,7 @@ class RawCamera:
         wh: calibrated size; (0, 0) when the file has none.
         intrinsics: (3, 3), pixel centres at +0.5; ``check_camera`` removes scale and skew of the file.
         model, distortion: as in ``scene.camera.Lens``.
-        camera_from_world: (4, 4) rigid, OpenCV axes.
+        camera_from_world: rigid, OpenCV axes.
     """
 
     name: str
@@ -124,14 +124,13 @@ def _pinhole(matrix: Num[np.ndarray, "3 3"], where: str) -> tuple[Float[np.ndarr
 
 
 def intrinsics_matrix(fx: float, fy: float, cx: float, cy: float, integer_centres: bool) -> Num[np.ndarray, "3 3"]:
-    """(3, 3) intrinsics with pixel centres at +0.5; ``integer_centres``: the file has them at whole numbers (C07)."""
+    """Intrinsics with pixel centres at +0.5; ``integer_centres``: the file has them at whole numbers (C07)."""
     shift = 0.5 if integer_centres else 0.0
     return np.array([[fx, 0.0, cx + shift], [0.0, fy, cy + shift], [0.0, 0.0, 1.0]])
 
 
 def unadjusted_intrinsics(matrix: object, where: str, integer_centres: bool = True) -> Float[np.ndarray, "3 3"]:
-    """(3, 3) camera matrix of a file with pixel centres at +0.5, with its scale and skew still in it for
-    ``check_camera``.
+    """Camera matrix of a file with pixel centres at +0.5, with its scale and skew still in it for ``check_camera``.
 
     Raises UserError unless it is a 3×3 list of finite numbers.
     """
@@ -144,7 +143,7 @@ def unadjusted_intrinsics(matrix: object, where: str, integer_centres: bool = Tr
 
 
 def vector(value: object, where: str) -> Float[np.ndarray, " 3"]:
-    """(3,) finite numbers of a file; raises UserError."""
+    """Finite numbers of a file; raises UserError."""
     given = numbers(value, where)
     if given.size != 3:
         raise UserError(f"{where} holds {given.size} numbers; it must be 3")
@@ -167,7 +166,7 @@ def rotation_from_file(value: object, where: str) -> Float[np.ndarray, "3 3"]:
 def rigid_camera_from_world(
     rotation: Num[np.ndarray, "3 3"], translation: Num[np.ndarray, "3 ..."], where: str
 ) -> tuple[Float[np.ndarray, "4 4"], float]:
-    """(4, 4) rigid transform of x_camera = rotation · X + translation, and the scale that was factored out.
+    """Rigid transform of x_camera = rotation · X + translation, and the scale that was factored out.
 
     A uniformly scaled block [cR | ct] gives the same picture as [R | t]. The rotation is projected to the nearest one
     (C01). Raises UserError for a reflection, and for a block that is not a scaled rotation.
@@ -202,9 +201,7 @@ def rigid_camera_from_world(
 
 
 def camera_from_world_of_pose(world_from_camera: Num[np.ndarray, "R 4"], where: str) -> Num[np.ndarray, "4 4"]:
-    """(4, 4) rigid ``camera_from_world`` of a (3|4, 4) ``world_from_camera`` whose rotation block may include
-    a scale.
-    """
+    """Rigid ``camera_from_world`` of a (3|4, 4) ``world_from_camera`` whose rotation block may include a scale."""
     block = np.asarray(world_from_camera, dtype=np.float64)
     inverse, _ = rigid_camera_from_world(block[:3, :3].T, np.zeros(3), where)
     inverse[:3, 3] = -inverse[:3, :3] @ block[:3, 3]

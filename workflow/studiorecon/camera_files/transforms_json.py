@@ -33,7 +33,7 @@ class Transforms:
 
     Attributes:
         cameras: one per picture, in the file's order, in the world before ``applied_transform``.
-        scales: (N,) scale of each picture's pose, which was removed; 1 for a rigid one.
+        scales: scale of each picture's pose, which was removed; 1 for a rigid one.
         frames: time that each picture shows, as deliveries of this project's own path files have it, or None.
         notes: sentences: every change and assumption.
     """
@@ -46,8 +46,7 @@ class Transforms:
 
 def read_transforms(path: Path) -> Transforms:
     """The contents of ``path``; raises UserError for a file without frames, a frame without lens or pose, and a pose
-    without a rotation.
-    """
+    without a rotation."""
     content = read_json(path)
     if not isinstance(content, dict) or not content.get("frames"):
         raise UserError(f"{path} has no frames; it is not a nerfstudio transforms.json")

@@ -88,7 +88,7 @@ def describe_changes(
 def working_frames(
     source: FootageSource, view: WorkingView, used: Integer[np.ndarray, " N"], whole: bool, damaged: list[int]
 ) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-    """(H, W, 3) pictures of the N ``used`` frames of the source, in order; some come more than once.
+    """Pictures of the N ``used`` frames of the source, in order; some come more than once.
 
     ``whole`` decodes the source to its end. Numbers of damaged frames are added to ``damaged``.
     """

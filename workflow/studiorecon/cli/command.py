@@ -141,9 +141,7 @@ def _doctor(options: argparse.Namespace) -> int:
 
 
 def quick_check(folder: Path) -> Iterator[str]:
-    """Sentences from files, headers and two pictures of every camera, before the full check; raises UserError without a
-    capture.
-    """
+    """Sentences from files, headers and two pictures of every camera; raises UserError without a capture."""
     from studiorecon.calibration.checks.advice import brightness_and_clipping, footage_notes
     from studiorecon.footage.frames import glimpses
     from studiorecon.footage.source import open_source  # loads OpenCV, which other subcommands do not need
@@ -238,10 +236,7 @@ def preset_file(name: str) -> Path:
 
 
 def snakemake_command(target: str, dataset: str, cores: str, preset: str | None, rest: Sequence[str]) -> list[str]:
-    """The call of the packaged Snakefile.
-
-    If ``rest`` has an option that Snakemake takes only once, its values are merged with ours.
-    """
+    """The call of the packaged Snakefile; options in ``rest`` that Snakemake takes only once are merged with ours."""
     config, rest = _taken(rest, ("--config", "-C"))
     overlays, rest = _taken(rest, ("--configfile", "--configfiles"))
     overlays = [*([str(preset_file(preset))] if preset else []), *overlays]
@@ -300,9 +295,7 @@ def _snakemake(target: str, dataset: str, options: argparse.Namespace) -> int:
 
 
 def finished_scene(folder: str) -> Path:
-    """The results folder for a capture's folder, a scene's name or that folder itself; raises UserError when it has no
-    page.
-    """
+    """The results folder for a capture's folder, a scene's name or itself; raises UserError without a page."""
     name = Path(folder).stem if folder.endswith((".yaml", ".yml")) else os.path.basename(os.path.realpath(folder))
     for place in (Path(folder), Path("results") / folder, Path("results") / name):
         if (place / "report" / "index.html").is_file():

@@ -80,10 +80,8 @@ class Run:
         return after / before if before >= _SURE_S else 1.0
 
     def remaining(self, now_s: float) -> tuple[float, float]:
-        """(seconds left, share of the remaining jobs with an estimate).
-
-        Work is spread over the cores; the longest job is a lower bound.
-        """
+        """(seconds left, share of the remaining jobs with an estimate), over all cores; the longest job is a lower
+        bound."""
         left: Counter[str] = Counter(self.planned)
         left.subtract(self.done)
         work = longest = 0.0

@@ -24,8 +24,8 @@ _CHUNK_BYTES = 1 << 16
 class Viewer(http.server.ThreadingHTTPServer):
     """Serves one folder on 127.0.0.1 below ``/<token>/``; not yet running.
 
-    The token is new every time, so that other people on the machine, and other sites' pages in the browser, do not know
-    it. Files are read, never listed, and links that lead out of the folder are not followed.
+    The token is new every time, so that other people on the machine, and other sites' pages, do not know it. Files are
+    read, never listed, and links that lead out of the folder are not followed.
     """
 
     daemon_threads = True
@@ -118,10 +118,8 @@ class _Reader(http.server.BaseHTTPRequestHandler):
             left -= len(chunk)
 
     def _part(self, size: int) -> tuple[HTTPStatus, range]:
-        """The status of an answer and its range of bytes.
-
-        Several ranges at once, or an invalid range, get the whole file, as the standard allows (RFC 9110, 14.2).
-        """
+        """The status of an answer and its range of bytes; several or invalid ranges get the whole file (RFC 9110,
+        14.2)."""
         asked = _RANGE.fullmatch(self.headers.get("Range", "").strip())
         first, last = asked.groups() if asked else ("", "")
         whole = HTTPStatus.OK, range(size)

@@ -46,10 +46,7 @@ def coerce_types(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any] 
 
 
 def mistakes(config: Mapping[str, Any], schema: Mapping[str, Any]) -> list[str]:
-    """A sentence for every setting that breaks the schema.
-
-    Unknown names come first, with the nearest known name.
-    """
+    """A sentence for every setting that breaks the schema. Unknown names come first, with the nearest known name."""
     found = sorted(
         _validator(schema, schema).iter_errors(config), key=lambda error: error.validator != "additionalProperties"
     )
@@ -186,8 +183,7 @@ def _choices(schema: Mapping[str, Any], name: str) -> str:
 
 def _nearest(name: str, path: list[str], known: list[str], schema: Mapping[str, Any]) -> str:
     """The probable meaning of an unknown name: a neighbour with a similar spelling, or the same name in another
-    section.
-    """
+    section."""
     near = [".".join([*path, close]) for close in difflib.get_close_matches(name, known, 1)]
     elsewhere = [full for full, _ in named(schema) if full.rpartition(".")[2] == name]
     inside = [full for full in elsewhere if path and full.startswith(f"{path[0]}.")]

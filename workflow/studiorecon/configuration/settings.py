@@ -91,9 +91,8 @@ def _convert(value: Any, kind: Any, where: str, default: Any = None) -> Any:
 
 
 def named_keys(kind: Any) -> tuple[str, ...]:
-    """The keys that ``Mapping[Literal["a", "b"], V]`` names, for a step that reads part of a shared mapping;
-    else none.
-    """
+    """The keys that ``Mapping[Literal["a", "b"], V]`` names, for a step that reads part of a shared mapping; else
+    none."""
     keys = typing.get_args(kind)[:1]
     return typing.get_args(keys[0]) if keys and typing.get_origin(keys[0]) is typing.Literal else ()
 

@@ -31,8 +31,7 @@ _REMEMBERED = 500
 
 def select_settings(step: str, section: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a stage's ``section`` of the configuration that ``"stage.step"`` reads; empty for a step without
-    settings.
-    """
+    settings."""
     return restrict(section, read_by(step))
 
 

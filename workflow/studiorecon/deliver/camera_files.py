@@ -31,9 +31,8 @@ _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def colmap_picture(camera: str, frame: int | None) -> str:
-    """Path of a picture below ``images/``, as ``images.txt`` names it; without a frame that of a camera's
-    only picture.
-    """
+    """Path of a picture below ``images/``, as ``images.txt`` names it; without a frame that of a camera's only
+    picture."""
     return f"{camera}.png" if frame is None else f"{camera}/{frame:06d}.png"
 
 
@@ -46,8 +45,7 @@ def colmap(
     folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"], frames: Sequence[int | None] = (None,)
 ) -> list[Path]:
     """Writes ``cameras.txt images.txt points3D.txt``: a text model with one picture per camera, or one per camera and
-    frame.
-    """
+    frame."""
     every = [replace(c, name=colmap_picture(c.name, frame).removesuffix(".png")) for c in cameras for frame in frames]
     write_model(folder, every, points_m)
     return [folder / f"{name}.txt" for name in ("cameras", "images", "points3D")]
@@ -55,8 +53,7 @@ def colmap(
 
 def easymocap(folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> list[Path]:
     """Writes ``intri.yml`` and ``extri.yml`` with sizes, axis-angles and matrices, so that EasyVolcap can read them
-    too.
-    """
+    too."""
     intri = extri = "%YAML:1.0\n---\n" + "names:\n" + "".join(f'   - "{c.name}"\n' for c in cameras)
     for c in cameras:
         rotation = c.camera_from_world[:3, :3]

@@ -187,8 +187,7 @@ def run(
     contents: Written,
 ) -> None:
     """Fill the folder of ``contents`` (its manifest.json), and remove files of an earlier export that are not in this
-    one.
-    """
+    one."""
     capture, folder = read_manifest(manifest), contents.parent
     cameras, people = read_model(model.parent), files.people()
     written = gaussian_files(read_ply(files.background), people, _STILL_FRAME)

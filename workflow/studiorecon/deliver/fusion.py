@@ -69,7 +69,7 @@ class FusedSurface:
 def render_views(
     background: Gaussians, provenance: Integer[np.ndarray, " N"], cameras: Sequence[Camera]
 ) -> list[FusedView]:
-    """The views of the room's Gaussians from every camera; ``provenance`` (N,) is that of each Gaussian."""
+    """The views of the room's Gaussians from every camera; ``provenance`` is that of each Gaussian."""
     draw = rasteriser("cpu", near_m=DRAWN_FROM_M)
     invented = (provenance == INVENTED).astype(np.float32)[:, None]
     seen = []
@@ -130,7 +130,7 @@ def fuse(views: Sequence[FusedView], voxel_m: float) -> FusedSurface:
 
 
 def remove_vertices(surface: FusedSurface, dropped: Bool[np.ndarray, " V"]) -> FusedSurface:
-    """The surface without the triangles whose three vertices are all ``dropped`` (V,), and without pieces below 15 cm.
+    """The surface without the triangles whose three vertices are all ``dropped``, and without pieces below 15 cm.
 
     Vertices and triangles have a fixed order.
     """
@@ -150,8 +150,7 @@ def remove_vertices(surface: FusedSurface, dropped: Bool[np.ndarray, " V"]) -> F
 
 def decimate(surface: FusedSurface, triangles: int) -> FusedSurface:
     """The surface with at most ``triangles``, by quadric error (Garland and Heckbert 1997); flat parts lose theirs
-    first.
-    """
+    first."""
     if len(surface.triangles) <= triangles:
         return surface
     o3d = open3d()

@@ -46,7 +46,7 @@ class Buffer:
         self.accessors: list[dict[str, Any]] = []
 
     def add(self, values: Num[np.ndarray, "N C"], bound_as: Literal["vertices", "indices", ""] = "") -> int:
-        """Index of a new accessor over ``values`` (N, C), with minima and maxima, which positions and times require."""
+        """Index of a new accessor over ``values``, with minima and maxima, which positions and times require."""
         raw = np.ascontiguousarray(values).tobytes()
         view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw)}
         self.views.append(view | ({"target": target} if (target := _TARGETS[bound_as]) else {}))
@@ -64,9 +64,8 @@ class Buffer:
 
 
 def strongest_bones(weights: Float[np.ndarray, "V 24"]) -> tuple[Integer[np.ndarray, "V 4"], Float[np.ndarray, "V 4"]]:
-    """(V, 4) uint8 joints and (V, 4) float32 weights with sum 1; joints of zero weight are 0, as the specification
-    requires.
-    """
+    """(V, 4) uint8 joints and float32 weights with sum 1; joints of zero weight are 0, as the specification
+    requires."""
     joints = np.argsort(-weights, axis=1, kind="stable")[:, :BONES]
     kept = np.take_along_axis(weights, joints, axis=1).astype(np.float64)
     kept /= kept.sum(axis=1, keepdims=True)
@@ -74,7 +73,7 @@ def strongest_bones(weights: Float[np.ndarray, "V 24"]) -> tuple[Integer[np.ndar
 
 
 def vertex_normals(vertices_m: Float[np.ndarray, "V 3"], faces: Integer[np.ndarray, "F 3"]) -> Float[np.ndarray, "V 3"]:
-    """(V, 3) float32 unit normals, faces weighted by area; straight up where a vertex has no face."""
+    """Float32 unit normals, faces weighted by area; straight up where a vertex has no face."""
     corners = vertices_m[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     total = np.zeros_like(vertices_m)
@@ -96,9 +95,7 @@ def add_colours(
     provenance: Integer[np.ndarray, " V"],
     opacities: Float[np.ndarray, " V"] | None = None,
 ) -> dict[str, int]:
-    """``COLOR_0`` and ``_PROVENANCE`` of V vertices: rgb (V, 3) as displayed, provenance (V,), opacities (V,)
-    in 0..1.
-    """
+    """``COLOR_0`` and ``_PROVENANCE`` of V vertices: rgb as displayed, provenance, opacities in 0..1."""
     colours = np.full((len(rgb), 4), 65535, np.uint16)
     colours[:, :3] = np.rint(srgb_to_linear(rgb) * 65535)
     if opacities is not None:
@@ -168,8 +165,7 @@ def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours 
 
 def write_document(path: Path, document: dict[str, Any], buffer: Buffer) -> None:
     """Write a ``.glb`` of a document and the binary chunk of its accessors; raises UserError when it exceeds the
-    format's limit.
-    """
+    format's limit."""
     held = {"accessors": buffer.accessors, "bufferViews": buffer.views, "buffers": [{"byteLength": len(buffer.data)}]}
     text = json.dumps(document | held, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)

@@ -41,9 +41,8 @@ def openpose(folder: Path, seen: Detections, camera: Camera, frames: int, people
 
 
 def easymocap(folder: Path, seen: Detections, camera: Camera, frames: int, people: Mapping[int, int]) -> list[Path]:
-    """Writes ``annots/<camera>/<frame>.json``, one per frame, including empty ones; ``personID`` is the
-    identity or -1.
-    """
+    """Writes ``annots/<camera>/<frame>.json``, one per frame, including empty ones; ``personID`` is the identity or
+    -1."""
     written = []
     for frame in range(frames):
         annots = []

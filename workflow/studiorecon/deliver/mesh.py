@@ -38,8 +38,7 @@ _OF_PLANE_M = 0.06
 
 def write_room(path: Path, surfaces: list[Plane], standing: FusedSurface, left_out: list[str]) -> None:
     """Write one node per plane and one for the room's contents; ``_PROVENANCE`` of every vertex is 0 measured or 2
-    invented.
-    """
+    invented."""
     buffer, meshes = Buffer(), []
     parts = [(p.name, p.vertices_m, p.triangles, p.rgb, p.provenance) for p in surfaces]
     if len(standing.triangles):

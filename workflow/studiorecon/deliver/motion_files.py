@@ -215,7 +215,7 @@ WRITERS: dict[str, Callable[[Path, Person, BodyModel], list[Path]]] = {
 
 
 def euler_zxy_deg(rotation: Float[np.ndarray, "... 3 3"]) -> Float[np.ndarray, "... 3"]:
-    """(..., 3) angles about z, x, y in degrees with R = Rz Rx Ry; where x is ±90 degrees y is 0.
+    """Angles about z, x, y in degrees with R = Rz Rx Ry; where x is ±90 degrees y is 0.
 
     Only for BVH, whose channels are Euler angles; no computation uses them (R21).
     """

@@ -100,7 +100,7 @@ def _table(values: np.ndarray, kind: Any) -> np.ndarray:
 
 
 def quantise_weights(weights: Float[np.ndarray, "N K"]) -> Integer[np.ndarray, "N K"]:
-    """(N, K) uint8 that add up to exactly 255 in every row, nearest to ``weights`` (N, K) that add up to 1.
+    """(N, K) uint8 that add up to exactly 255 in every row, nearest to ``weights`` that add up to 1.
 
     A splat whose shares add up to less would be pulled towards the origin of the world.
     """
@@ -114,7 +114,7 @@ def quantise_weights(weights: Float[np.ndarray, "N K"]) -> Integer[np.ndarray, "
 
 
 def morton_order(points_m: Float[np.ndarray, "N 3"]) -> Integer[np.ndarray, " N"]:
-    """(N,) the order of points (N, 3) along Morton's curve, in which neighbours stay near."""
+    """The order of points along Morton's curve, in which neighbours stay near."""
     if not len(points_m):
         return np.zeros(0, np.int64)
     low, high = np.percentile(points_m, (1, 99), axis=0)

@@ -89,9 +89,7 @@ def downscale_to_width(picture: Integer[np.ndarray, "H W 3"], width: int = FILM_
 
 
 def render_poster(scene: FinishedScene) -> Integer[np.ndarray, "H W 3"]:
-    """(H, W, 3) uint8 view of the scene in the middle of the capture, from the middle of its first film, or its first
-    camera.
-    """
+    """View of the scene in the middle of the capture, from the middle of its first film, or its first camera."""
     steps = next((steps for steps in scene.paths.values() if steps), None)
     camera = steps[len(steps) // 2].camera if steps else scene.cameras[0]
     frame = steps[len(steps) // 2].frame if steps else (scene.capture.frames - 1) / 2

@@ -47,8 +47,7 @@ def describe_scene(
     scene: FinishedScene, held: Bytes, exposure: Factors, shade: Shade | None = None
 ) -> tuple[dict[str, Any], list[str]]:
     """The description that the page reads with the bytes in ``held``, which this fills; and sentences on omitted or
-    simplified parts.
-    """
+    simplified parts."""
     described: list[str] = []
     frames = scene.capture.frames
     bodies = max(len(scene.people) + len(scene.things), 1)
@@ -104,7 +103,7 @@ def describe_scene(
 def gaussians(
     held: Bytes, own: Gaussians, provenance: Integer[np.ndarray, " N"]
 ) -> tuple[dict[str, Any], Integer[np.ndarray, " N"]]:
-    """The description of the packed Gaussians, and their new order (N,)."""
+    """The description of the packed Gaussians, and their new order."""
     order = morton_order(own.means_m)
     own = own.take(order)
     found = {
@@ -151,8 +150,7 @@ def camera_json(camera: Camera, held: Bytes, exposure: Factors) -> dict[str, Any
 
 def film_rows(steps: Sequence[PathStep]) -> Float[np.ndarray, "P 14"]:
     """(P, 14) per picture: size, focal lengths, principal point, rotation (w, x, y, z) and centre of its camera, and
-    the frame it shows.
-    """
+    the frame it shows."""
     turns = rotations.to_quaternion(np.stack([step.camera.world_from_camera[:3, :3] for step in steps]))
     rows = [
         [*step.camera.wh, *step.camera.focal_px, *step.camera.principal_px, *turn, *step.camera.centre_m, step.frame]
@@ -162,9 +160,8 @@ def film_rows(steps: Sequence[PathStep]) -> Float[np.ndarray, "P 14"]:
 
 
 def read_shade(path: Path, count: int) -> Shade:
-    """The shade in ``render/room.shade.npz`` of a room of ``count`` Gaussians; raises UserError as
-    ``step_files.read`` does.
-    """
+    """The shade in ``render/room.shade.npz`` of a room of ``count`` Gaussians; raises UserError as ``step_files.read``
+    does."""
     schema: Schema = {
         "at": whole("M", low=0, high=count - 1),
         "times": whole("K", low=0, such=ASCENDING),

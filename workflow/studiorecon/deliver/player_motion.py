@@ -30,7 +30,7 @@ def moments(frames: int, most: int) -> Float[np.ndarray, " K"]:
 
 
 def skeleton(held: Bytes, person: Avatar, times: Num[np.ndarray, " K"]) -> dict[str, Any]:
-    """A person's joints at rest and their rotations at ``times`` (K,): 16 bits a number, 0.002 degrees.
+    """A person's joints at rest and their rotations at ``times``: 16 bits a number, 0.002 degrees.
 
     A person who is away at times also has the moments of presence.
     """
@@ -50,7 +50,7 @@ def skeleton(held: Bytes, person: Avatar, times: Num[np.ndarray, " K"]) -> dict[
 
 
 def rigid(held: Bytes, thing: RigidObject, times: Num[np.ndarray, " K"]) -> dict[str, Any]:
-    """An object's positions and rotations at ``times`` (K,), and the times at which they are known."""
+    """An object's positions and rotations at ``times``, and the times at which they are known."""
     there = [thing.centre_at(float(time)) for time in times]
     turns = rotations.to_quaternion(np.stack([thing.turn_at(float(time)) for time in times]))
     return {
@@ -64,9 +64,8 @@ def rigid(held: Bytes, thing: RigidObject, times: Num[np.ndarray, " K"]) -> dict
 
 
 def skin(held: Bytes, bones: Integer[np.ndarray, "N J"], weights: Float[np.ndarray, "N J"]) -> dict[str, Any]:
-    """The four bones (N, 4) with the largest weights of each Gaussian, and their shares, which add up to
-    exactly one.
-    """
+    """The four bones (N, 4) with the largest weights of each Gaussian, and their shares, which add up to exactly
+    one."""
     count, given = weights.shape
     if given < BONES:
         bones = np.concatenate([bones, np.zeros((count, BONES - given), bones.dtype)], axis=1)
@@ -80,7 +79,7 @@ def skin(held: Bytes, bones: Integer[np.ndarray, "N J"], weights: Float[np.ndarr
 def changes(
     held: Bytes, person: Avatar, order: Integer[np.ndarray, " N"], times: Num[np.ndarray, " K"]
 ) -> tuple[dict[str, Any], float]:
-    """The changes of colour and logit by a person's network at ``times`` (K,), and the largest error of colour, 0..1.
+    """The changes of colour and logit by a person's network at ``times``, and the largest error of colour, 0..1.
 
     They are evaluated at some points of the body, to which the Gaussians in ``order`` are assigned; the error is that
     in the middle of the capture.

@@ -44,13 +44,12 @@ class Plane:
 
 def kept_faces(room_box: RoomBox) -> list[int]:
     """Indices of the faces in the mesh: the floor, and faces fitted to the photos; the position of a default wall is
-    arbitrary.
-    """
+    arbitrary."""
     return [index for index, name in enumerate(FACES) if name == "floor" or room_box.fitted[index]]
 
 
 def distance_m(room_box: RoomBox, points_m: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
-    """(N,) distance from points (N, 3) to the nearest face of the mesh; 0 for points beyond one."""
+    """Distance from points to the nearest face of the mesh; 0 for points beyond one."""
     apart = np.full(len(points_m), np.inf)
     for index in kept_faces(room_box):
         normal, offset = room_box.faces[index, :3], room_box.faces[index, 3]
@@ -61,8 +60,7 @@ def distance_m(room_box: RoomBox, points_m: Float[np.ndarray, "N 3"]) -> Float[n
 
 def planes(room_box: RoomBox, views: Sequence[FusedView], step_m: float, vertices: int) -> list[Plane]:
     """The faces of the mesh as grids of about ``step_m``, coarser where all together would have more than
-    ``vertices``.
-    """
+    ``vertices``."""
     size = room_box.high_m - room_box.low_m
     area = sum(np.prod(np.delete(size, index // 2)) for index in kept_faces(room_box))
     step_m = max(step_m, float(np.sqrt(area / vertices)))

@@ -40,9 +40,8 @@ _REACH = 3.0
 
 
 def pxr() -> Any:
-    """The library, imported late because it is rarely needed; raises UserError with a remedy when it cannot
-    be loaded.
-    """
+    """The library, imported late because it is rarely needed; raises UserError with a remedy when it cannot be
+    loaded."""
     try:
         import pxr
         from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, UsdVol, Vt  # noqa: F401

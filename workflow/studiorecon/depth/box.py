@@ -40,8 +40,7 @@ _YAW_SEARCH_RAD = ((np.radians(2.5), np.radians(0.5)), (np.radians(0.4), np.radi
 
 @dataclass(frozen=True)
 class Settings(Matching, FirstLook):
-    """Limits of a wall: distance outside the outermost camera, and share of all pixels behind it; height of an unseen
-    ceiling."""
+    """Limits of a wall: distance outside the outermost camera, share of all pixels; height of an unseen ceiling."""
 
     wall_clearance_m: float = 0.3
     wall_votes: float = 0.004

@@ -25,7 +25,7 @@ _CONTRAST = 0.1
 
 
 def on_edges(depth_m: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: pixels within a blur of a depth edge, whose depth is a mixture of two surfaces."""
+    """Pixels within a blur of a depth edge, whose depth is a mixture of two surfaces."""
     inverse = (1 / depth_m).astype(np.float32)
     bend = cv2.Laplacian(inverse, cv2.CV_32F, ksize=1) / inverse
     around = np.ones((2 * _reach(depth_m.shape) + 1,) * 2)
@@ -35,7 +35,7 @@ def on_edges(depth_m: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
 
 
 def sharpened(depth_m: Float[np.ndarray, "H W"], rgb: Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 depth (all known) whose edges are where the photo changes.
+    """Float32 depth (all known) whose edges are where the photo changes.
 
     A pixel on an edge continues the nearer or the further surface beside the edge, the one whose pixels look more like
     it.

@@ -26,10 +26,7 @@ _SHAPE_TOLERANCE = 0.02
 
 
 def estimate_of(path: Path, camera: Camera) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 numbers of a network for a camera, at its size; 0 = unknown.
-
-    Raises UserError for another shape.
-    """
+    """Float32 numbers of a network for a camera, at its size; 0 = unknown. Raises UserError for another shape."""
     given, sure = read_estimate(path)
     shape = (given.shape[1] / given.shape[0]) / (camera.wh[0] / camera.wh[1])
     if abs(shape - 1) > _SHAPE_TOLERANCE:
@@ -41,8 +38,7 @@ def estimate_of(path: Path, camera: Camera) -> Float[np.ndarray, "H W"]:
 
 
 def read_estimate(path: Path) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
-    """(H, W) float32 depth (0 = unknown: NaN, infinite or not positive) and confidence, of an .exr, .npy, .npz or
-    16-bit .png (mm)."""
+    """Float32 depth and confidence of an .exr, .npy, .npz or 16-bit .png (mm); 0 = unknown, also where not positive."""
     if not path.is_file():
         raise UserError(f"{path} is missing; depth.precomputed names a folder with <camera>.exr, .npy, .npz or .png")
     if path.suffix == ".exr":

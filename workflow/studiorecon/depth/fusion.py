@@ -50,11 +50,10 @@ def calibrated_network(
     room_box: RoomBox,
     output: Output,
 ) -> tuple[Calibration, LearnedDepth]:
-    """A network's depth of one camera, calibrated to the surfaces found so far; raises UserError where nothing
-    determines its unit.
+    """A network's depth of one camera, calibrated to the surfaces estimated so far.
 
-    What counts is what another camera confirms, and the fitted faces of the room also where none does: objects before
-    them are outliers of the fit.
+    Surfaces that another camera confirms count, and fitted faces of the room; objects before those are outliers. Raises
+    UserError where nothing determines its unit.
     """
     in_view = (furniture.depth_m > 0) & (furniture.depth_m < labelled.depth_m)
     on_face = np.concatenate([room_box.fitted, np.zeros(max(int(labelled.plane.max()) - 5, 0), bool)])[labelled.plane]
@@ -91,10 +90,8 @@ def label_with_network(
     learned: LearnedDepth,
     settings: PassSettings,
 ) -> PlaneLabelling:
-    """The labelling with L planes, furniture (label L) and the network's surface (label L + 1).
-
-    ``cost`` of the labelling is the photos' part alone.
-    """
+    """The labelling with L planes, furniture (label L) and the network's surface (L + 1); its ``cost`` is the
+    photos'."""
     default = settings.room_box_default
     by_photos = np.where(network.judged, network.cost, default)
     # A flat window matches flat windows everywhere.

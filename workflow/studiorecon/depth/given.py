@@ -34,8 +34,7 @@ class Settings(NearLimit):
 def fit(
     depth_m: Num[np.ndarray, "h w"], confidence: Num[np.ndarray, "h w"], camera: Camera, near_m: float
 ) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
-    """Depth and confidence at the camera's size by nearest sampling, because an average across an edge is on neither
-    surface (C12).
+    """Depth and confidence at the camera's size by nearest sampling: averages across edges are on no surface (C12).
 
     Values that are not finite or nearer than ``near_m`` become unknown (0, confidence 0).
     """

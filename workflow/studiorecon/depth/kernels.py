@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiles the kernels of the room's fit while cameras and people are still being estimated.
 
-That takes a quarter of a minute of one core on a new machine, and the whole depth stage waits for the fit. Where they
-are compiled already this takes a second and changes nothing.
+That takes a quarter of a minute of one core on a new machine, and a second where they are compiled already.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A network's depth of one plate as a likelihood: calibrated to the room that stereo found, with its own uncertainty.
+"""A network's depth of one plate as a likelihood: calibrated to the room from stereo, with its own uncertainty.
 
 log z = log(g(d)) + f(u, v): d is the network's number, g its scale and shift (of depth or of inverse depth), f a smooth
 field, because such networks err slowly over a picture. All are fitted robustly to what stereo measured and to the floor
-and walls, which all cameras share. Tiles that are held out say how far the network is off in this scene.
+and walls, which all cameras share. Held-out tiles measure the network's error in this scene.
 """
 
 from __future__ import annotations
@@ -46,11 +46,9 @@ _PRIOR_RIGHT, _PRIOR_WRONG = 2.0, 1.0
 
 @dataclass(frozen=True)
 class Calibration:
-    """From a network's numbers to metres.
+    """From a network's numbers to metres: ``alignment`` is their scale and shift, ``inverse`` that of an inverse depth.
 
-    Attributes:
-        inverse: whether the number is an inverse depth. alignment: its scale and shift.
-        nodes: (R, C) log of the smooth field, over the whole picture.
+    ``nodes`` is the log of the smooth field, over the whole picture.
     """
 
     inverse: bool
@@ -58,7 +56,7 @@ class Calibration:
     nodes: Float[np.ndarray, "R C"]
 
     def depth(self, estimate: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
-        """(H, W) float32 depth in metres at any size; 0 = unknown."""
+        """Float32 depth in metres at any size; 0 = unknown."""
         flat = _flat(estimate, self.alignment, self.inverse)
         field = resample_corners(self.nodes, estimate.shape)
         return np.where(flat > 0, flat * np.exp(field), 0).astype(np.float32)
@@ -80,8 +78,8 @@ class LearnedDepth:
     """A network's depth in metres with its uncertainty in this scene.
 
     Attributes:
-        depth_m: (H, W) float32; 0 = unknown.
-        sigma: (H, W) float32 standard deviation of log depth.
+        depth_m: float32; 0 = unknown.
+        sigma: float32 standard deviation of log depth.
         outliers: probability that the network is wrong about an object: the share of measured surfaces before floor
             and walls that it misses by more than three standard deviations of both.
     """
@@ -116,10 +114,10 @@ def calibrate(
 
     Args:
         estimate: the network's numbers; 0 = unknown.
-        reference_m: depth found so far. measured: where another camera confirms it.
-        room_m: depth of floor and walls alone. on_room: pixels of ``reference_m`` on those that were fitted.
+        reference_m, measured: depth from stereo, and where another camera confirms it.
+        room_m, on_room: depth of floor and walls alone, and pixels of ``reference_m`` on fitted ones.
         rgb: the photo.
-        output: with "auto" depth and inverse depth are tried, and what fits better is taken.
+        output: with "auto" depth and inverse depth are tried, and the better fit is taken.
     """
     outputs: tuple[Output, ...] = ("affine", "inverse") if output == "auto" else (output,)
     usable = measured | on_room

@@ -68,10 +68,8 @@ def estimates(
     weights: Path,
     device: str,
 ) -> list[tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]]:
-    """(H, W) depth (0 = unknown) and confidence of every picture (H, W, 3) uint8, at the picture's own size.
-
-    ``own`` is the user's network where ``source`` is onnx.
-    """
+    """Depth (0 = unknown) and confidence of every uint8 picture, at its own size; ``own``: the user's network
+    (onnx)."""
     if own or card_of(source).kind in _OF_ONE_PICTURE:
         network = _network_of_one_picture(source, own, weights, device)
         made = [

@@ -43,8 +43,7 @@ class Settings(FirstLook):
 
 
 def discs_from_depths(pictures: Sequence[Picture], depths_m: Sequence[Float[np.ndarray, "H W"]]) -> Gaussians:
-    """A disc for every pixel whose picture has the highest resolution of its surface; ``depths_m`` (H, W) of each
-    picture."""
+    """A disc for every pixel whose picture has the highest resolution of its surface."""
     known = [p.known & (depth_m > 0) for p, depth_m in zip(pictures, depths_m)]
     wanted = finest([p.camera for p in pictures], depths_m, known)
     return concatenate(

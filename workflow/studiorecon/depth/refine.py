@@ -78,11 +78,10 @@ class Settings(PassSettings, DefaultConfidence):
 def confidence(
     labelled: PlaneLabelling, fitted: Bool[np.ndarray, " 6"], default_confidence: float
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32: 1 for a perfect match down to ``default_confidence`` for none; half of it where the depth is a
-    default.
+    """Float32: 1 for a perfect match down to ``default_confidence`` for none; half of it where the depth is a default.
 
     A default is a pixel that no other camera can judge, and every pixel on a face of the room box that was not
-    ``fitted`` (6,): the sky of an open place looks the same from everywhere, which is no evidence for a wall.
+    ``fitted``: the sky of an open place looks the same from everywhere, which is no evidence for a wall.
     """
     quality = np.clip(1 - labelled.cost, 0, 1)
     measured = default_confidence + (1 - default_confidence) * np.maximum(quality, 1 / 255)
@@ -93,11 +92,10 @@ def confidence(
 def upsample_indices(
     values: Integer[np.ndarray, "h w"], guide: Float[np.ndarray, "h w 3"], rgb: Float[np.ndarray, "H W 3"]
 ) -> Integer[np.ndarray, "H W"]:
-    """(H, W) int index into the flattened small picture: the small pixel whose plane each full-size pixel takes.
+    """Index into the flattened small picture: the small pixel whose plane each full-size pixel takes.
 
-    ``values`` (h, w) are the small picture's planes, ``guide`` (h, w, 3) its colours, ``rgb`` (H, W, 3) the full
-    picture. The plane with the most weight among the 3×3 nearest small pixels wins; weight falls with distance and
-    colour difference.
+    ``guide`` are the small picture's colours. The plane with the most weight among the 3×3 nearest small pixels wins;
+    weight falls with distance and colour difference.
     """
     return _carry(
         np.ascontiguousarray(values, np.int64),
@@ -151,10 +149,9 @@ def at_full_size(
     planes: Float[np.ndarray, "L 4"],
     further: Sequence[Float[np.ndarray, "H W"]] = (),
 ) -> tuple[Float[np.ndarray, "H W"], Integer[np.ndarray, "H W"]]:
-    """(H, W) float32 depth of the carried planes, evaluated exactly at every full-size pixel, and the source index (H,
-    W).
+    """Float32 depth of the carried planes, evaluated at every full-size pixel, and the source index.
 
-    Labels after the planes are the surfaces ``further`` (H, W).
+    Labels after the planes are the surfaces ``further``.
     """
     source = upsample_indices(labelled.plane, small.rgb, rgb)
     chosen = labelled.plane.ravel()[source]
@@ -175,8 +172,7 @@ def costs_at_size(
     passes: list[Float[np.ndarray, "h w"]],
     settings: Settings,
 ) -> PlaneCosts:
-    """Costs of all planes in one camera at this size against all others, whose surfaces are known from the agreed
-    ``passes`` (h, w) depths."""
+    """Costs of all planes in one camera at this size against all others, which have the surfaces ``passes``."""
     picture = pictures[index]
     depths = plane_depths(picture, room_box.planes, room_box, settings)
     rest = [i for i in range(len(pictures)) if i != index]
@@ -207,8 +203,7 @@ def draw_primitives(
     certain: Float[np.ndarray, "H W"],
     settings: Settings,
 ) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
-    """Depth (H, W), confidence (H, W) and (H, W) bool ``shown`` of one camera at full size, with the primitives in
-    front.
+    """Depth, confidence and ``shown`` of one camera at full size, with the primitives in front.
 
     Parts of a primitive that another camera sees have the confidence of their match; the rest counts as a default.
     """

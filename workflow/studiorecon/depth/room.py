@@ -59,7 +59,7 @@ def consistent_depths(
     starts: list[Float[np.ndarray, "H W"]],
     settings: Settings,
 ) -> list[Float[np.ndarray, "H W"]]:
-    """Depth (H, W) of every picture after ``passes`` rounds, each judged against the others' latest depth and the
+    """Depth of every picture after ``passes`` rounds, each judged against the others' latest depth and the
     primitives."""
     depths = [plane_depths(p, room_box.planes, room_box, settings) for p in pictures]
     scores = [

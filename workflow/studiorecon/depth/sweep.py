@@ -40,8 +40,7 @@ _MIN_YAW_SUPPORT = 0.12
 
 @dataclass(frozen=True)
 class Settings(Matching, FirstLook):
-    """The catalogue of planes: up to ``furniture_m``, through the range ``ceiling_m``, and walls up to ``reach_m`` from
-    the centre.
+    """The planes: up to ``furniture_m``, in the range ``ceiling_m``, and walls up to ``reach_m`` from the centre.
 
     ``sweep_penalty`` is the cost of a change of plane between neighbouring pixels.
     """
@@ -67,7 +66,7 @@ class Settings(Matching, FirstLook):
 def best_costs(
     pictures: list[Picture], index: int, planes: Float[np.ndarray, "L 4"], settings: Settings
 ) -> Float[np.ndarray, "H W L"]:
-    """(H, W, L) float32 cost of every plane in one picture: 1 - agreement with the camera that agrees best.
+    """Float32 cost of every plane in one picture: 1 - agreement with the camera that agrees best.
 
     Best, not mean: most surfaces are hidden from most cameras, and one that truly sees the surface is enough.
     """

@@ -17,15 +17,14 @@ class NearLimit:
 
 @dataclass(frozen=True)
 class DefaultConfidence:
-    """Upper limit of the confidence of pixels on a default wall; measured ones are above. A share of 1, not a logit
-    (U23)."""
+    """Upper limit of the confidence of pixels on a default wall, as a share of 1 (U23); measured ones are above."""
 
     default_confidence: float = 0.2
 
 
 @dataclass(frozen=True)
 class Matching(NearLimit):
-    """How planes are compared with the pictures; ``mean_weight`` is the cost of a difference of mean colour, added to
+    """How planes are compared with pictures; ``mean_weight``: cost of a difference of mean colour beside
     correlation."""
 
     far_m: float = setting(

@@ -3,6 +3,6 @@
 
 In reading order: ``recursive``, outside the stages (a clip, picture by picture), ``backends`` (enhancers of one
 picture), ``photos`` (the training photos with their renders), ``trial`` (whether this film needs enhancement). Steps:
-``shot`` (a film of a scene), ``folder`` (pictures of any method), ``comparison`` (before and
-after). ``injection_settings``: settings of several steps.
+``shot`` (a film of a scene), ``folder`` (pictures of any method), ``comparison`` (before and after).
+``injection_settings``: settings of several steps.
 """

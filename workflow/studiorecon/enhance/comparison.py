@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``enhance.comparison``: writes two comparison films: side by side (render | enhanced | photo), and a wipe between the
-first and the last.
-"""
+"""``enhance.comparison``: writes films side by side (render | enhanced | photo) and with a wipe."""
 
 from __future__ import annotations
 
@@ -45,9 +43,7 @@ def side_by_side(
 def wipe_picture(
     left: Integer[np.ndarray, "H W 3"], right: Integer[np.ndarray, "H W 3"], share: float, words: tuple[str, str]
 ) -> Integer[np.ndarray, "H W 3"]:
-    """(H, W, 3) uint8: ``left`` up to ``share`` of the width, ``right`` beyond, a white line between, a label on either
-    side.
-    """
+    """``left`` up to ``share`` of the width, ``right`` beyond, a white line between, a label on either side."""
     width = left.shape[1]
     at = round(np.clip(share, 0, 1) * width)
     picture = right.copy()
@@ -65,8 +61,8 @@ def wipe_share(picture: int, fps: float) -> float:
 
 
 def photo_at_steps(steps: Sequence[PathStep], videos: Sequence[Path]) -> Iterator[Integer[np.ndarray, "H W 3"] | None]:
-    """The photo of every step whose camera has footage and whose time is a whole frame, else None; videos are
-    ``<camera>.mkv``."""
+    """The photo of every step whose camera has footage (``<camera>.mkv``) and whose time is a whole frame, else
+    None."""
     by_camera = {video.stem: video for video in videos}
     playing: tuple[str, int, Iterator[np.ndarray]] | None = None
     for step in steps:
@@ -90,9 +86,7 @@ def run(
     beside: Written,
     wipe: Written,
 ) -> None:
-    """Write both films, with photos where a camera of ``videos`` took them (the shots train and heldout), else render
-    and enhanced.
-    """
+    """Write both films, with photos where a camera of ``videos`` took them, else render and enhanced."""
     steps, fps = read_path(render_path)
     photos = list(photo_at_steps(steps[:1], videos))
     with_photos = photos[0] is not None

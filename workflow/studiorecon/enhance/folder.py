@@ -43,7 +43,7 @@ class Settings(Enhancing, Injecting):
 
 
 def read_pictures(source: Path) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-    """(H, W, 3) uint8 pictures of a folder, in the order of their names, or of a video.
+    """Pictures of a folder, in the order of their names, or of a video.
 
     Raises UserError for a source that is missing, holds no pictures, or holds one that cannot be read.
     """
@@ -69,10 +69,9 @@ def run(
     weights: Path = Path("resources/weights"),
     device: str = "auto",
 ) -> None:
-    """Enhance pictures into ``output``/000000.png, 000001.png, …
+    """Enhance pictures into ``output``/000000.png, 000001.png, …, with one reference for all, or one per picture.
 
-    References are one photo for all pictures, or one per picture. Raises UserError where an enhancer needs what a
-    folder does not have, and where the numbers of pictures and references do not fit.
+    Raises UserError where an enhancer needs what a folder does not have, and where the numbers do not fit.
     """
     if settings.enhancer == "residual":
         raise UserError(

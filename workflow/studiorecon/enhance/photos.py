@@ -25,9 +25,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Training:
-    """The training cameras' footage and renders, frame by frame, with photos in the ``exposure`` and light of the
-    renders.
-    """
+    """The training cameras' footage and renders, frame by frame; photos in the ``exposure`` and light of the
+    renders."""
 
     cameras: Sequence[Camera]
     photos: Sequence[Playback]
@@ -37,7 +36,7 @@ class Training:
     exposure: Factors = NONE
 
     def photo(self, index: int, frame: int) -> Integer[np.ndarray, "h w 3"]:
-        """(h, w, 3) uint8 photo of one camera, corrected to the common exposure and the plate's light."""
+        """Photo of one camera, corrected to the common exposure and the plate's light."""
         return self.exposure.even(self.cameras[index].name, self.photos[index].at(frame), frame)
 
     def nearest_frame(self, frame: float) -> int:
@@ -52,22 +51,20 @@ class Training:
         ]
 
     def residual(self, index: int, frame: int) -> Float[np.ndarray, "h w 3"]:
-        """(h, w, 3) float32 photo minus render of one camera, colours in 0..1."""
+        """Float32 photo minus render of one camera, colours in 0..1."""
         photo = self.photo(index, frame)
         render = self.renders[index].at(frame)[: photo.shape[0], : photo.shape[1]]
         return (photo.astype(np.float32) - render.astype(np.float32)) / 255
 
     def reference(self, camera: Camera, frame: int) -> Integer[np.ndarray, "h w 3"]:
-        """(h, w, 3) uint8 photo of the same time from the training camera with the smallest angle between axes
-        (U09)."""
+        """Photo of the same time from the training camera with the smallest angle between axes (U09)."""
         cosines = [float(one.forward @ camera.forward) for one in self.cameras]
         return self.photo(int(np.argmax(cosines)), frame)
 
 
 @dataclass(frozen=True)
 class TrainingFiles:
-    """``Training`` as files: ``videos`` are the footage in the order of the model's cameras, ``train`` is their render
-    (film, path and depth), or nothing.
+    """``Training`` as files: footage in the order of the model's cameras, and their render (film, path, depth), if any.
 
     Photos are divided by the gains and the light in ``exposure``, as the training pictures were: otherwise a residual
     would carry steps of exposure from camera to camera into the film.
@@ -90,8 +87,7 @@ class TrainingFiles:
 def open_training(
     cameras: list[Camera], steps: list[PathStep], videos: list[Path], renders: Path, depths: Path, frames: int
 ) -> Training:
-    """The footage ``videos`` of ``cameras``, with their renders and depths, which are films of all cameras in sequence
-    (``steps``).
+    """The footage ``videos`` of ``cameras``, with their renders and depths, films of all cameras in sequence.
 
     Raises UserError when the films are of other cameras or frames.
     """

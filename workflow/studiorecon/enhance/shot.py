@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``enhance.shot``: enhances one shot, picture by picture, with motion-adaptive consistency injection, if this scene
-needs either (``trial``).
-"""
+"""``enhance.shot``: enhances one shot, picture by picture, with consistency injection, if it needs either
+(``trial``)."""
 
 from __future__ import annotations
 
@@ -41,8 +40,7 @@ else:
 
 @dataclass(frozen=True)
 class Settings(Enhancing, Carrying, Injecting):
-    """Settings of enhancing a film, with the thresholds that ``survey.effects.EffectSettings`` declares for all
-    effects."""
+    """Settings of enhancing a film, with the thresholds that ``survey.effects.EffectSettings`` declares."""
 
     thresholds: Mapping[Named, float] = thresholds(FILMED)
     force: Mapping[Named, str] = force(FILMED)
@@ -63,11 +61,11 @@ class RenderedFilm:
     truth: Path | None = None
 
     def pictures(self) -> Iterator[Integer[np.ndarray, "h w 3"]]:
-        """(h, w, 3) uint8, in order."""
+        """Pictures, in order."""
         return read_frames(self.render, 0, len(self.steps))
 
     def depths_mm(self) -> Iterator[Integer[np.ndarray, "h w"]]:
-        """(h, w) uint16 millimetres, in order; 0 where unknown."""
+        """Uint16 millimetres, in order; 0 where unknown."""
         depths = read_frames(self.depth, 0, len(self.steps))
         if self.truth is None:
             return depths
@@ -77,8 +75,8 @@ class RenderedFilm:
 
 @dataclass(frozen=True)
 class RenderFiles:
-    """A film with its path and depth. A shot with a replaced person has a ``truth`` film: its invented parts were never
-    photographed, so no photo corrects them."""
+    """A film with its path and depth, and, if a person is replaced, ``truth``: invented parts have no photo to correct
+    them."""
 
     render: Path
     render_path: Path
@@ -104,11 +102,10 @@ def run(
     weights: Place = Path("resources/weights"),
     device: str = "cpu",
 ) -> None:
-    """Enhance one shot. Decisions and reasons are written to ``decisions``. Without ``train`` files among the
-    ``photos`` the film stays as rendered.
+    """Enhance one shot; without ``train`` files among the ``photos`` the film stays as rendered.
 
-    An ``edited`` picture, if given, is a network's reference instead of the photos (paper: one edited reference). A
-    film ``made`` of this shot by another tool stays as it is.
+    Decisions and reasons are written to ``decisions``. An ``edited`` picture, if given, is a network's reference
+    instead of the photos (paper: one edited reference). A film ``made`` of this shot by another tool stays as it is.
     """
     source = drawn.read()
     decided: list[Decision] = []
@@ -142,7 +139,7 @@ def enhanced_film(
     weights: Path,
     device: str,
 ) -> tuple[Iterator[Integer[np.ndarray, "h w 3"]], list[Decision]]:
-    """(h, w, 3) uint8 pictures of the film with what was decided about it; a network looks at ``instead``, or at the
+    """Uint8 pictures of the film, and the decisions about it; a network gets ``instead`` as reference, or the
     photos."""
     enhancer, enhancement = choose_enhancer(settings, training, weights, device)
     say(f"shot {shot}: enhancement is {enhancement.verdict}; {enhancement.reason}")
@@ -222,10 +219,7 @@ def _of(verdicts: Mapping[str, str], effect: str) -> dict[str, str]:
 
 
 def read_external_film(film: Path, render: Path, count: int) -> Iterator[Integer[np.ndarray, "h w 3"]]:
-    """(h, w, 3) uint8 pictures of a film that another tool made from a shot's render.
-
-    Raises UserError when number or size of the pictures differ.
-    """
+    """Pictures of a film that another tool made from a shot's render; UserError for another number or size."""
     (drawn,) = read_frames(render, 0, 1)
     pictures = read_frames(film)
     number = -1

@@ -37,12 +37,11 @@ _PAIRS, _MIN_PAIRS, _LEVEL = 8, 3, 1 / 255
 
 
 def transfer_strength(training: Training, frames: int, transfer: Transfer, threshold: float) -> tuple[float, Decision]:
-    """Strength of the residual transfer, the factor that best predicts each training camera from the other ones; and
-    the decision on it.
+    """Strength of the residual transfer: the factor that best predicts each training camera from the others.
 
-    Every camera is predicted with the factor of the others, over ``frames`` moments. Its gain, in dB, counts only
-    pixels that others see too, for films stay nearer to the cameras than those are to each other. Undetermined, with
-    strength 0, when the training cameras see too little in common.
+    Also the decision on it. Every camera is predicted with the factor of the others, over ``frames`` moments. Its gain,
+    in dB, counts only pixels that others see too, for films stay nearer to the cameras than those are to each other.
+    Undetermined, with strength 0, when the training cameras see too little in common.
     """
     count = len(training.cameras)
     predicted: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in range(count)]
@@ -98,11 +97,9 @@ def flicker(
     enhancer: Enhancer,
     search: Flow,
 ) -> Estimate:
-    """Relative increase, by enhancement, of the change between neighbouring pictures of a film along the flow of the
-    renders.
+    """Relative increase, by enhancement, of the change between neighbouring pictures along the renders' flow.
 
-    No estimate for films of fewer than three pairs. ``render``, ``depth``: the film's pictures and depths in
-    millimetres; ``reference``: the photo for a picture.
+    No estimate for films of fewer than three pairs. ``depth``: in millimetres; ``reference``: the photo for a picture.
     """
     pairs = [i for i in range(1, len(steps)) if steps[i].segment == steps[i - 1].segment]
     grown = []

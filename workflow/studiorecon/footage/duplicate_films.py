@@ -46,7 +46,7 @@ def duplicate_film_note(sources: Mapping[str, FootageSource]) -> str:
 
 
 def static_image(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Num[np.ndarray, "h 96"]:
-    """(h, 96) grey static content of one camera's pictures (H, W, 3) uint8, without its coarse brightness."""
+    """Grey static content of one camera's pictures (H, W, 3) uint8, without its coarse brightness."""
     height, width = pictures[0].shape[:2]
     size = (_WIDTH, max(round(_WIDTH * height / width), 1))
     grey = [cv2.resize(cv2.cvtColor(p, cv2.COLOR_RGB2GRAY), size, interpolation=cv2.INTER_AREA) for p in pictures]

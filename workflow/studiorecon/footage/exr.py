@@ -27,14 +27,14 @@ _SYSTEM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, e
 
 
 def write_depth(path: Path, depth_m: Num[np.ndarray, "H W"], confidence: Num[np.ndarray, "H W"]) -> None:
-    """Write (H, W) float32 depth and confidence. Raises ValueError for maps of two sizes."""
+    """Write float32 depth and confidence. Raises ValueError for maps of two sizes."""
     require("confidence", confidence, ("H", "W"), require("depth_m", depth_m, ("H", "W")))
     _write(path, {"Z": np.asarray(depth_m, np.float32), "A": np.asarray(confidence, np.float32)})
 
 
 def write_channels(path: Path, channels: Mapping[str, Float[np.ndarray, "H W"]]) -> None:
-    """Write named (H, W) float16 or float32 channels, lossless (ZIP). Raises ValueError for channels of two sizes or
-    another type."""
+    """Write named float16 or float32 channels, lossless (ZIP). Raises ValueError for channels of two sizes or another
+    type."""
     sizes: dict[str, int] = {}
     for name, channel in channels.items():
         sizes = require(name, channel, ("H", "W"), sizes)

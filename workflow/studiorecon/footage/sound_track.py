@@ -19,7 +19,7 @@ RATE_HZ = 8000
 
 
 def read_sound(path: Path) -> Float[np.ndarray, " N"] | None:
-    """(N,) float32 mono samples at ``RATE_HZ`` from time 0 of the file's own time line; None without sound.
+    """Float32 mono samples at ``RATE_HZ`` from time 0 of the file's own time line; None without sound.
 
     From the first sound track that can be decoded, up to its first damaged place.
     """

@@ -57,8 +57,8 @@ class _Packets:
     """The frames of a film in its file, without decoding.
 
     Attributes:
-        shown_s: (T,) presentation times, in order, NaN where there are none.
-        decoded_s: (T,) decoding times of the same frames, in order, NaN where there are none.
+        shown_s: presentation times, in order, NaN where there are none.
+        decoded_s: decoding times of the same frames, in order, NaN where there are none.
         hidden: number of frames that are not shown: an edit list leaves them out, or they repeat the one before.
         whole: whether none is damaged and all come in order.
     """

@@ -53,8 +53,8 @@ class BundleResult:
     Attributes:
         cameras: with their new poses and focal lengths.
         points_m: (N, 3).
-        radial: (V,) k1 on undistorted normalised coordinates, in addition to the distortion removed before.
-        sigma: (V, 8) standard deviations: turn about camera axes (rad), centre (m), log focal length, radial term.
+        radial: k1 on undistorted normalised coordinates, in addition to the distortion removed before.
+        sigma: standard deviations: turn about camera axes (rad), centre (m), log focal length, radial term.
             Poses are relative to one another (the common rotation, translation and scale are removed); noise is the
             residuals' own.
         error_units: root mean square residual per coordinate, in error units, Huber-weighted.
@@ -192,7 +192,7 @@ class _Problem:
         )
 
     def prior(self, state: _State) -> Num[np.ndarray, "V 8"]:
-        """(V, 8) deviations from the given values."""
+        """Deviations from the given values."""
         turned = log(state.rotations @ np.swapaxes(self.given_rotations, 1, 2))
         return np.concatenate([turned, state.centres - self.given_centres, state.lens - self.given_lens], axis=1)
 

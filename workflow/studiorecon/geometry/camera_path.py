@@ -28,8 +28,8 @@ _ASSUMPTION_WEIGHT = 1e-3
 
 
 def scene_centre(cameras: Sequence[Camera]) -> Num[np.ndarray, " 3"]:
-    """(3,) the point nearest to all optical axes in least squares; undetermined directions use three metres ahead of
-    the rig.
+    """The point nearest to all optical axes in least squares; undetermined directions use three metres ahead of the
+    rig.
 
     Raises ValueError without a camera.
     """
@@ -44,7 +44,7 @@ def scene_centre(cameras: Sequence[Camera]) -> Num[np.ndarray, " 3"]:
 
 
 def azimuths_rad(cameras: Sequence[Camera], centre_m: Num[np.ndarray, " 3"]) -> Num[np.ndarray, " V"]:
-    """(V,) direction of each camera seen from the centre, counter-clockwise from x, in [0, 2 pi).
+    """Direction of each camera seen from the centre, counter-clockwise from x, in [0, 2 pi).
 
     Raises ValueError for a ``centre_m`` that is no point.
     """
@@ -88,10 +88,10 @@ def gaps_around(cameras: Sequence[Camera]) -> list[Gap]:
 
 
 def look_at(eye_m: Num[np.ndarray, " 3"], target_m: Num[np.ndarray, " 3"]) -> Num[np.ndarray, "3 3"]:
-    """(3, 3) world_from_camera of a level camera at ``eye_m`` whose optical axis meets ``target_m``.
+    """World_from_camera of a level camera at ``eye_m`` whose optical axis meets ``target_m``.
 
-    A camera that points straight down has y as its up direction. Raises ValueError for arguments that are not (3,)
-    finite numbers.
+    A camera that points straight down has y as its up direction. Raises ValueError for arguments that are not finite
+    numbers.
     """
     require("eye_m", eye_m, (3,), finite=True)
     require("target_m", target_m, (3,), finite=True)
@@ -106,7 +106,7 @@ def look_at(eye_m: Num[np.ndarray, " 3"], target_m: Num[np.ndarray, " 3"]) -> Nu
 
 
 def with_pose(camera: Camera, world_from_camera: Num[np.ndarray, "3 3"], centre_m: Num[np.ndarray, " 3"]) -> Camera:
-    """The camera turned to the (3, 3) rotation ``world_from_camera`` and moved to ``centre_m``.
+    """The camera turned to the rotation ``world_from_camera`` and moved to ``centre_m``.
 
     Raises ValueError for another shape or numbers that are not finite.
     """
@@ -121,7 +121,7 @@ def with_pose(camera: Camera, world_from_camera: Num[np.ndarray, "3 3"], centre_
 def straight_path(
     start_m: Num[np.ndarray, " 3"], end_m: Num[np.ndarray, " 3"], shares: Num[np.ndarray, " N"]
 ) -> Num[np.ndarray, "N 3"]:
-    """(N, 3) points on the chord at ``shares`` (N,) of the way. Raises ValueError for other shapes."""
+    """Points on the chord at ``shares`` of the way. Raises ValueError for other shapes."""
     require("start_m", start_m, (3,))
     require("end_m", end_m, (3,))
     require("shares", shares, ("N",))
@@ -163,7 +163,7 @@ def clearance_share(points_m: Num[np.ndarray, "N 3"], centre_m: Num[np.ndarray, 
 
 
 def axis_miss_rad(camera: Camera, target_m: Num[np.ndarray, " 3"]) -> float:
-    """Angle between the optical axis and the direction to ``target_m`` (3,), by atan2. Raises ValueError for another
+    """Angle between the optical axis and the direction to ``target_m``, by atan2. Raises ValueError for another
     shape."""
     require("target_m", target_m, (3,))
     direction = target_m - camera.centre_m

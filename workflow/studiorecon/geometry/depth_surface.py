@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def depth_breaks(depth_m: Num[np.ndarray, "H W"], jump: float) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: pixels next to a jump in depth or next to unknown depth.
+    """Pixels next to a jump in depth or next to unknown depth.
 
     The measure is the second difference of 1/z times z: it is 0 on a plane, however slanted, because 1/z is linear in
     pixels on a plane; a step from z to z(1 + ``jump``) has about ``jump``. Sampling must not interpolate across such

@@ -35,7 +35,7 @@ def floor_points(
 def is_near(
     points_m: Num[np.ndarray, "... 3"], places_m: Num[np.ndarray, "A 2"], reach_m: float
 ) -> Bool[np.ndarray, " ..."]:
-    """(...,) bool: points within ``reach_m`` of any of the places, by their horizontal distance."""
+    """Points within ``reach_m`` of any of the places, by their horizontal distance."""
     found = np.zeros(points_m.shape[:-1], bool)
     for x, y in places_m:
         found |= np.hypot(points_m[..., 0] - x, points_m[..., 1] - y) < reach_m

@@ -25,12 +25,12 @@ _DIGITS = 9
 
 
 def groups_by_affinity(affinity: Num[np.ndarray, "M M"], forbidden: Bool[np.ndarray, "M M"]) -> list[list[int]]:
-    """Groups of nodes, best first, chosen greedily by the largest sum of ``affinity`` (M, M), 0 = not linked.
+    """Groups of nodes, best first, chosen greedily by the largest sum of ``affinity``, 0 = not linked.
 
-    No two nodes of a group are ``forbidden`` (M, M) together; nodes without a link are left out. Connected parts of the
-    graph are searched separately: a detector that loses people gives hundreds of short tracks, and one search over all
-    of them took minutes. Raises ValueError for other shapes, and for affinities that are not finite: a pair that was
-    not measured has 0 (A02).
+    No two nodes of a group are ``forbidden`` together; nodes without a link are left out. Connected parts of the graph
+    are searched separately: a detector that loses people gives hundreds of short tracks, and one search over all of
+    them took minutes. Raises ValueError for other shapes, and for affinities that are not finite: a pair that was not
+    measured has 0 (A02).
     """
     require("forbidden", forbidden, ("M", "M"), require("affinity", affinity, ("M", "M"), finite=True))
     forbidden = forbidden | np.eye(len(affinity), dtype=bool)

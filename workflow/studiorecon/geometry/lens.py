@@ -44,7 +44,7 @@ class WorkingView:
 
     Attributes:
         wh: working width and height.
-        intrinsics: (3, 3) of the undistorted picture, pixel centres at +0.5.
+        intrinsics: of the undistorted picture, pixel centres at +0.5.
         oversampling: number of samples per working pixel and axis in the maps, so that shrinking does not alias.
         map_x, map_y: (n·H, n·W) float32 positions in the source frame, in cv2.remap's integer-centre pixels.
     """
@@ -101,7 +101,7 @@ def working_view(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) ->
 
 
 def calibration_from_video_pixels(lens: Lens, source_wh: tuple[int, int]) -> Num[np.ndarray, "2 3"]:
-    """(2, 3) map from video pixels to calibration pixels.
+    """Map from video pixels to calibration pixels.
 
     The lens's own map where one was given; else the scaling from the video's size to the calibrated one. Raises
     UserError when the two sizes have different shapes: then the footage was cropped or padded, and only the user knows
@@ -141,8 +141,7 @@ def same_shape(one: tuple[int, int], two: tuple[int, int]) -> bool:
 
 
 def calibration_from_video(pixel_map: Sequence[float] | None) -> Num[np.ndarray, "2 3"]:
-    """(2, 3) inverse of p_video = s · p_calibration + (x, y), given as (s, x, y); the identity when there is no such
-    map."""
+    """Inverse of p_video = s · p_calibration + (x, y), given as (s, x, y); the identity when there is no such map."""
     if not pixel_map:
         return np.eye(2, 3)
     scale, x, y = (float(v) for v in pixel_map)
@@ -170,10 +169,7 @@ def lens_with_pixel_map(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:
 def normalised_from_calibration(
     pixels: Num[np.ndarray, "... 2"], lens: Lens
 ) -> tuple[Num[np.ndarray, "... 2"], Bool[np.ndarray, " ..."]]:
-    """Undistorted normalised coordinates and validity of calibration pixels.
-
-    Raises ValueError for another shape.
-    """
+    """Undistorted normalised coordinates and validity of calibration pixels. Raises ValueError for another shape."""
     require("pixels", pixels, (..., 2))
     focal = np.array([lens.intrinsics[0, 0], lens.intrinsics[1, 1]])
     return undistort(
@@ -196,10 +192,7 @@ def working_from_calibration(
 def working_from_video(
     pixels: Num[np.ndarray, "... 2"], lens: Lens, source_wh: tuple[int, int], intrinsics: Num[np.ndarray, "3 3"]
 ) -> tuple[Num[np.ndarray, "... 2"], Bool[np.ndarray, " ..."]]:
-    """Working pixels and validity of pixels of the video file, centres at +0.5.
-
-    Raises ValueError for another shape.
-    """
+    """Working pixels and validity of pixels of the video file, centres at +0.5. Raises ValueError for another shape."""
     require("pixels", pixels, (..., 2))
     affine = calibration_from_video_pixels(lens, source_wh)
     return working_from_calibration(

@@ -29,9 +29,9 @@ def patch_depth(
 ) -> tuple[Num[np.ndarray, " D"], Bool[np.ndarray, " D"]]:
     """Median depth of the valid pixels of a square patch around each of ``pixels``, and whether there is any.
 
-    ``valid_mask`` (H, W), or one per pixel (D, H, W): the person, where the depth is measured. The lower of two middle
-    values is taken, never their mean, which may be on neither surface (C12). Depths that are not finite or not past
-    ``near_m`` do not vote (C04). Raises ValueError for other shapes or an even ``patch_px``.
+    ``valid_mask``, or one per pixel (D, H, W): the person, where the depth is measured. The lower of two middle values
+    is taken, never their mean, which may be on neither surface (C12). Depths that are not finite or not past ``near_m``
+    do not vote (C04). Raises ValueError for other shapes or an even ``patch_px``.
     """
     sizes = require("depth_m", depth_m, ("H", "W"))
     sizes = require("pixels", pixels, ("D", 2), sizes)

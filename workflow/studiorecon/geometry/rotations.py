@@ -25,8 +25,7 @@ _MEAN_GAP = 1e-6
 
 
 def cross_matrix(vectors: Num[np.ndarray, "... 3"]) -> Num[np.ndarray, "... 3 3"]:
-    """(..., 3, 3) matrices [v]× with [v]× u = v × u of ``vectors`` (..., 3). Raises ValueError for another last
-    axis."""
+    """Matrices [v]× with [v]× u = v × u of ``vectors``. Raises ValueError for another last axis."""
     require("vectors", vectors, (..., 3))
     v = np.asarray(vectors, dtype=np.float64)
     x, y, z = v[..., 0], v[..., 1], v[..., 2]
@@ -38,10 +37,10 @@ def cross_matrix(vectors: Num[np.ndarray, "... 3"]) -> Num[np.ndarray, "... 3 3"
 
 
 def exp(axis_angle_rad: Num[np.ndarray, "... 3"]) -> Num[np.ndarray, "... 3 3"]:
-    """(..., 3, 3) rotations of axis-angles (..., 3).
+    """Rotations of axis-angles.
 
-    I + sin θ/θ [w]× + 2 sin²(θ/2)/θ² [w]×²; ``np.sinc`` is exact at 0, and the half angle keeps the digits that
-    (1 − cos θ)/θ² loses (R09, R10). Raises ValueError for another last axis.
+    I + sin θ/θ [w]× + 2 sin²(θ/2)/θ² [w]×²; ``np.sinc`` is exact at 0, and the half angle keeps the digits that (1 −
+    cos θ)/θ² loses (R09, R10). Raises ValueError for another last axis.
     """
     w = np.asarray(axis_angle_rad, dtype=np.float64)
     require("axis_angle_rad", w, (..., 3))
@@ -64,8 +63,7 @@ def log(rotations: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "... 3"]:
 
 
 def angle(a: Num[np.ndarray, "... 3 3"], b: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, " ..."]:
-    """(...,) angle in radians between rotations a and b (..., 3, 3), in [0, π], without arccos. Raises ValueError for
-    other last axes."""
+    """Angle in radians between rotations a and b, in [0, π], without arccos. Raises ValueError for other last axes."""
     require("a", a, (..., 3, 3))
     require("b", b, (..., 3, 3))
     relative = np.swapaxes(np.asarray(a, dtype=np.float64), -1, -2) @ np.asarray(b, dtype=np.float64)
@@ -84,7 +82,7 @@ def to_quaternion(rotations: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "...
 
 
 def largest_quaternion_row(rotations: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "... 4"]:
-    """(..., 4) quaternions w, x, y, z of either sign and a length between 2 and 4, of rotations (..., 3, 3).
+    """Quaternions w, x, y, z of either sign and a length between 2 and 4, of rotations.
 
     Raises ValueError for other last axes.
     """
@@ -106,8 +104,7 @@ def largest_quaternion_row(rotations: Num[np.ndarray, "... 3 3"]) -> Num[np.ndar
 
 
 def from_quaternion(quaternions: Num[np.ndarray, "... 4"]) -> Num[np.ndarray, "... 3 3"]:
-    """(..., 3, 3) rotations of quaternions (..., 4) w, x, y, z of any length; a length below 1e-12 gives the identity
-    (R14).
+    """Rotations of quaternions w, x, y, z of any length; a length below 1e-12 gives the identity (R14).
 
     Raises ValueError for another last axis.
     """
@@ -131,7 +128,7 @@ def from_quaternion(quaternions: Num[np.ndarray, "... 4"]) -> Num[np.ndarray, ".
 
 
 def project_to_so3(matrices: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "... 3 3"]:
-    """(..., 3, 3) nearest rotations in the Frobenius norm; the sign fix keeps the determinant at +1 (R18, R19, C01).
+    """Nearest rotations in the Frobenius norm; the sign fix keeps the determinant at +1 (R18, R19, C01).
 
     Raises ValueError for other last axes and for values that are not finite, which would make the whole decomposition
     fail.

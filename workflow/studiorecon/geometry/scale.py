@@ -35,7 +35,7 @@ class SceneScale:
         world_per_metre: scene units per metre; NaN when undetermined. Divide scene coordinates by it to get metres.
         spread: robust relative standard deviation of single bones about the scale; NaN when undetermined.
         bones: number of different bones that were measured at least once.
-        per_person: (P,) every person's own ratio to the scene's scale, NaN where undetermined: far from 1 hints at a
+        per_person: every person's own ratio to the scene's scale, NaN where undetermined: far from 1 hints at a
             wrong height or identity, not at another scale.
         reason: one clause why the scale is undetermined; empty when it is determined.
     """
@@ -104,10 +104,10 @@ def scene_scale(
 def fit_scale(
     lengths: Num[np.ndarray, " N"], template_m: Num[np.ndarray, " N"], variance: Num[np.ndarray, " N"]
 ) -> float:
-    """The s that minimises Σ ρ(length − variance / (s b) − s b) over bones (N,) of template length b.
+    """The s that minimises Σ ρ(length − variance / (s b) − s b) over bones of template length b.
 
-    It is 0 when the lengths are 0. ``variance`` (N,) is the sum of the two ends' variances per coordinate: E‖b + n‖ = b
-    + v/b up to exp(−b²/2v). Delta is a tenth of the bone's expected length at the median ratio. Iteratively reweighted
+    It is 0 when the lengths are 0. ``variance`` is the sum of the two ends' variances per coordinate: E‖b + n‖ = b +
+    v/b up to exp(−b²/2v). Delta is a tenth of the bone's expected length at the median ratio. Iteratively reweighted
     from the median; 1e-9 or better, at any scale. Lengths must be finite and template lengths positive. Raises
     ValueError for other shapes and numbers that are not finite.
     """

@@ -133,7 +133,7 @@ def fill_rotations(values: Num[np.ndarray, "T ... 3 3"], valid: Bool[np.ndarray,
 
 
 def smooth_vectors(values: Num[np.ndarray, "T ..."], alpha: float, sigma_frames: float) -> Num[np.ndarray, "T ..."]:
-    """(T, ...) smoothed along the first axis; fewer than three frames pass through (F04).
+    """Smoothed along the first axis; fewer than three frames pass through (F04).
 
     Raises ValueError for values that are not finite: one would spread over the whole clip (F05); fill gaps first.
     """
@@ -151,8 +151,7 @@ def smooth_vectors(values: Num[np.ndarray, "T ..."], alpha: float, sigma_frames:
 def smooth_rotations(
     values: Num[np.ndarray, "T ... 3 3"], alpha: float, sigma_frames: float
 ) -> Num[np.ndarray, "T ... 3 3"]:
-    """(T, ..., 3, 3) smoothed along the first axis on SO(3): weighted Karcher mean of each window, two steps from the
-    mean quaternion.
+    """Smoothed along the first axis on SO(3): weighted Karcher mean of each window, two steps from the mean quaternion.
 
     Differences are taken from the frame at the window's centre, so turns of any size pass; within one window (± 17
     frames at the paper's values) the body must not turn by more than half a turn. Fewer than three frames pass through

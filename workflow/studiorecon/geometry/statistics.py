@@ -42,8 +42,7 @@ def share(hits: int, count: int, independent: float | None = None) -> Estimate:
 
 
 def median(values: Num[np.ndarray, " N"], least: int) -> Estimate:
-    """Median of the finite ``values`` (N,) with its standard error, 1.25 robust sigmas over √N; None below
-    ``least``."""
+    """Median of the finite ``values`` with its standard error, 1.25 robust sigmas over √N; None below ``least``."""
     known = np.asarray(values, dtype=np.float64)
     known = known[np.isfinite(known)]
     if len(known) < max(least, 2):
@@ -54,7 +53,7 @@ def median(values: Num[np.ndarray, " N"], least: int) -> Estimate:
 
 
 def mean(values: Num[np.ndarray, " N"], least: int) -> Estimate:
-    """Mean of the finite ``values`` (N,) with its standard error; None below ``least``, which is 2 or more."""
+    """Mean of the finite ``values`` with its standard error; None below ``least``, which is 2 or more."""
     known = np.asarray(values, dtype=np.float64)
     known = known[np.isfinite(known)]
     if len(known) < max(least, 2):

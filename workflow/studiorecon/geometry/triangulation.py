@@ -49,14 +49,14 @@ class TriangulatedPoints:
     """N points (or any batch of axes in N's place), each determined or not.
 
     Attributes:
-        points_m: (N, 3) world points, NaN where undetermined.
+        points_m: world points, NaN where undetermined.
         valid: (N,) bool.
         verified: (N,) bool: at least three views agree within ``outlier_units``. The residual of a pair proves nothing
             (T13).
         inliers: (V, N) bool: views that determine the point.
-        covariance_m2: (N, 3, 3) for the given noise or the observed residual, whichever is larger; inf where
+        covariance_m2: for the given noise or the observed residual, whichever is larger; inf where
             undetermined.
-        error_px: (V, N) reprojection error in every view with the point, otherwise NaN.
+        error_px: reprojection error in every view with the point, otherwise NaN.
     """
 
     points_m: Num[np.ndarray, "N 3"]
@@ -68,12 +68,12 @@ class TriangulatedPoints:
 
     @property
     def sigma_m(self) -> Num[np.ndarray, " N"]:
-        """(N,) root mean square 3D error to expect: the root of the covariance's trace."""
+        """Root mean square 3D error to expect: the root of the covariance's trace."""
         return np.sqrt(np.trace(self.covariance_m2, axis1=-2, axis2=-1))
 
 
 def unit_px(cameras: Sequence[Camera], limits: Limits) -> Num[np.ndarray, " V"]:
-    """(V,) one error unit of every camera in pixels."""
+    """One error unit of every camera in pixels."""
     return np.array([limits.huber_share * max(camera.wh) for camera in cameras])
 
 
@@ -85,7 +85,7 @@ def triangulate(
     noise_px: float | None = None,
     solver: Solver = "robust",
 ) -> TriangulatedPoints:
-    """World points of ``pixels`` (V, ..., 2), seen with ``confidence`` (V, ...) by V cameras; NaN is a missing view.
+    """World points of ``pixels``, seen with ``confidence`` by V cameras; NaN is a missing view.
 
     Any axes between the views and the two coordinates (people, frames, joints) are those of the result. ``noise_px`` is
     the standard deviation that ``covariance_m2`` assumes; by default a third of an error unit. Confidences weight the

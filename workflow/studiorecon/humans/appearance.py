@@ -91,12 +91,11 @@ class Appearance:
         logits: Float[np.ndarray, " N"],
         frame: int,
     ) -> tuple[Float[np.ndarray, "N 1 3"], Float[np.ndarray, " N"]]:
-        """Constant harmonics (N, 1, 3) and logit opacities (N,) of one frame, with residuals."""
+        """Constant harmonics and logit opacities of one frame, with residuals."""
         return with_residuals(self.trained, self.seen, means_m, colour, logits, frame)
 
     def step(self, by_colour: Float[np.ndarray, "N 1 3"], by_logit: Float[np.ndarray, " N"]) -> None:
-        """Move the network along gradients by the constant harmonics (N, 1, 3) and logits (N,) of the last ``added``
-        frame."""
+        """Move the network along gradients by the constant harmonics and logits of the last ``added`` frame."""
         if self._active:
             slope = self.network.gradient(by_colour[self.seen, 0], by_logit[self.seen])
             self._adam.step({"network": slope}, {"network": self.settings.rate})

@@ -25,11 +25,11 @@ def in_view(
     normals: Float[np.ndarray, "N 3"],
     nearest_m: Float[np.ndarray, "h w"],
 ) -> tuple[Integer[np.ndarray, " M"], Float[np.ndarray, "M 2"], Float[np.ndarray, " M"]]:
-    """Indices (M,), pixels (M, 2) float32 and weights (M,) of the Gaussians that a picture shows.
+    """Indices, pixels float32 and weights of the Gaussians that a picture shows.
 
-    ``means_m`` and ``normals`` (N, 3) are posed, ``nearest_m`` (h, w) is the depth of the person's own surface in the
-    crop. A Gaussian counts where the pixel is the person's, it is not behind that surface, and it faces the camera;
-    frontal and near views weigh more.
+    ``means_m`` and ``normals`` are posed, ``nearest_m`` is the depth of the person's own surface in the crop. A
+    Gaussian counts where the pixel is the person's, it is not behind that surface, and it faces the camera; frontal and
+    near views weigh more.
     """
     pixels, depth_m = crop.camera.project(means_m)
     width, height = crop.camera.wh
@@ -48,7 +48,7 @@ def in_view(
 
 
 def sampled(picture: Num[np.ndarray, "h w C"], pixels: Float[np.ndarray, "M 2"]) -> Float[np.ndarray, "M C"]:
-    """(M, C) float64 values of a picture (h, w, C) at ``pixels`` (M, 2), linear between pixel centres."""
+    """Float64 values of a picture at ``pixels``, linear between pixel centres."""
     if len(pixels) == 0:
         return np.zeros((0, picture.shape[2]))
     at = pixels - np.float32(0.5)  # cv2.remap counts pixel centres as integers
@@ -64,7 +64,7 @@ def add_evidence(
     colour_sums: Float[np.ndarray, "N 3"],
     weight_sums: Float[np.ndarray, " N"],
 ) -> None:
-    """Add one picture's evidence to ``colour_sums`` (N, 3) and ``weight_sums`` (N,); see ``in_view``."""
+    """Add one picture's evidence to ``colour_sums`` and ``weight_sums``; see ``in_view``."""
     index, pixels, weight = in_view(crop, means_m, normals, nearest_m)
     np.add.at(colour_sums, index, sampled(crop.rgb, pixels) / 255 * weight[:, None])
     np.add.at(weight_sums, index, weight)
@@ -73,8 +73,7 @@ def add_evidence(
 def nearest_surface(
     pixels: Float[np.ndarray, "N 2"], depth_m: Float[np.ndarray, " N"], hw: tuple[int, int], reach_px: int
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) depth of the nearest point around every pixel, infinite for none: points (N, 2) splatted as squares of
-    ``reach_px``."""
+    """Depth of the nearest point around every pixel, infinite for none: points splatted as squares of ``reach_px``."""
     surface = np.full(hw, np.inf)
     known = np.flatnonzero(np.isfinite(pixels).all(axis=1))
     at = np.floor(pixels[known]).astype(np.int64)

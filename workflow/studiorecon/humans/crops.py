@@ -91,7 +91,7 @@ class TrainingCrop:
 def box_around(
     pixels: Float[np.ndarray, "V 2"], mask: Bool[np.ndarray, "H W"], wh: tuple[int, int], margin_px: int
 ) -> tuple[int, int, int, int] | None:
-    """Left, top, right, bottom (exclusive) of a box in the picture around projected body points (V, 2) and a mask.
+    """Left, top, right, bottom (exclusive) of a box in the picture around projected body points and a mask.
 
     Points behind the camera are NaN. None when neither is in the picture.
     """
@@ -125,7 +125,7 @@ def classify_pixels(
     occluder_px: int,
     inset_px: int = 0,
 ) -> Integer[np.ndarray, "h w"]:
-    """(h, w) uint8 classes of pixels, from mask labels and the body's silhouette (h, w) bool.
+    """Classes of pixels, from mask labels and the body's silhouette (h, w) bool.
 
     Labels are 0 background, k+1 person k, 255 unassigned. Where masks are too small (``mask_inset_px``), pixels up to
     ``inset_px`` around them inside the silhouette are the person's too, and so are limbs that such a mask misses: the
@@ -158,7 +158,7 @@ def classify_pixels(
 
 
 def silhouette(pixels: Float[np.ndarray, "V 2"], hw: tuple[int, int]) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: the body's silhouette, from its projected vertices (V, 2; NaN behind the camera) with closed gaps.
+    """Whether the body's silhouette, from its projected vertices (V, 2; NaN behind the camera) with closed gaps.
 
     Drawing all triangles of a dense body costs 20 ms a picture, this 0.3 ms; it differs by a pixel at the outline,
     which is not used here. Vertices are at most 3 % of a person's height apart.
@@ -187,7 +187,7 @@ def person_crops(
     """One camera's training crops of one person: frames in which the body is valid and has at least ``smallest_px``
     pixels.
 
-    ``vertices_m``, (V, 3) a frame, is the fitted body over time; pictures and labels are the camera's frames in order.
+    ``vertices_m``, a frame, is the fitted body over time; pictures and labels are the camera's frames in order.
     """
     for frame, (rgb, label_map, body_m) in enumerate(zip(pictures, labels, vertices_m)):
         if frame >= len(valid) or not valid[frame]:

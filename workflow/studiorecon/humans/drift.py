@@ -49,11 +49,10 @@ def track_brightness(
     normals: Float[np.ndarray, "N 3"],
     spacing_m: float,
 ) -> Float[np.ndarray, "N M"]:
-    """(N, M) float64 brightness of photo minus render at every Gaussian, mean of the cameras that show it, NaN for
-    none.
+    """Float64 brightness of photo minus render at every Gaussian, mean of the cameras that show it, NaN for none.
 
-    Columns are the ``moments`` of the clip. ``draw`` renders a crop, (h, w, 3) in 0..1; ``means_m`` and ``normals`` (N,
-    3) are canonical.
+    Columns are the ``moments`` of the clip. ``draw`` renders a crop, in 0..1; ``means_m`` and ``normals`` (N, 3) are
+    canonical.
     """
     columns = {int(frame): column for column, frame in enumerate(moments(len(motion.local))) if frame >= 0}
     sums = np.zeros((len(means_m), max(columns.values(), default=-1) + 1))
@@ -92,14 +91,14 @@ def moments(frames: int) -> Integer[np.ndarray, " M"]:
 
 
 def drifting_share(residual: Float[np.ndarray, "N T"]) -> Estimate:
-    """Share of body points whose residual (N, T) varies three times as much as its noise and keeps its sign over time.
+    """Share of body points whose residual varies three times as much as its noise and keeps its sign over time.
 
     Noise is half the mean square of successive differences, which contains everything short-lived: the camera's noise
     and the jitter of the pose. Memory is the lag-1 autocorrelation, above 0.3. A variation of less than two grey levels
     of 255 counts as none. Points need twelve frames with a successor; NaN is not seen.
 
     Raises:
-        ValueError: ``residual`` is not (N, T).
+        ValueError: ``residual`` is not.
     """
     require("residual", residual, ("N", "T"))
     pairs = np.isfinite(residual[:, 1:]) & np.isfinite(residual[:, :-1])

@@ -42,8 +42,7 @@ class Settings(StartSettings):
 
 
 def chequered_colours(points_m: Float[np.ndarray, "N 3"], parts: Shaped[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"]:
-    """(N, 3) colours of rest-pose points (N, 3) on parts (N,) named as in a body model: squares of 7 cm, every other
-    darker."""
+    """Colours of rest-pose points on parts named as in a body model: squares of 7 cm, every other darker."""
     base = np.array([_COLOURS.get(str(part), _COLOURS["skin"]) for part in parts])
     dark = np.floor(points_m / _SQUARE_M).astype(int).sum(axis=1) % 2 == 0
     return np.where(dark[:, None], _DARKER * base, base)

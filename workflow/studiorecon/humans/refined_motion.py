@@ -70,11 +70,11 @@ class RefinedMotion:
 
     @property
     def poses(self) -> Float[np.ndarray, "T 72"]:
-        """(T, 72) axis-angle."""
+        """Axis-angle."""
         return rotations.log(self.local).reshape(-1, 72)
 
     def transforms(self, frame: int) -> Float[np.ndarray, "24 4 4"]:
-        """(24, 4, 4) world_from_rest of one frame."""
+        """World_from_rest of one frame."""
         world, joints = self._posed(frame)
         return world_from_rest(world, joints, self.rest_joints_m)[0]
 
@@ -87,9 +87,9 @@ class RefinedMotion:
     def gradient(
         self, frame: int, force: Float[np.ndarray, "24 3"], torque: Float[np.ndarray, "24 3"]
     ) -> Float[np.ndarray, "25 3"]:
-        """(25, 3) gradient by the turn of every joint in its parent's axes and, last, by the pelvis position.
+        """Gradient by the turn of every joint in its parent's axes and, last, by the pelvis position.
 
-        ``force``, ``torque`` (24, 3) per bone as in ``body.avatar.posing.bone_wrenches``.
+        ``force``, ``torque`` per bone as in ``body.avatar.posing.bone_wrenches``.
         """
         world, joints = (whole[0] for whole in self._posed(frame))
         total_force, total_torque = self._subtree @ force, self._subtree @ torque
@@ -101,8 +101,7 @@ class RefinedMotion:
         return gradient
 
     def smoothness_gradient(self, frame: int, weight: float) -> Float[np.ndarray, "25 3"]:
-        """(25, 3) gradient of weight · mean(squared geodesic first difference) + the same of translation in metres
-        (U51)."""
+        """Gradient of weight · mean(squared geodesic first difference) + the same of translation in metres (U51)."""
         gradient = np.zeros((25, 3))
         for other in (frame - 1, frame + 1):
             if 0 <= other < len(self.local):

@@ -47,8 +47,7 @@ def skinning_weights(
     weights: Float[np.ndarray, "V 24"],
     settings: Settings,
 ) -> tuple[Integer[np.ndarray, "N K"], Float[np.ndarray, "N K"], WeightGrid | None]:
-    """Joints (N, K), weights (N, K), and the grid: the surface's four strongest joints, or all of the paper's voxel
-    grid.
+    """Joints, weights, and the grid: the surface's four strongest joints, or all of the paper's voxel grid.
 
     The grid mixes parts nearer than a voxel (3 cm at 64³), such as fingers and thighs (L06); the surface does not.
     """
@@ -61,7 +60,7 @@ def skinning_weights(
 def initial_colours(
     samples: SurfaceSamples, posing: Posing, motion: RefinedMotion, crops: Sequence[Crop]
 ) -> tuple[Float[np.ndarray, "N 3"], Bool[np.ndarray, " N"]]:
-    """Colours (N, 3) float64 and ``seen`` (N,) bool from up to 160 crops spread over the clip; unseen rows are grey."""
+    """Colours float64 and ``seen`` (N,) bool from up to 160 crops spread over the clip; unseen rows are grey."""
     sums, weights = np.zeros_like(samples.points_m), np.zeros(len(samples.points_m))
     chosen = evenly_spread(len(crops), _LOOKS, below=True)
     points = samples.points_m.astype(np.float32)
@@ -99,7 +98,7 @@ class RestPose:
     """A person before training: Gaussians on the surface of the body in its rest pose, and their motion.
 
     Attributes:
-        vertices_m: (V, 3) the body's surface at rest.
+        vertices_m: the body's surface at rest.
         samples: positions of the Gaussians on it.
         posing, motion, grid: skinning, fitted motion, and the paper's voxel grid of weights (None: the surface's own).
         start: the Gaussians, coloured by the photos.

@@ -35,7 +35,7 @@ _ASK = "bring a photo of one whole person, or one that is cut out (PNG with alph
 
 
 def whole_mask(seen: Landmarks, wh: tuple[int, int]) -> Float[np.ndarray, "h w"]:
-    """(h, w) float32 in [0, 1]: the detector's mask of a person over the whole picture of ``wh`` pixels."""
+    """Float32 in [0, 1]: the detector's mask of a person over the whole picture of ``wh`` pixels."""
     # OpenCV counts pixels from the first one's centre.
     affine = seen.region.crop_from_picture(MASK_PX)
     affine[:, 2] += affine[:, :2].sum(1) / 2 - 0.5
@@ -44,8 +44,8 @@ def whole_mask(seen: Landmarks, wh: tuple[int, int]) -> Float[np.ndarray, "h w"]
 
 
 def segment_person(picture: Integer[np.ndarray, "H W 3"], sure: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: the person in ``picture`` (H, W, 3 uint8) by colours, where ``sure`` (H, W) in [0, 1] is undecided;
-    one region."""
+    """Whether the person in ``picture`` (H, W, 3 uint8) by colours, where ``sure`` in [0, 1] is undecided; one
+    region."""
     height, width = sure.shape
     scale = min(1.0, _CUT_PX / max(height, width))
     small = (max(1, round(width * scale)), max(1, round(height * scale)))

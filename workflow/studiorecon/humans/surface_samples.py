@@ -23,8 +23,8 @@ class SurfaceSamples:
 
     Attributes:
         points_m: (N, 3) float64, canonical pose.
-        normals: (N, 3) outward unit normals.
-        weights: (N, 24) skinning weights, mixed from the face's corners.
+        normals: outward unit normals.
+        weights: skinning weights, mixed from the face's corners.
         spacing_m: root of the area per point.
     """
 
@@ -121,7 +121,7 @@ def neighbours(samples: SurfaceSamples, count: int) -> Integer[np.ndarray, "N K"
 
 
 def mirror_indices(samples: SurfaceSamples, within_m: float) -> Integer[np.ndarray, " N"]:
-    """(N,) index of the sample nearest to each sample's mirror image (the canonical body's x is left–right), −1 beyond
+    """Index of the sample nearest to each sample's mirror image (the canonical body's x is left–right), −1 beyond
     ``within_m``."""
     distance, index = scipy.spatial.cKDTree(samples.points_m).query(samples.points_m * [-1, 1, 1])
     return np.where(distance <= within_m, index, -1)
@@ -134,7 +134,7 @@ def fill_unseen(
     twin: Integer[np.ndarray, " N"],
     passes: int = 400,
 ) -> Float[np.ndarray, "N C"]:
-    """``values`` (N, C) with the unseen rows filled: from the body's other side where that was seen, else from seen
+    """``values`` with the unseen rows filled: from the body's other side where that was seen, else from seen
     neighbours.
 
     Neighbours are averaged repeatedly over ``near`` (the discrete Laplace equation with seen rows fixed), starting from

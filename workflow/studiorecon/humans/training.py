@@ -135,7 +135,7 @@ class Growing:
 
 
 def training_target(crop: Crop, behind_rgb: Num[np.ndarray, " 3"]) -> Target:
-    """The person as filmed, over ``behind_rgb`` (3,); undecided pixels are masked."""
+    """The person as filmed, over ``behind_rgb``; undecided pixels are masked."""
     rgb, weight = np.empty(crop.rgb.shape, np.float32), np.empty(crop.verdict.shape, np.float32)
     _paint_target(crop.rgb, crop.verdict, behind_rgb.astype(np.float32), rgb, weight)
     return Target(crop.camera, rgb, weight, background_rgb=tuple(behind_rgb), silhouette=crop.verdict == PERSON)
@@ -221,12 +221,12 @@ class PersonInTraining:
 
     @property
     def bones(self) -> Integer[np.ndarray, "N K"]:
-        """(N, K) the joints that carry each Gaussian."""
+        """The joints that carry each Gaussian."""
         return self._posing.bones
 
     @property
     def weights(self) -> Float[np.ndarray, "N K"]:
-        """(N, K) skinning weights at the Gaussians' current positions."""
+        """Skinning weights at the Gaussians' current positions."""
         return self._posing.weights if self._grid is None else self._grid.query(self._own["means"])
 
     def threads(self) -> AbstractContextManager[None]:

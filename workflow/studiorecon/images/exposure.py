@@ -31,8 +31,7 @@ class Overlap:
 def compare(
     first: int, second: int, first_rgb: Num[np.ndarray, "N 3"], second_rgb: Num[np.ndarray, "N 3"], least_pixels: int
 ) -> Overlap | None:
-    """The overlap of two cameras from colours (N, 3) of the same surface points; None below ``least_pixels`` usable
-    ones.
+    """The overlap of two cameras from colours of the same surface points; None below ``least_pixels`` usable ones.
 
     Colours that are not finite are not usable. Raises ValueError if the numbers of colours differ.
     """

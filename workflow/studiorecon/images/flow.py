@@ -46,8 +46,7 @@ def one_thread() -> Iterator[None]:
 
 
 def grey_levels(rgb: Num[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W"]:
-    """(H, W) uint8 luminance of an RGB picture (H, W, 3), uint8 or float in [0, 1]. Raises ValueError for another
-    shape."""
+    """Luminance of an RGB picture, uint8 or float in [0, 1]. Raises ValueError for another shape."""
     require("rgb", rgb, ("H", "W", 3))
     levels = rgb if rgb.dtype == np.uint8 else np.rint(np.clip(np.nan_to_num(rgb), 0, 1) * 255).astype(np.uint8)
     return cv2.cvtColor(np.ascontiguousarray(levels), cv2.COLOR_RGB2GRAY)
@@ -72,11 +71,11 @@ def dis_flow(
 
 
 def consistent(flow: Num[np.ndarray, "H W 2"], reverse_flow: Num[np.ndarray, "H W 2"]) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: pixels whose flow leads back, inside the picture, within a motion-dependent tolerance.
+    """Pixels whose flow leads back, inside the picture, within a motion-dependent tolerance.
 
-    |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5, the rule of Sundaram et al. 2010 that video-consistency measures
-    use. It detects uncovered background, where colours may agree by chance (E10). Non-finite flow is inconsistent
-    (E13). Raises ValueError for flows of two sizes.
+    |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5, the rule of Sundaram et al. 2010 that video-consistency measures use. It
+    detects uncovered background, where colours may agree by chance (E10). Non-finite flow is inconsistent (E13). Raises
+    ValueError for flows of two sizes.
     """
     require("reverse_flow", reverse_flow, ("H", "W", 2), require("flow", flow, ("H", "W", 2)))
     return forward_backward_consistent(np.ascontiguousarray(flow), np.ascontiguousarray(reverse_flow))

@@ -37,10 +37,10 @@ def levels(picture: Num[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W 3"]:
 
 
 def error_map(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W"]:
-    """(H, W) int32: Σ over channels of squared differences of 8-bit levels, the input of ``psnr_from_error_map``. 4 ms
-    at 1280×704.
+    """Int32: Σ over channels of squared differences of 8-bit levels, the input of ``psnr_from_error_map``. 4 ms at
+    1280×704.
 
-    Raises ValueError for pictures that are not (H, W, 3) of one size.
+    Raises ValueError for pictures that are not of one size.
     """
     require("truth", truth, ("H", "W", 3), require("prediction", prediction, ("H", "W", 3)))
     return squared_error(levels(prediction), levels(truth))
@@ -92,18 +92,17 @@ def colour_corrected_psnr(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.nd
 def ssim_map(
     prediction: Num[np.ndarray, "H W C"], truth: Num[np.ndarray, "H W C"], dtype: type = np.float64
 ) -> Num[np.ndarray, "H W"]:
-    """(H, W) structural similarity, mean over channels, with zeros outside the picture: 11×11 Gaussian, sigma 1.5,
-    range 1.
+    """Structural similarity, mean over channels, with zeros outside the picture: 11×11 Gaussian, sigma 1.5, range 1.
 
-    Population covariance; variances are clamped at 0 and the map at 1, which rounding breaks on flat pictures (
-    I01). Raises ValueError for pictures of two sizes.
+    Population covariance; variances are clamped at 0 and the map at 1, which rounding breaks on flat pictures ( I01).
+    Raises ValueError for pictures of two sizes.
     """
     require("truth", truth, ("H", "W", "C"), require("prediction", prediction, ("H", "W", "C")))
     return similarity_map(levels(prediction), levels(truth), dtype)
 
 
 def whole_windows(mask: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: pixels whose 11×11 window is inside the picture and inside ``mask`` (H, W), eroded by 5 pixels.
+    """Pixels whose 11×11 window is inside the picture and inside ``mask``, eroded by 5 pixels.
 
     Errors outside the mask cannot reach such windows (I08), so they need no normalising by the mask's share (I10).
     Raises ValueError for a mask that is no picture.

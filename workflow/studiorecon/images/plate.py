@@ -127,8 +127,7 @@ def _same(a, b, tolerance):
 
 
 def write_plate(path: Path, rgb: Num[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H W"]) -> None:
-    """Write a clean plate: (H, W, 3) uint8 RGB as RGBA PNG, alpha 255 where ``measured`` (H, W), else a transparent
-    black.
+    """Write a clean plate: (H, W, 3) uint8 RGB as RGBA PNG, alpha 255 where ``measured``, else a transparent black.
 
     Raises ValueError for a mask of another size.
     """

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
 
 def dilate(region: Bool[np.ndarray, "H W"], size_px: int) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: ``region`` grown by a square of ``size_px`` pixels (21 = radius 10, U24; 0 or 1 =
-    unchanged).
+    """``region`` grown by a square of ``size_px`` pixels (21 = radius 10, U24; 0 or 1 = unchanged).
 
     Raises ValueError for an even size, which would shift the region by half a pixel, or a region that is no picture.
     """
@@ -29,8 +28,7 @@ def dilate(region: Bool[np.ndarray, "H W"], size_px: int) -> Bool[np.ndarray, "H
 
 
 def signed_distance_px(region: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 distance to the outline of ``region`` in pixels, positive inside; −inf everywhere when it is
-    empty.
+    """Float32 distance to the outline of ``region`` in pixels, positive inside; −inf everywhere when it is empty.
 
     Raises ValueError for a region that is no picture.
     """
@@ -47,7 +45,7 @@ def signed_distance_px(region: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H 
 
 
 def without_islands(region: Bool[np.ndarray, "H W"], least_px: float) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: ``region`` without its connected parts of fewer than ``least_px`` pixels.
+    """``region`` without its connected parts of fewer than ``least_px`` pixels.
 
     Raises ValueError for an array that is no picture.
     """
@@ -61,7 +59,7 @@ def without_islands(region: Bool[np.ndarray, "H W"], least_px: float) -> Bool[np
 
 
 def without_holes(region: Bool[np.ndarray, "H W"], largest_px: float) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: ``region`` with enclosed gaps of up to ``largest_px`` pixels filled.
+    """``region`` with enclosed gaps of up to ``largest_px`` pixels filled.
 
     Raises ValueError for an array that is no picture.
     """

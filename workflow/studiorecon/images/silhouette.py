@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 def mesh_depth(
     vertices_m: Num[np.ndarray, "V 3"], faces: Num[np.ndarray, "F 3"], camera: Camera, near_m: float = 0.05
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 z-depth in metres of the nearest triangle at every pixel centre, 0 where there is none.
+    """Float32 z-depth in metres of the nearest triangle at every pixel centre, 0 where there is none.
 
-    ``vertices_m`` (V, 3) in the world, ``faces`` (F, 3). Triangles with a corner nearer than ``near_m``, or a corner
-    that is not finite, are left out: a person who walks through the camera has no silhouette. About 2 ms for 27,000
-    triangles. Raises ValueError for other shapes, or a face with an index out of range.
+    ``vertices_m`` in the world, ``faces``. Triangles with a corner nearer than ``near_m``, or a corner that is not
+    finite, are left out: a person who walks through the camera has no silhouette. About 2 ms for 27,000 triangles.
+    Raises ValueError for other shapes, or a face with an index out of range.
     """
     require("vertices_m", vertices_m, ("V", 3))
     require("faces", faces, ("F", 3))
@@ -70,7 +70,7 @@ def _fill(pixels, inverse, faces, nearest):
 
 
 def front_person(depths_m: Num[np.ndarray, "K H W"]) -> Integer[np.ndarray, "H W"]:
-    """(H, W) uint8: k + 1 where person k of (K, H, W) depths (0 = absent) is in front, 0 without a person.
+    """K + 1 where person k of depths (0 = absent) is in front, 0 without a person.
 
     Ties go to the first. Raises ValueError for another shape.
     """

@@ -29,8 +29,8 @@ def resample(picture: Num[np.ndarray, "H W ..."], hw: tuple[int, int]) -> Float[
 
 
 def corner_shares(count: int, size: int) -> Float[np.ndarray, "size count"]:
-    """(size, count) float32 share of each of ``count`` nodes in each of ``size`` pixels, linear between nodes, the
-    outermost nodes on the outermost pixels' centres (torch's ``align_corners``)."""
+    """Float32 share of each of ``count`` nodes in each of ``size`` pixels, linear between nodes, the outermost nodes on
+    the outermost pixels' centres (torch's ``align_corners``)."""
     place = np.linspace(0, count - 1, size)[:, None]
     return np.maximum(1 - np.abs(place - np.arange(count)), 0).astype(np.float32)
 

@@ -81,7 +81,7 @@ def fill_by_texture(
 def low_frequency_light(
     rgb: Float[np.ndarray, "H W 3"], known: Bool[np.ndarray, "H W"], sigma: float
 ) -> Float[np.ndarray, "H W 3"]:
-    """(H, W, 3) a surface's light without its detail, at all pixels; outliers have almost no weight."""
+    """A surface's light without its detail, at all pixels; outliers have almost no weight."""
     weight = known.astype(np.float64)
     for _ in range(_LIGHT_ROUNDS):
         light = _smooth(rgb, weight, sigma)
@@ -115,8 +115,7 @@ def _smooth(rgb: np.ndarray, weight: np.ndarray, sigma: float) -> np.ndarray:
 def texture_periods(
     detail: Float[np.ndarray, "H W 3"], known: Bool[np.ndarray, "H W"], scale: Scale, rng: np.random.Generator
 ) -> Integer[np.ndarray, "K 2"]:
-    """(K, 2) rows and columns by which the surface repeats, the commonest first; none where too little of it is
-    known."""
+    """Rows and columns by which the surface repeats, the commonest first; none where too little of it is known."""
     half = scale.patch // 2
     rows, columns = np.nonzero(scipy.ndimage.minimum_filter(known, scale.patch, mode="constant", cval=False))
     if len(rows) < _MIN_PATCHES:

@@ -28,7 +28,7 @@ class Reading:
 
     Attributes:
         words: what the keypoints are, after "the keypoints of camera X are …".
-        film_from_recorded: (2, 3) affine map to pixels of the film, centres at +0.5.
+        film_from_recorded: affine map to pixels of the film, centres at +0.5.
         lossless: whether this reading leaves no doubt about left and right.
         unit: whether it is about the unit or size of the picture.
     """
@@ -40,7 +40,7 @@ class Reading:
 
 
 def affine(scale_x: float, scale_y: float, x: float = 0.0, y: float = 0.0) -> Float[np.ndarray, "2 3"]:
-    """(2, 3) map (scale_x · x + x, scale_y · y + y)."""
+    """Map (scale_x · x + x, scale_y · y + y)."""
     return np.array([[scale_x, 0, x], [0, scale_y, y]], dtype=np.float64)
 
 

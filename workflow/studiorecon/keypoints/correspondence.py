@@ -37,10 +37,10 @@ class TrackGraph:
     """M tracks and their pairwise distances.
 
     Attributes:
-        view: (M,) index of the camera.
-        track: (M,) track id in that camera.
-        distance_m: (M, M) symmetric, NaN where the two share too little (also within one camera).
-        moments: (M, M) number of frames in which both are seen; on the diagonal, in which the track is.
+        view: index of the camera.
+        track: track id in that camera.
+        distance_m: symmetric, NaN where the two share too little (also within one camera).
+        moments: number of frames in which both are seen; on the diagonal, in which the track is.
     """
 
     view: Num[np.ndarray, " M"]
@@ -81,8 +81,7 @@ def ray_distances(
     second: Num[np.ndarray, "... 3"],
     near_m: float = _NEAR_M,
 ) -> Num[np.ndarray, " ..."]:
-    """(...,) closest distance in metres between rays with unit directions (..., 3); inf where they meet behind an
-    origin (T06).
+    """Closest distance in metres between rays with unit directions; inf where they meet behind an origin (T06).
 
     Raises ValueError for other shapes. A direction that is not finite gives inf.
     """
@@ -183,7 +182,7 @@ def _same_frame(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.n
 def median_over_shared(
     values: Num[np.ndarray, "P K"], present: Bool[np.ndarray, "P K"], least: int
 ) -> Num[np.ndarray, " P"]:
-    """(P,) median over the present values of (P, K), NaN with fewer than ``least``; inf counts as large.
+    """Median over the present values of, NaN with fewer than ``least``; inf counts as large.
 
     Raises ValueError if the shapes differ.
     """

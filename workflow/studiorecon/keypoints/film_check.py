@@ -63,7 +63,7 @@ class Film:
 
     Attributes:
         camera: name; wh, frames: of its film; motion: in it, None where it cannot be measured.
-        map: (2, 3) from recorded pixels, centres at +0.5, to the film's; centre: offset to add to reach +0.5.
+        map: from recorded pixels, centres at +0.5, to the film's; centre: offset to add to reach +0.5.
         stored_wh: size with pixels as stored, None where they are square.
     """
 
@@ -340,7 +340,7 @@ def _outside(keypoints: Num[np.ndarray, "D K 3"], reading: Reading, film: Film) 
 
 
 def _points(keypoints: Num[np.ndarray, "D K 3"]) -> Float[np.ndarray, "N 2"]:
-    """(N, 2) the keypoints that are present."""
+    """The keypoints that are present."""
     there = np.isfinite(keypoints).all(-1) & (keypoints[..., 2] > 0) & (keypoints[..., :2] != 0).any(-1)
     return keypoints[there][:, :2]
 

@@ -40,8 +40,7 @@ class Motion:
     wh: tuple[int, int]
 
     def at(self, sample: Integer[np.ndarray, " N"], pixels: Num[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-        """(N, 2) motion at ``pixels`` of the film (centres at +0.5) in frame ``frame[sample]``, and its mean over all
-        frames.
+        """Motion at ``pixels`` of the film (centres at +0.5) in frame ``frame[sample]``, and its mean over all frames.
 
         Outside of the picture it is 0.
         """

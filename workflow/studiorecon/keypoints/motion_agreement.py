@@ -39,7 +39,7 @@ class Score:
     Attributes:
         lift: mean over frames; 0 where there are none.
         hit: share of the keypoints that are on motion.
-        per_frame: (S,) lift in every examined frame of the film; NaN where no keypoint counts.
+        per_frame: lift in every examined frame of the film; NaN where no keypoint counts.
         points: how many keypoints count.
     """
 
@@ -78,7 +78,7 @@ class Movers:
     """N keypoints of people who move, one per row.
 
     Attributes:
-        person: (N,) index of each one's detection; points: (N, 2) as recorded.
+        person: index of each one's detection; points: as recorded.
     """
 
     person: Integer[np.ndarray, " N"]
@@ -100,7 +100,7 @@ def movers(keypoints: Num[np.ndarray, "D K 3"], frame: Integer[np.ndarray, " D"]
 
 
 def _covered(grid: np.ndarray, person: np.ndarray, frame: np.ndarray) -> Float[np.ndarray, "G G"]:
-    """(G, G) share of up to 64 frames in which a person's outline covers a cell."""
+    """Share of up to 64 frames in which a person's outline covers a cell."""
     frames = np.unique(frame)
     chosen = frames[np.unique(np.linspace(0, len(frames) - 1, 64).round().astype(int))]
     total = np.zeros((_GRID, _GRID))
@@ -140,7 +140,7 @@ def best(scores: Iterable[tuple[int, Score]]) -> tuple[int, Score]:
 
 
 def is_upside_down(keypoints: Num[np.ndarray, "D K 3"], names: Sequence[str]) -> Bool[np.ndarray, " D"]:
-    """(D,) bool: detections with head and both ankles seen whose head is lower."""
+    """Detections with head and both ankles seen whose head is lower."""
     at = {name: k for k, name in enumerate(names)}
     if not {"nose", "left_ankle", "right_ankle"} <= at.keys():
         return np.zeros(0, bool)

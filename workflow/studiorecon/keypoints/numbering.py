@@ -31,7 +31,7 @@ class Numbering:
     """One way in which numbers count a film's frames.
 
     Attributes:
-        frame_of: (P,) frame of every picture; below 0 or beyond the film where it has no such frame.
+        frame_of: frame of every picture; below 0 or beyond the film where it has no such frame.
         first: the number of the film's first frame.
         words: how the numbers are read, for messages; "" where they count from 0, or as the user configured.
     """

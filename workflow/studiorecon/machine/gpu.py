@@ -24,7 +24,7 @@ _HELD: list[TextIO] = []
 
 
 def claim() -> None:
-    """Make one GPU the only visible one for this process if there are several; call it before CUDA is initialised.
+    """Make one of several GPUs the only visible one for this process; call it before CUDA is initialised.
 
     If the environment names one GPU, or none, the choice is already made.
     """

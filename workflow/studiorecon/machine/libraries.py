@@ -29,10 +29,9 @@ SOME_MACHINES = ("pycolmap", "embreex", "ezc3d")
 
 
 def missing_library(error: BaseException) -> str | None:
-    """The import name of the library whose loading ended in ``error``; None for another error, and for our own modules.
+    """The import name of the library whose loading ended in ``error``; None for another error, and our own modules.
 
-    Python names a missing module; for a shared object that the system's loader did not find, only the stack shows the
-    library.
+    Python names a missing module; for a shared object that the system's loader did not find, only the stack shows it.
     """
     if isinstance(error, ImportError) and error.name:
         library = error.name.partition(".")[0]

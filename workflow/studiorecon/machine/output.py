@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Output streams that cannot fail: unencodable characters are replaced, and output without a reader (``| head -1``) or
-to a closed descriptor (``>&-``) is dropped.
-"""
+"""Output streams that cannot fail: unencodable characters are replaced, output without a reader is dropped."""
 
 from __future__ import annotations
 

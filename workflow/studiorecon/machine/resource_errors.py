@@ -40,11 +40,7 @@ def without_thread(error: BaseException) -> bool:
 
 
 def is_memory_error(error: BaseException) -> bool:
-    """Whether ``error`` is a sign of too little memory.
-
-    It knows those of Python and numpy, OpenCV, decoders that start no thread, ONNX Runtime, the system's loader of
-    libraries, and of processes that the system killed.
-    """
+    """Whether ``error`` is a sign of too little memory, of Python or one of the libraries, or a killed process."""
     if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _NO_MEMORY):
         return True
     if type(error).__module__ == "cv2":
@@ -83,10 +79,7 @@ def describe_resource_error(error: BaseException) -> str | None:
 
 
 def memory_note() -> str | None:
-    """A hint for any error in a process that has used most of its memory limit (ulimit -v); None without a limit.
-
-    Without memory, libraries fail with all kinds of messages.
-    """
+    """A hint for any error in a process that has used most of its memory limit (ulimit -v); None without a limit."""
     allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
     try:
         found = re.search(r"^VmPeak:\s+(\d+) kB", Path("/proc/self/status").read_text(encoding="utf-8"), re.M)

@@ -30,7 +30,7 @@ class DetectorMasks:
     Attributes:
         found: the detector's file, with masks.
         rows: (frame, person) → row of the file.
-        in_footage: (H, W, 2) pixels of the footage at the working pixels' centres.
+        in_footage: pixels of the footage at the working pixels' centres.
     """
 
     found: RawDetections
@@ -38,8 +38,7 @@ class DetectorMasks:
     in_footage: Float[np.ndarray, "H W 2"]
 
     def evidence(self, frame: int, names: Sequence[str]) -> Float[np.ndarray, "H W"]:
-        """(H, W) float32 log-odds that one of ``names`` is at a pixel: the most confident mask; 0 where no mask
-        reaches."""
+        """Float32 log-odds that one of ``names`` is at a pixel: the most confident mask; 0 where no mask reaches."""
         total = np.zeros(self.in_footage.shape[:2], np.float32)
         heard = np.zeros(total.shape, bool)
         for row in (self.rows[frame, name] for name in names if (frame, name) in self.rows):

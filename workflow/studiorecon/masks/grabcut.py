@@ -42,10 +42,10 @@ def cut_unknown(
     unknown: Bool[np.ndarray, "H W"],
     settings: CutSettings,
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 ``evidence`` with GrabCut's result added at ``unknown`` pixels, otherwise unchanged.
+    """Float32 ``evidence`` with GrabCut's result added at ``unknown`` pixels, otherwise unchanged.
 
-    ``rgb`` (H, W, 3) uint8; ``evidence`` (H, W) log-odds, −inf where no person can be. Without enough seeds of both
-    kinds the evidence is unchanged. Costs ~0.1 µs per pixel and round, on a box around the candidates.
+    ``rgb`` uint8; ``evidence`` log-odds, −inf where no person can be. Without enough seeds of both kinds the evidence
+    is unchanged. Costs ~0.1 µs per pixel and round, on a box around the candidates.
     """
     candidates = unknown & np.isfinite(evidence)
     if settings.rounds <= 0 or not candidates.any():

@@ -92,7 +92,7 @@ class Settings:
 def person_evidence(
     depths_m: Float[np.ndarray, "K H W"], camera: Camera, valid: Sequence[bool], settings: OutlineSettings
 ) -> tuple[Float[np.ndarray, "K H W"], Float[np.ndarray, "K H W"]]:
-    """(K, H, W) log-odds from each body's depth picture (0 = absent), and (K, H, W) its signed distance in metres.
+    """Log-odds from each body's depth picture (0 = absent), and its signed distance in metres.
 
     A body that was filled in between measured frames (not ``valid``) is never evidence for a person, and its sigma is
     doubled.
@@ -121,7 +121,7 @@ def segment_frame(
     settings: Settings,
     network: Float[np.ndarray, "H W"] | None = None,
 ) -> Integer[np.ndarray, "H W"]:
-    """(H, W) uint8 labels of a picture (H, W, 3) uint8; ``difference`` is its ``colour_difference`` to the plate.
+    """Labels of a picture (H, W, 3) uint8; ``difference`` is its ``colour_difference`` to the plate.
 
     ``network``: (H, W) log-odds of the detector's masks, if there are any.
     """
@@ -153,7 +153,7 @@ def segment_frame(
 def edge_aware_average(
     evidence: Float[np.ndarray, "H W"], rgb: Integer[np.ndarray, "H W 3"], radius_px: int
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) evidence averaged over ``radius_px`` without crossing edges of the picture; −inf stays −inf."""
+    """Evidence averaged over ``radius_px`` without crossing edges of the picture; −inf stays −inf."""
     possible = np.isfinite(evidence)
     if radius_px <= 0 or not possible.any():
         return evidence
@@ -198,7 +198,7 @@ class Bodies:
         return map(self.depths, range(self.count))
 
     def depths(self, frame: int) -> Float[np.ndarray, "K H W"]:
-        """(K, H, W) z-depth of each body at one frame."""
+        """Z-depth of each body at one frame."""
         return body_depths(self.people, self.body, self.camera, frame)
 
 
@@ -211,8 +211,7 @@ def segment(
     things: Sequence[RigidObject] = (),
     seen: DetectorMasks | None = None,
 ) -> Iterator[Integer[np.ndarray, "H W"]]:
-    """(H, W) uint8 labels of every frame (T, H, W, 3) uint8; pixels of ``things`` are unassigned; ``seen``: the
-    detector's masks."""
+    """Labels of every frame (T, H, W, 3) uint8; pixels of ``things`` are unassigned; ``seen``: the detector's masks."""
     plate = Plate(plate_rgb, measured, np.zeros(measured.shape, np.float32))
     chosen = evenly_spread(len(frames), _UNREST_FRAMES)
     free = []
@@ -233,7 +232,7 @@ def segment(
 
 
 def body_depths(people: Sequence[Person], body: BodyModel, camera: Camera, frame: int) -> Float[np.ndarray, "K H W"]:
-    """(K, H, W) float32 z-depth of each fitted body at one frame, 0 outside of it; empty for people who are away."""
+    """Float32 z-depth of each fitted body at one frame, 0 outside of it; empty for people who are away."""
     depths = np.zeros((len(people), *camera.hw), np.float32)
     for k, person in enumerate(people):
         if not person.present[frame]:

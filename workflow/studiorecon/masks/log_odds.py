@@ -59,7 +59,7 @@ class Plate:
 def colour_difference(
     rgb: Float[np.ndarray, "H W 3"], plate_rgb: Float[np.ndarray, "H W 3"], settings: DifferenceSettings
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 difference between a picture and the plate, both (H, W, 3) float32 in [0, 1], in CIELAB units.
+    """Float32 difference between a picture and the plate, both float32 in [0, 1], in CIELAB units.
 
     A shadow darkens all channels by one factor. The best such factor, no darker than ``settings.shadow``, is removed
     first and counts only by ``shadow_weight``; the rest cannot be a shadow.
@@ -71,7 +71,7 @@ def colour_difference(
 def difference_evidence(
     difference: Float[np.ndarray, "H W"], plate: Plate, settings: DifferenceSettings
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 log-odds from the difference to the plate; 0 where the plate is not measured.
+    """Float32 log-odds from the difference to the plate; 0 where the plate is not measured.
 
     An outline is where the difference has fallen to a share ``edge`` of its value just inside: optics and chroma
     subsampling spread a person's colour one or two pixels beyond it. Positive evidence is a pixel's own. Negative
@@ -96,7 +96,7 @@ def difference_evidence(
 def temporal_difference(
     differences: Float[np.ndarray, "T H W"], free: Bool[np.ndarray, "T H W"]
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 80th percentile of differences (T, H, W) over the pictures in which a pixel is ``free`` (T, H, W).
+    """Float32 80th percentile of differences over the pictures in which a pixel is ``free``.
 
     Pixels that are never free get the median of the others.
     """

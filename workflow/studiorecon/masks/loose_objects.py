@@ -26,10 +26,10 @@ def subtract_objects(
     camera: Camera,
     frame: int,
 ) -> Integer[np.ndarray, "H W"]:
-    """(H, W) uint8 labels of one frame with the objects' pixels unassigned.
+    """Labels of one frame with the objects' pixels unassigned.
 
-    ``depths_m`` (K, H, W) are the bodies' z-depths, 0 = absent. An object in front of a body hides it, whatever the
-    label. Outside of all bodies it takes pixels labelled as a person; a body in front of the object keeps its pixels.
+    ``depths_m`` are the bodies' z-depths, 0 = absent. An object in front of a body hides it, whatever the label.
+    Outside of all bodies it takes pixels labelled as a person; a body in front of the object keeps its pixels.
     """
     labels = labels.copy()
     front = np.where(depths_m > 0, depths_m, np.inf).min(axis=0, initial=np.inf)

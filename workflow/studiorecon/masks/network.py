@@ -53,8 +53,7 @@ class Settings:
 def to_uint8_labels(
     maps: Iterable[Integer[np.ndarray, "H W"]], found: set[int]
 ) -> Iterator[Integer[np.ndarray, "H W"]]:
-    """Yields label maps (H, W) as uint8; numbers beyond 254 become background, and ``found`` collects all that
-    occurred."""
+    """Yields label maps as uint8; numbers beyond 254 become background, and ``found`` collects all that occurred."""
     for labels in maps:
         found.update(np.unique(labels[labels > 0]).tolist())
         yield np.where(labels <= _MAX, labels, 0).astype(np.uint8)

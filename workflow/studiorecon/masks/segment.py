@@ -156,14 +156,14 @@ def _by_plate(
 def count_labels(
     labels: Iterable[Integer[np.ndarray, "H W"]], pixels: Integer[np.ndarray, " 256"]
 ) -> Iterator[Integer[np.ndarray, "H W"]]:
-    """Yields the labels unchanged; adds the number of pixels per label to ``pixels`` (256,)."""
+    """Yields the labels unchanged; adds the number of pixels per label to ``pixels``."""
     for own in labels:
         pixels += np.bincount(own.ravel(), minlength=256)
         yield own
 
 
 def describe(pixels: Integer[np.ndarray, " 256"], names: Sequence[str], measured: float) -> str:
-    """What the masks hold, from how many pixels have which label (256,)."""
+    """What the masks hold, from how many pixels have which label."""
     shares = [f"{name} {pixels[k + 1] / pixels.sum():.1%}" for k, name in enumerate(names)]
     how = (
         "against the clean plate"

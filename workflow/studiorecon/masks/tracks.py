@@ -22,8 +22,8 @@ MIN_SHARE = 0.3
 def assign_people(
     labels: Iterable[Integer[np.ndarray, "H W"]], depths_m: Iterable[Float[np.ndarray, "K H W"]], people: int
 ) -> tuple[Iterator[Integer[np.ndarray, "H W"]], str]:
-    """(H, W) uint8 masks with this project's labels from a network's numbers (H, W), frame by frame, and a sentence on
-    the match.
+    """(H, W) uint8 masks with this project's labels from a network's numbers, frame by frame, and a sentence on the
+    match.
 
     ``labels`` are read twice. ``depths_m``: (K, H, W) depth of the fitted bodies, frame by frame. Numbers that match no
     person are 255.
@@ -50,7 +50,7 @@ def overlaps(
     """(256, 1 + people) pixels per number over all frames: outside of all bodies, and on the body of each person in
     front.
 
-    Raises ValueError when there are not as many ``labels`` (H, W) as ``depths_m`` (K, H, W).
+    Raises ValueError when there are not as many ``labels`` as ``depths_m``.
     """
     overlap = np.zeros((256, people + 1), np.int64)
     for label, depth_m in zip(labels, depths_m, strict=True):

@@ -131,8 +131,7 @@ def _call(command: list[str], root: Path, image: ContainerImage) -> str:
 
 def run(images: list[str], root: Place, folder: Place) -> None:
     """Build ``images`` (``NAME=ADDRESS:VERSION``) from their folders in ``root``/envs; apptainer's files go into
-    ``folder``.
-    """
+    ``folder``."""
     chosen = engine()
     say(f"images are built by {chosen}")
     for image in map(read_image, images):

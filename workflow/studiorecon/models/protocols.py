@@ -47,10 +47,10 @@ class Bodies:
     """People of one frame from a body estimator, in its camera's frame.
 
     Attributes:
-        tracks: (P,) identity of each within its camera, 0-based.
+        tracks: identity of each within its camera, 0-based.
         shapes: (P, 10). ``poses_rad``: (P, 24, 3) axis-angles, the root first. ``translations_m``: (P, 3), SMPL's own,
             which is not the pelvis. ``pelvises_m``: (P, 3) pelvis joint.
-        joints_px: (P, J, 2) pixels, centres at +0.5. ``confidences``: (P,) in [0, 1].
+        joints_px: pixels, centres at +0.5. ``confidences``: (P,) in [0, 1].
     """
 
     tracks: Integer[np.ndarray, " P"]
@@ -69,8 +69,8 @@ class Moment:
     Attributes:
         camera: the picture's camera.
         frame: (fractional) frame of the capture it shows.
-        depth_m: (H, W) rendered depth, 0 = unknown.
-        injected: (H, W) share of the input that comes from earlier outputs, which were already enhanced.
+        depth_m: rendered depth, 0 = unknown.
+        injected: share of the input that comes from earlier outputs, which were already enhanced.
     """
 
     camera: Camera
@@ -85,7 +85,7 @@ class KeyFrame:
 
     Attributes:
         camera: at the network's size.
-        rgb: (H, W, 3) colours in [0, 1]. ``depth_m``: (H, W) z-depth, 0 = unknown. ``usable``: (H, W) valid pixels.
+        rgb: colours in [0, 1]. ``depth_m``: (H, W) z-depth, 0 = unknown. ``usable``: (H, W) valid pixels.
     """
 
     camera: Camera
@@ -106,7 +106,7 @@ class MonocularDepth(Protocol):
     """Estimates depth of one picture: MoGe; or its inverse, up to scale and shift (kind "inverse depth")."""
 
     def depth(self, picture: Integer[np.ndarray, "H W 3"], focal_px: float | None) -> Float[np.ndarray, "H W"]:
-        """(H, W) float32 depth (or inverse depth) of a uint8 picture, 0 = unknown; ``focal_px``: horizontal, when it is
+        """Float32 depth (or inverse depth) of a uint8 picture, 0 = unknown; ``focal_px``: horizontal, when it is
         known."""
         ...
 
@@ -115,7 +115,7 @@ class PersonSegmenter(Protocol):
     """Segments people: SAM 3."""
 
     def segment(self, frames: Iterable[Integer[np.ndarray, "H W 3"]]) -> Iterator[Integer[np.ndarray, "H W"]]:
-        """(H, W) uint16 per uint8 frame: 0 = nobody, else 1 + the person's number, the same through the clip."""
+        """Uint16 per uint8 frame: 0 = nobody, else 1 + the person's number, the same through the clip."""
         ...
 
 
@@ -128,8 +128,7 @@ class BodyEstimator(Protocol):
     @staticmethod
     def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[tuple[int, Bodies]]:
         """(frame, bodies) from a file of the network's own arrays, called ``where`` in messages; raises UserError for
-        missing arrays.
-        """
+        missing arrays."""
         ...
 
     def bodies(
@@ -155,8 +154,7 @@ class ViewSynthesizer(Protocol):
     @staticmethod
     def request(key_frames: Sequence[KeyFrame], path: Sequence[Camera]) -> dict[str, Shaped[np.ndarray, " ..."]]:
         """The request for a film along ``path`` from photos, all of size ``hw``; raises UserError for a path that it
-        cannot follow.
-        """
+        cannot follow."""
         ...
 
     @staticmethod
@@ -167,24 +165,22 @@ class ViewSynthesizer(Protocol):
     @staticmethod
     def evidence(request: dict[str, Shaped[np.ndarray, " ..."]]) -> str:
         """The result of re-rendering a checked request, in a sentence; raises UserError when it is not worth a GPU
-        hour.
-        """
+        hour."""
         ...
 
     def views(self, request: dict[str, Shaped[np.ndarray, " ..."]]) -> Iterator[Integer[np.ndarray, "t H W 3"]]:
-        """(t, H, W, 3) uint8 parts of the requested film, in order."""
+        """Parts of the requested film, in order."""
         ...
 
 
 class Enhancer(Protocol):
     """Improves a rendered picture with a real photo for reference: Difix3D+, Fixer, and the embedded residual
-    transfer.
-    """
+    transfer."""
 
     def enhance(
         self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
     ) -> Float[np.ndarray, "H W 3"]:
-        """The enhanced (H, W, 3) float32 picture of ``image``; ``reference`` is a photo (h, w, 3) of the same time."""
+        """The enhanced float32 picture of ``image``; ``reference`` is a photo of the same time."""
         ...
 
 
@@ -194,9 +190,8 @@ class Flow(Protocol):
     def flow(
         self, first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]
     ) -> Float[np.ndarray, "H W 2"]:
-        """(H, W, 2) float32 flow from the first to the second uint8 picture: p of the first shows the same as p +
-        flow(p) of the second.
-        """
+        """Float32 flow from the first to the second uint8 picture: p of the first shows the same as p + flow(p) of the
+        second."""
         ...
 
 
@@ -216,6 +211,6 @@ class CanonicalAvatar(Protocol):
     """Makes a person's Gaussians in a rest pose from one photo: LHM."""
 
     def avatar(self, photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"]) -> Gaussians:
-        """Gaussians in the body's rest pose and axes (x left, y up, z forward), from a uint8 photo and the (H, W) mask
-        of the person."""
+        """Gaussians in the body's rest pose and axes (x left, y up, z forward), from a uint8 photo and the mask of the
+        person."""
         ...

@@ -36,8 +36,7 @@ def reach_m(looks: Sequence[ObjectCrop]) -> float:
 
 
 def carve(looks: Sequence[ObjectCrop], count: int) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], float]:
-    """(N, 3) points on the surface in the object's frame, metres, N about ``count``; outward normals (N, 3); spacing,
-    metres.
+    """Points on the surface in the object's frame, metres, about ``count``; outward normals; spacing, metres.
 
     There are no points where the crops leave nothing.
     """
@@ -90,8 +89,7 @@ def _surface(looks: Sequence[ObjectCrop], half_m: float, cells: int) -> tuple[np
 
 
 def init_carved_surface(looks: Sequence[ObjectCrop], count: int) -> tuple[Gaussians, Bool[np.ndarray, " N"]] | None:
-    """Discs on the carved surface in the crops' colours, and (N,) bool whether a crop shows them; None where nothing is
-    left.
+    """Discs on the carved surface, and whether a crop shows each; None where nothing is left.
 
     A disc that no crop shows takes the colour of the nearest one shown.
     """

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``objects.find``: finds loose and carried objects as rigid sets of Gaussians, tracked by their difference from the
-plates.
+"""``objects.find``: finds loose and carried objects as rigid sets of Gaussians that differ from the plates.
 
 Writes ``objects/objects.npz`` (``splatting/rigid_object.py``), possibly without any object: with fewer than two cameras
 an object has no position in space.
@@ -80,9 +79,9 @@ class Settings:
 
 @dataclass(frozen=True)
 class ObjectView:
-    """One training camera at the searched size: its film, its clean plate (H, W, 3) in [0, 1], and ``measured`` (H, W).
+    """One training camera at the searched size: film, clean plate in [0, 1], and where that is ``measured``.
 
-    ``usual`` (H, W) is how much its pictures differ from the plate when nothing is there.
+    ``usual`` is how much its pictures differ from the plate when nothing is there.
     """
 
     camera: Camera
@@ -102,7 +101,7 @@ def objects_in(
 ) -> list[RigidObject]:
     """The objects that move through a clip.
 
-    ``moments`` are, frame by frame, every view's picture (H, W, 3) uint8 and the region of people (H, W) bool.
+    ``moments`` are, frame by frame, every view's picture and the region of people.
     """
     cameras = [view.camera for view in views]
     found: list[tuple[int, list[Sighting]]] = []
@@ -189,8 +188,7 @@ def _turning(
     settings: Settings,
     threads: int,
 ) -> tuple[RigidObject, str] | None:
-    """A turning object and a message; None where ``still`` fits the validation crops ``apart`` as well, or the gain is
-    too small."""
+    """A turning object and a message; None where ``still`` fits the validation crops ``apart`` nearly as well."""
     if settings.turn.gain_db >= NEVER_DB:
         return None
     rng = np.random.default_rng([settings.seed, int(still.person[1:]), 1])
@@ -245,8 +243,7 @@ def read_moments(
     step: int = 1,
     factors: Factors = NONE,
 ) -> Moments:
-    """Every ``step``-th frame: every view's picture at the searched size, divided by its exposure's ``factors``, and
-    the region of people."""
+    """Every ``step``-th frame: every view's picture at the searched size without ``factors``, and people's region."""
     films = zip(*(read_frames(view.video, 0, frames) for view in views), strict=True)
     for frame, filmed in enumerate(progress(films, "loose things", frames)):
         if frame % step:
@@ -284,8 +281,7 @@ def run(
     gains: list[Path] | None = None,
     brightness: list[Path] | None = None,
 ) -> None:
-    """Find, track and model the objects of a scene; ``fits`` are the fitted bodies, which explain differences from the
-    plates.
+    """Find, track and model a scene's objects; the fitted bodies ``fits`` explain differences from the plates.
 
     The cameras' ``gains`` and the frames' ``brightness`` are divided out of the pictures, the gains out of the plates
     too.

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tracks objects over time: links sightings of successive moments, then estimates positions with one radius per
-track."""
+"""Tracks objects: links sightings of successive moments, then estimates positions with one radius per track."""
 
 from __future__ import annotations
 
@@ -43,8 +42,8 @@ class FollowSettings:
 
 @dataclass(frozen=True)
 class ObjectTrack:
-    """An object over time: ``centres_m`` (T, 3), ``valid`` and ``present`` (T,) as in ``RigidObject``; ``seen``:
-    sightings by frame.
+    """An object over time; ``centres_m``, ``valid`` and ``present`` as in ``RigidObject``; ``seen``: sightings by
+    frame.
 
     ``round`` is whether its outlines are those of a sphere; other objects are at the intersection of the rays through
     their regions' middles.
@@ -94,9 +93,8 @@ def track_object(
 ) -> ObjectTrack | str:
     """The track of an object over all ``frames``, or a sentence why it is rejected.
 
-    The radius is the median of the moments in which no person occludes it. With this radius fixed, every moment's
-    outlines give the middle. Nothing is smoothed over time: outlines fix the middle within millimetres, and a bounce is
-    not smooth.
+    The radius is the median of the moments in which no person occludes it; with it every moment's outlines give the
+    middle. Nothing is smoothed over time: outlines fix the middle within millimetres, and a bounce is not smooth.
     """
     free = [sighting for _, sighting in track if sighting.free >= 2]
     least = max(2.0, settings.min_s * fps)
@@ -128,8 +126,7 @@ def track_object(
 def _spheres(
     track: Sequence[tuple[int, Sighting]], free: Sequence[Sighting], cameras: Sequence[Camera], frames: int
 ) -> tuple[float, np.ndarray, bool]:
-    """The radius of most unoccluded sightings, (T, 3) centres of spheres of that radius (NaN for none), and whether it
-    is a sphere."""
+    """The radius of most unoccluded sightings, centres of spheres of that radius (NaN for none), and if it is one."""
     centres = np.full((frames, 3), np.nan)
     fits = np.array([sphere(cameras, sighting)[1:] for sighting in free])
     fits = fits[np.isfinite(fits).all(axis=1)]
@@ -149,7 +146,7 @@ def _spheres(
 def _middles(
     track: Sequence[tuple[int, Sighting]], free: Sequence[Sighting], cameras: Sequence[Camera], frames: int
 ) -> tuple[float, np.ndarray]:
-    """Radius of the disc with the regions' usual area, and (T, 3) points nearest to the rays through their middles.
+    """Radius of the disc with the regions' usual area, and the points nearest to the rays through their middles.
 
     Where two cameras show unoccluded regions, only these are used: the middle of a visible part is not the object's.
     """
@@ -181,7 +178,7 @@ def _expected(track: Sequence[tuple[int, Sighting]], frame: int) -> np.ndarray:
 
 
 def is_covered(valid: Bool[np.ndarray, " T"], fps: float, settings: FollowSettings) -> Bool[np.ndarray, " T"]:
-    """(T,) bool: measured frames, and the gaps between them that are short enough to be filled."""
+    """Measured frames, and the gaps between them that are short enough to be filled."""
     present, at = valid.copy(), np.flatnonzero(valid)
     for a, b in pairwise(at):
         if b - a - 1 <= round(settings.gap_s * fps):

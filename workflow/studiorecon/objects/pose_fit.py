@@ -36,8 +36,7 @@ _DAMPING = (1e-2, 1e3)
 
 @dataclass(frozen=True)
 class ObjectObservation:
-    """One camera's observation of an object: the crop's ``camera`` in the world, ``rgb`` (h, w, 3) on black, ``mask``
-    and ``weight`` (h, w)."""
+    """One camera's observation of an object: the crop's ``camera``, ``rgb`` on black, ``mask`` and ``weight``."""
 
     camera: Camera
     rgb: Float[np.ndarray, "h w 3"]
@@ -46,8 +45,7 @@ class ObjectObservation:
 
 
 def glimpse(camera: Camera, rgb: Integer[np.ndarray, "h w 3"], state: Integer[np.ndarray, "h w"]) -> ObjectObservation:
-    """The observation of a crop's camera, from ``rgb`` (h, w, 3) uint8 and ``state`` (h, w) as in ``ResidualRegion``;
-    occluded pixels have weight 0."""
+    """The observation of a crop's camera; ``state`` as in ``ResidualRegion``; occluded pixels have weight 0."""
     mask = (state == LOOSE).astype(np.float32)
     return ObjectObservation(camera, to_float(rgb) * mask[..., None], mask, (state != UNKNOWN).astype(np.float32))
 
@@ -61,14 +59,14 @@ class Prior:
     place_m: float
 
     def residuals(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
-        """(6,) differences of a pose (4, 4) from the prior, in deviations."""
+        """Differences of a pose from the prior, in deviations."""
         turn = rotations.log(self.world_from_thing[:3, :3].T @ pose[:3, :3])
         return np.concatenate([turn / self.turn_rad, (pose[:3, 3] - self.world_from_thing[:3, 3]) / self.place_m])
 
 
 def move_pose(pose: Float[np.ndarray, "4 4"], step: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "4 4"]:
-    """A pose (4, 4) turned about its own middle by ``step[:3]``, radians, in its own axes, and shifted by ``step[3:]``,
-    metres."""
+    """A pose turned about its own middle by ``step[:3]``, radians, and shifted by ``step[3:]``, metres, in its own
+    axes."""
     new = pose.copy()
     new[:3, :3] = pose[:3, :3] @ rotations.exp(step[:3])
     new[:3, 3] += step[3:]
@@ -95,7 +93,7 @@ class Fitter:
         blurs_px: Sequence[float],
         steps: int,
     ) -> Float[np.ndarray, "4 4"]:
-        """The pose (4, 4) near ``pose`` that best explains the observations and the prior."""
+        """The pose near ``pose`` that best explains the observations and the prior."""
         for blur_px in blurs_px:
             pose = self._descended(pose, glimpses, prior, blur_px, steps)
         return pose

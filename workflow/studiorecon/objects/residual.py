@@ -47,12 +47,12 @@ class ResidualRegion:
     """One connected loose region of one picture.
 
     Attributes:
-        view: index of the camera; ``centre_px`` (2,) its middle; ``area_px`` its pixels.
-        outline_px: (K, 2) points between its pixels and neighbouring room pixels: its true outline, where no person
-            occludes it.
+        view: index of the camera.
+        centre_px, area_px: its middle and its pixels.
+        outline_px: points between its pixels and neighbouring room pixels: its true outline, where not occluded.
         free: whether room surrounds it: no person next to it, and all of it in the picture.
-        corner: (2,) column and row of the crop's first pixel; ``rgb`` (h, w, 3) uint8 and ``state`` (h, w) uint8 the
-            crop around it, with other regions as UNKNOWN.
+        corner: column and row of the first pixel of the crop around it, ``rgb``.
+        state: of the crop's pixels, with other regions as UNKNOWN.
     """
 
     view: int
@@ -68,7 +68,7 @@ class ResidualRegion:
 def difference(
     rgb: Integer[np.ndarray, "H W 3"], plate: Float[np.ndarray, "H W 3"], settings: LooseSettings
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 difference of a picture (H, W, 3) uint8 from the plate (H, W, 3) in [0, 1], CIELAB units.
+    """Float32 difference of a picture from the plate in [0, 1], CIELAB units.
 
     A shadow, one factor of all channels, is removed first.
     """
@@ -79,7 +79,7 @@ def difference(
 def usual_difference(
     differences: Sequence[Float[np.ndarray, "H W"]], explained: Sequence[Bool[np.ndarray, "H W"]]
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 difference that a pixel has in most pictures without people; 0 where people always cover it.
+    """Float32 difference that a pixel has in most pictures without people; 0 where people always cover it.
 
     Compression of fine patterns and errors of the plate cause it.
     """
@@ -96,10 +96,10 @@ def states(
     explained: Bool[np.ndarray, "H W"],
     settings: LooseSettings,
 ) -> Integer[np.ndarray, "H W"]:
-    """(H, W) uint8 state of every pixel of a picture.
+    """State of every pixel of a picture, from its ``difference``.
 
-    ``differing`` (H, W) is its ``difference``. ``usual`` is its ``usual_difference``, used up to twice the threshold:
-    more is an object that never moved. The plate is ``measured`` (H, W); ``explained`` (H, W) bool is where people are.
+    ``usual`` is its ``usual_difference``, used up to twice the threshold: more is an object that never moved. The plate
+    is ``measured``; ``explained`` is where people are.
     """
     quiet = differing - np.minimum(usual, 2 * settings.difference)
     plain = cv2.medianBlur((quiet > settings.difference).astype(np.uint8), 3)
@@ -153,7 +153,7 @@ def regions(
 
 
 def outline_points(state: Integer[np.ndarray, "H W"]) -> Float[np.ndarray, "K 2"]:
-    """(K, 2) middles of the edges between loose pixels and room pixels."""
+    """Middles of the edges between loose pixels and room pixels."""
     points = []
     for axis in (0, 1):
         first = state[:-1] if axis == 0 else state[:, :-1]

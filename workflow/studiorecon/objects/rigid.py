@@ -56,9 +56,9 @@ class ObjectCrop:
 
     Attributes:
         frame, view: moment and index of the camera.
-        corner: (2,) column and row of the crop's first pixel.
+        corner: column and row of the crop's first pixel.
         camera: the crop's camera in the object's frame.
-        rgb: (h, w, 3) uint8; ``state`` (h, w) uint8 as in ``ResidualRegion``.
+        state: as in ``ResidualRegion``.
     """
 
     frame: int
@@ -85,7 +85,7 @@ def unoccluded_crops(track: ObjectTrack, cameras: Sequence[Camera]) -> list[Obje
 
 
 def at_pose(look: ObjectCrop, cameras: Sequence[Camera], world_from_thing: Float[np.ndarray, "4 4"]) -> ObjectCrop:
-    """A crop with its camera in the object's frame, for the object at pose ``world_from_thing`` (4, 4)."""
+    """A crop with its camera in the object's frame, for the object at pose ``world_from_thing``."""
     camera = cameras[look.view]
     intrinsics = camera.intrinsics.copy()
     intrinsics[:2, 2] -= look.corner
@@ -99,7 +99,7 @@ def validation_split(looks: Sequence[ObjectCrop]) -> list[ObjectCrop]:
 
 
 def outline_reach_m(look: ObjectCrop) -> Float[np.ndarray, " K"]:
-    """(K,) distances from the middle at which the rays through a crop's outline pass."""
+    """Distances from the middle at which the rays through a crop's outline pass."""
     points = outline_points(look.state)
     rays = look.camera.unproject(points, np.ones(len(points))) - look.camera.centre_m
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -109,8 +109,7 @@ def outline_reach_m(look: ObjectCrop) -> Float[np.ndarray, " K"]:
 def mean_colours(
     points_m: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], looks: Sequence[ObjectCrop]
 ) -> tuple[Float[np.ndarray, "N 3"], Bool[np.ndarray, " N"]]:
-    """(N, 3) mean colours of points from the crops that face them, and (N,) bool whether one does; the others get the
-    mean colour."""
+    """Mean colours of points from the crops that face them, and whether one does; the others get the mean colour."""
     sums, weights = np.zeros((len(points_m), 3)), np.zeros(len(points_m))
     for look in looks:
         away = look.camera.centre_m - points_m
@@ -135,8 +134,7 @@ def train_object(
     threads: int,
     label: str,
 ) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
-    """Gaussians of an object in its own frame, trained on crops from a ``start`` (``init_carved_surface``), and their
-    provenance (N,)."""
+    """Gaussians of an object in its own frame, trained on crops from a ``start``, and their provenance."""
     discs_there, seen = start
     targets = [_target(look, i) for i, look in enumerate(looks)]
     largest_m = float(2 * np.exp(discs_there.log_scales.max()))
@@ -156,8 +154,7 @@ def train_object(
 
 
 def mean_squared_errors(gaussians: Gaussians, looks: Sequence[ObjectCrop], threads: int) -> tuple[float, float]:
-    """Mean squared errors of crops: inside the object, and of the whole crop, with outlines and surroundings; NaN
-    without any."""
+    """Mean squared errors of crops, inside the object and of the whole crop; NaN without any."""
     rasteriser, squares, counts = Rasteriser(near_m=NEAR_M, threads=threads), np.zeros(2), np.zeros(2)
     for look in looks:
         target = _target(look, 0)
@@ -171,7 +168,7 @@ def mean_squared_errors(gaussians: Gaussians, looks: Sequence[ObjectCrop], threa
 
 
 def _whole(region: ResidualRegion, track: ObjectTrack, frame: int, camera: Camera) -> bool:
-    """Whether a region has about the object's area: another object may occlude it or be merged with it.
+    """Whether a region has about the object's area, so that no other object occludes it or is merged with it.
 
     Objects that are not round have areas of all sizes.
     """

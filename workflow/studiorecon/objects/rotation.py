@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An object's rotation over time: a shape from the moment that shows it best, tracked both ways, then refined from all
-moments.
+"""An object's rotation over time: a shape from the moment that shows it best, tracked both ways, then refined.
 
 Each moment's pose is fitted to colours and outlines in all views at once (``pose_fit``), with a prior from neighbouring
 moments. So a rotation that a view does not determine, such as a stick's about its own length, does not drift.
@@ -45,11 +44,7 @@ NEVER_DB = 100.0
 
 @dataclass(frozen=True)
 class TurnSettings:
-    """Settings of the estimate of rotations.
-
-    Attributes:
-        rad_s2: typical largest angular acceleration.
-    """
+    """Settings of the estimate of rotations; ``rad_s2`` is the typical largest angular acceleration."""
 
     rad_s2: float = 60.0
     gain_db: float = setting(
@@ -63,8 +58,7 @@ class TurnSettings:
 
 @dataclass(frozen=True)
 class RigidMotion:
-    """``world_from_thing`` (T, 4, 4), and the frames (T,) in which it was ``measured``; other present frames are
-    interpolated."""
+    """``world_from_thing``, and the frames in which it was ``measured``; other present frames are interpolated."""
 
     world_from_thing: Float[np.ndarray, "T 4 4"]
     measured: Bool[np.ndarray, " T"]
@@ -79,8 +73,7 @@ def track_rotation(
     rng: np.random.Generator,
     threads: int,
 ) -> RigidMotion | None:
-    """A track's rotation over time, without the validation crops (frame, view) of ``apart``; None if it is still or
-    undetermined.
+    """A track's rotation over time without the validation crops ``apart``; None if it is still or undetermined.
 
     Some 0.1 s per frame and view; ``rng`` is for the training of its shape.
     """
@@ -138,8 +131,7 @@ def _glimpses(
 
 
 def _best_shown(looks: Sequence[ObjectCrop], cameras: Sequence[Camera], still: np.ndarray) -> list[ObjectCrop]:
-    """The crops of the moment with the smallest hull: no hull is smaller than the object. Of the moments that most
-    cameras show."""
+    """The crops of the moment with the smallest hull, which contains the object, among those that most cameras show."""
     by_frame: dict[int, list[ObjectCrop]] = {}
     for look in looks:
         by_frame.setdefault(look.frame, []).append(at_pose(look, cameras, still[look.frame]))

@@ -32,8 +32,7 @@ _NEAR_M = 0.1
 
 @dataclass(frozen=True)
 class Sighting:
-    """An object at one moment: its middle (3,), radius, and its region by view. ``free`` counts views without
-    occlusion."""
+    """An object at one moment: middle, radius, and region by view; ``free`` counts views without occlusion."""
 
     centre_m: Float[np.ndarray, " 3"]
     radius_m: float
@@ -51,8 +50,7 @@ def sightings(
     gate_m: float,
     radius_m: tuple[float, float],
 ) -> list[Sighting]:
-    """Objects of one moment that at least two cameras show, best first; at most one of three or more cameras may see
-    room there.
+    """Objects of one moment that at least two cameras show, best first; at most one of three may see room there.
 
     ``states`` are every camera's ``residual.states``; rays of one object pass within ``gate_m``.
     """
@@ -85,8 +83,7 @@ def sightings(
 def sphere(
     cameras: Sequence[Camera], sighting: Sighting, radius_m: float | None = None
 ) -> tuple[Float[np.ndarray, " 3"], float, float]:
-    """Middle (3,) and radius of the sphere that best fits a sighting's outlines, and their root mean square error in
-    pixels.
+    """Middle and radius of the sphere that best fits a sighting's outlines, and their root mean square error in pixels.
 
     ``radius_m`` fixes the radius. NaN where no two cameras show enough of an outline, or the fit diverges.
     """
@@ -131,8 +128,7 @@ def sphere(
 
 
 def _meeting(one: Camera, a: ResidualRegion, two: Camera, b: ResidualRegion) -> tuple[np.ndarray | None, float]:
-    """(3,) middle of the shortest line between the rays of two regions, and its length; None behind a camera or for
-    parallel rays."""
+    """Middle of the shortest line between two regions' rays, and its length; None behind a camera, or if parallel."""
     u, v = (c.unproject(r.centre_px, np.ones(())) - c.centre_m for c, r in ((one, a), (two, b)))
     u, v = u / np.linalg.norm(u), v / np.linalg.norm(v)
     between, cosine = two.centre_m - one.centre_m, float(u @ v)

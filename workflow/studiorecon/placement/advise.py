@@ -18,8 +18,7 @@ from studiorecon.signature import Written
 
 
 def run(model: Path, picture: Written, plan: Written) -> None:
-    """Write the advice and its picture for ``model``, a ``cameras/images.txt``; the room is the box around the cameras,
-    floor at z = 0."""
+    """Write the advice and its picture for ``model``, a ``cameras/images.txt``; the room is a box around them."""
     cameras = read_model(model.parent)
     if len(cameras) < 2:
         raise UserError(f"{model} has {len(cameras)} camera, which cannot measure distance: no advice is possible")

@@ -35,7 +35,6 @@ class Move:
     """One camera's better pose, all others staying.
 
     Attributes:
-        camera: its name.
         words: "move cam3 60 cm left and tilt it 6° down", as seen from behind the camera.
         better: the camera there.
         gain: share by which the rig's cost falls.
@@ -54,7 +53,7 @@ def lens(name: str, hfov_deg: float, wh: tuple[int, int]) -> Camera:
 
 
 def with_pose(camera: Camera, eye_m: Float[np.ndarray, " 3"], world_from_camera: Float[np.ndarray, "3 3"]) -> Camera:
-    """The camera at another position (3,), with rotation (3, 3)."""
+    """The camera at another position, with rotation."""
     transform = np.eye(4)
     transform[:3, :3] = world_from_camera.T
     transform[:3, 3] = -world_from_camera.T @ eye_m
@@ -64,8 +63,7 @@ def with_pose(camera: Camera, eye_m: Float[np.ndarray, " 3"], world_from_camera:
 def place_cameras(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
     """The lenses at the best of all rings along the room's walls: evenly by walls, at one height, aimed at the middle.
 
-    An even ring is unchanged by half a turn, so symmetric rooms get symmetric rigs. Raises UserError for fewer than two
-    lenses.
+    An even ring is unchanged by half a turn: symmetric rooms get symmetric rigs. Raises UserError below two lenses.
     """
     if len(lenses) < 2:
         raise UserError(f"{len(lenses)} camera cannot measure distance; plan for two or more")
@@ -83,8 +81,7 @@ def place_cameras(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
 
 
 def ring(room: Room, lenses: Sequence[Camera], phase: float, height_m: float, aim_m: float) -> list[Camera]:
-    """Cameras evenly along the walls, each wall a quarter of the way whatever its length; phase 0 has the first in a
-    corner."""
+    """Cameras evenly along the walls, each wall a quarter of the way; phase 0 has the first in a corner."""
     low, high = np.add(room.low_m, _FROM_WALLS_M)[:2], np.subtract(room.high_m, _FROM_WALLS_M)[:2]
     corners = np.array([low, (high[0], low[1]), high, (low[0], high[1]), low])
     floor = room.low_m[2]

@@ -28,10 +28,10 @@ def read_resolution(text: str) -> tuple[int, int]:
 
 
 def run(room: str, cameras: int, hfov_deg: list[float], resolution: str, picture: Path, plan: Path) -> None:
-    """Write a plan and its picture for lenses in a room.
+    """Write a plan and its picture for lenses in a room, with one horizontal field of view for all cameras or each.
 
-    ``hfov_deg`` holds one horizontal field of view for all cameras or one for each. The sides of ``resolution`` are
-    those of upright pictures, so phones held upright use 1080x1920 with the field of view across their short side.
+    The sides of ``resolution`` are those of upright pictures, so phones held upright use 1080x1920 with the field of
+    view across their short side.
     """
     box, wh = read_room(room), read_resolution(resolution)
     if not 2 <= cameras <= _MAX:

@@ -35,15 +35,12 @@ _UNSEEN_WORTH_M = 0.0005
 
 @dataclass(frozen=True)
 class RigQuality:
-    """Quality of a rig. Shares are of the stage's positions or of the room's surface; errors are root mean square
-    distances, metres.
+    """Quality of a rig: shares of the stage's positions or the room's surface, and root mean square errors, metres.
 
     Attributes:
-        two, three: height ("head", "floor") → share that at least two or three cameras see, without a person in the
-            way.
+        two, three: height ("head", "floor") → share that at least two or three cameras see, without a person.
         two_hidden, three_hidden: the same with one person in the way, mean over their positions.
-        error_m, worst_error_m: median and 90 % quantile of the joints' error, with a person in the way; inf where
-            undetermined.
+        error_m, worst_error_m: median and 90 % quantile of the joints' error, with a person in the way; or inf.
         undetermined: share of joints that fewer than two cameras see, or that are off by more than 10 cm.
         unseen: "floor", "walls", "ceiling" and "all" → share that no camera sees while a person is in the middle.
         cost_m: cost of a plan: the joints' mean error, with penalties for undetermined or unverified joints and unseen
@@ -62,7 +59,7 @@ class RigQuality:
 
 
 def is_in_picture(cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "V N"]:
-    """(V, N) bool: the point is in the camera's picture, with occlusion ignored."""
+    """Whether the point is in the camera's picture, with occlusion ignored."""
     found = []
     for camera in cameras:
         pixels, depth = camera.project(points_m)
@@ -72,8 +69,7 @@ def is_in_picture(cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"])
 
 
 def information(cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "V N 3 3"]:
-    """(V, N, 3, 3) Fisher information of every camera about every point, 1/m², for the detector's noise at that
-    distance."""
+    """Fisher information of every camera about every point, 1/m², for the detector's noise at that distance."""
     result = np.empty((len(cameras), len(points_m), 3, 3))
     for camera, own in zip(cameras, result):
         rotation = camera.rotation_camera_from_world
@@ -90,10 +86,9 @@ def information(cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -
 
 
 def errors_m(info: Float[np.ndarray, "V N 3 3"], sees: Bool[np.ndarray, "... V N"]) -> Float[np.ndarray, "... N"]:
-    """(..., N) least error of any unbiased estimate (Cramér, Rao): the root of the trace of the inverse information.
+    """Least error of any unbiased estimate (Cramér, Rao): the root of the trace of the inverse information.
 
-    ``info`` (V, N, 3, 3) is each camera's information, ``sees`` (..., V, N) which of them see the point; inf with fewer
-    than two.
+    ``sees`` is which cameras see the point; inf with fewer than two.
     """
     total = np.einsum("...vn,vnij->...nij", sees.astype(np.float64), info)
     scale = np.trace(total, axis1=-2, axis2=-1)
@@ -119,7 +114,7 @@ class RigEvaluator:
     def sees(
         self, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"], stands_m: Float[np.ndarray, " 2"] | None
     ) -> Bool[np.ndarray, "V N"]:
-        """(V, N) bool: visible points, with a person at ``stands_m``, or without one."""
+        """Visible points, with a person at ``stands_m``, or without one."""
         found = is_in_picture(cameras, points_m)
         if stands_m is None:
             return found
@@ -161,7 +156,7 @@ class RigEvaluator:
         return self.figures(cameras).cost_m
 
     def joint_errors_m(self, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
-        """(N,) error of a joint at every point (N, 3), without a person in the way."""
+        """Error of a joint at every point, without a person in the way."""
         return errors_m(information(cameras, points_m), self.sees(cameras, points_m, None))
 
     def _unseen(self, cameras: Sequence[Camera]) -> dict[str, float]:

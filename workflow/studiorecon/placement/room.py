@@ -30,44 +30,40 @@ _BEHIND_M, _CEILING_M = 0.3, 2.5
 
 @dataclass(frozen=True)
 class Room:
-    """An upright box, the floor at z = low_m[2].
-
-    Attributes:
-        low_m, high_m: (x, y, z) of two opposite corners, metres.
-    """
+    """An upright box between two opposite corners, metres; the floor is at z = low_m[2]."""
 
     low_m: tuple[float, float, float]
     high_m: tuple[float, float, float]
 
     @property
     def size_m(self) -> Float[np.ndarray, " 3"]:
-        """(3,) width, depth and height."""
+        """Width, depth and height."""
         return np.subtract(self.high_m, self.low_m)
 
     @property
     def middle_m(self) -> Float[np.ndarray, " 2"]:
-        """(2,) middle of the floor."""
+        """Middle of the floor."""
         return np.add(self.low_m, self.high_m)[:2] / 2
 
     def stage_m(self) -> Float[np.ndarray, "N 2"]:
-        """(N, 2) positions of people on the floor, on a grid that is symmetric about the middle."""
+        """Positions of people on the floor, on a grid that is symmetric about the middle."""
         half = self.size_m[:2] / 2
         reach = np.maximum(half - _MARGIN_M, half / 2)
         across = [np.linspace(-r, r, max(2 * round(r / _STEP_M) + 1, 3)) for r in reach]
         return self.middle_m + np.stack(np.meshgrid(*across, indexing="ij"), axis=-1).reshape(-1, 2)
 
     def at_height(self, height_m: float) -> Float[np.ndarray, "N 3"]:
-        """(N, 3) the stage's positions at a height above the floor."""
+        """The stage's positions at a height above the floor."""
         stage = self.stage_m()
         return np.column_stack([stage, np.full(len(stage), self.low_m[2] + height_m)])
 
     def bystanders_m(self) -> Float[np.ndarray, "K 2"]:
-        """(K, 2) positions of a person in the way: the stage's middle and half-way to its corners."""
+        """Positions of a person in the way: the stage's middle and half-way to its corners."""
         reach = self.stage_m().max(axis=0) - self.middle_m
         return self.middle_m + np.array([(0, 0), (1, 1), (-1, 1), (-1, -1), (1, -1)]) * reach / 2
 
     def surfaces_m(self) -> dict[str, Float[np.ndarray, "M 3"]]:
-        """(M, 3) points of equal area each on "floor", "walls" and "ceiling"."""
+        """Points of equal area each on "floor", "walls" and "ceiling"."""
         x, y, z = (
             low + (np.arange(count) + 0.5) * (high - low) / count
             for low, high in zip(self.low_m, self.high_m)
@@ -89,17 +85,14 @@ class Room:
         }
 
     def holds(self, place_m: Float[np.ndarray, " 3"], margin_m: float) -> bool:
-        """Whether a position (3,) is inside, with a margin to every side."""
+        """Whether a position is inside, with a margin to every side."""
         return bool(
             (place_m >= np.add(self.low_m, margin_m)).all() and (place_m <= np.subtract(self.high_m, margin_m)).all()
         )
 
 
 def read_room(text: str) -> Room:
-    """The room of ``6x5x2.8``: width, depth and height in metres, one corner of the floor in the origin.
-
-    Raises UserError for other text.
-    """
+    """The room of ``6x5x2.8``, metres, one corner of the floor in the origin; raises UserError for other text."""
     found = re.fullmatch(r"([\d.]+)[x×]([\d.]+)[x×]([\d.]+)", text.strip().lower())
     try:
         size = tuple(float(part) for part in found.groups()) if found else ()
@@ -132,10 +125,9 @@ def is_blocked(
     stands_m: Float[np.ndarray, " 2"],
     floor_m: float,
 ) -> Bool[np.ndarray, "V N"]:
-    """(V, N) bool: a person at (x, y) ``stands_m`` hides point (N, 3) from the eye (V, 3).
+    """Whether a person at (x, y) ``stands_m`` hides the point from the eye.
 
-    The person is a cylinder, intersected with each line of sight exactly: both are upright, so the hidden part of a
-    line is between two roots.
+    The person is a cylinder, intersected with each line of sight exactly.
     """
     start = (eyes_m[:, :2] - stands_m)[:, None]
     along = (points_m[None, :, :2] - eyes_m[:, None, :2]).astype(np.float64)

@@ -28,9 +28,7 @@ _PACE = Path("timings") / "pace.json"
 
 @dataclass(frozen=True)
 class UserChoices:
-    """The user's own settings: ``said`` on the command line and in configuration files, and values of the configuration
-    that differ from the defaults of ``schema``.
-    """
+    """The user's own settings: ``said`` on the command line and in files, and values that differ from ``schema``."""
 
     said: Mapping[str, Any] = field(default_factory=dict)
     schema: Mapping[str, Any] = field(default_factory=dict)
@@ -114,8 +112,7 @@ def choose_preset(
 ) -> Choice:
     """The preset for ``budget_min`` on this machine, whose pace is probed once and kept in ``timings/pace.json``.
 
-    ``said`` holds the settings of command line and configuration files, ``schema`` is the configuration's. Raises
-    UserError where footage cannot be read.
+    ``said`` holds the settings of command line and configuration files. Raises UserError for unreadable footage.
     """
     if plan.networks.selected:
         raise UserError(

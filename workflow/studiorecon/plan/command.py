@@ -46,9 +46,7 @@ def signature(step: str) -> list[tuple[str, str]]:
 
 
 def _fields(kind: str, tree: ast.Module) -> list[tuple[str, str]] | None:
-    """Names and annotations of the fields of one of our dataclasses that a module defines or imports; None for other
-    classes.
-    """
+    """Names and annotations of the fields of one of our dataclasses in a module; None for other classes."""
     for node in tree.body:
         if isinstance(node, ast.ClassDef) and node.name == kind:
             fields = [field for field in node.body if isinstance(field, ast.AnnAssign)]

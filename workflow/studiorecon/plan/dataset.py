@@ -15,13 +15,7 @@ from studiorecon.studio.description import planned_dataset, read_description
 
 @dataclasses.dataclass(frozen=True)
 class ChosenDataset:
-    """The dataset of a run.
-
-    Attributes:
-        dataset: paths of all its files.
-        studio: the synthetic studio's name; "" for a user's own dataset.
-        description: the file that describes that studio; "" for a user's own dataset.
-    """
+    """The ``dataset`` of a run; ``studio`` and ``description`` name the synthetic one and its file, else ""."""
 
     dataset: Dataset
     studio: str
@@ -34,9 +28,7 @@ def resolve_path(path: str | Path, home: Path) -> str:
 
 
 def chosen_dataset(config: Mapping[str, Any], home: Path) -> ChosenDataset:
-    """The dataset that ``dataset`` names, with or without people where ``survey.force`` decides it; raises UserError
-    when it does not exist.
-    """
+    """The dataset that ``dataset`` names, its people as in ``survey.force``; UserError when it does not exist."""
     given = Path(config["dataset"])
     if given.suffix in (".yaml", ".yml"):
         description = Path(resolve_path(given, home))

@@ -18,8 +18,7 @@ _TOLERATED_S = 5.0
 
 
 def refuse_future(dataset: Path, results: Path, now_s: float) -> None:
-    """Raises UserError when a file is dated later than ``now_s``, seconds since 1970, and names the latest one and the
-    command that corrects it.
+    """Raises UserError for a file dated later than ``now_s`` (since 1970); names the latest and the remedy's command.
 
     Checks ``dataset`` (its folder and subfolders) and a scene's ``results``.
     """

@@ -20,9 +20,9 @@ class Plan:
         dataset: paths of the dataset's files, whether they exist or will be made.
         studio, description: name and file of the synthetic studio that is filmed first; "" for a user's own dataset.
         scene: the scene's folder below ``results``.
-        given_body: the body model that the configuration names; body: the same as plain arrays, which steps read.
+        given_body, body: the body model that the configuration names, and the same as plain arrays, which steps read.
         identities: file of the user's own table of identities; "" when there is none.
-        person_sources: the cameras in which people are detected; networks: the selected upstream networks.
+        person_sources, networks: how people are detected; the selected upstream networks.
         lifted: people are separated by the 3D positions of their pelvises at the scene's depth.
         from_people: cameras are calibrated from the people in the pictures.
         calibration: files of the calibration: the user's, or those that a network writes.
@@ -79,9 +79,7 @@ class Plan:
 
     @property
     def shots(self) -> list[str]:
-        """Every film, and "train": the training cameras' own views, which enhancement and report compare with the
-        photos.
-        """
+        """Every film, and "train": the training cameras' own views, which are compared with the photos."""
         return ["train", *self.films]
 
 

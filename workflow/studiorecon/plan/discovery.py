@@ -50,7 +50,7 @@ _DEPTH = (".exr",)
 def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
     """The dataset in ``folder``, described by ``capture_yaml`` (default: ``folder/capture.yaml`` if it exists).
 
-    Paths inside ``capture.yaml`` are relative to ``folder``. Raises UserError with the folder or key and the remedy.
+    Its paths are relative to ``folder``. Raises UserError with the folder or key and the remedy.
     """
     if not folder.is_dir():
         raise UserError(f"dataset folder {folder} does not exist; pass an existing one with --config dataset=DIR")
@@ -116,8 +116,8 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
 def _chosen_footage(
     folder: Path, every: Mapping[str, Path], description: dict[str, Any]
 ) -> tuple[dict[str, Path], tuple[str, ...]]:
-    """The footage in use by camera, and the held-out cameras; raises UserError for one film under two names, and where
-    fewer than two cameras remain to train on."""
+    """The footage in use by camera, and the held-out cameras; UserError for one film under two names, or < 2 to
+    train."""
     held_out = tuple(names_under(description, "held_out", every))
     chosen = (*names_under(description, "train", every), *held_out) if "train" in description else tuple(every)
     footage = {camera: path for camera, path in every.items() if camera in chosen}
@@ -178,9 +178,7 @@ def _idle_keys(description: dict[str, Any], dataset: Dataset) -> list[str]:
 
 
 def _same_bytes(one: Path, two: Path) -> bool:
-    """Whether two videos are copies of, or links to, one file: equal length, and equal bytes at start, middle
-    and end.
-    """
+    """Whether two videos are one file or copies: equal length, and equal bytes at start, middle and end."""
     if one.is_dir() or two.is_dir():
         return one.resolve() == two.resolve()
     size = one.stat().st_size

@@ -52,10 +52,9 @@ class Recordings:
 
 
 def find_recordings(folder: Path, chapters: Mapping[str, Sequence[str]]) -> Recordings:
-    """The footage in ``folder``.
+    """The footage in ``folder``; ``chapters`` of capture.yaml maps a camera to its films there.
 
-    ``chapters`` of capture.yaml maps a camera to its films, relative to the folder. Raises UserError when there is no
-    footage, when two films share a name, or when a chapter is missing.
+    Raises UserError when there is no footage, when two films share a name, or when a chapter is missing.
     """
     folders = {fold_name(p.name): p for p in sorted(folder.iterdir()) if p.is_dir()}
     places = [folders[name] for name in VIDEO_FOLDERS if name in folders]

@@ -38,8 +38,8 @@ _WORKFLOW_FOLDERS = {"results", "logs", "timings"}
 def unused(dataset: Dataset, place: Path, left_out: Iterable[str]) -> tuple[str, ...]:
     """A sentence for every file or folder in ``dataset.folder`` that the dataset does not use.
 
-    ``place`` is the folder of the films; ``left_out`` are cameras that ``train`` in capture.yaml does not list. Files
-    of the operating system are skipped. A folder of which nothing is used gets one sentence.
+    ``place`` is the folder of the films; ``left_out`` are cameras that ``train`` does not list. Files of the operating
+    system are skipped. A folder of which nothing is used gets one sentence.
     """
     folder, left_out = dataset.folder, set(left_out)
     used = {description_path(folder), folder / "identities.tsv", *dataset.footage.values(), *dataset.calibration}

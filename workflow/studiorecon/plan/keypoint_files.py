@@ -23,8 +23,8 @@ _NOT_LIKE_KEYPOINTS = re.compile(r"3d|calib")
 def keypoint_files(folder: Path, named: str | None, cameras: Sequence[str]) -> tuple[dict[str, Path], list[str]]:
     """camera → its recorded keypoints, and sentences about the choice among folders that may hold them.
 
-    The folder ``named`` in capture.yaml takes precedence, then the first of the usual ones. Otherwise it is the only
-    folder whose name mentions poses or keypoints and whose entries carry the cameras' names.
+    The folder ``named`` in capture.yaml takes precedence, then the first usual one, then the only folder whose name
+    mentions poses or keypoints and whose entries carry the cameras' names.
     """
     if named is not None:
         return per_camera(folder, named, True, cameras, _KEYPOINTS), []
@@ -51,9 +51,7 @@ def keypoint_files(folder: Path, named: str | None, cameras: Sequence[str]) -> t
 
 
 def keypoints_of_chapters(dataset: Dataset) -> dict[str, tuple[Path, ...]]:
-    """camera → its keypoints chapter by chapter, where every chapter has its own; raises UserError where only some
-    have.
-    """
+    """camera → its keypoints by chapter, where every chapter has its own; UserError where only some have."""
     found = {}
     for camera, parts in dataset.chapters.items():
         if camera not in dataset.keypoints:

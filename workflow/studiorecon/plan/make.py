@@ -20,9 +20,9 @@ _TAKEN = ("studio", "body")
 
 
 def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
-    """The plan of a complete, valid configuration; ``home`` is the workflow's folder.
+    """The plan of a complete, valid configuration; UserError when the dataset does not exist or cannot be run.
 
-    Raises UserError when the dataset does not exist or cannot be run so.
+    ``home`` is the workflow's folder.
     """
     chosen = chosen_dataset(config, home)
     dataset, networks = chosen.dataset, choose_networks(config, home)

@@ -23,9 +23,10 @@ class Networks:
     Attributes:
         selected: every selected network, sorted.
         weights: the folder of their weights.
-        cameras: calibrates the cameras; masks: tracks people in pictures.
-        depth: a network, or "precomputed"; first_depth: depth of the room comes from ``cameras``, at the first moment.
-        views: a network, "warp" or "precomputed"; people_in_views: detects people in those; "" where bodies do it.
+        cameras, masks: calibrates the cameras; tracks people in pictures.
+        depth, first_depth: a network, or "precomputed"; whether ``cameras`` gives the first moment's depth.
+        views: a network, "warp" or "precomputed".
+        people_in_views: detects people in those; "" where bodies do it.
         compared: the stages that compare pictures by LPIPS.
         enhance: the network in whose image the enhancer runs: enhancer and flow share a process.
         refiner: the enhancer that repairs views of the half-trained room; "" without one.
@@ -90,12 +91,9 @@ def _network(source: str) -> str:
 
 @dataclass(frozen=True)
 class Images:
-    """Container images by name.
+    """Container images by name: ``entries`` (``envs/images.yaml``), those ``built`` locally with apptainer.
 
-    Attributes:
-        entries: name → image, version and digest, as in ``envs/images.yaml``.
-        built: the folder of those that ``snakemake images`` made with apptainer.
-        on_cpu: everything runs on the CPU.
+    ``on_cpu``: everything runs on the CPU.
     """
 
     entries: Mapping[str, Mapping[str, str]]
@@ -116,9 +114,7 @@ class Images:
         return self.named(MODELS[name].runtime.image if name in MODELS else "core")
 
     def gpus(self, name: str) -> int:
-        """GPUs that a job of a network holds: one, or none if everything runs on the CPU or the network needs
-        no GPU.
-        """
+        """GPUs that a job of a network holds: one, or none on the CPU and for networks that need none."""
         return int(name in MODELS and not self.on_cpu and MODELS[name].memory.gpu_gb is not None)
 
     def to_build(self, names: list[str]) -> list[str]:

@@ -80,9 +80,7 @@ def pair_by_name(cameras: Sequence[str], entries: Iterable[Path]) -> dict[str, P
 def per_camera(
     folder: Path, name: str, required: bool, cameras: Iterable[str], suffixes: Sequence[str]
 ) -> dict[str, Path]:
-    """camera → its entry in the folder ``name``, with a suffix in ``suffixes``; empty when the folder does
-    not exist.
-    """
+    """camera → its entry in the folder ``name`` with one of these suffixes; empty without the folder."""
     base = folder / name
     if not base.is_dir():
         if required:

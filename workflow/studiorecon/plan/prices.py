@@ -86,19 +86,15 @@ def spent(work: Mapping[str, Work], prices: PriceList) -> dict[str, float]:
 
 
 def predict(work: Mapping[str, Work], prices: PriceList, cores: int, pace: float) -> Predicted:
-    """The predicted time of a run on ``cores``, each ``pace`` times as fast as those of the list.
-
-    The model: rules run in sequence, the jobs of each rule in parallel.
-    """
+    """The time of a run on ``cores``, ``pace`` times as fast as the list's: rules in sequence, their jobs in
+    parallel."""
     one_by_one_s = sum(taken_s / min(cores, work[rule].jobs) for rule, taken_s in spent(work, prices).items())
     seconds = prices.start_s + prices.stretch * one_by_one_s / pace
     return Predicted(seconds, seconds * prices.spread[0], seconds * prices.spread[1])
 
 
 def probe_s(rounds: int = 5, size: int = 400_000) -> float:
-    """Seconds of one fixed piece of work like the workflow's own (sorting, indexing, adding): the best of a
-    few runs.
-    """
+    """Seconds of a fixed piece of work like the workflow's (sorting, indexing, adding): the best of a few runs."""
     rng = np.random.default_rng(0)
     values, places = rng.random(size), rng.integers(0, size, size)
     took = []
@@ -113,10 +109,7 @@ def probe_s(rounds: int = 5, size: int = 400_000) -> float:
 
 
 def pace_here(prices: PriceList, remembered: Path) -> float:
-    """The speed of this machine relative to the list's.
-
-    It is probed once and kept in the file ``remembered``, so that repeated runs get the same plan.
-    """
+    """The speed of this machine relative to the list's, probed once and kept in the file ``remembered``."""
     if not remembered.is_file():
         write_json(remembered, {"probe_s": probe_s()})
     return prices.probe_s / read_json(remembered)["probe_s"]

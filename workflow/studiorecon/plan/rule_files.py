@@ -46,9 +46,7 @@ class Files(UserInputs):
         return [camera for camera in self.cameras(wildcards) if camera in self.plan.held_out]
 
     def evaluated_cameras(self, wildcards: Any) -> list[str]:
-        """The cameras whose photos are compared with renders: the held-out ones, or without any the training
-        cameras.
-        """
+        """The cameras whose photos are compared with renders: the held-out ones, else the training cameras."""
         return self.held_out(wildcards) or self.training(wildcards)
 
     def films(self, wildcards: Any) -> list[str]:
@@ -70,9 +68,7 @@ class Files(UserInputs):
     # ---- detections ----
 
     def first_detection(self, wildcards: Any) -> list[str]:
-        """First detections of one camera, without knowledge of other cameras; none when the room is known to
-        be empty.
-        """
+        """First detections of one camera, without knowledge of other cameras; none in a known empty room."""
         return [f"results/{wildcards.scene}/tracks/{wildcards.camera}.npz"] if self.plan.people else []
 
     def first_detections(self, wildcards: Any) -> list[str]:
@@ -90,9 +86,7 @@ class Files(UserInputs):
         return [self._refined_detections(self._scene(wildcards), camera) for camera in cameras]
 
     def association_detections(self, wildcards: Any) -> list[str]:
-        """Detections as association compares them: with pelvises at the scene's depth where the configuration
-        says so.
-        """
+        """Detections as association compares them: with pelvises at the scene's depth if so configured."""
         if not (self.plan.people and self.plan.lifted):
             return self.detections(wildcards)
         return [f"results/{self._scene(wildcards)}/people/lifted/{camera}.npz" for camera in self.training(wildcards)]
@@ -142,17 +136,13 @@ class Files(UserInputs):
         return [f"results/{wildcards.scene}/people/association.json"] if self.plan.people else []
 
     def people(self, wildcards: Any) -> list[str]:
-        """Ids of the people that association found; when the room is known to be empty, none, without waiting for
-        association.
-        """
+        """Ids of the people from association; none, without waiting for it, when the room is known to be empty."""
         if not self.plan.people:
             return []
         return read_people(Path(self._associated(wildcards).people))
 
     def person_tracks(self, wildcards: Any) -> list[str]:
-        """The file of one person's tracks; it is separate so that changes of other people do not rerun this person's
-        jobs.
-        """
+        """The file of one person's tracks, so that changes of other people do not rerun this person's jobs."""
         return [f"{self._associated(wildcards).who}/{wildcards.person}.tsv"]
 
     def readouts_for(self, wildcards: Any) -> list[str]:
@@ -186,9 +176,7 @@ class Files(UserInputs):
         return [f"results/{wildcards.scene}/masks/{camera}.mkv" for camera in self.filmed_people(wildcards)]
 
     def half_trained(self, wildcards: Any) -> list[str]:
-        """The half-trained room and views of it that a network repaired, if one is selected: Gaussians, provenance,
-        path, film.
-        """
+        """Gaussians, provenance, path and film of the half-trained room that a network repaired, if one is selected."""
         parts = ("half.ply", "half.npz", "half.json", "refined.mkv") if self.plan.networks.refiner else ()
         return [f"results/{wildcards.scene}/background/{name}" for name in parts]
 
@@ -248,9 +236,7 @@ class Files(UserInputs):
         return [f"results/{wildcards.scene}/humans/{person}.npz" for person in self.people(wildcards)]
 
     def training_renders(self, wildcards: Any) -> list[str]:
-        """Film, path and depth of the training cameras, which an enhancer compares with their photos; none without an
-        enhancer.
-        """
+        """Film, path and depth of the training cameras, for an enhancer; none without one."""
         section = step_section("enhance.shot", self.config)
         if section["enhancer"] == "none" and not section["injection"]["history"]:
             return []
@@ -277,9 +263,7 @@ class Files(UserInputs):
     # ---- decisions of the survey ----
 
     def verdict(self, effect: str, wildcards: Any) -> str:
-        """The survey's verdict on one effect: on, off or undetermined; without waiting for it where ``survey.force``
-        decides.
-        """
+        """The survey's verdict on an effect: on, off or undetermined; at once where ``survey.force`` decides it."""
         return self.plan.forced.get(effect) or self._decided(effect, wildcards)["verdict"]
 
     def _decided(self, effect: str, wildcards: Any) -> Mapping[str, Any]:
@@ -308,10 +292,7 @@ class Files(UserInputs):
         return [*self.gains(wildcards), *self.brightness(wildcards)]
 
     def segments(self, wildcards: Any) -> list[str]:
-        """Gaps between cameras that get synthesised views: those that the survey selects.
-
-        The widest gap is left out unless ``closed_path`` is on.
-        """
+        """Gaps that get synthesised views, as the survey selects; not the widest unless ``closed_path`` is on."""
         forced = self.plan.forced.get("view_synthesis")
         if forced == "off" or self.config["background"]["views_share"] == 0:
             return []
@@ -340,9 +321,7 @@ class Files(UserInputs):
         return [f"results/{self._scene(wildcards)}/objects/objects.npz"] if wanted else []
 
     def room_light(self, wildcards: Any) -> list[str]:
-        """The light in which people cast shadows on the room; none unless the survey turns moving shadows on and there
-        are people.
-        """
+        """The light for people's shadows; none unless the survey turns moving shadows on and there are people."""
         wanted = self.people(wildcards) and self.verdict("moving_shadows", wildcards) == "on"
         return [f"results/{wildcards.scene}/render/room.light.json"] if wanted else []
 

@@ -20,8 +20,7 @@ def clear_stale_lock(folder: Path) -> str:
     """Removes the lock that a killed run left in a working ``folder``, and returns a sentence about it.
 
     Returns "" when there is no lock or its owner cannot be determined. A run is live when a process of this machine
-    works in that folder, even if it is only a step whose driver was killed. Runs on another machine cannot be seen from
-    here, so their locks stay; Snakemake's own message gives the remedy.
+    works in that folder. Locks of runs on other machines stay; Snakemake's own message gives the remedy.
     """
     locks = folder / ".snakemake" / "locks"
     since_s = [path.stat().st_mtime for path in locks.iterdir()] if locks.is_dir() else []
@@ -34,9 +33,7 @@ def clear_stale_lock(folder: Path) -> str:
 
 
 def _living(folder: Path) -> Iterator[int]:
-    """Processes that may be runs or steps in ``folder``: those seen to work there, and those that cannot be
-    inspected.
-    """
+    """Processes that may be runs or steps in ``folder``, and those that cannot be inspected."""
     own = {os.getpid(), *(parent.pid for parent in psutil.Process().parents())}
     for process in psutil.process_iter():
         try:
@@ -51,10 +48,7 @@ def _living(folder: Path) -> Iterator[int]:
 
 
 def _host_of_the_run(folder: Path, since_s: float) -> str | None:
-    """The machine named in the log of the run that took the lock: the last log begun before the lock.
-
-    Dry runs, on any machine, write logs as well but take no lock.
-    """
+    """The machine named in the log of the run that took the lock: the last begun before it (dry runs log too)."""
     logs = [(_begun_s(path), path) for path in (folder / ".snakemake" / "log").glob("*.log")]
     for _, path in sorted((pair for pair in logs if pair[0] <= since_s + 1), reverse=True):
         with open(path, encoding="utf-8", errors="replace") as file:

@@ -11,9 +11,7 @@ from studiorecon.configuration.step_settings import find_section, select_setting
 
 
 def step_section(step: str, config: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of a step's section, with the decisions of ``survey.force`` in place of the settings that they
-    overrule.
-    """
+    """The settings of a step's section, with the decisions of ``survey.force`` over them."""
     stage, values, forced = step.partition(".")[0], find_section(step, config), config["survey"]["force"]
     if stage == "humans" and "temporal_appearance" in forced:
         use = "always" if forced["temporal_appearance"] == "on" else "never"
@@ -36,10 +34,8 @@ def recursion_settings(config: Mapping[str, Any]) -> str:
 
 
 def shot_settings(step: str, config: Mapping[str, Any], keys: tuple[str, ...] = ()) -> Callable[[Any], str]:
-    """Function from wildcards to the settings of a step for one shot, as JSON.
-
-    Of ``render.shots`` they hold this shot only, and of it ``keys``, or all that affects the film.
-    """
+    """Function from wildcards to a step's settings for one shot, as JSON: of it ``keys``, or all that the film
+    needs."""
 
     def of_shot(wildcards: Any) -> str:
         given = config["render"]["shots"].get(wildcards.shot, {})

@@ -19,12 +19,9 @@ from studiorecon.scene.replacement_photos import is_photo, strangers
 
 
 class UserInputs:
-    """Input functions of rules: each maps a rule's wildcards, as Snakemake passes them, to files; none where there is
-    no input.
+    """Input functions of rules, from wildcards to files; none where there is no input.
 
-    Args:
-        plan, config, home: the plan, the whole configuration, the workflow's folder.
-        local: marks a path as local, whatever storage results go to: Snakemake's ``local``.
+    ``local`` is Snakemake's: it marks a path as local, whatever storage results go to.
     """
 
     def __init__(self, plan: Plan, config: Mapping[str, Any], home: Path, local: Callable[[str], str]) -> None:
@@ -57,9 +54,7 @@ class UserInputs:
         return [self.bundled(f"resources/detector/{name}") for name in self.plan.person_sources.detector]
 
     def second_network(self, _: Any) -> list[str]:
-        """The landmark network, if there is one: the user's own file, or the fetched one, whose checksum is
-        verified.
-        """
+        """The landmark network, if there is one: the user's own file, or the fetched and verified one."""
         named = self.config["detect"]["network"]
         if named not in MODELS:
             return [self.local(named)] if named else []
@@ -121,9 +116,7 @@ class UserInputs:
         return [f"results/{wildcards.scene}/detect/recorded/{wildcards.camera}.npz"]
 
     def keypoints_of_other_cameras(self, camera: str) -> list[str]:
-        """The other cameras with recorded keypoints, if this camera's are used: files of two cameras may have been
-        swapped.
-        """
+        """The other cameras with recorded keypoints, if this camera's are used: two cameras' may be swapped."""
         looked_for = (*self.plan.person_sources.detected, *self.plan.person_sources.measured)
         if camera in looked_for:
             return []

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The amount of work of a run, from its footage and settings, before the first job.
 
-Every rule has one unit of work in which its time is nearly linear: frames, pixels, steps. ``prices`` has the cost of a
-unit.
+Every rule has one unit of work in which its time is nearly linear; ``prices`` has the cost of a unit.
 """
 
 from __future__ import annotations
@@ -36,11 +35,7 @@ ON_DEMAND = {"objects_find": "dynamic_objects", "render_light": "moving_shadows"
 
 @dataclass(frozen=True)
 class Footage:
-    """The size of a capture.
-
-    Number of training cameras, held-out cameras, cameras in which the detector runs, frames used, picture size in
-    pixels, people, whether their number is known, and whether it is a synthetic studio, which a run films first.
-    """
+    """The size of a capture, in numbers of cameras, frames, pixels and people; a ``made`` one is filmed first."""
 
     training: int
     held_out: int
@@ -94,10 +89,9 @@ def _people_in(keypoints: Path, source: FootageSource) -> int:
 
 
 def segments_with_views(plan: Plan, config: Mapping[str, Any]) -> int:
-    """Number of gaps between cameras that probably get synthesised views.
+    """Number of gaps that probably get synthesised views: all where cameras are too far apart for the survey.
 
-    ``survey.force`` decides it; else all gaps count where cameras are further apart than the survey accepts. Decisions
-    of an earlier run of the scene do not count, so that repeated runs get the same plan.
+    ``survey.force`` overrides this; decisions of an earlier run do not, so that repeated runs get the same plan.
     """
     if not config["background"]["views_share"]:
         return 0
@@ -109,10 +103,9 @@ def segments_with_views(plan: Plan, config: Mapping[str, Any]) -> int:
 def workload(
     footage: Footage, config: Mapping[str, Any], segments: int, forced: Mapping[str, str] | None = None
 ) -> dict[str, Work]:
-    """Rule → its jobs and the units of each.
+    """Rule → its jobs and the units of each; ``forced`` effects add their rules.
 
-    ``segments`` gaps between cameras get synthesised views, and effects that are ``forced`` "on" add their rules.
-    Megapixels count all pictures that a job reads.
+    ``segments`` gaps get synthesised views. Megapixels count all pictures that a job reads.
     """
     width, height = _working(footage.wh, config["capture"]["width"])
     training, frames, people = footage.training, footage.frames, footage.people

@@ -84,8 +84,7 @@ class Settings:
 def temporal_plate(
     frames: Integer[np.ndarray, "T H W 3"], occupied: Bool[np.ndarray, "T H W"], settings: Settings
 ) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
-    """(H, W, 3) float32 colours 0..255 and (H, W) bool measured, from frames (T, H, W, 3) with people at ``occupied``
-    (T, H, W)."""
+    """Float32 colours 0..255, and where they are measured, from frames with people at ``occupied``."""
     free = ~occupied
     # Flickering light looks like noise; the limit keeps all colours from agreeing.
     tolerance = min(max(settings.agree_levels, 4 * noise_levels(frames)), 4 * settings.agree_levels)
@@ -104,8 +103,7 @@ def place_given(
     colour: Float[np.ndarray, "H W 3"],
     measured: Bool[np.ndarray, "H W"],
 ) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"], float]:
-    """A given plate (h, w, 3) in [0, 1] in working pixels: colours 0..255, where it is known, and its median
-    difference.
+    """A given plate in [0, 1] in working pixels: colours 0..255, where it is known, and its median difference.
 
     A plate may have the video's pixels, or the calibration's when the video was resized or padded afterwards: the one
     that agrees better with the footage (``colour`` where ``measured``) is used. The difference is NaN without overlap.
@@ -131,8 +129,7 @@ def place_given(
 def _working_picture(
     rgb: np.ndarray, measured: np.ndarray, lens: Lens, footage: Footage
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A picture of any size, seen through ``lens``, in the footage's working pixels: (H, W, 3) 0..255 and (H, W)
-    known."""
+    """A picture of any size, seen through ``lens``, in the footage's working pixels 0..255, and where it is known."""
     wh, intrinsics = footage.wh, np.array(footage.intrinsics)
     picture_wh = (rgb.shape[1], rgb.shape[0])
     n = max(1, round(picture_wh[0] / wh[0]))
@@ -152,8 +149,7 @@ def _working_picture(
 def showing(
     frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray, "T H W"], colour: Float[np.ndarray, "H W 3"]
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 share of the ``free`` (T, H, W) pictures that show ``colour`` (H, W, 3) at a pixel; 0 if never
-    free."""
+    """Float32 share of the ``free`` pictures that show ``colour`` at a pixel; 0 if never free."""
     shown = np.zeros(colour.shape[:2], np.float32)
     for frame, unoccupied in zip(frames, free):
         shown += unoccupied & (channel_max(np.abs(frame - colour)) <= _SAME_LEVELS)
@@ -163,7 +159,7 @@ def showing(
 def matched_exposure(
     colour: Float[np.ndarray, "H W 3"], common: Bool[np.ndarray, "H W"], given: Float[np.ndarray, "H W 3"]
 ) -> Float[np.ndarray, "H W 3"]:
-    """A given plate (H, W, 3) 0..255 in the footage's exposure, matched on the pixels ``common`` to both.
+    """A given plate 0..255 in the footage's exposure, matched on the pixels ``common`` to both.
 
     First one tone curve per channel (exposure, white balance and gamma are the same everywhere), by medians, so that
     people in either picture do not bend it. Then a smooth ratio, interpolated from the surroundings, so that no seam
@@ -214,15 +210,15 @@ def merge(
     shown: Float[np.ndarray, "H W"],
     usual: Float[np.ndarray, "H W"],
 ) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
-    """Colours merged from the footage's plate and a given one (``matched`` in exposure), where either is known, and
-    moving parts.
+    """Colours merged from the footage's plate and a given one (``matched`` in exposure), which are known, and moving
+    parts.
 
-    The footage counts where measured, otherwise the given plate. ``seen`` (H, W): not always occupied; ``shown`` (H,
-    W): how often the footage shows the given plate, ``usual`` (H, W) its own ``colour``. Where the two clearly differ
-    there are two cases. If the given plate is revealed along the edges of such a part, or the part is unsteady and
-    outlined in the footage and not in the plate, it is an undetected person in the footage: the given plate counts
-    there. Otherwise the given plate shows a person or object, or the room has a new one. Its extent in unmeasured
-    pixels is not known, so a border stays unknown.
+    The footage counts where measured, otherwise the given plate. ``seen``: not always occupied; ``shown``: how often
+    the footage shows the given plate, ``usual`` its own ``colour``. Where the two clearly differ there are two cases.
+    If the given plate is revealed along the edges of such a part, or the part is unsteady and outlined in the footage
+    and not in the plate, it is an undetected person in the footage: the given plate counts there. Otherwise the given
+    plate shows a person or object, or the room has a new one. Its extent in unmeasured pixels is not known, so a border
+    stays unknown.
     """
     differs = (seen & known & (channel_max(np.abs(matched - colour)) > _OTHER_LEVELS)).astype(np.uint8)
     differs = cv2.morphologyEx(differs, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
@@ -241,8 +237,7 @@ def merge(
 
 
 def _edges(picture: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
-    """(count,) mean strength of the edges of ``picture`` (H, W, 3) along the border of every part of ``labels`` (H,
-    W)."""
+    """Mean strength of the edges of ``picture`` along the border of every part of ``labels``."""
     smooth = picture.astype(np.float32)
     strength = channel_sum(np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)))
     parts = labels.astype(np.float32)
@@ -265,10 +260,8 @@ def run(
     given: list[Path],
     plate: Written,
 ) -> None:
-    """Write the clean plate of ``video`` as an RGBA PNG.
-
-    ``detections`` are the people's and ``given`` is the user's plate; each is none or one file.
-    """
+    """Write the clean plate of ``video`` as an RGBA PNG, from the people's ``detections`` and the user's plate, if
+    any."""
     options = settings
     about = read_footage(footage)
     chosen = evenly_spread(about.frames, options.frames)

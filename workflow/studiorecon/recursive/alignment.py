@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flow from the current picture to earlier ones, between the raw renders: direct to each, or chained over those between
-(U06).
-"""
+"""Flow from the current picture to earlier ones between the raw renders, direct or chained over those between (U06)."""
 
 from __future__ import annotations
 
@@ -20,12 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Past:
-    """An earlier picture of the film.
-
-    Attributes:
-        output: (H, W, 3) float32 output of the enhancer.
-        render: (H, W, 3) uint8 its raw render.
-    """
+    """An earlier picture of the film: the enhancer's float32 output, and its raw render."""
 
     output: Float[np.ndarray, "H W 3"]
     render: Integer[np.ndarray, "H W 3"]
@@ -34,9 +27,7 @@ class Past:
 def backward_flow(
     picture: Integer[np.ndarray, "H W 3"], past: Integer[np.ndarray, "H W 3"], search: Flow, check: bool
 ) -> tuple[Float[np.ndarray, "H W 2"], Bool[np.ndarray, "H W"]]:
-    """Flow (H, W, 2) from a picture to an earlier one, and (H, W) bool where the forward flow agrees; everywhere
-    without ``check``.
-    """
+    """Flow from a picture to an earlier one, and where the forward flow agrees; everywhere without ``check``."""
     if picture.shape != past.shape:
         raise UserError(f"optical flow needs pictures of one size, not {picture.shape[1::-1]} and {past.shape[1::-1]}")
     backward = search.flow(picture, past)

@@ -34,10 +34,7 @@ class DisFlow:
 
 
 def load_flow(name: FlowName, preset: Preset, weights: Path, device: str) -> Flow:
-    """The flow of that name; ``weights``: folder of upstream weights, ``device``: auto, cpu or cuda.
-
-    Raises UserError when a network's weights, package or memory are missing.
-    """
+    """The flow of that name on ``device``; raises UserError when a network's weights, package or memory are missing."""
     if name == "dis":
         return DisFlow(preset)
     return load("flow", name, weights, device)

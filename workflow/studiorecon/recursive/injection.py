@@ -81,8 +81,7 @@ class Injection:
 
 
 def history_weights(existing: int, decay: float) -> Float[np.ndarray, " K"]:
-    """(existing,) weights of the earlier frames, latest first, summing to 1 over those that exist (U03;
-    E03)."""
+    """Weights of the earlier frames, latest first, summing to 1 over those that exist (U03; E03)."""
     weights = decay ** np.arange(existing, dtype=np.float64)
     return weights / weights.sum() if existing else weights
 
@@ -93,11 +92,10 @@ def confidence(
     valid: Bool[np.ndarray, "H W"],
     injection: Injection,
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 confidence of one warped earlier output against the current render, both (H, W, 3) in [0, 1].
+    """Float32 confidence of one warped earlier output against the current render, both in [0, 1].
 
-    Order: error → confidence → blur → zero where ``valid`` (H, W) is False or the error is not finite, so that the blur
-    cannot spread confidence into uncovered or undefined pixels (U05, E04, E10). Raises ValueError for pictures of two
-    sizes.
+    Order: error → confidence → blur → zero where ``valid`` is False or the error is not finite, so that the blur cannot
+    spread confidence into such pixels (U05, E04, E10). Raises ValueError for pictures of two sizes.
     """
     sizes = require("render", render, ("H", "W", 3))
     require("warped", warped, ("H", "W", 3), sizes)
@@ -115,8 +113,7 @@ def inject(
     confidences: Sequence[Float[np.ndarray, "H W"]],
     injection: Injection,
 ) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"]]:
-    """The blended input (H, W, 3) float32 and the share of it (H, W) that comes from earlier outputs; latest frame
-    first.
+    """The blended float32 input and the share of it that comes from earlier outputs; latest frame first.
 
     Without earlier frames it is the render itself and zeros. Constants stay constant in the residual form whatever the
     confidences. Raises ValueError for pictures of two sizes, or a confidence missing.
@@ -149,8 +146,7 @@ def whole_levels(change: Float[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]
 def difference_levels(
     first: Float[np.ndarray, "H W 3"], second: Float[np.ndarray, "H W 3"]
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 difference of two pictures (H, W, 3) in [0, 1], mean over channels in levels of 255 (U04, E11);
-    NaN where either is NaN."""
+    """Float32 difference of two pictures in [0, 1], mean over channels in levels of 255 (U04, E11); NaN for NaN."""
     height, width = first.shape[:2]
     levels = np.empty((height, width), np.float32)
     for i in range(height):
@@ -170,10 +166,7 @@ def add_share(
     trust: Float[np.ndarray, "H W"],
     weight: float,
 ) -> None:
-    """Adds weight × trust (H, W) to ``shares`` and that times ``picture`` (H, W, 3) to ``added``.
-
-    Where trust is zero the picture may have any value, including NaN.
-    """
+    """Adds weight × trust to ``shares`` and that times ``picture``, which may be NaN at trust 0, to ``added``."""
     for i in range(shares.shape[0]):
         for j in range(shares.shape[1]):
             share = np.float32(weight) * trust[i, j]

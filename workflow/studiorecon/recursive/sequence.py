@@ -43,11 +43,10 @@ _PROBE = np.float32(8 / 255)
 def blend(
     picture: Integer[np.ndarray, "H W 3"], history: Sequence[Past], injection: Injection, search: Flow, pool: Executor
 ) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"]] | None:
-    """The enhancer's input for a picture (H, W, 3) uint8 with earlier pictures, latest first, and their share of it
-    (H, W); None after a cut.
+    """The enhancer's input with earlier pictures, latest first, and their share of it; None after a cut.
 
-    A cut is where less than ``injection.cut_share`` of the picture is found again in the one before it. Every stored
-    output is warped once, along the flow of the raw renders straight to it (U06, E08).
+    A cut is where less than ``injection.cut_share`` of the picture matches the one before it. Every stored output is
+    warped once, along the flow of the raw renders straight to it (U06, E08).
     """
     render = to_float(picture)
     flows = list(pool.map(lambda past: backward_flow(picture, past.render, search, injection.check), history))
@@ -66,8 +65,7 @@ def enhance_sequence(
     injection: Injection,
     search: Flow,
 ) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-    """The enhanced (H, W, 3) uint8 pictures, in order; history restarts with every segment of the path and at every
-    cut.
+    """The enhanced uint8 pictures, in order; history restarts with every segment of the path and every cut.
 
     Raises UserError for pictures of different sizes and for an enhancer whose outputs may not be fed back.
     """
@@ -104,9 +102,8 @@ def enhance_sequence(
 
 
 def adapt_injection(injection: Injection, steps: Sequence[PathStep]) -> Injection:
-    """The injection for a film along ``steps``: with ``moving_strength`` if the camera moves or zooms within
-    a segment.
-    """
+    """The injection for a film along ``steps``: with ``moving_strength`` if the camera moves or zooms within a
+    segment."""
     for one, other in itertools.pairwise(steps):
         if one.segment == other.segment and not (
             np.array_equal(one.camera.camera_from_world, other.camera.camera_from_world)
@@ -117,10 +114,7 @@ def adapt_injection(injection: Injection, steps: Sequence[PathStep]) -> Injectio
 
 
 def is_still(steps: Sequence[PathStep], pictures: Iterable[Integer[np.ndarray, "H W 3"]]) -> bool:
-    """Whether no picture of a clip differs from the one before it in its segment, so that it cannot flicker.
-
-    Reading stops at the first two pictures that differ. A clip of single pictures is static.
-    """
+    """Whether no picture of a clip differs from the one before it in its segment, so that it cannot flicker."""
     earlier: tuple[str, np.ndarray] | None = None
     for step, picture in zip(steps, pictures):
         if (
@@ -156,11 +150,10 @@ def _finite(output: np.ndarray, picture: np.ndarray, step: PathStep) -> np.ndarr
 def loop_gain(
     enhancer: Enhancer, render: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "H W 3"], moment: Moment
 ) -> float:
-    """The enhancer's gain on a change of brightness of a real render (H, W, 3).
+    """The enhancer's gain on a change of brightness of a real render.
 
     It is the mean difference of the outputs for a slightly brighter and a slightly darker picture, relative to that of
-    the inputs. A flat field would be less reliable: networks are trained on pictures, and invent content where there is
-    none.
+    the inputs. On a flat field networks invent content.
     """
     darker, brighter = np.clip(render - _PROBE, 0, 1), np.clip(render + _PROBE, 0, 1)
     low, high = (enhancer.enhance(picture, reference, moment) for picture in (darker, brighter))

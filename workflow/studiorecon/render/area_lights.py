@@ -32,10 +32,7 @@ _MIN_SHARE, _ROUNDS, _HUBER = 0.01, 5, 2.0
 
 
 def patches(room_box: RoomBox, spacing_m: float, seen_from_m: Float[np.ndarray, " 3"]) -> Lamps:
-    """Patches about ``spacing_m`` apart on the ceiling and the upper walls, and patches of the sky.
-
-    They are fewer and wider where they are far from ``seen_from_m`` (3,).
-    """
+    """Patches on the ceiling and upper walls, ``spacing_m`` apart, and of the sky; wider far from ``seen_from_m``."""
     low, high = room_box.low_m, room_box.high_m
 
     def steps(start: float, end: float) -> np.ndarray:
@@ -88,7 +85,7 @@ def _joined(lamps: Lamps, width_m: float, seen_from_m: np.ndarray) -> Lamps:
 def losses(
     points: Groups, bodies: Sequence[Float[np.ndarray, "C 7"]], lamps: Lamps, contact_m: float
 ) -> Float[np.ndarray, "N M"]:
-    """(N, 2 + K) float32: hidden share of the sky, closeness of a body, and the hidden share of every lamp."""
+    """Float32 hidden share of the sky, closeness of a body, and the hidden share of every lamp."""
     beside = np.stack([sky_hidden(points, bodies), nearness(points, bodies, contact_m)], axis=1)
     return np.concatenate([beside, hidden(points, lamps.discs, bodies)], axis=1)
 
@@ -96,13 +93,12 @@ def losses(
 def strengths(
     lost: Float[np.ndarray, "P T M"], relative: Float[np.ndarray, "P K"], ratio: Float[np.ndarray, "P T"]
 ) -> Float[np.ndarray, " M"]:
-    """(2 + K,) non-negative strengths of sky, contact and lamps, from the changes of P pixels over T pictures.
+    """Non-negative strengths of sky, contact and lamps, from the changes of P pixels over T pictures.
 
-    ``lost`` (P, T, 2 + K) from ``losses``, ``relative`` (P, K) fall-off of every lamp over its mean, ``ratio`` (P, T)
-    of picture to plate, NaN where unknown. A plate may contain a permanent shadow, so every pixel has its own level
-    that is fitted with the strengths, and only its changes count. The unshaded light depends on the strengths too, so
-    the two are updated in alternation. Large residuals count by their root (Huber), since reflections and carried
-    objects are no shadows.
+    ``lost`` is from ``losses``, ``relative`` the fall-off of every lamp over its mean, ``ratio`` that of picture to
+    plate, NaN where unknown. A plate may contain a permanent shadow, so every pixel has a fitted level, and only its
+    changes count. The unshaded light depends on the strengths too, so the two are updated in alternation. Large
+    residuals count by their root (Huber), since reflections and carried objects are no shadows.
     """
     known = np.isfinite(ratio)
     seen, weight = np.where(known, ratio, 0.0), known.astype(np.float64)
@@ -142,8 +138,7 @@ def _columns(lost: np.ndarray, relative: np.ndarray, part: slice) -> np.ndarray:
 def _with_rows(
     triangle: np.ndarray, scaled: np.ndarray, darker: np.ndarray, weight: np.ndarray, part: slice
 ) -> np.ndarray:
-    """The triangle (n, 3 + K) of the least-squares problem with the equations of a part's pixels added, without unknown
-    ones.
+    """The triangle of the least-squares problem with the known equations of a part's pixels added.
 
     The update is orthogonal, so that precision remains where neighbouring patches hide nearly the same pixels.
     """
@@ -159,8 +154,6 @@ def _with_rows(
 def own_levels(
     seen: Float[np.ndarray, "P T"], left: Float[np.ndarray, "P T"], weight: Shaped[np.ndarray, "P T"]
 ) -> Float[np.ndarray, " P"]:
-    """(P,) ratio of pixels (P, T) to their plate when unshaded, from ``left`` (P, T) of their light; 1 where
-    unknown.
-    """
+    """Ratio of pixels to their plate when unshaded, from ``left`` of their light; 1 where unknown."""
     light = (weight * left).sum(axis=1)
     return np.where(light > 1e-9, (weight * seen).sum(axis=1) / np.maximum(light, 1e-9), 1.0)

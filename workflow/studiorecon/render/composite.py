@@ -25,7 +25,7 @@ _SOLID_GROUP = 10
 
 
 class PosedAvatar(Protocol):
-    """An avatar in a composite: Gaussians and joints at a time, their classes (N,), and the measured frames (T,).
+    """An avatar in a composite: Gaussians and joints at a time, their classes, and the measured frames.
 
     An absent person has the same number of Gaussians, all invisible, and joints infinitely far away.
     """
@@ -50,10 +50,9 @@ class Composite:
 
     Attributes:
         background: static Gaussians.
-        classes: (N,) uint8 per background Gaussian: measured, inferred or invented.
-        people: one posable set per person.
+        classes: uint8 per background Gaussian: measured, inferred or invented.
+        people, objects: one posable set each.
         shading: shadows of people on the room; None for none.
-        objects: one posable set per object.
         absent: people who were captured and are left out of this film; its camera still knows where they were.
     """
 
@@ -71,19 +70,16 @@ class Composite:
 
 
 def provenance_classes(person: PosedAvatar, frame: float) -> Integer[np.ndarray, " N"]:
-    """(N,) uint8 classes of a person or object at a frame.
-
-    In a frame whose pose was interpolated no part of a body is measured.
-    """
+    """Classes of a person or object at a frame; where the pose was interpolated no part of a body is measured."""
     measured = bool(person.valid[int(np.clip(round(frame), 0, len(person.valid) - 1))])
     return person.provenance if measured else np.maximum(person.provenance, INFERRED)
 
 
 def truth_levels(shares: Float[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W"]:
-    """(H, W) uint8 truth map from class shares (H, W, 3): 255 measured, 128 inferred, 0 invented.
+    """Truth map from class shares: 255 measured, 128 inferred, 0 invented.
 
-    The class with the largest share of the pixel wins. A pixel with more than half of its light from no Gaussian is
-    invented too: no camera measured that there is nothing.
+    The largest share wins. A pixel with more than half of its light from no Gaussian is invented too: no camera
+    measured that there is nothing.
     """
     return _levels(np.ascontiguousarray(shares), TRUTH_LEVELS)
 
@@ -104,14 +100,14 @@ def _levels(shares, levels):
 
 
 def millimetres(depth_m: Float[np.ndarray, "H W"]) -> Integer[np.ndarray, "H W"]:
-    """(H, W) uint16 millimetres; 0 stays unknown, larger depths than 65.535 m become 65535."""
+    """Uint16 millimetres; 0 stays unknown, larger depths than 65.535 m become 65535."""
     return np.clip(np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=65.535) * 1000), 0, 65535).astype(np.uint16)
 
 
 def blocked(eyes_m: Float[np.ndarray, "E 3"], background: Gaussians, clearance_m: float) -> Bool[np.ndarray, " E"]:
-    """(E,) bool: camera positions with solid background within ``clearance_m``.
+    """Whether solid background (Gaussians of opacity above a half) is within ``clearance_m`` of each position.
 
-    Solid is a group of Gaussians of opacity above a half: a single floater must not move a camera path.
+    It takes a group of them: a single floater must not move a camera path.
     """
     solid = background.means_m[background.logit_opacities > 0]
     if len(solid) == 0 or clearance_m <= 0:

@@ -34,9 +34,8 @@ class Layers:
 
     Attributes:
         rendering: premultiplied colours over nothing, alpha, expected depth and world normals.
-        shares: (H, W, 3) share of every pixel that is measured, inferred, invented.
-        mattes: (H, W, 1 + people + objects) share of every pixel that is the room, then each person and object; they
-            add up to alpha.
+        shares: share of every pixel that is measured, inferred, invented.
+        mattes: share of every pixel that is the room, then each person and object; they add up to alpha.
     """
 
     rendering: Rendering
@@ -71,7 +70,7 @@ class CompositeRenderer:
     def draw(
         self, camera: Camera, frame: float, background_rgb: Sequence[float]
     ) -> tuple[Rendering, Float[np.ndarray, "H W 3"]]:
-        """The rendering at a (fractional) frame, and each class's share of every pixel (H, W, 3)."""
+        """The rendering at a (fractional) frame, and each class's share of every pixel."""
         self._enter(frame)
         rendering = self._rasteriser.forward(self._blocked, camera, background_rgb, values=self._classes)
         assert rendering.values is not None

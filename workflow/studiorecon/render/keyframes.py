@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``spline``: a smooth camera path through keyframes, each with its own lens and its own time (bullet time, slow
-motion).
-"""
+"""``spline``: a smooth camera path through keyframes, each with its own lens and time (bullet time, slow motion)."""
 
 from __future__ import annotations
 
@@ -76,10 +74,7 @@ class FreeKey:
 
 
 def read_keys(values: Sequence[Any], name: str) -> list[CameraKey | FreeKey]:
-    """The keyframes of shot ``name``.
-
-    Raises UserError when there are fewer than two or their pictures do not increase from 0.
-    """
+    """The keyframes of shot ``name``; raises UserError for fewer than two, or pictures that do not increase from 0."""
     keys: list[CameraKey | FreeKey] = []
     for index, value in enumerate(values):
         where, load = f"render.shots.{name}.keys[{index}]", settings_module.load
@@ -93,7 +88,7 @@ def read_keys(values: Sequence[Any], name: str) -> list[CameraKey | FreeKey]:
 
 
 def from_camera_to_camera(cameras: Sequence[Camera], name: str) -> list[CameraKey | FreeKey]:
-    """Keys at the positions of the training cameras, by azimuth from the first one on, directed at the people.
+    """Keys at the training cameras, by azimuth from the first one on, directed at the people.
 
     Raises UserError with fewer than two cameras.
     """
@@ -115,10 +110,9 @@ def spline_steps(
 ) -> list[PathStep]:
     """One step per picture, from the first key's to the last key's.
 
-    Positions follow an Akima curve, rotations a spline on SO(3), both smooth and through every key. Time and the
-    logarithm of the focal length follow monotone curves, so that time never runs backwards unless the keys do. If all
-    keys name a target, the camera points at the targets (which may walk) between keys, too. Raises UserError for an
-    unknown camera or person.
+    Positions follow an Akima curve, rotations a spline on SO(3). Time and the logarithm of the focal length follow
+    monotone curves, so that time never runs backwards unless the keys do. If all keys name a target, the camera points
+    at the targets (which may walk) between keys, too. Raises UserError for an unknown camera or person.
     """
     at = np.array([key.picture for key in keys], np.float64)
     pictures = np.arange(keys[-1].picture + 1, dtype=np.float64)

@@ -38,9 +38,7 @@ KINDS: Mapping[str, type] = {
 
 
 def film(described: Mapping[str, Any], shot: str) -> Any:
-    """The settings of the film ``shot``, of its kind's type; raises UserError for an unknown kind or a value of the
-    wrong type.
-    """
+    """The settings of the film ``shot``; raises UserError for an unknown kind or a value of the wrong type."""
     kind = described.get("kind")
     if kind is None or kind not in KINDS:
         raise UserError(f"shot {shot} is of kind {kind!r}; known kinds are {', '.join(KINDS)}")

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``render.layers``: writes a film as layers for compositing: colour, depth, mattes and truth as OpenEXR,
-``000000.exr`` ….
+"""``render.layers``: writes a film as layers for compositing: colour, depth, mattes and truth as ``000000.exr`` ….
 
 Channels: R, G, B, A (half; the video's own tone curve, premultiplied, over nothing), Z (float; metres, 0 = nothing
 there), NX, NY, NZ (half; world normals), ``truth.measured``, ``truth.inferred``, ``truth.invented`` and ``matte.room``,
@@ -38,7 +37,7 @@ class Settings(DrawSettings):
 
 
 def channels(layers: Layers, people: Sequence[str]) -> dict[str, Float[np.ndarray, "H W"]]:
-    """(H, W) channels by name: float16, depth float32."""
+    """Channels by name: float16, depth float32."""
     rendering = layers.rendering
     if rendering.normals is None:
         raise ValueError("layers were drawn without normals")

@@ -73,19 +73,14 @@ class Settings:
 
 @dataclass(frozen=True)
 class FloorObservations:
-    """P pixels of the floor in one camera: points (P, 3), and ratio (P, T) of pictures to the plate, NaN
-    where unknown.
-    """
+    """P pixels of the floor in one camera: points, and ratio of pictures to the plate, NaN where unknown."""
 
     points_m: Float[np.ndarray, "P 3"]
     ratio: Float[np.ndarray, "P T"]
 
 
 def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[Float[np.ndarray, "C 7"]]]:
-    """Per frame the capsules (C, 7) of every person; none for a person who was not measured there.
-
-    Raises UserError when a body was fitted with another body model.
-    """
+    """Per frame the capsules of every person; none where unmeasured. Raises UserError for another body model."""
     for person in people:
         if person.body != model.identity:
             raise UserError(
@@ -101,9 +96,7 @@ def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[Fl
 
 
 def standing_places(people: Sequence[Person], frame: int) -> tuple[Float[np.ndarray, "A 2"], Float[np.ndarray, "B 2"]]:
-    """(A, 2) positions of people measured at a frame, and (B, 2) possible positions of unmeasured ones, without absent
-    people.
-    """
+    """Positions of people measured at a frame, and possible positions of unmeasured ones, without absent people."""
     sure = [person.trans[frame, :2] for person in people if person.valid[frame]]
     guessed = [person.trans[frame, :2] for person in people if person.present[frame] and not person.valid[frame]]
     return np.reshape(sure, (-1, 2)), np.reshape(guessed, (-1, 2))
@@ -118,11 +111,10 @@ def ratios(
     unsure_m: Float[np.ndarray, "B 2"],
     reach_m: float,
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) ratio of a ``picture`` (H, W, 3) uint8 to the ``plate`` (H, W, 3) in 0..1, NaN where not ``free`` or of
-    another colour.
+    """Ratio of a ``picture`` to the ``plate`` in 0..1, NaN where not ``free`` or of another colour.
 
-    ``near_m`` (A, 2): positions of measured people; ``unsure_m`` (B, 2): possible positions of others, around which the
-    ratio is unknown. The picture's exposure, measured from pixels far from all people, is divided out.
+    ``near_m``: positions of measured people; ``unsure_m``: possible positions of others, around which the ratio is
+    unknown. The picture's exposure, measured from pixels far from all people, is divided out.
     """
     levels, before = picture.astype(np.float32), plate.astype(np.float32) * 255
     usable = free & (before.min(-1) > _DARKEST) & (np.maximum(levels, before).max(-1) < _BRIGHTEST)
@@ -141,10 +133,7 @@ def estimate(
     room_box: RoomBox,
     settings: LightSettings,
 ) -> Light:
-    """The light that explains the changes of the floor over ``frames`` (T).
-
-    It is not kept where it does not explain the last quarter of them.
-    """
+    """The light that explains the floor's changes over ``frames``; not kept if it fails on the last quarter of them."""
     nothing = Lamps(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     blank = Light(False, "", nothing, np.zeros(0), np.ones(0), 0.0, 0.0, settings.contact_m, room_box.standing_m)
     points, ratio = np.concatenate([o.points_m for o in observed]), np.concatenate([o.ratio for o in observed])
@@ -185,9 +174,7 @@ def estimate(
 
 
 def _error(ratio: np.ndarray, left: np.ndarray, later: np.ndarray) -> float:
-    """Root mean square residual of ``left`` (P, T) of the light in the ``later`` frames (T,), with levels from the
-    frames before.
-    """
+    """Root mean square residual of ``left`` of the light in the ``later`` frames, with levels from those before."""
     seen, weight = np.nan_to_num(ratio), np.isfinite(ratio)
     own = own_levels(seen[:, ~later], left[:, ~later], weight[:, ~later])
     return float(np.sqrt(np.mean((seen - own[:, None] * left)[weight & later] ** 2)))

@@ -25,12 +25,10 @@ class LookAtTargets:
     """Possible targets of a camera.
 
     Attributes:
-        pelvis_m: person → (T, 3) world positions of the pelvis.
-        facing: person → (T, 2) horizontal unit vectors in which the pelvis faces.
-        present: person → (T,) bool, frames in which they are present.
-        scene_m: (3,) common centre of the training cameras' views.
-        frames: T.
-        fps: frames per second of the capture.
+        pelvis_m: person → world positions of the pelvis in every frame.
+        facing: person → horizontal unit vectors in which the pelvis faces.
+        present: person → frames in which they are present.
+        scene_m: common centre of the training cameras' views.
         reach_m: horizontal distance of the training cameras from ``scene_m``: people beyond it are bystanders.
     """
 
@@ -43,10 +41,10 @@ class LookAtTargets:
     reach_m: float = np.inf
 
     def still(self, target: Target, shot: str) -> Float[np.ndarray, " 3"]:
-        """(3,) one point for a whole film: of people the median over the frames in which they are present.
+        """One point for a whole film: of people the median over the frames in which they are present.
 
-        Somebody who watches from behind the cameras counts only where nobody is among them. Without people ``people``
-        means ``scene``. Raises UserError for an unknown person.
+        Bystanders behind the cameras count only where nobody is among them. Without people ``people`` means ``scene``.
+        Raises UserError for an unknown person.
         """
         if not isinstance(target, str):
             return np.asarray(target, np.float64)
@@ -62,11 +60,9 @@ class LookAtTargets:
     def at(
         self, target: Target, times: Num[np.ndarray, " P"], shot: str, smooth_s: float = 0.5
     ) -> Float[np.ndarray, "P 3"]:
-        """(P, 3) positions of the target at capture frames ``times`` (P,); those of a moving person are smoothed over
-        ``smooth_s`` seconds.
+        """Positions of the target at capture frames ``times``; those of a moving person smoothed over ``smooth_s``.
 
-        Unsmoothed, a camera that keeps a walking person's pelvis in the middle would nod with every step. All other
-        targets are static.
+        Unsmoothed, a camera that keeps a walking person's pelvis in the middle would nod with every step.
         """
         if not isinstance(target, str) or target in ("scene", "people"):
             return np.tile(self.still(target, shot), (len(times), 1))
@@ -75,9 +71,7 @@ class LookAtTargets:
     def facing_at(
         self, person: str, times: Num[np.ndarray, " P"], shot: str, smooth_s: float
     ) -> Float[np.ndarray, " P"]:
-        """(P,) azimuth in radians that a person faces at capture frames ``times``; averaged as directions, never as
-        angles.
-        """
+        """Azimuth in radians that a person faces at capture frames ``times``; directions are averaged, not angles."""
         smooth = _sampled(_smooth(self._of(self.facing, person, shot), smooth_s * self.fps), times)
         return np.arctan2(smooth[:, 1], smooth[:, 0])
 

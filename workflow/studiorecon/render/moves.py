@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DollyZoom:
-    """Settings of a ``dolly_zoom`` shot: the camera approaches while its lens widens, so that the subject keeps its
-    size.
+    """Settings of a ``dolly_zoom`` shot: the camera approaches while its lens widens: the subject keeps its size.
 
     Attributes:
         frames: number of pictures.
@@ -136,7 +135,7 @@ def oscillate_steps(
     wh: tuple[int, int],
     shrink: Float[np.ndarray, " pictures"],
 ) -> list[PathStep]:
-    """The pictures of an oscillation; ``shrink`` (pictures,) scales the distance of each, to avoid walls and furniture.
+    """The pictures of an oscillation; ``shrink`` scales the distance of each, to avoid walls and furniture.
 
     Raises UserError for an unknown camera.
     """
@@ -165,7 +164,7 @@ def follow_steps(
     wh: tuple[int, int],
     shrink: Float[np.ndarray, " pictures"],
 ) -> list[PathStep]:
-    """The pictures of a follow shot; ``shrink`` (pictures,) scales the distance of each, to avoid walls and furniture.
+    """The pictures of a follow shot; ``shrink`` scales the distance of each, to avoid walls and furniture.
 
     Raises UserError for an unknown person.
     """

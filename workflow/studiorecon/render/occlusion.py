@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The share of a lamp that bodies of capsules hide from points, and the closeness of bodies: soft, in closed form,
-without sampling.
+"""The share of a lamp that bodies of capsules hide from points, and the closeness of bodies: soft, in closed form.
 
 Points are processed in groups of sixteen neighbours, and sixteen groups make a heap. Most capsules cannot be between
 most groups and most lamps; one test of all groups of a heap detects that. Only the remaining groups are computed,
@@ -51,7 +50,7 @@ class Groups:
     """N points in G groups of sixteen neighbours.
 
     Attributes:
-        order: (N,) index of the point at each position.
+        order: index of the point at each position.
         count: G, whole heaps of sixteen groups.
         places: (G · 3 · 16,) float32 x, y and z of every group's points, metres; surplus places repeat a point.
         spheres: (G / 16 · 4 · 16,) float32 x, y, z and radius of the spheres around every heap's groups.
@@ -64,7 +63,7 @@ class Groups:
 
     @classmethod
     def of(cls, points_m: Num[np.ndarray, "N 3"]) -> Groups:
-        """Groups of points (N, 3); raises ValueError for another shape."""
+        """Groups of points; raises ValueError for another shape."""
         require("points_m", points_m, ("N", 3))
         order = morton_order(np.asarray(points_m))
         count = -(-len(order) // LANES**2) * LANES
@@ -77,7 +76,7 @@ class Groups:
         return cls(order, count, *lanes)
 
     def grouped(self, values: Num[np.ndarray, "N K"]) -> Float[np.ndarray, " V"]:
-        """(G · 16 · …,) float32, flat: values (N, K) of the points in the kernels' layout, (G, K, 16); padding is 0."""
+        """(G · 16 · …,) float32, flat: values of the points in the kernels' layout, (G, K, 16); padding is 0."""
         out = np.zeros((len(self.spheres) * LANES, values.shape[1]), np.float32)
         out[: len(self.order)] = values[self.order]
         return np.ascontiguousarray(out.reshape(len(self.spheres), LANES, values.shape[1]).transpose(0, 2, 1)).reshape(
@@ -94,10 +93,9 @@ class Groups:
 def pack_capsules(
     bodies: Sequence[Float[np.ndarray, "C 7"]],
 ) -> tuple[Float[np.ndarray, "C 7"], Float[np.ndarray, "B 7"], Integer[np.ndarray, " B+1"]]:
-    """Capsules (C, 7) of all bodies, a ball around each body (B, 7), and the start index of each one's capsules (B +
-    1,).
+    """Capsules of all bodies, a ball (capsule of length 0) around each body, and start index of each one's capsules.
 
-    A ball is a capsule of length 0. Raises ValueError for other shapes.
+    Raises ValueError for other shapes.
     """
     there = [np.asarray(body, np.float64) for body in bodies if len(body)]
     for body in there:
@@ -114,10 +112,10 @@ def pack_capsules(
 
 
 def sky_discs() -> Num[np.ndarray, "D 4"]:
-    """(D, 4) discs that represent diffuse light from above, all equally bright on a surface that faces up.
+    """Discs that represent diffuse light from above, all equally bright on a surface that faces up.
 
-    On the dome, uniform on the disc below it, which gives the cosine of light on such a surface. They are so far away
-    that every point of a room sees each in the same direction.
+    They are uniform on the disc below the dome, which gives the cosine, and so far away that every point of a room sees
+    each in the same direction.
     """
     k = np.arange(_SKY) + 0.5
     radius, angle = np.sqrt(k / _SKY), k * np.pi * (3 - np.sqrt(5))
@@ -128,11 +126,11 @@ def sky_discs() -> Num[np.ndarray, "D 4"]:
 def hidden(
     points_m: Num[np.ndarray, "N 3"] | Groups, lamps: Num[np.ndarray, "K 4"], bodies: Sequence[Float[np.ndarray, "C 7"]]
 ) -> Float[np.ndarray, "N K"]:
-    """(N, K) float32 share of every lamp that the bodies hide from points (N, 3).
+    """Float32 share of every lamp that the bodies hide from points.
 
-    ``area_lights`` (K, 4): position and radius in metres, seen as a disc; ``bodies``: capsules (C, 7) each, two ends
-    and a radius. Capsules hide parts of a lamp independently of each other: against sampled rays, this error is a third
-    smaller than with only the capsule that hides most. Raises ValueError for other shapes.
+    ``lamps``: position and radius in metres, seen as a disc; ``bodies``: capsules each, two ends and a radius. Capsules
+    hide parts of a lamp independently of each other: against sampled rays, this error is a third smaller than with only
+    the capsule that hides most. Raises ValueError for other shapes.
     """
     groups = points_m if isinstance(points_m, Groups) else Groups.of(points_m)
     require("lamps", lamps, ("K", 4))
@@ -149,7 +147,7 @@ def hidden_light(
     lamps: Float[np.ndarray, "K 4"],
     bodies: Sequence[Float[np.ndarray, "C 7"]],
 ) -> Float[np.ndarray, " N"]:
-    """(N,) float32 sum over lamps (K, 4) of ``parts`` times the hidden share; ``parts`` are those of ``grouped``."""
+    """Float32 sum over lamps of ``parts`` times the hidden share; ``parts`` are those of ``grouped``."""
     out = np.zeros(groups.count * LANES, np.float32)
     discs = np.ascontiguousarray(lamps, np.float32)
     _hide(groups.places, groups.spheres, discs, *pack_capsules(bodies), parts, np.zeros(0, np.float32), out)
@@ -159,16 +157,15 @@ def hidden_light(
 def sky_hidden(
     points_m: Float[np.ndarray, "N 3"] | Groups, bodies: Sequence[Float[np.ndarray, "C 7"]]
 ) -> Float[np.ndarray, " N"]:
-    """(N,) float32 share of the diffuse light from above that the bodies hide from points (N, 3) that face up."""
+    """Float32 share of the diffuse light from above that the bodies hide from points that face up."""
     return hidden(points_m, sky_discs(), bodies).mean(axis=1)
 
 
 def nearness(
     points_m: Float[np.ndarray, "N 3"] | Groups, bodies: Sequence[Float[np.ndarray, "C 7"]], reach_m: float
 ) -> Float[np.ndarray, " N"]:
-    """(N,) float32: 1 where a body touches a point (N, 3), exp(-1) at ``reach_m`` from its surface, falling as a bell
-    curve; 0 beyond four times that.
-    """
+    """1 where a body touches a point, exp(-1) at ``reach_m`` from its surface, 0 beyond four times that (bell
+    curve)."""
     groups = points_m if isinstance(points_m, Groups) else Groups.of(points_m)
     gaps = np.empty(groups.count * LANES, np.float32)
     _gaps(groups.places, groups.spheres, *pack_capsules(bodies), float32(_REACHES * reach_m), gaps)
@@ -205,9 +202,8 @@ def _near_ray(cx, cy, cz, radius, disc, capsule):
 
 @njit(**INLINE)
 def _uncovered(px, py, pz, lx, ly, lz, away, spread, capsule):
-    """Share of a disc that one capsule leaves visible, from the distance between its axis and the ray to the disc's
-    middle.
-    """
+    """Share of a disc that one capsule leaves visible, from the distance of its axis to the ray to the disc's
+    middle."""
     ux, uy, uz = capsule[3] - capsule[0], capsule[4] - capsule[1], capsule[5] - capsule[2]
     uu, radius = ux * ux + uy * uy + uz * uz, capsule[6]
     wx, wy, wz = px - capsule[0], py - capsule[1], pz - capsule[2]
@@ -267,10 +263,7 @@ def _hide_heap(places, spheres, heap, disc, capsules, starts, near, left):
 
 @njit(parallel=True, nogil=True, **KERNEL)
 def _hide(places, spheres, discs, capsules, balls, starts, parts, shares, sums):
-    """Fills ``shares`` (G, K, 16) with the hidden share of every disc (K, 4).
-
-    Given ``parts`` (G, K, 16), it instead adds their product to ``sums`` (G, 16).
-    """
+    """Fills ``shares`` with the hidden share of every disc, or, given ``parts``, adds their product to ``sums``."""
     lamps = len(discs)
     for heap in prange(len(spheres) // (4 * LANES)):
         left, near = np.empty(LANES * LANES, np.float32), np.empty(len(balls), np.bool_)

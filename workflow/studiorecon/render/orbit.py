@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``orbit``: once around the scene inside the ring of training cameras.
-
-If the cameras cover only an arc, the path swings along that arc and back, because nothing was filmed beyond it.
-"""
+"""``orbit``: once around the scene inside the ring of training cameras, or along their arc and back."""
 
 from __future__ import annotations
 
@@ -52,7 +49,7 @@ class Orbit:
 def azimuths(
     orbit: Orbit, cameras: Sequence[Camera], centre_m: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, " frames"]:
-    """(frames,) azimuth of each picture about the centre: once around, or along the filmed arc and back."""
+    """Azimuth of each picture about the centre: once around, or along the filmed arc and back."""
     filmed = azimuths_rad(cameras, centre_m)
     order, gap_rad = order_around(cameras, centre_m, closed=False)
     if gap_rad < LARGEST_GAP_RAD:
@@ -73,10 +70,9 @@ def orbit_steps(
     wh: tuple[int, int],
     shrink: Float[np.ndarray, " pictures"],
 ) -> list[PathStep]:
-    """The pictures of an orbit; ``shrink`` (pictures,) scales the radius of each once more, to avoid walls and
-    furniture.
+    """The pictures of an orbit; ``shrink`` scales the radius of each once more, to avoid walls and furniture.
 
-    The radius follows the training cameras' own distances, interpolated over azimuth: a ring in an oblong room stays
+    The radius follows the training cameras' distances, interpolated over azimuth: a ring in an oblong room stays
     oblong. Raises UserError without at least two cameras.
     """
     if len(cameras) < 2:

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures of a shot from its settings, with a path that avoids walls and furniture where the kind of shot allows
-it.
-"""
+"""The pictures of a shot from its settings, with a path that avoids walls and furniture where its kind allows it."""
 
 from __future__ import annotations
 
@@ -41,10 +39,9 @@ def plan(
     subjects: LookAtTargets,
     background: Gaussians,
 ) -> list[PathStep]:
-    """The pictures of a shot.
+    """The pictures of a shot; ``train`` and ``heldout`` show every frame, one segment per camera of their kind.
 
-    ``train`` and ``heldout`` show every frame from every camera of their kind, one segment per camera. Raises UserError
-    for a shot that is not configured or cannot be made of these cameras and people.
+    Raises UserError for a shot that is not configured or cannot be made of these cameras and people.
     """
     if shot == "train":
         return every_frame(training, subjects.frames)
@@ -83,8 +80,8 @@ def clear_path(
 ) -> list[PathStep]:
     """A path that moves closer to its subject where it would pass within ``clearance_m`` of solid background.
 
-    ``path`` makes the steps from a factor on the distance of each picture. If no factor gives a clear path, the path
-    keeps its full distance; the ledger of the shot says so (``render/statistics.py``).
+    ``path`` makes the steps from a factor on the distance of each picture. If no factor gives a clear path, it keeps
+    its full distance; the ledger of the shot says so (``render/statistics.py``).
     """
     inside = np.array([_blocked(path(np.full(pictures, shrink)), background, clearance_m) for shrink in _SHRINK])
     clear = ~inside.all(axis=0)
@@ -98,10 +95,9 @@ def clear_path(
 
 
 def smooth_dips(factors: Float[np.ndarray, " pictures"]) -> Float[np.ndarray, " pictures"]:
-    """A smooth closed curve that never exceeds ``factors`` (pictures,), for a path around obstacles.
+    """A smooth closed curve that never exceeds ``factors``, for a path around obstacles.
 
-    The smallest factor within a fourteenth of the film on either side, then a Hann window of the same reach: a mean of
-    values that are each at most the factor here.
+    The smallest factor within a fourteenth of the film on either side, then a Hann window of the same reach.
     """
     count = len(factors)
     reach = max(count // 14, 1)

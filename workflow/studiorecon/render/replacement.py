@@ -37,9 +37,7 @@ _MOMENTS = 8
 
 @dataclass(frozen=True)
 class Donor:
-    """The person whose appearance is taken: canonical Gaussians of shape ``betas`` (B,) with joints (N, K) and weights
-    (N, K).
-    """
+    """The person whose appearance is taken: canonical Gaussians of shape ``betas`` with joints and weights."""
 
     gaussians: Gaussians
     bones: Integer[np.ndarray, "N K"]
@@ -48,10 +46,7 @@ class Donor:
 
 
 def donor_from_avatar(person: Avatar) -> Donor:
-    """A trained person as a donor.
-
-    Colours that change over the donor's performance are averaged, because its times do not match another's.
-    """
+    """A trained person as a donor; colours are averaged over the performance, whose times do not match another's."""
     own = person.gaussians
     there = np.flatnonzero(person.present)
     moments = np.interp(np.linspace(0, len(there) - 1, _MOMENTS), np.arange(len(there)), there)
@@ -62,9 +57,7 @@ def donor_from_avatar(person: Avatar) -> Donor:
 
 
 def read_donor(path: Path, model: BodyModel) -> Donor:
-    """The person of a canonical ``.ply``; raises UserError with the file's name unless it holds a person in the rest
-    pose.
-    """
+    """The person of a canonical ``.ply``; raises UserError unless it holds a person in the rest pose."""
     beside = path.with_suffix(".npz")
     if beside.is_file():
         return donor_from_avatar(read_avatar(path, beside, model, brought=True))
@@ -77,11 +70,10 @@ def read_donor(path: Path, model: BodyModel) -> Donor:
 
 
 def retarget(donor: Donor, performer: Avatar) -> Avatar:
-    """The donor with the performer's motion, as ``performer.person``.
+    """The donor with the performer's motion, as ``performer.person``; all of it is invented.
 
     Joint rotations are the performer's, bones keep the donor's length. The pelvis follows the performer's, shifted in
-    height so that the lowest point of the body keeps its height: shorter legs do not float. No camera filmed that, so
-    all of it is invented.
+    height so that the lowest point of the body keeps its height: shorter legs do not float.
     """
     model, poses = performer.model, performer.poses
     lowest = [
@@ -107,12 +99,10 @@ def retarget(donor: Donor, performer: Avatar) -> Avatar:
 def replace_people(
     people: Sequence[Avatar], wanted: Mapping[str, str], shot: str, stand_ins: Sequence[Path] = ()
 ) -> list[Avatar]:
-    """The people of a shot, with those in ``wanted`` (person → person, path of a ``.ply`` or photo, or ``NOBODY``)
-    replaced or left out.
+    """The people of a shot, those in ``wanted`` (person → person, ``.ply``, photo or ``NOBODY``) replaced or left out.
 
-    ``stand_ins`` holds the canonical ``.ply`` of every photo's stranger. Names always mean the people as they were
-    captured, so ``{p0: p1, p1: p0}`` swaps two. Raises UserError for unknown names and for files that hold no person in
-    the rest pose.
+    ``stand_ins`` holds the canonical ``.ply`` of every photo's stranger. Names mean the people as captured, so ``{p0:
+    p1, p1: p0}`` swaps two. Raises UserError for unknown names and for files that hold no person in the rest pose.
     """
     cast = {person.person: person for person in people}
     for name in [*wanted, *(source for source in wanted.values() if re.fullmatch(r"p\d+", source))]:

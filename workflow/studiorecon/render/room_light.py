@@ -53,9 +53,8 @@ class Lamps:
     """K patches that may give light.
 
     Attributes:
-        positions_m: (K, 3).
-        facing: (K, 3) unit normals into the room; zeros for the sky, which is equally bright everywhere.
-        radius_m: (K,) of the disc that represents the patch.
+        facing: unit normals into the room; zeros for the sky, which is equally bright everywhere.
+        radius_m: of the disc that represents the patch.
     """
 
     positions_m: Float[np.ndarray, "K 3"]
@@ -64,7 +63,7 @@ class Lamps:
 
     @property
     def discs(self) -> Float[np.ndarray, "K 4"]:
-        """(K, 4) position and radius."""
+        """Position and radius."""
         return np.concatenate([self.positions_m, self.radius_m[:, None]], axis=1)
 
     def take(self, index: Shaped[np.ndarray, " M"]) -> Lamps:
@@ -72,8 +71,8 @@ class Lamps:
         return Lamps(self.positions_m[index], self.facing[index], self.radius_m[index])
 
     def falloff(self, points_m: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N K"]:
-        """(N, K) light on points (N, 3) that face up from lamps of equal strength: both cosines over distance squared;
-        1 from the sky.
+        """Light on points that face up from lamps of equal strength: both cosines over distance squared; 1 from the
+        sky.
         """
         towards = self.positions_m[None] - np.asarray(points_m, np.float64)[:, None]
         distance = np.maximum(np.linalg.norm(towards, axis=-1), 0.1)
@@ -91,9 +90,9 @@ class Light:
         kept: whether it predicts pictures that it was not fitted to; otherwise films leave it out.
         reason: one sentence.
         lamps: patches that give light.
-        share: (K,) of the light of an unshaded floor, averaged over where it was measured.
-        usual: (K,) mean fall-off there.
-        sky, contact: strengths of the two other terms; ``contact_m``: reach of the latter.
+        share: of the light of an unshaded floor, averaged over where it was measured.
+        usual: mean fall-off there.
+        sky, contact, contact_m: strengths of the two other terms; reach of the latter.
         floor_m: height of the floor.
         figures: measures of the fit.
     """
@@ -112,7 +111,7 @@ class Light:
     def factor(
         self, points_m: Float[np.ndarray, "N 3"], bodies: Sequence[Float[np.ndarray, "C 7"]]
     ) -> Float[np.ndarray, " N"]:
-        """(N,) float32 remaining share of light on points (N, 3) that face up, near bodies of capsules (C, 7) each."""
+        """Float32 remaining share of light on points that face up, near bodies of capsules each."""
         return LitPoints(self, points_m).left(bodies)
 
 
@@ -132,7 +131,7 @@ class LitPoints:
         self._parts = self._groups.grouped(part)
 
     def left(self, bodies: Sequence[Float[np.ndarray, "C 7"]]) -> Float[np.ndarray, " N"]:
-        """(N,) float32 remaining share of light on the points, near bodies of capsules (C, 7) each."""
+        """Float32 remaining share of light on the points, near bodies of capsules each."""
         if not any(len(body) for body in bodies):
             return np.ones(len(self._total), np.float32)
         gone = hidden_light(self._groups, self._parts, self._discs, bodies)

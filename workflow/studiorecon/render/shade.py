@@ -21,8 +21,7 @@ MOMENTS = 120
 
 
 def run(manifest: Path, files: SceneFiles, light: Path, shade: Written) -> None:
-    """Write ``at`` (M,) indices of the room's Gaussians that can be shaded, ``times`` (K,) frames, and ``factors`` (K,
-    M) on their colours.
+    """Write indices ``at`` of the room's shadeable Gaussians, frames ``times``, and ``factors`` on their colours.
 
     All are empty if the ``light`` was not kept.
     """

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shadows of people and objects on the room: dims its Gaussians that face up by the light that bodies and capsules
-hide.
-"""
+"""Shadows of people and objects on the room: dims its Gaussians that face up by the light that bodies hide."""
 
 from __future__ import annotations
 
@@ -39,10 +37,9 @@ class Shading:
 
     Attributes:
         lit: the Gaussians that can be shaded, under the estimated light.
-        at: (M,) their indices in the room, ascending; ``facing`` (M,) how far each faces up, 0..1.
-        usual: (M,) share of its light that each had in the plates.
+        at, facing: their indices in the room, ascending, and how far each faces up, 0..1.
+        usual: share of its light that each had in the plates.
         casters: people with their capsules: those that a shot shows, including stand-ins.
-        things: objects.
     """
 
     lit: LitPoints
@@ -53,7 +50,7 @@ class Shading:
     things: Sequence[RigidObject] = ()
 
     def factor(self, frame: float) -> Float[np.ndarray, " M"]:
-        """(M,) float32 factors on the plates' colours of the Gaussians ``at`` at a (fractional) frame; see ``dim``."""
+        """Float32 factors on the plates' colours of the Gaussians ``at`` at a (fractional) frame; see ``dim``."""
         left = self.lit.left(_bodies(self.casters, self.things, frame)) / self.usual
         return (1 - self.facing * (1 - left)).astype(np.float32)
 
@@ -65,11 +62,10 @@ def shading(
     filmed: Sequence[Avatar],
     things: Sequence[RigidObject] = (),
 ) -> Shading | None:
-    """The shadows of ``people`` and ``things`` on the room; None when the light was not kept or nothing casts a shadow.
+    """The shadows of ``people`` and ``things`` on the room; None when the light was not kept or nothing casts one.
 
     ``filmed`` are the people of the footage: where they, or objects, shade the floor most of the time, a clean plate
-    contains that shade, and the room with it. The shade in a plate is therefore computed by the plate's own rule and
-    divided out.
+    contains that shade, and the room with it. It is computed by the plate's own rule and divided out.
     """
     if not light.kept or not (people or things):
         return None
@@ -91,9 +87,7 @@ def shading(
 
 
 def robust_mode(left: Float[np.ndarray, "T M"]) -> Float[np.ndarray, " M"]:
-    """(M,) mean of the values that most moments of ``left`` (T, M) agree on, as for a plate's colours; ties go to the
-    brighter.
-    """
+    """Mean of the values that most moments of ``left`` agree on, as for a plate's colours; ties go to the brighter."""
     votes = np.stack([(np.abs(left - own) <= _SAME).sum(axis=0) for own in left])
     best = (votes + 1e-3 * left).argmax(axis=0)
     agree = np.abs(left - np.take_along_axis(left, best[None], axis=0)) <= _SAME
@@ -109,7 +103,7 @@ def _bodies(
 
 
 def facing_up(room: Gaussians, floor_m: float) -> Float[np.ndarray, " N"]:
-    """(N,) float32: 1 on the floor, on low furniture the squared vertical part of the shortest axis, else 0.
+    """1 on the floor, on low furniture the squared vertical part of the shortest axis, else 0.
 
     Shadows were measured on the floor: surfaces with another direction get other light, and stay unchanged.
     """
@@ -122,7 +116,7 @@ def facing_up(room: Gaussians, floor_m: float) -> Float[np.ndarray, " N"]:
 
 @numba.njit(nogil=True, **KERNEL)
 def dim(sh, at, factor, before, parameters):
-    """Writes harmonics (N, K, 3) of colours multiplied by ``factor`` (M,) into the blocks of the Gaussians ``at`` (M,).
+    """Writes harmonics (N, K, 3) of colours multiplied by ``factor`` into the blocks of the Gaussians ``at``.
 
     The factor applies to all directions of view. A colour is 0.5 plus its harmonics, so the half is multiplied as well.
     Gaussians whose factor is as ``before`` are skipped.

@@ -71,7 +71,7 @@ def find_targets(people: Sequence[Avatar], cameras: Sequence[Camera], frames: in
 def picture(
     canvas: CompositeRenderer, step: PathStep, background_rgb: tuple[float, float, float]
 ) -> tuple[Integer[np.ndarray, "H W 3"], Integer[np.ndarray, "H W"], Integer[np.ndarray, "H W"]]:
-    """(H, W, 3) uint8 picture, (H, W) uint8 truth map and (H, W) uint16 depth in millimetres of one step."""
+    """Uint8 picture, uint8 truth map and uint16 depth in millimetres of one step."""
     rendering, shares = canvas.draw(step.camera, step.frame, background_rgb)
     return to_bytes(rendering.rgb), truth_levels(shares), millimetres(rendering.depth_m)
 
@@ -79,8 +79,7 @@ def picture(
 def read_composite(
     files: SceneFiles, shot: str, shots: Mapping, light: Sequence[Path] = (), stand_ins: Sequence[Path] = ()
 ) -> Composite:
-    """Background, people and objects from their files, with the shot's replacements, and shadows if there is a
-    ``light``.
+    """Background, people and objects, with the shot's replacements, and shadows if there is a ``light``.
 
     Raises UserError when the provenance belongs to another background.
     """
@@ -111,9 +110,7 @@ def run(
     stand_ins: list[Path] | None = None,
     device: str = "cpu",
 ) -> None:
-    """Render one shot; without people files the film shows the background alone, without ``light`` there are no
-    shadows.
-    """
+    """Render one shot; without people files it shows the background alone, without ``light`` no shadows."""
     capture = read_manifest(manifest)
     training = read_model(model.parent)
     held_out = read_model(heldout_model.parent) if heldout_model is not None else []

@@ -25,8 +25,7 @@ Time = Literal["stretch", "loop", "swing", "hold"] | float
 def every_frame(cameras: Sequence[Camera], frames: int) -> list[PathStep]:
     """Each camera × each frame; the segment is the camera's name.
 
-    All pictures of a film have one size: the largest width and height of the cameras. A camera's own picture is the top
-    left part.
+    All pictures have the largest width and height of the cameras; a camera's own picture is the top left part.
     """
     wh = max(c.wh[0] for c in cameras), max(c.wh[1] for c in cameras)
     return [
@@ -47,7 +46,7 @@ def usual_focal(cameras: Sequence[Camera], width: int) -> float:
 
 
 def looking_at(eye_m: Float[np.ndarray, " 3"], target_m: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
-    """(4, 4) camera_from_world of a level camera at ``eye_m`` whose optical axis meets ``target_m``."""
+    """Camera_from_world of a level camera at ``eye_m`` whose optical axis meets ``target_m``."""
     transform = np.eye(4)
     transform[:3, :3] = look_at(eye_m, target_m).T
     transform[:3, 3] = -transform[:3, :3] @ eye_m
@@ -68,7 +67,7 @@ def level_step(
 
 
 def film_times(kind: Time, pictures: int, frames: int) -> Float[np.ndarray, " pictures"]:
-    """(pictures,) frame of the capture that each picture shows, within 0 … frames - 1."""
+    """Frame of the capture that each picture shows, within 0 … frames - 1."""
     last = frames - 1
     if kind == "hold" or last == 0:
         return np.zeros(pictures)

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics of a film, picture by picture: its provenance, and where its path leaves the filmed space:
-``render/<shot>.tsv``.
-"""
+"""Statistics of a film, picture by picture: provenance, and where the path leaves the filmed space (``.tsv``)."""
 
 from __future__ import annotations
 
@@ -29,8 +27,7 @@ class PictureStatistics:
 
     Attributes:
         measured, inferred, invented: shares of the picture, together 1.
-        angle_deg: angle at the scene's centre between this camera and the nearest training camera; if it is large,
-            surfaces are shown from a side that was not filmed.
+        angle_deg: angle at the scene's centre to the nearest training camera; a large one shows unfilmed sides.
         near: the thing that the camera is in or touches: ``background``, a person's id, or empty.
     """
 
@@ -53,7 +50,7 @@ def shares(truth: Integer[np.ndarray, "H W"]) -> tuple[float, float, float]:
 def angles_deg(
     steps: Sequence[PathStep], training: Sequence[Camera], centre_m: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, " pictures"]:
-    """(pictures,) angle at the centre between each picture's camera and the nearest training camera, by atan2 (I13)."""
+    """Angle at the centre between each picture's camera and the nearest training camera, by atan2 (I13)."""
     eyes = np.array([step.camera.centre_m for step in steps]) - centre_m
     filmed = np.array([camera.centre_m for camera in training]) - centre_m
     across = np.linalg.norm(np.cross(eyes[:, None], filmed[None]), axis=-1)

@@ -28,8 +28,7 @@ else:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the effects that only a trained scene shows; ``survey.effects.EffectSettings`` declares them for
-    all."""
+    """Settings of the effects that only a trained scene shows; ``survey.effects.EffectSettings`` has all."""
 
     thresholds: Mapping[Named, float] = thresholds(TRAINED)
     force: Mapping[Acting, str] = force(TRAINED)
@@ -41,11 +40,7 @@ def appearance_decisions(avatars: Sequence[Path]) -> dict[str, Decision | None]:
 
 
 def appearance(found: Mapping[str, Decision | None], threshold: float) -> Decision:
-    """One decision from the people's own (name → decision of human training, None without one): that of the strongest
-    case.
-
-    ``threshold`` is reported when no person has a decision.
-    """
+    """One decision from the people's own: that of the strongest case; without any it reports ``threshold``."""
     asked = {name: (d.value, d) for name, d in found.items() if d is not None and d.value is not None}
     if not asked:
         why = (

@@ -28,8 +28,7 @@ _SAMPLES, _SEED = 2000, 0
 def read_result(path: Path) -> dict[str, Any]:
     """The contents of a result file.
 
-    Raises UserError with the file's name when it is cut off, of another kind, or has cameras with different numbers of
-    frames.
+    Raises UserError when it is cut off, of another kind, or has cameras with different numbers of frames.
     """
     result = read_json(path)
     if not isinstance(result, Mapping) or not {"pictures", "provenance", "definitions"} <= set(result):
@@ -72,9 +71,7 @@ def check_comparable(results: Mapping[Path, Mapping[str, Any]]) -> None:
 
 
 def choose_version(result: Mapping[str, Any], wanted: str | None, path: Path) -> str:
-    """The version of the pictures to compare: the ``wanted`` one, else the first available of enhanced, raw,
-    renders.
-    """
+    """The version of the pictures to compare: the ``wanted`` one, else the first of enhanced, raw, renders."""
     measured = [
         name for name in _PREFERRED if result["pictures"].get(name, {}).get("psnr", {}).get("value") is not None
     ]
@@ -88,10 +85,7 @@ def choose_version(result: Mapping[str, Any], wanted: str | None, path: Path) ->
 def compare(
     first: Mapping[Path, Mapping[str, Any]], second: Mapping[Path, Mapping[str, Any]], version: str | None
 ) -> dict[str, Any]:
-    """measure → both sides over seeds, and the paired difference.
-
-    Only scenes, cameras and frames that both sides measured count.
-    """
+    """measure → both sides over seeds, and the paired difference, over what both sides measured."""
     sides = []
     for results in (first, second):
         scenes: dict[str, list[Mapping[str, Any]]] = {}

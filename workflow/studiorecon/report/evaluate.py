@@ -2,10 +2,9 @@
 """``report.evaluate``: measures how good a run's result is, where it can be measured: ``metrics.json``.
 
 Pictures are compared with the held-out cameras' photos, bodies and identities with exact truth if there is any. Regions
-of pictures come from exact truth, or else from the run's own depth and bodies. Every
-number comes with its definition, its raw values per frame, and the libraries and settings behind it. A value that could
-not be measured is null with the reason. Without a held-out camera the training cameras are compared, under
-``training``; their scores say little about other views, because the scene was fitted to them.
+of pictures come from exact truth, or else from the run's own depth and bodies. Every number comes with its definition,
+its raw values per frame, and the libraries and settings behind it; one that could not be measured is null with the
+reason. Without a held-out camera the training cameras are compared, under ``training``; the scene was fitted to those.
 """
 
 from __future__ import annotations
@@ -129,9 +128,7 @@ def score_pictures(
     settings: Settings,
     distance: PerceptualDistance | None,
 ) -> dict[str, Any]:
-    """Measures of every version against the photos of held-out cameras by regions, which exact truth gives, or else
-    the run's own depth and ``people``.
-    """
+    """Measures of every version against the photos by regions, from exact truth, or else own depth and ``people``."""
     views = truth.views if truth is not None and scored.held_out else {}
     training, frames = [camera.name for camera in scored.training], scored.capture.frames
     tolerances = settings.seen_tolerance, settings.seen_sensitivity
@@ -171,10 +168,7 @@ def score_bodies(people: Sequence[Person], true: Mapping[str, Float[np.ndarray, 
 
 
 def coverage(truth_maps: Sequence[Path]) -> dict[str, Any]:
-    """Shares of each shot's pixels that are measured, inferred and invented, averaged over pictures.
-
-    Needs neither truth nor photos.
-    """
+    """Shares of each shot's pixels that are measured, inferred and invented, averaged over pictures."""
     result = {}
     for path in truth_maps:
         shares = [truth_shares(frame) for frame in read_frames(path)]
@@ -208,11 +202,10 @@ def run(
     device: str = "cpu",
     threads: int = 1,
 ) -> None:
-    """Measure the result and write ``metrics``.
+    """Measure the result and write ``metrics``; LPIPS, with its weights in the folder ``lpips``, runs on ``device``.
 
-    ``poses`` says whether the held-out cameras are still where they were calibrated. ``lpips`` is the folder of LPIPS'
-    weights; LPIPS runs on ``device``. ``calibrator`` is the network that calibrated the cameras, including held-out
-    ones, from a picture of each.
+    ``poses`` says whether the held-out cameras are still where they were calibrated. ``calibrator`` is the network that
+    calibrated the cameras, including held-out ones, from a picture of each.
     """
     where = "cpu" if settings.lpips == "none" else resolve(device, "Pictures are compared by LPIPS")
     scored = films.read()

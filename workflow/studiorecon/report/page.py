@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``report.page``: writes the report on one page that needs no network, and the run's cost: ``index.html``,
-``cost.json``.
-"""
+"""``report.page``: writes the report on one page that needs no network, and the run's cost (``cost.json``)."""
 
 from __future__ import annotations
 
@@ -54,14 +52,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Made:
-    """Files of ``results/<scene>``, by the names that its rules give every camera's and film's files.
-
-    Attributes:
-        folder: ``results/<scene>``.
-        cameras: training cameras.
-        held_out: held-out cameras.
-        shots: films.
-    """
+    """Files of ``results/<scene>``, by the names that its rules give those of cameras and films (``shots``)."""
 
     folder: Path
     cameras: tuple[str, ...]
@@ -75,7 +66,7 @@ class Made:
 
 @dataclass(frozen=True)
 class PeopleFiles:
-    """Everybody's body, detections, identities, who was left out by association, and masks."""
+    """Everybody's body, detections, identities and masks, and people left out by association."""
 
     fits: list[Path] = field(default_factory=list)
     detections: list[Path] = field(default_factory=list)
@@ -106,10 +97,7 @@ class RunFiles:
 
 
 def strips(made: Made, frames: int, enhanced: bool, settings: Settings) -> tuple[str, list[str]]:
-    """A slider, and one row per frame of a few frames of every held-out camera.
-
-    A row has photo, render, enhanced picture where it differs, and difference.
-    """
+    """A slider, and rows for a few frames of every held-out camera: photo, render, enhanced picture, difference."""
     render, final_film = made.folder / "render/heldout.mkv", made.folder / "enhance/heldout.mkv"
     steps, _ = read_path(made.folder / "render/heldout.json")
     rows, moments = [], []

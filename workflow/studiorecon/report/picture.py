@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def overview(
     photos: list[Integer[np.ndarray, "h w 3"]], views: list[Integer[np.ndarray, "h w 3"]], gap_px: int = 6
 ) -> Integer[np.ndarray, "H W 3"]:
-    """(H, W, 3) uint8: ``photos`` in a row, scaled to the width of the row of larger ``views`` below them."""
+    """``photos`` in a row, scaled to the width of the row of larger ``views`` below them."""
     below = _row(views, gap_px)
     above = _row(photos, gap_px)
     scale = below.shape[1] / above.shape[1]

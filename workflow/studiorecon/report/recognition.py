@@ -35,10 +35,7 @@ _SEEN, _MIN = 0.5, 6
 
 
 def run(files: ScoredFilmFiles, networks: list[Path], recognition: Written) -> None:
-    """Write the scores of the film as rendered (``raw``) and as ``enhanced``, by the detector of ``networks``.
-
-    None for a version that is not there.
-    """
+    """Write the scores of the film as rendered (``raw``) and as ``enhanced``, by the detector of ``networks``."""
     opened = DetectorFiles(networks)
     detector, worth = opened.detector(), opened.worth()
     judged = files.read()
@@ -82,11 +79,7 @@ def with_reason(scored: dict[str, Any]) -> dict[str, Any]:
 def detect_keypoints(
     detector: Detector, picture: Integer[np.ndarray, "H W 3"], worth: dict[str, list[float]]
 ) -> list[Float[np.ndarray, "33 3"]]:
-    """Keypoints (33, 3) of all people in a picture: x, y in pixels and confidence.
-
-    Photos and films are searched in the same way, over the whole picture: a person detected only with a hint of the
-    place does not count.
-    """
+    """Keypoints of all people in a picture: x, y in pixels and confidence; searched as in photos, without hints."""
     wh = picture.shape[1], picture.shape[0]
     return [keypoints_with_confidence(one, wh, worth) for one in detector.detect_new_people(picture)]
 

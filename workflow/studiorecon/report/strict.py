@@ -15,10 +15,7 @@ from studiorecon.signature import Place, Written
 
 
 def run(page: Path, logs: Place, passed: Written) -> None:
-    """Write ``passed`` if no log of the scene holds a warning; else raise UserError with all of them.
-
-    ``page`` is the last file that everything else was made for; it shows the same warnings.
-    """
+    """Write ``passed`` if no log of the scene holds a warning; else raise UserError with all of them."""
     found = [f"{step}: {sentence}" for step, sentence in read_warnings(logs)]
     if found:
         raise UserError(

@@ -39,8 +39,8 @@ class Camera:
     Attributes:
         name: the user's name of the camera.
         wh: width and height in pixels.
-        intrinsics: (3, 3) float64, pixels, pixel centres at +0.5, no skew.
-        camera_from_world: (4, 4) float64 rigid transform, OpenCV axes.
+        intrinsics: pixels, pixel centres at +0.5, no skew.
+        camera_from_world: rigid transform, OpenCV axes.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Camera:
 
     @property
     def world_from_camera(self) -> Num[np.ndarray, "4 4"]:
-        """(4, 4) inverse of ``camera_from_world``, by transposition: exact for a rotation, no linear solve."""
+        """Inverse of ``camera_from_world``, by transposition: exact for a rotation, no linear solve."""
         inverse = np.eye(4)
         inverse[:3, :3] = self.camera_from_world[:3, :3].T
         inverse[:3, 3] = -self.camera_from_world[:3, :3].T @ self.camera_from_world[:3, 3]
@@ -74,19 +74,18 @@ class Camera:
 
     @property
     def centre_m(self) -> Num[np.ndarray, " 3"]:
-        """(3,) camera centre in the world."""
+        """Camera centre in the world."""
         return -self.camera_from_world[:3, :3].T @ self.camera_from_world[:3, 3]
 
     @property
     def forward(self) -> Num[np.ndarray, " 3"]:
-        """(3,) unit viewing direction in the world."""
+        """Unit viewing direction in the world."""
         return self.camera_from_world[2, :3].copy()
 
     def project(self, points_m: Num[np.ndarray, "... 3"]) -> tuple[Num[np.ndarray, "... 2"], Num[np.ndarray, " ..."]]:
-        """Pixels and depth in metres of world points.
+        """Pixels and depth in metres of world points; NaN for NaN. Raises ValueError when the last axis is not 3.
 
-        Points at or behind the camera plane get NaN pixels, and their depth is ≤ 0 (C05); a NaN point gives NaN. Raises
-        ValueError when the last axis is not 3.
+        Points at or behind the camera plane get NaN pixels, and their depth is ≤ 0 (C05).
         """
         points = np.asarray(points_m, dtype=np.float64)
         require("points_m", points, (..., 3))
@@ -102,10 +101,10 @@ class Camera:
         return pixels.reshape(*points.shape[:-1], 2), depth.reshape(points.shape[:-1])
 
     def unproject(self, pixels: Num[np.ndarray, "... 2"], depth_m: Num[np.ndarray, " ..."]) -> Num[np.ndarray, "... 3"]:
-        """World points of pixels at z-depth; not along-ray range (C03).
+        """World points of pixels at z-depth; not along-ray range (C03). Raises ValueError for unequal shapes.
 
-        The caller decides which depths are valid: 0 gives the camera's centre, a negative depth a point behind it (C04;
-        see ``geometry.lifting``). Raises ValueError when the shapes do not agree.
+        The caller decides which depths are valid (C04): 0 gives the camera's centre, a negative depth a point behind
+        it.
         """
         pixels, depth = np.asarray(pixels, dtype=np.float64), np.asarray(depth_m, dtype=np.float64)
         require("pixels", pixels, (*depth.shape, 2))
@@ -121,7 +120,7 @@ class Camera:
         return points.reshape(*depth.shape, 3)
 
     def pixel_centres(self) -> Num[np.ndarray, "H W 2"]:
-        """(H, W, 2) pixel coordinates of all pixel centres."""
+        """Pixel coordinates of all pixel centres."""
         height, width = self.hw
         columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         return np.stack([columns, rows], axis=-1)
@@ -159,14 +158,12 @@ class Lens:
     """A calibrated camera in the user's footage: pixels of the calibration, distortion not yet removed.
 
     Attributes:
-        name: camera name.
         wh: size in pixels that the calibration refers to.
-        intrinsics: (3, 3) float64, pixel centres at +0.5.
+        intrinsics: pixel centres at +0.5.
         model: ``"opencv"`` (k1 k2 p1 p2 k3 [k4 k5 k6], zeros allowed) or ``"fisheye"`` (k1 k2 k3 k4).
         distortion: coefficients of ``model``; all zero means a pinhole.
-        camera_from_world: (4, 4) float64.
-        calibration_from_video: (2, 3) affine map from pixels of the video file to pixels of the calibration (identity
-            when the video has the calibrated size; a pure scaling when it was resized).
+        calibration_from_video: affine map of pixels (identity when the video has the calibrated size; a pure scaling
+            when it was resized).
         placed: how that map was determined, in words; "" where capture.yaml gives one other than the identity, and
             where there is none.
         keypoints_calibrated: whether recorded keypoints are in pixels of the calibration, not of the video.

@@ -38,12 +38,9 @@ class Footage:
     """The working frames of one camera.
 
     Attributes:
-        camera: camera name.
         held_out: True when only ``report`` may read the pictures.
         wh: working size of the undistorted frames.
         intrinsics: 3×3 nested list, pixels of the undistorted working frames.
-        fps: frames per second.
-        frames: number of frames.
         first_source_frame: 0-based index in the source of working frame 0.
         source: file or folder the frames came from, relative to the dataset.
         source_sha256: digest of the file (of the sorted file digests for a folder).

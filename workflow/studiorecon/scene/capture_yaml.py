@@ -46,9 +46,8 @@ def description_path(folder: Path) -> Path:
 
 
 def read_description(folder: Path, capture_yaml: Path | None) -> dict[str, Any]:
-    """The contents of ``capture_yaml`` (default: ``capture.yaml`` in ``folder``, if it exists); raises UserError for an
-    unknown key.
-    """
+    """The contents of ``capture_yaml`` (default: ``capture.yaml`` in ``folder``, if any); UserError for unknown
+    keys."""
     path = capture_yaml or description_path(folder)
     if not path.exists() and not path.is_symlink():
         if capture_yaml is None:
@@ -143,10 +142,7 @@ def frames_used(description: dict[str, Any]) -> tuple[int, int]:
 
 
 def read_starts(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
-    """camera → the frame of its footage that shows one common moment; empty without the key.
-
-    Cameras that are not named have 0.
-    """
+    """camera → the frame of its footage that shows one common moment, 0 by default; empty without the key."""
     given = as_mapping(
         description.get("starts"),
         "capture.yaml: starts",
@@ -193,9 +189,7 @@ def focal_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> d
 
 
 def measured_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, Any]:
-    """The lengths under ``height_m`` (person → metres, or one number) and ``distance_m`` ([camera, camera, metres]);
-    empty without them.
-    """
+    """Lengths under ``height_m`` (person → metres, or one number) and ``distance_m`` ([camera, camera, metres])."""
     found: dict[str, Any] = {}
     if (heights := description.get("height_m")) is not None:
         table = heights if isinstance(heights, dict) else {"": heights}

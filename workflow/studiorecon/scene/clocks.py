@@ -36,7 +36,6 @@ class Clock:
     """Times of one camera's frames on the common clock.
 
     Attributes:
-        camera: camera name.
         fps: frames per second by the camera's own clock.
         frames: number of frames of the footage.
         times_s: seconds of every frame after the first one where they are not evenly spaced; empty: frame k at k / fps.
@@ -85,9 +84,7 @@ class Clocks:
         raise KeyError(camera)
 
     def positions(self, camera: str) -> Num[np.ndarray, " N"]:
-        """Position of every frame of the camera's footage among the working frames: 3.4 is 0.4 frames after working
-        frame 3.
-        """
+        """Position of every frame among the working frames: 3.4 is 0.4 frames after working frame 3."""
         exact = (self.of(camera).common_s - self.start_s) * self.fps
         whole = np.round(exact)
         return np.where(np.abs(exact - whole) < _SAME_FRAMES, whole, exact)

@@ -16,7 +16,6 @@ class Dataset:
     """Paths of all parts of one capture. They exist, unless the studio is still to make them.
 
     Attributes:
-        folder: the dataset directory.
         footage: camera → video file, or folder of pictures; of a recording in chapters the first file.
         chapters: camera → all files of its recording in order, for cameras whose recording is in several.
         held_out: cameras that only ``report`` may read.
@@ -24,18 +23,15 @@ class Dataset:
         keypoints: camera → folder of JSON files, or one file. Cameras without recorded keypoints are absent.
         chapter_keypoints: camera → one such entry per chapter, where they were recorded chapter by chapter.
         keypoint_layout: name of the layout, or ``"auto"``.
-        keypoint_first_frame: camera → the number in its keypoint files that belongs to the first frame of its video, if
-            capture.yaml gives it.
+        keypoint_first_frame: camera → the number in its keypoint files of its video's first frame, if given.
         plates, masks, depth: camera → the user's file or folder.
         identities: a corrected ``identities.tsv`` (camera, track, person), or None.
         pixel_maps: camera → (scale, x, y) with p_video = scale · p_calibration + (x, y), pixel centres at +0.5, for
             footage that was resized or padded after the calibration.
-        focal_px: camera → focal length in pixels of its footage, if capture.yaml gives one; only used without a
-            calibration.
-        lengths: lengths in capture.yaml for cameras that are calibrated from people: ``height_m``, person → metres (""
-            = of all persons), or ``between`` two cameras and ``distance_m``; empty without them.
-        starts: camera → the frame of its footage, possibly fractional, that shows one common moment, from
-            ``capture.yaml``; empty without it.
+        focal_px: camera → focal length in pixels of its footage, where given; only used without a calibration.
+        lengths: for cameras that are calibrated from people: ``height_m``, person → metres ("" = of all persons), or
+            ``between`` two cameras and ``distance_m``; empty without them.
+        starts: camera → the frame of its footage, possibly fractional, that shows one common moment; or empty.
         first_frame: the first used moment, counted among those that all cameras have.
         frame_count: number of moments used; 0 = to the end.
         people: False when ``capture.yaml`` says ``people: 0``: the room is known to be empty.
@@ -78,9 +74,7 @@ class Dataset:
 
 
 def colmap_files(images: Path) -> tuple[Path, ...]:
-    """The files of the COLMAP model of an ``images.txt`` or ``images.bin`` that hold the cameras' poses.
-
-    They include ``rigs`` and ``frames`` if these exist, because poses are incomplete without them.
-    """
+    """The files with the poses of the COLMAP model of an ``images`` file, with ``rigs`` and ``frames`` if they
+    exist."""
     beside = [images.with_name(f"{part}{images.suffix}") for part in ("rigs", "frames")]
     return (images.with_name(f"cameras{images.suffix}"), images, *(path for path in beside if path.is_file()))

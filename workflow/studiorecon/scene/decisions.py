@@ -40,15 +40,11 @@ class Decision:
     """One effect, and whether this scene calls for it.
 
     Attributes:
-        effect: its name.
-        statistic: the measured quantity, in words with its unit.
-        value: the measurement; None when there was nothing to measure.
-        interval: uncertainty of the measurement (low, high); None when unknown.
-        threshold: the value at which the verdict changes, in the statistic's unit; None when it is not a matter of
-            degree.
+        statistic, unit: the measured quantity, in words; unit of value, interval and threshold, "" for a pure number.
+        value, interval: the measurement and its uncertainty (low, high); None when there was nothing to measure.
+        threshold: the value at which the verdict changes; None when it is not a matter of degree.
         verdict: ``undetermined`` takes the cheaper branch.
         reason: one sentence.
-        unit: of value, interval and threshold; empty for a pure number.
         on_above: the effect is on above the threshold; False when it is on below.
         calibration: the basis of the threshold.
         forced: the verdict comes from the user and not from the measurement.
@@ -77,9 +73,7 @@ class Decision:
 
 
 def apply_forced(decisions: Sequence[Decision], verdicts: Mapping[str, str]) -> list[Decision]:
-    """The decisions with the user's verdicts (effect → ``on`` or ``off``) applied; raises UserError for an effect that
-    is not among them.
-    """
+    """The decisions with the user's verdicts (effect → ``on`` or ``off``); raises UserError for an unknown effect."""
     known = {d.effect for d in decisions}
     for effect, verdict in verdicts.items():
         if effect not in known or verdict not in ("on", "off"):

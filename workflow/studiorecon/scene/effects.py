@@ -63,8 +63,8 @@ class Effect:
     ) -> Decision:
         """On when the whole interval is beyond the threshold, off when none of it is, else undetermined.
 
-        Without a finite value and interval the result is undetermined, and ``reason`` must say why. Raises ValueError
-        when the value is outside its interval.
+        Without a finite value and interval it is undetermined, and ``reason`` says why. Raises ValueError when the
+        value is outside its interval.
         """
         limit = self.threshold if threshold is None else threshold
         verdict: Verdict

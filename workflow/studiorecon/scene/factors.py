@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Brightness factors of every camera and frame, and pictures without them: ``survey/gains.json``,
-``survey/brightness.json``.
+"""Brightness factors of every camera and frame, and pictures without them (``survey/{gains,brightness}.json``).
 
 Both files hold factors of colours in [0, 1]: one (red, green, blue) per camera, or one per frame. Dividing by them
 gives the pictures of all cameras one common exposure, and gives every frame the light of the clean plate.
@@ -61,9 +60,9 @@ def write_factors(path: Path, factors: Mapping[str, Num[np.ndarray, "F 3"]]) -> 
 
 
 def read_factors(paths: Sequence[Path], frames: int | None = None) -> Factors:
-    """The product of the files' factors; a film with another number of factors than ``frames`` is refused.
+    """The product of the files' factors, one or one per frame; another number than ``frames`` is refused.
 
-    Raises UserError as ``step_files.read`` does, also unless there is one factor, or one per frame.
+    Raises UserError as ``step_files.read`` does.
     """
 
     def made(content: dict[str, Any]) -> dict[str, np.ndarray]:

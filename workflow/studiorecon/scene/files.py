@@ -39,8 +39,7 @@ def one_each(cameras: Sequence[object], **files: Sequence[object]) -> None:
 
 @contextmanager
 def complete(path: Path) -> Iterator[Path]:
-    """A temporary path in the same folder with the same suffix; renamed to ``path`` when the block ends without an
-    error.
+    """A temporary path in the same folder with the same suffix; renamed to ``path`` when the block ends without error.
 
     Operating-system errors in the block name ``path``: errors of writes to an open file otherwise name no file.
     """

@@ -21,14 +21,13 @@ _UNDRAWN = -30.0
 
 @dataclass(frozen=True)
 class Gaussians:
-    """N Gaussians in the world.
+    """N Gaussians in the world; all arrays are float32.
 
     Attributes:
-        means_m: (N, 3) float32, metres.
-        quaternions: (N, 4) float32, (w, x, y, z), any norm: rotation world_from_gaussian.
-        log_scales: (N, 3) float32, natural logarithm of the standard deviations in metres.
-        logit_opacities: (N,) float32.
-        sh: (N, (degree + 1)², 3) float32 spherical harmonics, 3DGS order and signs.
+        means_m: metres.
+        quaternions: (w, x, y, z), any norm: rotation world_from_gaussian.
+        log_scales: natural logarithm of the standard deviations in metres.
+        sh: (N, (degree + 1)², 3) spherical harmonics, 3DGS order and signs.
     """
 
     means_m: Float[np.ndarray, "N 3"]
@@ -65,12 +64,12 @@ class Gaussians:
 
     @property
     def unit_quaternions(self) -> Float[np.ndarray, "N 4"]:
-        """(N, 4) float32 w, x, y, z of length 1."""
+        """Float32 w, x, y, z of length 1."""
         return self.quaternions / np.linalg.norm(self.quaternions, axis=1, keepdims=True).clip(1e-12)
 
     @property
     def opacities(self) -> Float[np.ndarray, " N"]:
-        """(N,) float32 in 0..1."""
+        """Float32 in 0..1."""
         from scipy.special import expit  # imported here: containers of networks read Gaussians and have no scipy
 
         return expit(self.logit_opacities).astype(np.float32)

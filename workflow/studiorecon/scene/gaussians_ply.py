@@ -60,8 +60,8 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
 def read_ply(path: Path, remedy: str = CURE) -> Gaussians:
     """The Gaussians of a PLY; properties may come in any order.
 
-    Logs the properties that are not used, and the number of Gaussians with a value that is not a number: they are never
-    drawn. Raises UserError with the file's name and ``remedy`` for any other layout.
+    Logs unused properties and the number of Gaussians with a value that is not a number: they are never drawn. Raises
+    UserError with the file's name and ``remedy`` for any other layout.
     """
     try:
         return _gaussians(path, read_bytes(path))

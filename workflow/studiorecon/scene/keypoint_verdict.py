@@ -26,7 +26,7 @@ class KeypointVerdict:
     """A film and its recorded keypoints.
 
     Attributes:
-        camera: name; wh: size of its film as shown, (0, 0) where it cannot be read.
+        wh: size of the film as shown, (0, 0) where it cannot be read.
         pixel_map: [scale, x, y] of ``Dataset.pixel_maps``, or empty.
         refusal: why its keypoints cannot be used; "" where they can.
         notes: sentences on how they are read.

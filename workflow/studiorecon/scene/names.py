@@ -18,9 +18,8 @@ _OF_THE_SYSTEM = {"thumbs.db", "desktop.ini", "__macosx", "lost+found", "system 
 
 
 def check_name(name: str, what: str, remedy: str) -> str:
-    """``name``, if folders, tables and rules can use it; otherwise raises UserError with the thing it names and
-    ``remedy``.
-    """
+    """``name``, if folders, tables and rules can use it; else raises UserError with ``what`` it names and
+    ``remedy``."""
     if len(name) > MAX_LETTERS or not _NAME.fullmatch(name):
         raise UserError(
             f"the name {name!r} of {what} cannot be used: letters, digits, single spaces and . _ - + @ ( ) are "

@@ -28,8 +28,8 @@ def pictures_in(folder: Path) -> list[Path]:
 def missing_numbers(files: Sequence[Path]) -> list[int]:
     """The numbers missing in a sequence of files between its first and its last.
 
-    Of several numbers in the names the last one that differs counts. Nothing is missing where names are not numbered,
-    or have a constant step (every fifth frame).
+    The last number in the names that differs counts. Nothing is missing where names are not numbered, or have a
+    constant step (every fifth frame).
     """
     parts = [re.split(r"(\d+)", path.stem) for path in files]
     if len(files) < 2 or len({len(part) for part in parts}) > 1:

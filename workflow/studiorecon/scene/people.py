@@ -54,20 +54,16 @@ class Detections:
     """2D keypoints of one camera in undistorted working pixels (centres at +0.5).
 
     Attributes:
-        camera: camera name.
         layout: name of the keypoint layout (``keypoints/layouts.py``).
-        frame: (D,) int, working frame of each detection.
-        track: (D,) int, per-camera track id; a track lasts while the same person is followed in this camera.
-        keypoints: (D, K, 3) float64: x, y, confidence in [0, 1]; confidence 0 = missing (x, y are then NaN).
-        body_pose: (D, 23, 3) axis-angle of a monocular body's joints without the root, NaN where a detection has none;
-            None when the detector estimates no bodies.
-        pelvis: (D, 3) x, y of that body's pelvis joint in working pixels and its z-depth in metres, NaN where unknown;
-            or None.
-        body_root: (D, 3) axis-angle of that body's root in its camera's frame; body_shape: (D, 10) its shape, SMPL's;
-            or None.
-        points_m: (D, K, 3) a network's estimate of the keypoints in metres relative to the middle of the hips, camera's
-            axes; or None.
-        row: (D,) int, row in the detector's file that holds the person's mask (-1 = none); or None.
+        frame: working frame of each detection.
+        track: per-camera track id; a track lasts while the same person is followed in this camera.
+        keypoints: x, y, confidence in [0, 1]; confidence 0 = missing (x, y are then NaN).
+        body_pose: axis-angle of a monocular body's joints without the root, NaN where a detection has none, or None.
+        pelvis: x, y of its pelvis joint in working pixels and its z-depth in metres, NaN where unknown, or None.
+        body_root, body_shape: axis-angle of that body's root in its camera's frame; its shape, SMPL's; or None.
+        points_m: a network's estimate of the keypoints in metres relative to the middle of the hips, camera's axes; or
+            None.
+        row: row in the detector's file that holds the person's mask (-1 = none); or None.
     """
 
     camera: str
@@ -97,16 +93,15 @@ class Person:
     Attributes:
         name: ``p0``, ``p1``, …
         body: id of the body model and shape space (``BodyModel.identity``).
-        fps: frames per second.
-        poses: (T, 72) axis-angle, SMPL's 24-joint order, radians.
-        trans: (T, 3) world position of the pelvis joint, metres.
-        betas: (B,) shape, plus size if there is one more than the shape space has (``body.model.of_size``).
-        joints: (T, 24, 3) world joints, metres.
-        valid: (T,) bool: frames in which the body was measured (others are filled, so that films do not flicker).
-        sigma: (T, 24) standard deviation of the joints, metres (inf where unknown).
+        poses: axis-angle, SMPL's 24-joint order, radians.
+        trans: world position of the pelvis joint, metres.
+        betas: shape, plus size if there is one more than the shape space has (``body.model.of_size``).
+        joints: world joints, metres.
+        valid: frames in which the body was measured (others are filled, so that films do not flicker).
+        sigma: standard deviation of the joints, metres (inf where unknown).
         metric: True when lengths are metres.
-        present: (T,) bool: frames in which the person is present. In others the arrays interpolate from the place of
-            leaving to the place of return, for cameras that follow the person. All frames by default.
+        present: frames in which the person is present (default: all). In others the arrays interpolate from the place
+            of leaving to the place of return, for cameras that follow the person.
     """
 
     name: str
@@ -148,9 +143,8 @@ def write_people(
 ) -> None:
     """Write ``people.tsv``: person, frames seen, cameras, confidence, source, status and reason.
 
-    Cameras are comma-separated, confidence is 0..1, source "keypoints" or "corrected", status "person" or "rejected"; a
-    rejected row has a reason. Rejected rows follow the people of the scene, under names of their own. There may be no
-    rows: an empty room.
+    Cameras are comma-separated, confidence is 0..1, source "keypoints" or "corrected", status "person" or "rejected",
+    with a reason; rejected rows follow the people, under names of their own. An empty room has no rows.
     """
     everybody = [*((*row, "person", "") for row in rows), *rejected]
     write_table(
@@ -159,9 +153,7 @@ def write_people(
 
 
 def read_people(path: Path) -> list[str]:
-    """Ids of the scene's people in ``people.tsv``, in file order, without rejected ones; raises UserError as
-    ``step_files.read`` does.
-    """
+    """Ids of the scene's people in ``people.tsv``, in file order; raises UserError as ``step_files.read`` does."""
     return [row["person"] for row in people_rows(path)]
 
 
@@ -197,7 +189,7 @@ def read_identities(path: Path) -> dict[tuple[str, int], str]:
 
 
 def read_given_identities(path: Path) -> dict[tuple[str, int], str]:
-    """The result of ``read_identities`` for a table that a user corrected.
+    """The result of ``read_identities`` for a user's table.
 
     Raises UserError with the line for a track that is no number, and for a track with two persons.
     """

@@ -34,8 +34,6 @@ def write_provenance(path: Path, marks: Integer[np.ndarray, " N"]) -> None:
 
 
 def read_provenance(path: Path, count: int) -> Integer[np.ndarray, " N"]:
-    """(N,) uint8 marks of ``count`` Gaussians; raises UserError as ``step_files.read`` does, also for another number
-    of marks.
-    """
+    """Marks of ``count`` Gaussians; raises UserError as ``step_files.read`` does, also for another number of marks."""
     held = read(path, {"provenance": provenance_schema("N")}, sizes={"N": count})
     return np.asarray(held["provenance"], np.uint8)

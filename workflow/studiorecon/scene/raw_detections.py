@@ -38,14 +38,13 @@ class RawDetections:
     """People in the pictures of one camera; D of them over all pictures, sorted by frame.
 
     Attributes:
-        camera: camera name.
         layout: name of the keypoint layout (``keypoints/layouts.py``).
-        frame: (D,) int, number of the picture in the footage.
-        keypoints: (D, K, 3) x, y in pixels of the footage (centres at +0.5), confidence in [0, 1]; 0 = missing.
-        presence: (D,) the network's confidence that there is a person.
-        points_m: (D, K, 3) its estimate in metres relative to the middle of the hips, camera's axes (x right, y down, z
-            forward); NaN = none. mask: (D, M, M) uint8, 255 = certainly this person; M may be 0.
-        mask_from_picture: (D, 2, 3) affine map of footage pixels to those of the mask, centres at +0.5 on both sides.
+        frame: number of the picture in the footage.
+        keypoints: x, y in pixels of the footage (centres at +0.5), confidence in [0, 1]; 0 = missing.
+        presence: the network's confidence that there is a person.
+        points_m: its estimate in metres relative to the middle of the hips, camera's axes; NaN = none.
+        mask: uint8, 255 = certainly this person; M may be 0.
+        mask_from_picture: affine map of footage pixels to those of the mask, centres at +0.5 on both sides.
         looked: (first, count) of the pictures that were searched.
         note: the detector and its input, for people to read.
     """
@@ -65,9 +64,8 @@ class RawDetections:
     def of(
         camera: str, layout: str, points: int, rows: Sequence[tuple], looked: tuple[int, int], note: str
     ) -> RawDetections:
-        """The detections from rows (frame, keypoints, presence, points_m, mask, mask_from_picture) in order of frames;
-        rows may be empty.
-        """
+        """The detections from rows (frame, keypoints, presence, points_m, mask, mask_from_picture), ordered by
+        frame."""
         frame, keypoints, presence, points_m, mask, affine = zip(*rows) if rows else ([],) * 6
         edge = len(mask[0]) if rows else 0
         return RawDetections(
@@ -111,10 +109,7 @@ def is_detector_file(path: Path) -> bool:
 
 
 def read_raw_detections(path: Path, masks: bool = False) -> RawDetections:
-    """The detector's file; ``mask`` is empty unless ``masks``, which takes longer.
-
-    Raises UserError when the file does not exist.
-    """
+    """The detector's file, without masks unless ``masks``; raises UserError when the file does not exist."""
 
     def made(data: dict[str, Any]) -> RawDetections:
         first, count = (int(v) for v in data["looked"])

@@ -21,7 +21,6 @@ class Readout:
     """The readout estimate of one camera.
 
     Attributes:
-        camera: its name.
         readout_s, sigma_s: seconds from the first row to the last, and their standard error; None where undetermined.
         used_s: the readout for correcting keypoints: ``readout_s``, or 0 with a ``reason``.
     """
@@ -34,9 +33,7 @@ class Readout:
 
 
 def write_readouts(path: Path, readouts: Sequence[Readout]) -> None:
-    """Write the used readout of all cameras in their order, and nothing else: any change of the file refits
-    the bodies.
-    """
+    """Write the used readout of all cameras in their order only: any change of the file refits the bodies."""
     write_json(path, {one.camera: round(one.used_s, _DIGITS) for one in readouts})
 
 

@@ -34,9 +34,9 @@ class RecordedKeypoints:
 
     Attributes:
         program: the program whose format the file has.
-        pictures: (P,) int, ascending, numbers of all pictures in the file, with people or without.
-        frame: (D,) int, ascending, number of the picture that shows each person, one of ``pictures``.
-        keypoints: (D, K, 3) float64 x, y, score; NaN where the file holds no number. A score of 0 or less = missing.
+        pictures: ascending numbers of all pictures in the file, with people or without.
+        frame: ascending, number of the picture that shows each person, one of ``pictures``.
+        keypoints: x, y, score; NaN where the file holds no number. A score of 0 or less = missing.
         counted: whether the format itself numbers the film's frames from 0, and not the files' names.
         layout: name of the keypoint layout (``keypoints/layouts.py``); "" = not known yet.
         refusal: the reason why they do not fit the film under any interpretation; "" where they can be used.
@@ -55,9 +55,8 @@ class RecordedKeypoints:
         return replace(self, frame=self.frame[which], keypoints=self.keypoints[which])
 
     def renumbered(self, frame_of: Num[np.ndarray, " P"], frames: int) -> RecordedKeypoints:
-        """The same with the film's frames, 0 … ``frames`` - 1, as numbers: picture p shows frame ``frame_of[p]``.
-
-        People in pictures beyond the film are left out.
+        """The same with the film's frames as numbers: picture p shows frame ``frame_of[p]``; beyond ``frames`` left
+        out.
         """
         inside = (frame_of >= 0) & (frame_of < frames)
         place = np.searchsorted(self.pictures, self.frame)

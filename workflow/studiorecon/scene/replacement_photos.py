@@ -19,10 +19,7 @@ def is_photo(source: str) -> bool:
 
 
 def stranger(photo: str) -> str:
-    """The name in files of the person in a photo: ``stranger_anna`` for ``photos/anna.jpg``.
-
-    Raises UserError for a name that files of the results cannot have.
-    """
+    """The name of the person in a photo: ``stranger_anna`` for ``photos/anna.jpg``; UserError for an unusable one."""
     stem = Path(photo).stem
     if not _PLAIN.fullmatch(stem):
         raise UserError(
@@ -33,9 +30,7 @@ def stranger(photo: str) -> str:
 
 
 def strangers(sources: Iterable[str]) -> dict[str, str]:
-    """Stranger → photo for the sources in shots' ``replace``; raises UserError when two photos have the same stranger
-    name.
-    """
+    """Stranger → photo for the sources in shots' ``replace``; UserError for two photos with the same name."""
     found: dict[str, str] = {}
     for photo in sources:
         if is_photo(photo) and found.setdefault(stranger(photo), photo) != photo:

@@ -35,12 +35,8 @@ _ROOM = {
 
 @dataclass(frozen=True)
 class Face:
-    """One rectangle of the room.
-
-    Attributes:
-        name: one of ``FACES``.
-        corner_m: (3,) one corner; ``along_u``, ``along_v``: (3,) the two edges from it, metres.
-    """
+    """One rectangle of the room, ``name``: one of ``FACES``; ``along_u`` and ``along_v`` are the edges from the
+    corner."""
 
     name: str
     corner_m: Num[np.ndarray, " 3"]
@@ -53,14 +49,14 @@ class Face:
         return n / np.linalg.norm(n)
 
     def nodes(self, step_m: float) -> Num[np.ndarray, "R C 3"]:
-        """(R, C, 3) centres of cells of about ``step_m``, rows along v."""
+        """Centres of cells of about ``step_m``, rows along v."""
         columns = max(1, round(float(np.linalg.norm(self.along_u)) / step_m))
         rows = max(1, round(float(np.linalg.norm(self.along_v)) / step_m))
         u, v = (np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows
         return self.corner_m + u[None, :, None] * self.along_u + v[:, None, None] * self.along_v
 
     def cells(self, points_m: Num[np.ndarray, "*N 3"], shape: tuple[int, int]) -> Num[np.ndarray, "*N 2"]:
-        """(..., 2) row and column of points (..., 3) among ``shape`` cells; 0 is the first cell's centre."""
+        """Row and column of points among ``shape`` cells; 0 is the first cell's centre."""
         rows, columns = shape
         there = points_m - self.corner_m
         shares = [there @ edge / (edge @ edge) for edge in (self.along_v, self.along_u)]
@@ -74,7 +70,7 @@ class Platform:
     The first of ``depth/primitives.json`` is the same surface, extended to explain the photos.
 
     Attributes:
-        low_m, high_m: (2,) its sides' smallest and largest coordinates along the room box's u and v.
+        low_m, high_m: its sides' smallest and largest coordinates along the room box's u and v.
         top_m: its height, on which people stand.
     """
 
@@ -91,14 +87,11 @@ class RoomBox:
 
     Attributes:
         yaw_rad: direction of u, in [0, pi/2).
-        low_m: (3,) smallest coordinates along u, v and z.
-        high_m: (3,) largest coordinates along u, v and z.
-        fitted: (6,) bool in the order of ``FACES``: fitted to the photos; the others are defaults and must not be
-            called measured.
-        score: (6,) mean correlation over the pixels each face was fitted to; NaN for defaults.
-        gains: camera name → (3,) factors that multiplied its exposure: divide its photo by them to make the cameras
-            agree.
-        planes: (K, 4) every plane the photos voted for, n·p = o, metres; the six faces come first.
+        low_m, high_m: smallest and largest coordinates along u, v and z.
+        fitted: fitted to the photos, in the order of ``FACES``; defaults must not be called measured.
+        score: mean correlation over the pixels each face was fitted to; NaN for defaults.
+        gains: camera name → factors of its exposure: divide its photo by them to make the cameras agree.
+        planes: every plane the photos voted for, n·p = o, metres; the six faces come first.
         platform: the surface on which people stand, None where that is the floor.
     """
 
@@ -118,13 +111,13 @@ class RoomBox:
 
     @property
     def axes(self) -> Num[np.ndarray, "3 3"]:
-        """(3, 3) rows u, v and z: coordinates in the box are ``points @ axes.T``."""
+        """Rows u, v and z: coordinates in the box are ``points @ axes.T``."""
         c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
         return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
     @property
     def faces(self) -> Num[np.ndarray, "6 4"]:
-        """(6, 4) n·p = o of the faces in the order of ``FACES``."""
+        """Planes n·p = o of the faces in the order of ``FACES``."""
         offsets = np.stack([self.low_m, self.high_m], axis=1).reshape(6)
         return np.concatenate([np.repeat(self.axes, 2, axis=0), offsets[:, None]], axis=1)
 
@@ -151,8 +144,8 @@ class RoomBox:
     ) -> tuple[Num[np.ndarray, " ..."], Integer[np.ndarray, " ..."]]:
         """Length along the directions to the wall that a ray from inside meets, and the face's index in ``FACES``.
 
-        With ``Camera.rays`` the length is z-depth in metres. A ray that never meets the box, or starts outside and
-        leads away, gets length 0 and face -1. From outside towards the box, the far wall counts.
+        With ``Camera.rays`` the length is z-depth in metres. A ray that never meets the box, or leads away from it,
+        gets length 0 and face -1. From outside towards the box, the far wall counts.
         """
         origin = np.broadcast_to(
             origins_m @ self.axes.T, np.broadcast_shapes(np.shape(origins_m), np.shape(directions))

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stores arrays that do not fit into memory in an unnamed file, and reads them back one by one.
 
-The file disappears when the process ends in any way. It is read and not mapped: pages of a mapped file count as the
-process's own memory.
+The file disappears when the process ends in any way. It is not mapped: mapped pages count as the process's memory.
 """
 
 from __future__ import annotations

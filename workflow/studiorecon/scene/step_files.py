@@ -104,9 +104,7 @@ def require_size(path: Path, picture: Shaped[np.ndarray, "H W ..."], wh: tuple[i
 
 @contextmanager
 def step_file_context(path: Path) -> Iterator[None]:
-    """Context for reading values from a step's file: a missing or wrong entry becomes a UserError that names
-    the file.
-    """
+    """Context for reading a step's file: a missing or wrong entry becomes a UserError that names the file."""
     try:
         yield
     except UserError:

@@ -22,9 +22,9 @@ _MIN = 2
 def support_levels(
     support: Num[np.ndarray, "H W"], excluded: Bool[np.ndarray, "H W"] | None = None
 ) -> Integer[np.ndarray, "H W"]:
-    """(H, W) uint8 of a support in [0, 1]; a supported pixel never rounds down to a hole.
+    """Uint8 of a support in [0, 1]; a supported pixel never rounds down to a hole, ``excluded`` ones do not count.
 
-    ``excluded``: mask of pixels that do not count. Raises ValueError for another shape.
+    Raises ValueError for another shape.
     """
     require("support", support, ("H", "W"))
     levels = np.where(support > 0, np.maximum(np.rint(support * 255), _MIN), 0).astype(np.uint8)
@@ -32,10 +32,10 @@ def support_levels(
 
 
 def support_weight(levels: Integer[np.ndarray, "H W"], hole_weight: float) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 weights of a synthesised view in the training of the room.
+    """Float32 weights of a synthesised view in the training of the room.
 
-    They are 1 where photos support a pixel, ``hole_weight`` where none does, 0 where they do not count (paper, Eq. 5:
-    1 − M). Raises ValueError for another shape.
+    1 where photos support a pixel, ``hole_weight`` where none does, 0 where it does not count (paper, Eq. 5: 1 − M).
+    Raises ValueError for another shape.
     """
     require("levels", levels, ("H", "W"))
     share = levels.astype(np.float32) / np.float32(255)

@@ -76,8 +76,7 @@ def file_size(path: Path) -> int:
 def read_text(path: Path, remedy: str = "") -> str:
     r"""The text of a file in UTF-8, with or without a byte order mark, its lines ended by ``\n``.
 
-    Raises UserError, with the line, for UTF-16, for binary files and for other encodings; it ends in ``remedy``, if
-    any.
+    Raises UserError, with the line and ``remedy``, for UTF-16, binary files and other encodings.
     """
     data = read_bytes(path, MAX_TEXT_BYTES)
     if data[:2] in _WIDE:
@@ -99,8 +98,7 @@ def read_text(path: Path, remedy: str = "") -> str:
 def read_json(path: Path, remedy: str = _COPY) -> Any:
     """The value of a JSON file; raises UserError, ending in ``remedy``, for invalid or too deeply nested JSON.
 
-    NaN and infinities, which detectors write, are accepted: ``scene.user_values`` refuses them where they are not
-        allowed.
+    NaN and infinities, which detectors write, are left to ``scene.user_values``.
     """
     text = read_text(path, remedy if remedy is not _COPY else "")
     try:
@@ -114,9 +112,7 @@ def read_json(path: Path, remedy: str = _COPY) -> Any:
 
 
 class PlainYaml(yaml.SafeLoader):
-    """YAML 1.2 loader: numbers (010 as 8, 12:30 as 750, 1_0 as 10), truth values (no, on) and dates of YAML 1.1 stay
-    text.
-    """
+    """YAML 1.2 loader: numbers (010, 12:30, 1_0), truth values (no, on) and dates of YAML 1.1 stay text."""
 
     yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
 
@@ -134,8 +130,7 @@ for _kind, _form, _first in (
 
 
 def read_yaml(path: Path, loader: type = PlainYaml, *, comments: str = "") -> Any:
-    """The contents of a YAML file, in plain types or those of ``loader``; lines that begin with ``comments`` are
-    skipped.
+    """The contents of a YAML file, in plain types or those of ``loader``, without lines that begin with ``comments``.
 
     Raises UserError with the line, also for a repeated key.
     """
@@ -168,10 +163,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """The root of an XML file in the encoding that it declares.
-
-    Raises UserError, also for declared entities, which can expand without limit.
-    """
+    """The root of an XML file in its declared encoding; raises UserError, also for entities, which can expand."""
     data = read_bytes(path, MAX_TEXT_BYTES)
     # Zero bytes are removed: UTF-16 has them between letters.
     if b"<!DOCTYPE" in (plain := data.replace(b"\0", b"")) or b"<!ENTITY" in plain:
@@ -183,10 +175,9 @@ def read_xml(path: Path) -> ElementTree.Element:
 
 
 def read_rows(path: Path, columns: Iterable[str], delimiter: str = "\t") -> list[tuple[int, dict[str, str]]]:
-    """(line, column → text) of every row of a table whose first line names the columns.
+    """(line, column → text) of every row of a table whose first line names the columns; empty lines are skipped.
 
-    Empty lines are skipped. Raises UserError for a missing column of ``columns``, and for a row that has more or fewer
-    cells than the header.
+    Raises UserError for a missing column of ``columns``, and for a row with more or fewer cells than the header.
     """
     wanted = list(columns)
     kind = {"\t": "tab", ",": "comma"}.get(delimiter, delimiter)
@@ -226,8 +217,7 @@ def read_npz(
 ) -> dict[str, Shaped[np.ndarray, " ..."]]:
     """The arrays of an npz by name: those of ``names`` (KeyError for a missing one), or all but those of ``but``.
 
-    Raises UserError, which ends in ``remedy``, for pickled objects, damage, and more than ``most`` bytes of arrays,
-    before any array is loaded.
+    Raises UserError, with ``remedy``, for pickled objects, damage, and more than ``most`` bytes, before loading any.
     """
     file_size(path)
     try:
@@ -260,10 +250,7 @@ def read_npy(path: Path) -> Shaped[np.ndarray, " ..."]:
 
 @contextmanager
 def user_file_context(path: Path | str, what: str) -> Iterator[None]:
-    """Context for reading values from a file of the kind ``what``: a missing or wrong entry becomes a UserError.
-
-    It covers entries of another kind, size or nesting, and names file and entry.
-    """
+    """Context for reading a file of the kind ``what``: a missing or wrong entry becomes a UserError that names both."""
     try:
         yield
     except UserError:
@@ -312,9 +299,7 @@ def _entries(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_unique_keys(node: Any) -> None:
-    """Raises yaml.MarkedYAMLError for a repeated key, since the intended one is unknown, and for ambiguous numbers: 010
-    for 8, 1:30 for 90.
-    """
+    """Raises yaml.MarkedYAMLError for a repeated key, and for ambiguous numbers: 010 for 8, 1:30 for 90."""
     seen: set[int] = set()
     waiting = [node]
     while waiting:

@@ -94,7 +94,7 @@ def _as_text(value: Any) -> str:
 
 
 def numbers(value: Any, where: str, *, finite: bool = True) -> Float[np.ndarray, " ..."]:
-    """float64 array of a number, or of lists of numbers of one length, nested or not; missing ones (null) are NaN.
+    """Float64 array of a number, or of lists of numbers of one length; missing ones (null) are NaN.
 
     With ``finite`` none of them may be NaN, infinite or missing.
     """

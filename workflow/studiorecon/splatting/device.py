@@ -38,10 +38,7 @@ def resolve(setting: str, what: str = "Gaussians are drawn") -> Device:
 def rasteriser(
     device: str, *, near_m: float, threads: int | None = None, antialias: bool = False
 ) -> Rasteriser | GsplatRasteriser:
-    """The rasteriser of a resolved ``device``: both have the same ``forward`` and ``backward``.
-
-    ``draw`` and ``gather``, which training on the CPU calls, exist on the CPU only.
-    """
+    """The rasteriser of a resolved ``device``; ``draw`` and ``gather``, for training on the CPU, exist there only."""
     if (resolve(device) if device == "auto" else device) == "cuda":
         from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
 

@@ -26,9 +26,9 @@ def discs(
     opacity: float = 0.9,
     sh_degree: int = 0,
 ) -> Gaussians:
-    """Discs at (N, 3) points facing ± (N, 3) normals with (N, 3) colours.
+    """Discs at points facing ± ``normals``; ``width_m`` is the standard deviation along the surface.
 
-    ``width_m`` (N,) or one number is the standard deviation along the surface, ``flatness`` the share of it across.
+    ``flatness`` is the share of it across.
     """
     count = len(points_m)
     width = np.maximum(np.broadcast_to(np.asarray(width_m, np.float64), (count,)), 1e-4)
@@ -40,8 +40,7 @@ def discs(
 
 
 def quaternions_facing(normals: Num[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
-    """(N, 4) unit quaternions (w, x, y, z) that turn the z axis to ± (N, 3) normals; a zero normal gives the
-    identity."""
+    """Unit quaternions (w, x, y, z) that turn the z axis to ± (N, 3) normals; a zero normal gives the identity."""
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     n = np.where(length > 0, normals / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
     n = np.where(n[:, 2:] < 0, -n, n)  # a disc has no front, and the turn to the upper half is never degenerate

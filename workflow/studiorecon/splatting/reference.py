@@ -46,8 +46,7 @@ def render(
 
 @dataclass(frozen=True)
 class Splats:
-    """Gaussians in the image: centres (N, 2) and dilated covariances (N, 2, 2) in pixels, √(det/det′) (N,), z-depth
-    (N,)."""
+    """Gaussians in the image: centres and dilated covariances in pixels, √(det/det′), z-depth."""
 
     centres: torch.Tensor
     covariances: torch.Tensor
@@ -84,10 +83,7 @@ def _blend_pixels(
     depth: torch.Tensor,
     colours: torch.Tensor,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Colours (P, C), alpha (P,) and depth sum (P,) at pixels (P, 2) of Gaussians in drawing order.
-
-    ``a``, ``b`` and ``c`` are the entries of their inverse covariances.
-    """
+    """Colours (P, C), alpha (P,) and depth sum (P,) at pixels (P, 2); ``a``, ``b``, ``c``: inverse covariances."""
     dx = pixels[None, :, 0] - centres[:, 0, None]  # (drawn, pixels)
     dy = pixels[None, :, 1] - centres[:, 1, None]
     exponent = 0.5 * (a[:, None] * dx * dx + c[:, None] * dy * dy) - b[:, None] * dx * dy

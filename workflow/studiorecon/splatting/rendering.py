@@ -20,15 +20,15 @@ Drawable = Gaussians | BlockedGaussians
 
 @dataclass(frozen=True)
 class Rendering:
-    """One rendered view.
+    """One rendered view, all float32.
 
     Attributes:
-        rgb: (H, W, 3) float32 over the background; not clamped above.
-        alpha: (H, W) float32, 1 − transmittance.
-        depth_m: (H, W) float32 expected z-depth (the blended depth over alpha), 0 where alpha is below 1e-4.
-        normals: (H, W, 3) float32 unit normals in the world, 0 where nothing is drawn: the Gaussians' shortest axes,
-            turned towards the camera and blended like colours. None unless requested.
-        values: (H, W, C) float32, the caller's values of the Gaussians blended like colours. None unless given.
+        rgb: over the background; not clamped above.
+        alpha: 1 − transmittance.
+        depth_m: expected z-depth (the blended depth over alpha), 0 where alpha is below 1e-4.
+        normals: unit, in the world, 0 where nothing is drawn: the Gaussians' shortest axes, turned towards the camera
+            and blended like colours. None unless requested.
+        values: the caller's values of the Gaussians blended like colours. None unless given.
     """
 
     rgb: Float[np.ndarray, "H W 3"]
@@ -43,9 +43,9 @@ class GaussianGradients:
     """Gradients by the stored form of N Gaussians (log scales, logit opacities); 0 for the invisible.
 
     Attributes:
-        screen: (N,) length of the gradient by the projected centre, per pixel. 3DGS' densification threshold is for
+        screen: length of the gradient by the projected centre, per pixel. 3DGS' densification threshold is for
             normalised coordinates: multiply by half the image width.
-        background_rgb: (3,) gradient by the colour behind the Gaussians.
+        background_rgb: gradient by the colour behind the Gaussians.
     """
 
     means_m: Float[np.ndarray, "N 3"]
@@ -63,7 +63,7 @@ def facing_normals(
     scales: Float[np.ndarray, "N 3"],
     centre_m: Float[np.ndarray, " 3"],
 ) -> Float[np.ndarray, "N 3"]:
-    """(N, 3) float32 unit shortest axes in the world, turned towards a camera at ``centre_m``."""
+    """Float32 unit shortest axes in the world, turned towards a camera at ``centre_m``."""
     with np.errstate(invalid="ignore", over="ignore"):
         q = quaternions.astype(np.float64)
         w, x, y, z = (q / np.maximum(np.linalg.norm(q, axis=1, keepdims=True), 1e-12)).T
@@ -89,7 +89,7 @@ def check_values(values: Num[np.ndarray, "N C"], count: int) -> Num[np.ndarray, 
 def split_channels(
     blended: Float[np.ndarray, "H W C"], channels: int, normals: bool
 ) -> tuple[Float[np.ndarray, "H W 3"] | None, Float[np.ndarray, "H W c"] | None]:
-    """Normals and values of a ``Rendering``, split from (H, W, C): the caller's ``channels`` come first."""
+    """Normals and values of a ``Rendering``, split from its blended channels: the caller's ``channels`` come first."""
     return (
         unit_or_zero(blended[..., channels:]) if normals else None,
         blended[..., :channels] if channels else None,
@@ -97,6 +97,6 @@ def split_channels(
 
 
 def unit_or_zero(normals: Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
-    """Vectors (H, W, 3) at unit length; those shorter than 1e-4 become 0."""
+    """Vectors at unit length; those shorter than 1e-4 become 0."""
     length = np.linalg.norm(normals, axis=2, keepdims=True)
     return np.where(length < 1e-4, 0, normals / np.maximum(length, 1e-4)).astype(np.float32)

@@ -40,14 +40,13 @@ class RigidObject:
 
     Attributes:
         person: its name, ``o0``, ``o1``, …, as in composites and mattes.
-        gaussians: N Gaussians around the object's own middle, metres; axes as in the world where its rotation is
-            undetermined.
-        provenance: (N,) uint8, see ``scene/provenance.py``.
-        centres_m: (T, 3) world position of the middle; NaN where it is unknown.
-        valid: (T,) bool: frames in which cameras measured position and rotation; in others both are interpolated.
-        present: (T,) bool: frames in which the position is known; in others the object is not drawn.
+        gaussians: around its own middle, metres; axes as in the world where its rotation is undetermined.
+        provenance: uint8, see ``scene/provenance.py``.
+        centres_m: world position of the middle; NaN where it is unknown.
+        valid: frames in which cameras measured position and rotation; in others both are interpolated.
+        present: frames in which the position is known; in others the object is not drawn.
         radius_m: radius of the sphere with the outlines' size.
-        world_from_object: (T, 3, 3) rotations; all the identity where undetermined.
+        world_from_object: all the identity where undetermined.
         turns: "measured", or "undetermined": an object that does not rotate explains the pictures as well.
     """
 
@@ -68,9 +67,8 @@ class RigidObject:
             object.__setattr__(self, "world_from_object", np.tile(np.eye(3), (len(self.centres_m), 1, 1)))
 
     def centre_at(self, frame: float) -> Float[np.ndarray, " 3"] | None:
-        """(3,) position at a 0-based, possibly fractional frame, metres; None where it is unknown.
-
-        Next to an unknown frame it is the position in the nearer frame, if that one is known.
+        """Position at a 0-based, possibly fractional frame, metres; None, or the known neighbour's, next to an unknown
+        one.
         """
         low, high, share = self._between(frame)
         if self.present[low] and self.present[high]:
@@ -79,23 +77,21 @@ class RigidObject:
         return self.centres_m[near] if self.present[near] else None
 
     def turn_at(self, frame: float) -> Float[np.ndarray, "3 3"]:
-        """(3, 3) rotation world_from_object at a 0-based, possibly fractional frame; next to an unknown frame, the
-        known one's."""
+        """Rotation world_from_object at a possibly fractional frame; next to an unknown frame, the known one's."""
         low, high, share = self._between(frame)
         if not (self.present[low] and self.present[high]):
             return self.world_from_object[low if self.present[low] else high]
         return rotations.slerp(self.world_from_object[low], self.world_from_object[high], share)
 
     def pose_at(self, frame: float) -> Float[np.ndarray, "4 4"]:
-        """(4, 4) world_from_object at a frame; the translation is NaN where unknown."""
+        """World_from_object at a frame; the translation is NaN where unknown."""
         pose, centre = np.eye(4), self.centre_at(frame)
         pose[:3, :3] = self.turn_at(frame)
         pose[:3, 3] = np.nan if centre is None else centre
         return pose
 
     def posed(self, frame: float) -> Gaussians:
-        """The Gaussians in the world at a 0-based, possibly fractional frame; the same number, but invisible, where
-        unknown."""
+        """The Gaussians in the world at a possibly fractional frame; as many, but invisible, where unknown."""
         centre, own = self.centre_at(frame), self.gaussians
         if centre is None:
             return own.undrawn()
@@ -109,16 +105,15 @@ class RigidObject:
         return Gaussians(means, quaternions, own.log_scales, own.logit_opacities, sh)
 
     def joints_m(self, frame: float) -> Float[np.ndarray, "1 3"]:
-        """(1, 3) the middle as the only joint, infinitely far away where it is unknown."""
+        """The middle as the only joint, infinitely far away where it is unknown."""
         centre = self.centre_at(frame)
         return np.full((1, 3), np.inf) if centre is None else centre[None]
 
     def capsule(self, frame: float) -> Float[np.ndarray, "C 7"]:
-        """(1, 7) a capsule that blocks light like the object, two ends and a radius, metres; (0, 7) where the position
-        is unknown.
+        """A capsule that blocks light like the object, two ends and a radius, metres; none where the position is
+        unknown.
 
-        It is as long as the object, and as thick as the disc with the area of its cross-section: a ball's own sphere, a
-        board's mean thickness.
+        It is as long as the object, and as thick as the disc with the area of its cross-section.
         """
         centre, own = self.centre_at(frame), self.gaussians
         covers = own.logit_opacities > np.log(_COVERS / (1 - _COVERS))
@@ -135,10 +130,10 @@ class RigidObject:
         return np.concatenate([ends.ravel(), [radius]])[None]
 
     def outline(self, camera: Camera, frame: int, grown: float = 1.0) -> Float[np.ndarray, "H W"]:
-        """(H, W) float32 z-depth of the middle inside the object's outline, 0 outside and when absent.
+        """Float32 z-depth of the middle inside the object's outline, 0 outside and when absent.
 
-        The outline is the sphere of ``grown`` times the radius, or, with measured rotations, the object's own outline,
-        scaled by ``grown`` about its middle.
+        That is the sphere of ``grown`` times the radius, or, with measured rotations, its own outline scaled by
+        ``grown``.
         """
         drawn = np.zeros(camera.hw, np.float32)
         centre = self.centre_at(frame)

@@ -39,7 +39,7 @@ class SceneFiles:
     objects: list[Path] = field(default_factory=list)
 
     def room(self) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
-        """N static Gaussians and their provenance (N,); raises UserError where it is another room's."""
+        """N static Gaussians and their provenance; raises UserError where it is another room's."""
         gaussians = read_ply(self.background)
         return gaussians, read_provenance(self.provenance, gaussians.count)
 

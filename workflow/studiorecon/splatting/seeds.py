@@ -37,7 +37,7 @@ def seeds_from_depth(
     opacity: float,
     sh_degree: int,
 ) -> tuple[Gaussians, Integer[np.ndarray, "N 2"]]:
-    """One flat Gaussian per ``stride`` × ``stride`` pixels where ``wanted`` (H, W), and its (row, column) (N, 2).
+    """One flat Gaussian per ``stride`` × ``stride`` pixels where ``wanted``, and its (row, column).
 
     ``size`` is its sigma as a share of the distance to its neighbour, stretched on slanted surfaces.
     """
@@ -57,10 +57,9 @@ def seeds_from_depth(
 def finest(
     cameras: Sequence[Camera], depths_m: Sequence[Num[np.ndarray, "H W"]], known: Sequence[Bool[np.ndarray, "H W"]]
 ) -> list[Bool[np.ndarray, "H W"]]:
-    """(H, W) bool of every camera: ``known`` pixels whose surface no other camera shows at a higher resolution.
+    """``known`` pixels of every camera whose surface no other camera shows at a higher resolution.
 
-    A surface in several photos is started once, from the photo with most pixels per square metre of it: a second set of
-    discs slightly in front or behind costs as much and shows almost nothing more. ``depths_m`` and ``known`` (H, W).
+    A second set of discs slightly in front or behind costs as much as the first and shows almost nothing more.
     """
     views = [points_and_normals(depth_m, camera, _EDGE_SHARE) for camera, depth_m in zip(cameras, depths_m)]
     fine = [
@@ -85,7 +84,7 @@ def finest(
 def _pixels_per_m2(
     camera: Camera, points: Num[np.ndarray, "H W 3"], normals: Num[np.ndarray, "H W 3"]
 ) -> Num[np.ndarray, "H W"]:
-    """(H, W) number of a camera's pixels per square metre of surface at ``points`` (H, W, 3)."""
+    """Number of a camera's pixels per square metre of surface at ``points``."""
     rays = points - camera.centre_m
     distance_m = np.maximum(np.linalg.norm(rays, axis=-1), 1e-9)
     facing = np.abs(np.sum(rays * normals, axis=-1)) / distance_m

@@ -72,7 +72,7 @@ class Actors:
         return solids, values
 
     def soles_m(self) -> Float[np.ndarray, "T P 4 3"]:
-        """(T, P, 4, 3) ankles and balls of all people's feet, lowered to the sole: they darken the floor beneath."""
+        """Ankles and balls of all people's feet, lowered to the sole: they darken the floor beneath."""
         found = np.zeros((len(self.times_s), len(self.actors), len(_FEET), 3))
         for number, actor in enumerate(self.actors):
             joints = self.body.joints(actor.poses, actor.betas, actor.trans_m)[:, list(_FEET)]
@@ -81,7 +81,7 @@ class Actors:
         return found
 
     def keypoints_m(self, names: tuple[str, ...]) -> Float[np.ndarray, "T P K 3"]:
-        """(T, P, K, 3) world keypoints of all people."""
+        """World keypoints of all people."""
         found = [self.body.keypoints(names, actor.poses, actor.betas, actor.trans_m) for actor in self.actors]
         return np.stack(found, axis=1) if found else np.zeros((len(self.times_s), 0, len(names), 3))
 

@@ -31,10 +31,10 @@ def detect(
 ) -> list[Float[np.ndarray, "K 3"]]:
     """Detections of people in one camera and frame: (K, 3) pixels (centres at +0.5) and confidence each, 0 = missing.
 
-    ``points_m`` (P, K, 3) are all people's keypoints, ``tracer`` holds the room and then, from index ``first_actor``,
-    the people. Visible points get a confidence near 0.9, points behind the own body near 0.55. Points behind other
-    people or objects have one near 0.2 or are missing; points outside the picture are missing. A person with fewer than
-    five good points is not reported.
+    ``points_m`` are all people's keypoints, ``tracer`` holds the room and then, from index ``first_actor``, the people.
+    Visible points get a confidence near 0.9, points behind the own body near 0.55. Points behind other people or
+    objects have one near 0.2 or are missing; points outside the picture are missing. A person with fewer than five good
+    points is not reported.
     """
     people = []
     width, height = lens.wh

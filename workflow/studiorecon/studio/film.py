@@ -31,8 +31,8 @@ class Backdrop:
     Attributes:
         lens: the lens; ``solids``: the room.
         rays: (S, N, 3) float32 world directions, one metre of z-depth long.
-        depth_m: (S, N) z-depth of the room; ``colour``: (S, N, 3) float32 radiance.
-        solid: (S, N) index of the visible solid; ``mean`` (N, 3): radiance of the pixels.
+        depth_m: z-depth of the room; ``colour``: (S, N, 3) float32 radiance.
+        solid: index of the visible solid; ``mean`` (N, 3): radiance of the pixels.
         lamps: one set of lamp points per ray of a pixel.
     """
 
@@ -50,7 +50,7 @@ class Backdrop:
         return centre_m(self.lens)
 
     def picture(self) -> Float[np.ndarray, "H W 3"]:
-        """(H, W, 3) radiance of the empty room."""
+        """Radiance of the empty room."""
         return self.mean.reshape(self.lens.wh[1], self.lens.wh[0], 3)
 
 
@@ -82,9 +82,9 @@ def render_frame(
     soles_m: Float[np.ndarray, "P 4 3"],
     effects: Effects,
 ) -> Float[np.ndarray, "H W 3"]:
-    """(H, W, 3) radiance of one frame with the ``moving`` solids in the room.
+    """Radiance of one frame with the ``moving`` solids in the room.
 
-    ``tracer`` holds room and moving solids, the room first; ``touched`` (N,) are the pixels of ``touched_pixels``.
+    ``tracer`` holds room and moving solids, the room first; ``touched`` are the pixels of ``touched_pixels``.
     """
     height, width = scene.lens.wh[1], scene.lens.wh[0]
     picture = scene.mean.copy()
@@ -128,7 +128,7 @@ def render_frame(
 
 
 def touched_pixels(lens: Lens, moving: Sequence[Mesh]) -> Bool[np.ndarray, " N"]:
-    """(N,) bool: all pixels that the solids can cover, and a few around them.
+    """Whether all pixels that the solids can cover, and a few around them.
 
     Vertices are marked and grown by the longest edge in pixels: no point of a triangle is farther from a vertex than
     that.
@@ -158,7 +158,7 @@ def touched_pixels(lens: Lens, moving: Sequence[Mesh]) -> Bool[np.ndarray, " N"]
 def project(
     lens: Lens, points_m: Float[np.ndarray, "... 3"]
 ) -> tuple[Float[np.ndarray, "... 2"], Float[np.ndarray, " ..."]]:
-    """Pixels (..., 2) of world points through a lens with its distortion, and their z-depth; far off-screen behind the
+    """Pixels of world points through a lens with its distortion, and their z-depth; far off-screen behind the
     camera."""
     in_camera = points_m @ lens.camera_from_world[:3, :3].T + lens.camera_from_world[:3, 3]
     depth = in_camera[..., 2]
@@ -170,15 +170,14 @@ def project(
 
 
 def centre_m(lens: Lens) -> Float[np.ndarray, " 3"]:
-    """(3,) position of the lens."""
+    """Position of the lens."""
     return -lens.camera_from_world[:3, :3].T @ lens.camera_from_world[:3, 3]
 
 
 def contact_shade(
     points_m: Float[np.ndarray, "N 3"], soles_m: Float[np.ndarray, "P 4 3"], strength: float
 ) -> Float[np.ndarray, " N"]:
-    """(N,) factor by which the floor darkens near soles (P, 4, 3): soft within a hand's width, gone when the foot is
-    lifted."""
+    """Factor by which the floor darkens near soles: soft within a hand's width, gone when the foot is lifted."""
     shade = np.ones(len(points_m))
     for sole in soles_m.reshape(-1, 3):
         away = np.sum((points_m[:, :2] - sole[:2]) ** 2, axis=1) / _CONTACT_REACH_M**2

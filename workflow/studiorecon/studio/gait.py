@@ -41,7 +41,7 @@ class Path:
     def at(
         self, distance_m: Float[np.ndarray, " T"], left_m: float | Float[np.ndarray, " T"] = 0.0
     ) -> tuple[Float[np.ndarray, "T 2"], Float[np.ndarray, " T"]]:
-        """Points (T, 2), ``left_m`` to the left of the path, and headings (T,) at distances walked (T,)."""
+        """Points, ``left_m`` to the left of the path, and headings at distances walked."""
         heading = self.heading_rad + (distance_m / self.radius_m if self.radius_m else 0 * distance_m)
         forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
         left = np.stack([-forward[:, 1], forward[:, 0]], axis=-1)
@@ -57,10 +57,10 @@ class FootTrack:
     """One foot over time: the position of its flat print, and its pitch and lift.
 
     Attributes:
-        distance_m: (T,) along the path.
-        pitch_rad: (T,) positive = heel up about the ball, negative = toes up about the heel.
-        lift_m: (T,) extra height of the whole foot.
-        amplitude: (T,) length of the current stride over the full stride, 0 = standing.
+        distance_m: along the path.
+        pitch_rad: positive = heel up about the ball, negative = toes up about the heel.
+        lift_m: extra height of the whole foot.
+        amplitude: length of the current stride over the full stride, 0 = standing.
     """
 
     distance_m: Float[np.ndarray, " T"]
@@ -70,7 +70,7 @@ class FootTrack:
 
 
 def foot_track(clock: Float[np.ndarray, " T"], phase: float, stride_m: float, path: Path) -> FootTrack:
-    """The foot whose strides begin ``phase`` (0 or 0.5) before the clock (T,), counted in strides."""
+    """The foot whose strides begin ``phase`` (0 or 0.5) before the clock, counted in strides."""
     local = clock + phase
     stride = np.floor(local)
     within = local - stride
@@ -93,7 +93,7 @@ def foot_track(clock: Float[np.ndarray, " T"], phase: float, stride_m: float, pa
 
 
 def pelvis_distance(clock: Float[np.ndarray, " T"], stride_m: float, path: Path) -> Float[np.ndarray, " T"]:
-    """(T,) the pelvis's distance along the path: midway between the feet, smoothed over a third of a stride."""
+    """The pelvis's distance along the path: midway between the feet, smoothed over a third of a stride."""
     shifts = np.linspace(-0.4, 0.4, 17)
     weights = np.exp(-0.5 * (shifts / 0.17) ** 2)
     total = sum(
@@ -115,11 +115,10 @@ def reach_knee(
     shin_m: float,
     forward: Float[np.ndarray, "T 3"],
 ) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3"]]:
-    """Knee positions (T, 3) and hinge axes (T, 3) (to the body's left) for hips and ankles (T, 3); the knee bends
-    ``forward``.
+    """Knee positions and hinge axes (to the body's left) for hips and ankles; the knee bends ``forward``.
 
-    Law of cosines; a target out of reach stretches the leg towards it. ``forward`` is (T, 3) and need not be a right
-    angle off.
+    Law of cosines; a target out of reach stretches the leg towards it. ``forward`` is and need not be a right angle
+    off.
     """
     span = ankle_m - hip_m
     distance = np.linalg.norm(span, axis=1)
@@ -135,7 +134,7 @@ def reach_knee(
 
 
 def frame(down: Float[np.ndarray, "... 3"], left: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3 3"]:
-    """(..., 3, 3) rotations whose columns are: left made orthogonal, along the bone, and their cross product."""
+    """Rotations whose columns are: left made orthogonal, along the bone, and their cross product."""
     down = down / np.linalg.norm(down, axis=-1, keepdims=True)
     left = left - down * np.sum(left * down, axis=-1, keepdims=True)
     left = left / np.linalg.norm(left, axis=-1, keepdims=True)

@@ -23,15 +23,15 @@ class Mesh:
 
     Attributes:
         name: for messages and tests.
-        vertices_m: (V, 3) world.
+        vertices_m: world.
         faces: (F, 3) int.
         texture: paint, evaluated in the solid's own frame.
-        world_from_solid: (4, 4) rigid.
+        world_from_solid: rigid.
         emission: radiance that it emits (the lamps), 0 otherwise.
         mirror: share of a mirror in its surface (the glossy floor).
-        texture_vertices: (V, 3) vertices in the texture's frame, for solids that bend; None = rigid, by
+        texture_vertices: vertices in the texture's frame, for solids that bend; None = rigid, by
             ``world_from_solid``.
-        vertex_normals: (V, 3) unit normals to interpolate; None = flat faces.
+        vertex_normals: unit normals to interpolate; None = flat faces.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Mesh:
 
 
 def pose_on_floor(position_m: tuple[float, float, float], yaw_rad: float = 0.0) -> Float[np.ndarray, "4 4"]:
-    """(4, 4) world_from_solid of an upright solid at a position."""
+    """World_from_solid of an upright solid at a position."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     world_from_solid = np.eye(4)
     world_from_solid[:3, :3] = [[c, -s, 0], [s, c, 0], [0, 0, 1]]
@@ -57,7 +57,7 @@ def pose_on_floor(position_m: tuple[float, float, float], yaw_rad: float = 0.0) 
 def transform_points(
     points: Float[np.ndarray, "... 3"], matrix: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "... 3"]:
-    """(..., 3) points through a (4, 4) rigid transform."""
+    """Points through a rigid transform."""
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 

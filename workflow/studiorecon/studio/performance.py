@@ -55,8 +55,7 @@ PARTS = (
 
 
 def shape(seed: int, number: int) -> Float[np.ndarray, " 10"]:
-    """(10,) betas of one person: people alternate between tall and short, the rest is drawn within one standard
-    deviation."""
+    """Betas of one person: people alternate between tall and short, the rest is drawn within one standard deviation."""
     rng = np.random.default_rng([seed, 21, number])
     betas = np.clip(rng.normal(0, 0.5, 10), -1, 1)
     betas[0] = (0.75, -0.55, 0.3, -0.9)[number]
@@ -66,7 +65,7 @@ def shape(seed: int, number: int) -> Float[np.ndarray, " 10"]:
 def perform(
     part: MotionPart, body: BodyModel, betas: Float[np.ndarray, " 10"], times_s: Float[np.ndarray, " T"]
 ) -> tuple[Float[np.ndarray, "T 72"], Float[np.ndarray, "T 3"]]:
-    """Poses (T, 72) axis-angle and pelvis positions (T, 3) of one person at the given moments (T,)."""
+    """Poses axis-angle and pelvis positions of one person at the given moments."""
     clock = part.clock + part.cadence_hz * times_s
     feet = [foot_track(clock, phase, part.stride_m, part.path) for phase in (0.0, 0.5)]
     walking = _smooth_amplitude(part, clock)

@@ -53,8 +53,7 @@ def camera_sensor(description: Description, name: str) -> Sensor:
 
 
 def develop(radiance: Float[np.ndarray, "H W 3"], sensor: Sensor, frame: int) -> Integer[np.ndarray, "H W 3"]:
-    """(H, W, 3) uint8 picture of a radiance map: gamma 2.2, then the gains, then noise that depends on the frame
-    number."""
+    """Picture of a radiance map: gamma 2.2, then the gains, then noise that depends on the frame number."""
     picture = np.clip(radiance.astype(np.float32), 0, 1) ** np.float32(1 / _GAMMA)
     picture = picture * np.asarray(sensor.gains, dtype=np.float32)
     if sensor.noise_levels > 0:

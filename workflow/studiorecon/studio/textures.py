@@ -17,7 +17,7 @@ Colour = tuple[float, float, float]
 
 
 def hash_values(column: Num[np.ndarray, " N"], row: Num[np.ndarray, " N"], seed: int) -> Float[np.ndarray, " N"]:
-    """(N,) values in [0, 1) that depend on two integers and the seed only (an integer hash with two mixing rounds)."""
+    """Values in [0, 1) that depend on two integers and the seed only (an integer hash with two mixing rounds)."""
     x = column.astype(np.int64) * 374761393 + row.astype(np.int64) * 668265263 + seed * 1442695041
     x &= 0xFFFFFFFF
     x = ((x ^ (x >> 13)) * 1274126177) & 0xFFFFFFFF
@@ -25,7 +25,7 @@ def hash_values(column: Num[np.ndarray, " N"], row: Num[np.ndarray, " N"], seed:
 
 
 def noise(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -> Float[np.ndarray, " N"]:
-    """(N,) smooth value noise in [0, 1) on the unit lattice."""
+    """Smooth value noise in [0, 1) on the unit lattice."""
     i, j = np.floor(u), np.floor(v)
     a, b = u - i, v - j
     a, b = a * a * (3 - 2 * a), b * b * (3 - 2 * b)
@@ -37,7 +37,7 @@ def noise(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -> 
 def clouds(
     u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int, octaves: int = 3
 ) -> Float[np.ndarray, " N"]:
-    """(N,) sum of octaves of noise, in [0, 1)."""
+    """Sum of octaves of noise, in [0, 1)."""
     total = sum(noise(u * 2.0**k, v * 2.0**k, seed + k) * 0.5**k for k in range(octaves))
     return np.asarray(total / sum(0.5**k for k in range(octaves)))
 
@@ -45,12 +45,12 @@ def clouds(
 def mix(
     a: Colour | Float[np.ndarray, "N 3"], b: Colour | Float[np.ndarray, "N 3"], share_of_b: Num[np.ndarray, " N"]
 ) -> Float[np.ndarray, "N 3"]:
-    """(N, 3) colours between ``a`` and ``b``."""
+    """Colours between ``a`` and ``b``."""
     return np.asarray(a) * (1 - share_of_b[:, None]) + np.asarray(b) * share_of_b[:, None]
 
 
 def near_line(x: Float[np.ndarray, " N"], period: float, half_width: float) -> Bool[np.ndarray, " N"]:
-    """(N,) bool: closer than ``half_width`` to a multiple of ``period``."""
+    """Closer than ``half_width`` to a multiple of ``period``."""
     return np.abs(x - np.round(x / period) * period) < half_width
 
 

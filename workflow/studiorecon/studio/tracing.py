@@ -29,11 +29,11 @@ class Hits:
     """Hits of (N,) rays, in the ray caster's single precision.
 
     Attributes:
-        distance: (N,) in lengths of the ray's direction; inf for no hit.
-        solid: (N,) index into the traced solids; -1 for no hit.
-        face: (N,) triangle within the solid.
-        barycentric: (N, 2) weights of the triangle's second and third vertex.
-        normal: (N, 3) unit geometric normal, as the mesh has it.
+        distance: in lengths of the ray's direction; inf for no hit.
+        solid: index into the traced solids; -1 for no hit.
+        face: triangle within the solid.
+        barycentric: weights of the triangle's second and third vertex.
+        normal: unit geometric normal, as the mesh has it.
     """
 
     distance: Float[np.ndarray, " N"]
@@ -44,7 +44,7 @@ class Hits:
 
     @property
     def met(self) -> Bool[np.ndarray, " N"]:
-        """(N,) bool: rays that hit a solid."""
+        """Rays that hit a solid."""
         return self.solid >= 0
 
     def take(self, rays: Shaped[np.ndarray, " M"]) -> Hits:
@@ -63,7 +63,7 @@ class Tracer:
             TriangleMesh(self._scene, vertices, np.ascontiguousarray(solid.faces, dtype=np.int32))
 
     def cast(self, origins_m: Float[np.ndarray, "... 3"], directions: Float[np.ndarray, "N 3"]) -> Hits:
-        """First hits of rays from (N, 3) or (3,) origins along (N, 3) directions of any length."""
+        """First hits of rays from or (3,) origins along directions of any length."""
         answer = self._scene.run(*_rays(origins_m, directions), output=True)
         met = answer["geomID"] >= 0
         normal = np.where(met[:, None], answer["Ng"], 0)
@@ -79,13 +79,12 @@ class Tracer:
     def blocked(
         self, origins_m: Float[np.ndarray, "... 3"], targets_m: Float[np.ndarray, "... 3"]
     ) -> Bool[np.ndarray, " N"]:
-        """(N,) bool: a solid is between the points and their targets."""
+        """Whether a solid is between the points and their targets."""
         return self._scene.run(*_rays(origins_m, targets_m - origins_m), _TO_THE_TARGET, query="OCCLUDED") >= 0
 
 
 def lamp_points(subset: int, subsets: int) -> Float[np.ndarray, "M 4"]:
-    """(M, 4) points on the lamps and their strength, for one of ``subsets`` rays of a pixel: together they cover both
-    lamps.
+    """Points on the lamps and their strength, for one of ``subsets`` rays of a pixel: together they cover both lamps.
 
     A low-discrepancy sequence (the plastic number's), so that a subset is spread as well and a pixel's penumbra is
     smooth.
@@ -108,8 +107,7 @@ def lamp_light(
     lamps: Float[np.ndarray, "M 4"],
     tracer: Tracer,
 ) -> Float[np.ndarray, " N"]:
-    """(N,) irradiance from the lamp points (M, 4), shadows included: their mean of both cosines over distance
-    squared."""
+    """Irradiance from the lamp points, shadows included: their mean of both cosines over distance squared."""
     gains = np.stack([lamp_gain(points_m, normals, lamp[:3]) * lamp[3] for lamp in lamps.astype(points_m.dtype)])
     lamp, point = np.nonzero(gains)
     starts = points_m + normals * points_m.dtype.type(_SKIN_M)
@@ -120,7 +118,7 @@ def lamp_light(
 def lamp_gain(
     points_m: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], lamp_m: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, " N"]:
-    """(N,) irradiance that one lamp point would give without obstacles; 0 on the side that faces away."""
+    """Irradiance that one lamp point would give without obstacles; 0 on the side that faces away."""
     towards = lamp_m - points_m
     squared = np.einsum("ij,ij->i", towards, towards)
     cosines = np.einsum("ij,ij->i", towards, normals) * towards[:, 2]
@@ -128,7 +126,7 @@ def lamp_gain(
 
 
 def ambient_light(points_m: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
-    """(N,) light reflected by the room: brighter on upward surfaces, darker in its edges and corners (closed form, no
+    """Light reflected by the room: brighter on upward surfaces, darker in its edges and corners (closed form, no
     rays)."""
     light = _AMBIENT * (1 + 0.22 * normals[:, 2])
     for axis, half in ((0, HALF_X_M), (1, HALF_Y_M)):
@@ -195,7 +193,7 @@ def radiance(
     lamps: Float[np.ndarray, "M 4"],
     bounces: int = 1,
 ) -> Float[np.ndarray, "N 3"]:
-    """(N, 3) light that returns along the rays: diffuse under the lamps and the room's reflected light, plus one mirror
+    """Light that returns along the rays: diffuse under the lamps and the room's reflected light, plus one mirror
     bounce."""
     surface = surfaces(solids, hits, origins_m, directions)
     light = lamp_light(surface.points_m, surface.normals, lamps, tracer) + ambient_light(

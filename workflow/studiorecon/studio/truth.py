@@ -54,7 +54,7 @@ class TruthFrames:
         values: list[int],
         following: list[Mesh] | None,
     ) -> None:
-        """Trace one frame at the pixels ``touched`` (N,); ``following`` are the ``moving`` solids one frame later."""
+        """Trace one frame at the pixels ``touched``; ``following`` are the ``moving`` solids one frame later."""
         touched = np.flatnonzero(touched)
         hits = tracer.cast(centre_m(self.lens), self._rays[touched])
         seen = hits.solid >= self.first_moving

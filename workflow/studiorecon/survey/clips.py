@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The survey's samples of a camera's film: short runs of small pictures, spread over the clip, with a mask of
-people.
-"""
+"""The survey's samples of a camera's film: short runs of small pictures over the clip, with a mask of people."""
 
 from __future__ import annotations
 
@@ -34,10 +32,9 @@ class Film:
 
     Attributes:
         camera: of the working pictures.
-        times: (T,) working frame of each picture, rising; pictures of one run follow one another in even steps.
-        pictures: (T, h, w, 3) uint8, smaller than the working pictures.
-        free: (T, h, w) bool: pixels without people.
-        scale: working pixels per pixel.
+        times: working frame of each picture, rising; pictures of one run follow one another in even steps.
+        pictures: uint8, smaller than the working pictures by the factor ``scale``.
+        free: pixels without people.
         step: working frames from one picture of a run to the next.
     """
 
@@ -72,8 +69,7 @@ def read_film(
     run: int,
     longest_px: int,
 ) -> Film:
-    """At most ``pictures`` pictures of a film in runs of ``run``, about thirty a second, their longer side at most
-    ``longest_px``.
+    """At most ``pictures`` pictures of a film, ``longest_px`` long, in runs of ``run`` at about thirty a second.
 
     Outlines of people come from ``found``; it is None where the room is known to be empty, or where only silhouettes
     show people. Cost: 12 ms for a picture of 1280×704 on one core.
@@ -94,9 +90,7 @@ def read_clip_pictures(
     longest_px: int,
     step: int = 1,
 ) -> tuple[Integer[np.ndarray, "T h w 3"], Bool[np.ndarray, "T h w"], float]:
-    """The ``wanted`` frames (T,), rising: (T, h, w, 3) uint8 shrunk to ``longest_px``, masks without people, and pixels
-    per pixel.
-    """
+    """The ``wanted`` frames, rising, shrunk to ``longest_px``; masks without people; and working pixels per pixel."""
     scale = max(max(camera.wh) / longest_px, 1.0)
     wh = (round(camera.wh[0] / scale), round(camera.wh[1] / scale))
     held: list[np.ndarray] = []

@@ -19,10 +19,9 @@ PARALLAX_DEG = 2.0
 
 
 def stage_points(cameras: Sequence[Camera], step_m: float, height_m: float) -> Float[np.ndarray, "N 3"]:
-    """(N, 3) grid points of the stage between the cameras, from the floor to ``height_m``.
+    """Grid points of the stage between the cameras, from the floor to ``height_m``.
 
-    The stage is a disc about the point nearest to all optical axes, with the distance of the nearest camera as its
-    radius.
+    It is a disc about the point nearest to all optical axes, as wide as the nearest camera's distance.
     """
     centre, radius_m = stage(cameras)
     along = np.arange(-radius_m, radius_m + 1e-9, step_m)
@@ -32,7 +31,7 @@ def stage_points(cameras: Sequence[Camera], step_m: float, height_m: float) -> F
 
 
 def stage(cameras: Sequence[Camera]) -> tuple[Float[np.ndarray, " 2"], float]:
-    """Horizontal centre (2,) that the cameras look at, and the distance of the nearest of them."""
+    """Horizontal centre that the cameras look at, and the distance of the nearest of them."""
     positions = np.array([c.centre_m[:2] for c in cameras])
     directions = np.array([c.forward[:2] for c in cameras])
     lengths = np.linalg.norm(directions, axis=1)
@@ -53,8 +52,7 @@ def visible_points(
     depths_m: Sequence[Float[np.ndarray, "H W"]],
     tolerance: float,
 ) -> Bool[np.ndarray, "C N"]:
-    """(C, N) bool: which camera sees which point (N, 3): inside the picture and not behind the surface of its depth
-    map.
+    """Which camera sees which point: inside the picture and not behind the surface of its depth map.
 
     Unknown depth (0 or non-finite) hides nothing. ``tolerance`` is the share of depth by which a point may be behind
     the surface.
@@ -71,7 +69,7 @@ def visible_points(
 def from_two_sides(
     points_m: Float[np.ndarray, "N 3"], cameras: Sequence[Camera], seen: Bool[np.ndarray, "C N"], least_deg: float
 ) -> Bool[np.ndarray, " N"]:
-    """(N,) bool: at least two cameras see the point from directions at least ``least_deg`` apart (T01)."""
+    """Whether at least two cameras see the point from directions at least ``least_deg`` apart (T01)."""
     rays = np.stack([points_m - c.centre_m for c in cameras])
     rays /= np.maximum(np.linalg.norm(rays, axis=-1, keepdims=True), 1e-12)
     apart = np.zeros(len(points_m), bool)
@@ -84,8 +82,7 @@ def from_two_sides(
 def mean_pair_deg(cameras: Sequence[Camera]) -> float:
     """Mean azimuth between every two cameras about their common centre, degrees; 0 for a single one.
 
-    This is the reading U56 of cameras said to be so many degrees apart "from the centre": four on an even ring have
-    120.
+    This is the reading U56 of cameras said to be so many degrees apart: four on an even ring have 120.
     """
     centre, _ = stage(cameras)
     offsets = np.array([c.centre_m[:2] - centre for c in cameras])

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decides which effects this scene calls for. Each decision has a statistic, a threshold and a sentence, and can be
-forced.
+"""Decides which effects this scene calls for, each by a statistic and a threshold, or as the user forces it.
 
 Only effects that are on are simulated later; "undetermined" takes the cheaper branch and says so. Effects that show
 only in a trained scene are listed here, and decided by ``report.audit``. Factors that later steps divide out of the
@@ -48,7 +47,7 @@ def run(
 ) -> None:
     """Write the decisions on all effects; ``people`` and ``identities`` are absent when the room is known to be empty.
 
-    ``artefacts``: the paths where effects write their own files, identified by the file's name.
+    Effects write their own files to the ``artefacts`` of the same name.
     """
     cameras, capture = read_model(model.parent), read_manifest(manifest)
     one_each(cameras, videos=videos, plates=plates, depth_maps=depths, files_of_keypoints=detections or cameras)

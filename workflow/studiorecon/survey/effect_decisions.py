@@ -34,10 +34,9 @@ def decide_effects(
     thresholds: Mapping[str, float],
     force: Mapping[str, str] | None = None,
 ) -> list[Decision]:
-    """One decision for every effect that shows before training.
+    """One decision for every effect that shows before training, by its threshold in ``thresholds`` or its own.
 
-    An effect that is not in ``thresholds`` uses its own. An effect that is on voids others, but not if ``force`` turned
-    it off.
+    An effect that is on voids others, but not if ``force`` turned it off.
     """
     verdicts = force or {}
     made: dict[str, Decision] = {}

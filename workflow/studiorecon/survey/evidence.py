@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The data that effects are measured on: a scene before training, its sampling, and values that several
-effects share.
-"""
+"""The data that effects are measured on: a scene before training, its sampling, and values that effects share."""
 
 from __future__ import annotations
 
@@ -53,10 +51,7 @@ class Sampling:
 class Recordings:
     """Every camera's whole film, for files with one entry per frame.
 
-    Attributes:
-        videos: one per camera.
-        found: every camera's keypoints; None when nothing detects people.
-        frames: of every film.
+    ``found`` has every camera's keypoints; None when nothing detects people.
     """
 
     videos: Sequence[Path]
@@ -75,7 +70,6 @@ class Material:
         films: every camera's pictures over time.
         tracks: people's keypoints.
         floor_m: height of the floor.
-        fps: frames per second.
     """
 
     cameras: Sequence[Camera]
@@ -92,12 +86,10 @@ class SmallFilm:
     """One camera's film at half its size, with its plate.
 
     Attributes:
-        film: the pictures.
         camera: of those pictures.
-        plate: (h, w, 3) the clean plate.
-        depth_m: (h, w) of the empty room.
-        free: (T, h, w) pixels without people where the plate was measured.
-        ratio: (T, h, w, 3) log ratio to the plate, without the change of light.
+        plate, depth_m: the clean plate, and the empty room's depth.
+        free: pixels without people where the plate was measured.
+        ratio: log ratio to the plate, without the change of light.
         noise: standard deviation of a picture, levels of 255.
     """
 
@@ -129,7 +121,7 @@ class Evidence:
 
     @cached_property
     def light(self) -> list[tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]]:
-        """Per camera the log brightness of the light over time (T,), and its standard error (T,)."""
+        """Per camera the log brightness of the light over time, and its standard error."""
         return [stillness.light(film.pictures, film.free) for film in self.halves]
 
     @cached_property
@@ -139,7 +131,7 @@ class Evidence:
 
     @cached_property
     def gains(self) -> tuple[float, float, Float[np.ndarray, "V 3"]]:
-        """Largest difference of a camera's gain from 1, its standard error, and the gains (V, 3), 1 where unknown."""
+        """Largest difference of a camera's gain from 1, its standard error, and the gains, 1 where unknown."""
         found, errors = self.overlaps
         if not found:
             return np.nan, np.nan, np.ones((len(self.material.views), 3))

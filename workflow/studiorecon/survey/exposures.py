@@ -26,9 +26,7 @@ MIN_PIXELS, CERTAIN, INTERVAL = 50, 5.0, 2.0
 
 @dataclass(frozen=True)
 class ExposureView:
-    """One camera's clean plate: rgb (H, W, 3) in [0, 1], measured (H, W), depth_m (H, W) of the empty room, 0 =
-    unknown.
-    """
+    """One camera's clean plate: rgb in [0, 1], where it is measured, and the empty room's depth, 0 = unknown."""
 
     camera: Camera
     rgb: Float[np.ndarray, "H W 3"]
@@ -45,9 +43,7 @@ class ExposureView:
 
 
 def overlaps(views: Sequence[ExposureView], tolerance: float, least_pixels: int) -> tuple[list[Overlap], list[float]]:
-    """Colour ratios of every pair of cameras on surfaces whose depths agree to ``tolerance``, and their standard
-    errors.
-    """
+    """Colour ratios of every pair of cameras on surfaces of depths equal to ``tolerance``, and standard errors."""
     found, errors = [], []
     for i, first in enumerate(views):
         points, colours = first.surface()

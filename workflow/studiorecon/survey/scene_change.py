@@ -37,11 +37,9 @@ def relative(
     light_log: Float[np.ndarray, " T"],
     free: Bool[np.ndarray, "T H W"],
 ) -> Float[np.ndarray, "T H W 3"]:
-    """(T, H, W, 3) float32 log ratio of ``pictures`` (T, H, W, 3) uint8 to the ``plate`` (H, W, 3) in [0, 1], without
-    ``light_log`` (T,).
+    """Float32 log ratio of ``pictures`` to the ``plate`` in [0, 1], without ``light_log``.
 
-    Errors of the plate are constant over time, so each pixel's median over the moments when it is ``free`` (T, H, W) is
-    subtracted.
+    Each pixel's median over the moments when it is ``free`` is subtracted: errors of the plate are constant over time.
     """
     require("pictures", pictures, ("T", "H", "W", 3))
     require("free", free, pictures.shape[:3])
@@ -59,10 +57,7 @@ def relative(
 def floor_ring(
     camera: Camera, depth_m: Float[np.ndarray, "H W"], floor_m: float, feet_m: Float[np.ndarray, "P T 3"]
 ) -> Bool[np.ndarray, "T H W"]:
-    """(T, H, W) bool: floor within 1 m of any foot.
-
-    ``camera`` has the size of ``depth_m`` (H, W) of the empty room; ``feet_m`` is (P, T, 3), NaN unknown.
-    """
+    """Floor within 1 m of any foot; ``camera`` has the size of ``depth_m``, ``feet_m`` is NaN where unknown."""
     points, floor = floor_points(camera, depth_m, floor_m)
     ring = np.zeros((feet_m.shape[1], *camera.hw), bool)
     for feet in feet_m:
@@ -79,8 +74,8 @@ def shadow_share(
 ) -> Estimate:
     """Share of the floor around feet that darkens without changing its colour, for five consecutive frames.
 
-    ``ratio`` (T, H, W, 3) log ratio to the empty room; ``free`` (T, H, W) outside people; ``ring`` (T, H, W) floor near
-    feet. The test uses means over five frames of one run, so that one noisy frame does not break it.
+    ``ratio``: log ratio to the empty room; ``free``: outside people; ``ring``: floor near feet. The test uses means
+    over five frames of one run, so that one noisy frame does not break it.
     """
     require("ring", ring, free.shape)
     ever, dark = np.zeros(free.shape[1:], bool), np.zeros(free.shape[1:], bool)
@@ -105,13 +100,12 @@ def moving_share(
     noise: float,
     runs: Sequence[slice],
 ) -> Estimate:
-    """Area of the largest object that moves through the room, as a share of the picture, and its variation while it
-    moves.
+    """Area of the largest object that moves through the room, as a share of the picture, and its variation.
 
     An object is a connected region that differs visibly, by more than five standard deviations of ``noise`` (levels of
-    255) from the ``usual`` level (H, W). It is not merely darker and does not touch a person's outline, beyond which
-    legs and hands reach when keypoints are missing. It travels by more than its own radius in five consecutive frames;
-    things that flicker in place do not count. There is no estimate when people hide most of the room.
+    255) from the ``usual`` level. It is not merely darker and does not touch a person's outline, beyond which legs and
+    hands reach when keypoints are missing. It travels by more than its own radius in five consecutive frames; things
+    that flicker in place do not count. There is no estimate when people hide most of the room.
     """
     height, width = free.shape[1:]
     runs = [run for run in runs if run.stop - run.start >= _FRAMES]
@@ -160,9 +154,7 @@ def _followed(
 
 
 def _regions(changed: np.ndarray, free: np.ndarray, least_px: float) -> list[tuple[float, np.ndarray]]:
-    """(area, centre) of connected regions of at least ``least_px`` that do not touch pixels outside ``free``, after an
-    opening.
-    """
+    """(area, centre) of regions of at least ``least_px`` after an opening that do not touch pixels outside ``free``."""
     solid = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
     count, labels, statistics, centres = cv2.connectedComponentsWithStats(solid, connectivity=8)
     beside = cv2.dilate((~free).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0

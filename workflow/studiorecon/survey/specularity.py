@@ -32,8 +32,8 @@ _FLOOR = 0.01
 def varying_share(colours: Float[np.ndarray, "V N 3"], noise: Float[np.ndarray, "V N"]) -> Estimate:
     """Share of points whose brightness varies between views more than its noise allows in one case out of a hundred.
 
-    ``colours`` (V, N, 3) after exposure correction, NaN where a view does not see the point; ``noise`` (V, N) standard
-    deviation of the mean over channels. Points need two views. The expected share without specularity is 1 %.
+    ``colours`` after exposure correction, NaN where a view does not see the point; ``noise``: standard deviation of the
+    mean over channels. Points need two views. The expected share without specularity is 1 %.
     """
     require("colours", colours, ("V", "N", 3))
     require("noise", noise, colours.shape[:2])
@@ -54,10 +54,9 @@ def varying_share(colours: Float[np.ndarray, "V N 3"], noise: Float[np.ndarray, 
 def covisible(
     views: Sequence[ExposureView], gains: Float[np.ndarray, "V 3"], noise: float, tolerance: float
 ) -> tuple[Float[np.ndarray, "V N 3"], Float[np.ndarray, "V N"]]:
-    """Colours (V, N, 3) of static points that several views see, divided by ``gains`` (V, 3), and their noise (V, N).
+    """Colours of static points that several views see, divided by ``gains``, and their noise.
 
-    ``noise`` is a plate's temporal standard deviation. Where colours change within ``_MISPLACED_PX`` the noise grows
-    with their gradient.
+    ``noise``, a plate's temporal deviation, grows with the gradient of colours within ``_MISPLACED_PX``.
     """
     colours, errors = [], []
     slopes = [_slope(v.rgb) for v in views]

@@ -24,8 +24,7 @@ _STEPS = 3
 def block_shifts(
     reference: Integer[np.ndarray, "H W 3"], picture: Integer[np.ndarray, "H W 3"], free: Bool[np.ndarray, "H W"]
 ) -> Float[np.ndarray, "B 2"]:
-    """(B, 2) shift in px of every block of ``picture`` (H, W, 3) uint8 against ``reference``, where ``free`` (H, W);
-    NaN without texture.
+    """Shift in px of every block of ``picture`` against ``reference``, where ``free``; NaN without texture.
 
     Lucas-Kanade with a gain and an offset per block, so that changes of light do not count as motion; started by phase
     correlation.
@@ -67,7 +66,7 @@ def block_shifts(
 
 
 def worst_shift(shifts: Float[np.ndarray, "T B 2"]) -> tuple[float, float]:
-    """Median shift of the picture that surely moved the most, of ``block_shifts`` (T, B, 2), and its error, px.
+    """Median of ``block_shifts`` of the picture that surely moved the most, and its error, px.
 
     The error comes from the scatter of the blocks; NaN when too few blocks have a shift.
     """
@@ -86,12 +85,10 @@ def _median_vector(vectors: np.ndarray) -> tuple[float, float]:
 def light(
     frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray, "T H W"]
 ) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]:
-    """Log of the room's brightness against the first frame (T,), and its standard error (T,); NaN where too little is
-    visible.
+    """Log of the room's brightness against the first frame, and its standard error; NaN where too little is visible.
 
-    ``frames`` (T, H, W, 3) uint8, ``free`` (T, H, W) pixels without people. Each block contributes the middle of its
-    densest half, so that a person may cover up to half of it. The result is the blocks' median and the error their
-    scatter, because light changes in all blocks at once.
+    Each block contributes the middle of its densest half, so that a person may cover up to half of it. The result is
+    the blocks' median and the error their scatter, because light changes in all blocks at once.
     """
     require("frames", frames, ("T", "H", "W", 3))
     require("free", free, frames.shape[:3])

@@ -42,10 +42,7 @@ _BOOTSTRAP = Bootstrap(1000, 0)
 
 
 def run(records: list[Path], page: Written, table: Written) -> None:
-    """Write the page, and ``table`` with all runs; records of several scenes show the dependence on the scene.
-
-    Records of different machines are refused: their seconds are not comparable.
-    """
+    """Write the page, and ``table`` with all runs; refuses records of different machines, whose seconds differ."""
     if not records:
         raise UserError("name the records to show: --records results/SCENE/sweep/TABLE/ROW.json …")
     read = [read_json(path) for path in records]
@@ -80,10 +77,9 @@ def section(scene: str, records: Sequence[Record]) -> str:
 
 
 def effects(base: Record, records: Sequence[Record]) -> list[tuple[Record, float, list[float] | None, float]]:
-    """Per run that changes one parameter: record, change of PSNR (dB), its 95 % interval and change of seconds;
-    greatest effect first.
+    """Per run that changes one parameter: record, change of PSNR (dB), its interval, change of seconds; largest first.
 
-    The interval is over blocks of frames; None when there are too few.
+    The 95 % interval is over blocks of frames; None when there are too few.
     """
     found = []
     for record in records:
@@ -95,8 +91,7 @@ def effects(base: Record, records: Sequence[Record]) -> list[tuple[Record, float
 
 
 def mean_effects(scenes: Mapping[str, Sequence[Record]]) -> list[dict[str, Any]]:
-    """Per configuration that finished in every scene: mean change of each measure, range of change of PSNR, and mean
-    change of seconds.
+    """Per configuration that finished in every scene: mean change of each measure, PSNR's range, and seconds.
 
     Changes are relative to the scene's base, its first record (paper, section 4.3).
     """

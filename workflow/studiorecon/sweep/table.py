@@ -24,11 +24,7 @@ BASE = "base"
 
 @dataclass(frozen=True)
 class Row:
-    """One configuration: its name, the parameter it changes ("" for several), its preset ("" for none) and its
-    settings.
-
-    Settings map dotted keys to values.
-    """
+    """One configuration: name, changed parameter ("" for several), preset ("" for none), and dotted key → value."""
 
     name: str
     parameter: str

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Synthesises views between the training cameras, for the training of the background. In: plates, depth and cameras;
-out: pictures and their support by photos.
+"""Synthesises views between the training cameras, for the background's training, from plates, depth and cameras.
 
 ``path`` (the poses) → ``synthesize`` (``forward_warp``: photos warped by their depth). With a network instead:
 ``request``, ``generate``, ``fitted``, with ``frame`` for its picture size, ``first_moment`` for the people in its

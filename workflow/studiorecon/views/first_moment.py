@@ -47,7 +47,7 @@ class FirstMomentPeople:
         return FirstMomentPeople([read_person(path) for path in fits], BodyModel.load(body) if fits and body else None)
 
     def depth_m(self, camera: Camera) -> Float[np.ndarray, "H W"]:
-        """(H, W) z-depth of the nearest body at every pixel, 0 where there is none."""
+        """Z-depth of the nearest body at every pixel, 0 where there is none."""
         nearest = np.full(camera.hw, np.inf)
         for person in (one for one in self.people if one.present[_FIRST]):
             assert self.body is not None
@@ -67,9 +67,9 @@ def first_pictures(
 ) -> list[WarpSource]:
     """The first pictures in place of the plates, with bodies in front of the room in their depth.
 
-    ``measured`` depth of that moment already contains people and is used as it is. Pixels of a person's mask outside
-    the body (hair, clothes) take the depth of the nearest pixel inside it. People without a fit, and pixels near a jump
-    in depth, are not warped. Raises UserError for pictures of another size.
+    ``measured`` depth of that moment already contains people. Pixels of a person's mask outside the body (hair,
+    clothes) take the depth of the nearest pixel inside it. People without a fit, and pixels near a jump in depth, are
+    not warped. Raises UserError for pictures of another size.
     """
     one_each([p.camera for p in photos], videos=list(videos))
     seen = []
@@ -91,7 +91,7 @@ def first_pictures(
 
 
 def fill_with_nearest(depth_m: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
-    """(H, W) depth whose unknown pixels (0) take the value of the nearest known one; all 0 when none is known."""
+    """Depth whose unknown pixels (0) take the value of the nearest known one; all 0 when none is known."""
     if not (depth_m > 0).any():
         return depth_m
     index = scipy.ndimage.distance_transform_edt(depth_m <= 0, return_distances=False, return_indices=True)

@@ -53,10 +53,10 @@ def networks_sizes(synthesizer: Synthesizer) -> list[tuple[int, int]]:
 def fit_picture(
     picture: Integer[np.ndarray, "h w 3"], camera: Camera, sizes: Sequence[tuple[int, int]], radius: int
 ) -> tuple[Integer[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
-    """(H, W, 3) uint8 working picture from a film's picture, and (H, W) bool: pixels that the film shows.
+    """Uint8 working picture from a film's picture, and which pixels the film shows.
 
-    Other pixels are painted from the film's rim, for people to look at; the training leaves them out. ``sizes`` (h, w)
-    are those of networks. Raises UserError for a picture of another size than these or the camera's.
+    Other pixels are painted from the film's rim, for people to look at; the training leaves them out. ``sizes`` are
+    those of networks. Raises UserError for a picture of another size than these or the camera's.
     """
     if picture.shape[:2] == camera.hw:
         return picture, np.ones(camera.hw, bool)
@@ -77,10 +77,7 @@ def fit_views(
     people: Callable[[Camera, tuple[int, int]], Bool[np.ndarray, "H W"]] | None,
     settings: Settings,
 ) -> Iterator[tuple]:
-    """(H, W, 3) uint8 picture and (H, W) uint8 support of every camera of the gap.
-
-    ``people`` (camera, (h, w)) gives the mask of people in the next view, at the size of the film's pictures.
-    """
+    """Uint8 picture and support of every camera of the gap; ``people`` gives the mask of people in the next view."""
     sizes = networks_sizes(settings.synthesizer)
     for camera, picture in zip(progress(cameras, "views"), film):
         own, inside = fit_picture(picture, camera, sizes, settings.inpaint_radius)
@@ -94,9 +91,7 @@ def fit_views(
 
 
 def read_person_masks(film: Path) -> Callable[[Camera, tuple[int, int]], Bool[np.ndarray, "H W"]]:
-    """A function that returns the mask of people of each view in turn, from a network's ``film`` of masks
-    (``views.people``).
-    """
+    """A function that returns the mask of people of each view in turn, from a network's ``film`` of masks."""
     masks = read_frames(film)
 
     def people(camera: Camera, hw: tuple[int, int]) -> np.ndarray:

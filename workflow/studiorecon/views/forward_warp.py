@@ -29,9 +29,7 @@ _MAX_SAMPLES, _MIN_MEAN = 4.0, 1e-6
 
 @dataclass(frozen=True)
 class WarpSource:
-    """A photo with depth: camera, (H, W, 3) float32 RGB, (H, W) depth in metres, (H, W) bool pixels that may
-    be warped.
-    """
+    """A photo with depth: camera, float32 RGB, depth in metres, and the pixels that may be warped."""
 
     camera: Camera
     rgb: Float[np.ndarray, "H W 3"]
@@ -55,7 +53,7 @@ def source(
 def warp_photo(
     photo: WarpSource, camera: Camera, oversampling: int, z_tolerance: float
 ) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
-    """(H, W, 3) colour, (H, W) depth (inf in holes) and (H, W) samples per pixel of a photo in another camera.
+    """Colour, depth (inf in holes) and samples per pixel of a photo in another camera.
 
     Every usable pixel becomes ``oversampling``² samples, with colour and 1/z interpolated to the neighbours that
     continue the surface; a pixel is the mean of the samples within ``z_tolerance`` of its nearest.
@@ -86,8 +84,7 @@ def warp_photo(
 def close_pinholes(
     rgb: Float[np.ndarray, "H W 3"], depth_m: Float[np.ndarray, "H W"], count: Float[np.ndarray, "H W"]
 ) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
-    """The view with pixels between the samples of one surface filled; each counts half a sample, so its support stays
-    low.
+    """The view with pixels between the samples of one surface filled; each counts half a sample.
 
     A pixel is such a pinhole when at least five of its eight neighbours are covered and have one depth; the edge of a
     true hole has neighbours missing on one side or a nearer surface on the other.
@@ -161,9 +158,7 @@ def _splat(rgb, depth, usable, pixel_map, shift, oversampling, tolerance, gather
 def ray_angles_rad(
     camera: Camera, depth_m: Float[np.ndarray, "H W"], other_centre_m: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) angle at the visible point between the directions to this camera and to another; NaN where there is no
-    point.
-    """
+    """Angle at the visible point between the directions to this camera and to another; NaN where there is no point."""
     points = camera.unproject(camera.pixel_centres(), np.where(np.isfinite(depth_m), depth_m, np.nan))
     here, there = camera.centre_m - points, other_centre_m - points
     return np.arctan2(np.linalg.norm(np.cross(here, there), axis=-1), (here * there).sum(axis=-1))
@@ -172,14 +167,13 @@ def ray_angles_rad(
 def blend(
     camera: Camera, sources: Sequence[WarpSource], oversampling: int, z_tolerance: float, fade_rad: float
 ) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
-    """(H, W, 3) float32 colour, (H, W) float32 support in [0, 1] and (H, W) depth (0 in holes) of several photos in one
-    camera.
+    """Float32 colour, float32 support in [0, 1] and depth (0 in holes) of several photos in one camera.
 
     The nearest surface wins. Coarse colours are averages of the photos that show it with weight exp(-angle/fade):
     colours change with the direction, and depth errors matter least for near directions. Detail finer than a few pixels
-    is averaged with the square of the samples per pixel, from any direction: a floor that one camera sees at a grazing
-    angle is sharp in another. Support is 1 where some photo shows the pixel at no less than half its resolution, falls
-    with thinner sampling, and is 0 in holes.
+    is averaged with the square of the samples per pixel: a floor at a grazing angle in one camera is sharp in another.
+    Support is 1 where some photo shows the pixel at no less than half its resolution, falls with thinner sampling, and
+    is 0 in holes.
     """
     carried = [warp_photo(photo, camera, oversampling, z_tolerance) for photo in sources]
     nearest = np.min([depth_m for _, depth_m, _ in carried], axis=0)
@@ -203,6 +197,6 @@ def blend(
 
 
 def _local_mean(rgb: Float[np.ndarray, "H W 3"], shows: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H W 3"]:
-    """(H, W, 3) Gaussian means of the visible pixels; 0 far from any."""
+    """Gaussian means of the visible pixels; 0 far from any."""
     share, total = (gaussian_blur(x, _BLUR_PX, _DETAIL_PX) for x in (shows, rgb * shows[..., None]))
     return total / np.maximum(share, _MIN_MEAN)[..., None]

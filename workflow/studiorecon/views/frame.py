@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Maps between the network's picture and ours: the working picture fills the network's 1280×704, and its rest is cut
-off.
-"""
+"""Maps between the network's picture and ours: the working picture fills 1280×704, and its rest is cut off."""
 
 from __future__ import annotations
 
@@ -23,9 +21,7 @@ _MAX_CUT = 0.15
 
 @dataclass(frozen=True)
 class NetworkFrame:
-    """One network pixel is ``step`` working pixels; the network's upper left corner is at (row, column) ``start`` of
-    ours.
-    """
+    """One network pixel is ``step`` working pixels; its upper left corner is at (row, column) ``start`` of ours."""
 
     working_hw: tuple[int, int]
     network_hw: tuple[int, int]
@@ -38,15 +34,15 @@ class NetworkFrame:
         return replace(camera, wh=self.network_hw[::-1], intrinsics=move @ camera.intrinsics)
 
     def colours(self, picture: Num[np.ndarray, "H W 3"]) -> Float[np.ndarray, "704 1280 3"]:
-        """(704, 1280, 3) float32 of a working picture (H, W, 3)."""
+        """Float32 of a working picture."""
         return sample_part(picture, self.network_hw, self.start, self.step)[0]
 
     def values(self, values: Num[np.ndarray, "H W"]) -> Num[np.ndarray, "704 1280"]:
-        """(704, 1280) of a working map (H, W), without averages across edges."""
+        """A working map in the network's frame, without averages across edges."""
         return sample_part_nearest(values, self.network_hw, self.start, self.step)
 
     def back(self, picture: Float[np.ndarray, "h w 3"]) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
-        """(H, W, 3) float32 working picture from a network's, and (H, W) bool: all of the pixel is inside it."""
+        """Float32 working picture from a network's, and whether all of the pixel is inside it."""
         start = (-self.start[0] / self.step, -self.start[1] / self.step)
         made, share = sample_part(picture, self.working_hw, start, 1 / self.step)
         # A pixel in the frame's corner has 0.875 of its triangle filter inside along either side.

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``views.generate``: makes a network's films of checked requests, lossless; the network is loaded once for all
-requests of a job.
-"""
+"""``views.generate``: makes a network's films of checked requests, lossless; the network is loaded once for all."""
 
 from __future__ import annotations
 
@@ -31,9 +29,7 @@ _FPS = 24.0
 
 @dataclass(frozen=True)
 class Gen3cSettings:
-    """Settings of GEN3C: denoising steps, guidance, seed, storage of parts in main memory, and how its cache warps the
-    photos; defaults are those of upstream's command for several views.
-    """
+    """Settings of GEN3C, with the defaults of upstream's command for several views."""
 
     steps: int = 35
     guidance: float = 1.0
@@ -68,7 +64,7 @@ def read_request(path: Path) -> dict[str, Shaped[np.ndarray, " ..."]]:
 def request_frames(
     network: ViewSynthesizer, request: dict[str, Shaped[np.ndarray, " ..."]]
 ) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-    """(H, W, 3) uint8 pictures of one request; raises UserError when their number differs from the requested one."""
+    """Pictures of one request; raises UserError when their number differs from the requested one."""
     wanted, made = len(request["w2cs_all"]), 0
     for part in network.views(request):
         made += len(part)

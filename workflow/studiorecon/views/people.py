@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``views.people``: masks of people in a generated film by the network for people's masks: the paper's M of every
-synthesised view.
+"""``views.people``: masks of people in a generated film by the network for people's masks: the paper's M.
 
 Writes ``views/<segment>.people.mkv`` (FFV1 grey, the film's size): 255 for any person.
 """
@@ -27,7 +26,7 @@ _SOMEBODY = 255
 
 
 def anybody(maps: Iterable[Integer[np.ndarray, "H W"]], shares: list[float]) -> Iterator[Integer[np.ndarray, "H W"]]:
-    """(H, W) uint8, 255 where a label map (H, W) has a person; ``shares`` receives the share of such pixels."""
+    """255 where a label map has a person; ``shares`` receives the share of such pixels."""
     for labels in maps:
         people = labels > 0
         shares.append(float(people.mean()))

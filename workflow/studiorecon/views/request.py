@@ -50,9 +50,7 @@ def key_frame(photo: WarpSource, frame: NetworkFrame, radius: int) -> KeyFrame:
 
 
 def nearest_photos(path: list[Camera], photos: list[WarpSource], count: int) -> list[WarpSource]:
-    """The ``count`` photos nearest to the middle of the path, in the given order, always including the one at its
-    start.
-    """
+    """The ``count`` photos nearest to the middle of the path, in their order, always with the one at its start."""
     middle_m = path[len(path) // 2].centre_m
     distance = [np.linalg.norm(photo.camera.centre_m - middle_m) for photo in photos]
     picked = [photos[i] for i in sorted(np.argsort(distance, kind="stable")[:count])]

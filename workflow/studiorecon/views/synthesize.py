@@ -42,7 +42,7 @@ class Settings(Warping):
 def paint_holes(
     rgb: Float[np.ndarray, "H W 3"], support: Float[np.ndarray, "H W"], radius: int
 ) -> Integer[np.ndarray, "H W 3"]:
-    """(H, W, 3) uint8 picture whose pixels without support are painted from the rim of their hole (Telea)."""
+    """Picture whose pixels without support are painted from the rim of their hole (Telea)."""
     return cv2.inpaint(to_bytes(rgb), (support <= 0).astype(np.uint8), radius, cv2.INPAINT_TELEA)
 
 
@@ -60,9 +60,7 @@ def synthesize_views(
 def read_photos(
     model: Path, plates: list[Path], depths: list[Path], gains: list[Path], depth_jump: float
 ) -> list[WarpSource]:
-    """The training cameras' plates divided by the ``gains``, with depth; raises UserError for a missing or misshapen
-    one.
-    """
+    """The training cameras' plates divided by the ``gains``, with depth; raises UserError for a missing one."""
     cameras = read_model(model.parent)
     one_each(cameras, plates=plates, depth_maps=depths)
     factors = read_factors(gains)

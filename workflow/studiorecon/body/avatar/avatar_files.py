@@ -65,18 +65,16 @@ class Avatar:
         person: ``p0``, ``p1``, …
         model: the body model whose skeleton carries the Gaussians.
         gaussians: N canonical Gaussians in the shaped rest pose, metres, SH degree at most 2.
-        bones: (N, K) uint8 joints that carry each Gaussian.
-        weights: (N, K) float32 skinning weights, rows sum to 1.
-        provenance: (N,) uint8, see ``scene/provenance.py``: measured, or inferred from its surroundings on the body.
-        poses: (T, 72) refined axis-angle poses, radians.
-        trans: (T, 3) world position of the pelvis joint, metres.
-        betas: (B,) shape, and size where there is one more than the shape space has (``body.model.of_size``).
-        valid: (T,) bool: frames in which the body was measured.
-        fps: frames per second.
+        bones, weights: uint8 joints that carry each Gaussian; float32 skinning weights, rows sum to 1.
+        provenance: uint8, see ``scene/provenance.py``: measured, or inferred from its surroundings on the body.
+        poses: refined axis-angle poses, radians.
+        trans: world position of the pelvis joint, metres.
+        betas: shape, and size where there is one more than the shape space has (``body.model.of_size``).
+        valid: frames in which the body was measured.
         metric: True when lengths are metres.
         network: adds residuals over time to colour and opacity of the Gaussians that it acts on; None for none.
         decision: the decision on that network as in ``survey/decisions.json``, JSON; "" when the survey made none.
-        present: (T,) bool: frames in which the person is present; in others nothing is drawn. All True by default.
+        present: frames in which the person is present; in others nothing is drawn. All True by default.
     """
 
     person: str
@@ -109,11 +107,10 @@ class Avatar:
         return float((self.provenance == MEASURED).mean()) if len(self.provenance) else 0.0
 
     def pose_at(self, frame: float) -> tuple[Num[np.ndarray, " 72"], Num[np.ndarray, " 3"]]:
-        """Axis-angle pose and pelvis position, metres, at a 0-based frame; rotations between frames are interpolated on
-        the sphere.
+        """Axis-angle pose and pelvis position, metres, at a 0-based frame, interpolated on the sphere between frames.
 
-        Frames outside the clip return its first or last pose, because a film may hold the end. While the person is
-        away, the pose moves towards where they come back, because a camera may follow them.
+        Frames outside the clip return its first or last pose. While the person is away, the pose moves towards where
+        they come back, because a camera may follow them.
         """
         at = float(np.clip(frame, 0, self.frames - 1))
         low = min(int(at), max(self.frames - 2, 0))
@@ -133,12 +130,11 @@ class Avatar:
         return bool(self.present[int(at) + (at - int(at) > 0.5)])
 
     def joints_m(self, frame: float) -> Num[np.ndarray, "24 3"]:
-        """(24, 3) world joints at a 0-based, possibly fractional frame, metres; infinitely far away while the person is
-        away."""
+        """World joints at a possibly fractional frame, metres; infinitely far away while the person is away."""
         return self._moved(frame)[1] if self.there(frame) else np.full((24, 3), np.inf)
 
     def world_from_rest(self, frame: float) -> Num[np.ndarray, "24 4 4"]:
-        """(24, 4, 4) transforms of the joints at a 0-based, possibly fractional frame; read-only."""
+        """Transforms of the joints at a 0-based, possibly fractional frame; read-only."""
         return self._moved(frame)[0]
 
     @cached_property
@@ -159,7 +155,7 @@ class Avatar:
 
     @property
     def drifting(self) -> Bool[np.ndarray, " N"]:
-        """(N,) bool: the Gaussians that ``network`` acts on: the measured ones, or all."""
+        """Which Gaussians ``network`` acts on: the measured ones, or all."""
         everywhere = self.network is not None and self.network.everywhere
         return np.ones(len(self.provenance), bool) if everywhere else self.provenance == MEASURED
 
@@ -168,8 +164,7 @@ class Avatar:
         return Drift(self.network, self.gaussians.means_m[self.drifting]) if self.network else None
 
     def appearance_at(self, frame: float) -> tuple[Float[np.ndarray, "N K 3"], Float[np.ndarray, " N"]]:
-        """Harmonics and logit opacities of the canonical Gaussians at a 0-based, possibly fractional frame, with the
-        network's residuals."""
+        """Harmonics and logit opacities of the canonical Gaussians at a frame, with the network's residuals."""
         own, seen = self.gaussians, self.drifting
         if self._drift is None or not seen.any():
             return own.sh, own.logit_opacities
@@ -180,14 +175,13 @@ class Avatar:
         return sh, logits
 
     def facing(self) -> Num[np.ndarray, "T 2"]:
-        """(T, 2) horizontal unit vectors in which the pelvis faces; x where it faces straight up or down."""
+        """Horizontal unit vectors in which the pelvis faces; x where it faces straight up or down."""
         forward = rotations.exp(np.asarray(self.poses[:, :3], np.float64))[:, :2, 2]
         length = np.linalg.norm(forward, axis=1, keepdims=True)
         return np.where(length > 1e-6, forward / np.maximum(length, 1e-6), [1.0, 0.0])
 
     def posed(self, frame: float) -> Gaussians:
-        """The person's Gaussians in the world at a 0-based, possibly fractional frame; the same number, but invisible,
-        while the person is away."""
+        """The person's Gaussians in the world at a frame; as many, but invisible, while the person is away."""
         own = self.gaussians
         if not self.there(frame):
             return own.undrawn()
@@ -197,8 +191,7 @@ class Avatar:
 
 
 def write_avatar(ply: Path, npz: Path, avatar: Avatar, mark: str = "") -> None:
-    """Write the canonical Gaussians, their motion (AMASS-style names) and ``mark``, which identifies their training
-    data."""
+    """Write canonical Gaussians, their motion (AMASS-style names) and ``mark``, which identifies the training data."""
     write_ply(ply, avatar.gaussians)
     arrays = {name: getattr(avatar, name) for name in _ARRAYS}
     arrays |= {
@@ -215,8 +208,7 @@ def write_avatar(ply: Path, npz: Path, avatar: Avatar, mark: str = "") -> None:
 
 
 def read_cache_key(ply: Path, npz: Path) -> str:
-    """The mark given to ``write_avatar``; "" when a file is missing or unreadable, or the two were not written
-    together."""
+    """The mark given to ``write_avatar``; "" when a file is missing, unreadable or not of the same writing."""
     if not (ply.is_file() and npz.is_file()):
         return ""
     try:
@@ -235,8 +227,8 @@ def _sha256(path: Path) -> str:
 def read_avatar(ply: Path, npz: Path, model: BodyModel, *, brought: bool = False) -> Avatar:
     """Read the files of ``write_avatar``.
 
-    Raises UserError as ``step_files.read`` does, also when the two were not written together or belong to another
-    body model. The Gaussians of ``brought`` may have been renamed or repainted by a user.
+    Raises UserError as ``step_files.read`` does, also when the two were not written together or belong to another body
+    model. The Gaussians of ``brought`` may have been renamed or repainted by a user.
     """
     gaussians = read_ply(ply)
 
@@ -268,8 +260,7 @@ def read_avatar(ply: Path, npz: Path, model: BodyModel, *, brought: bool = False
 
 
 def read_decision(npz: Path) -> Decision | None:
-    """The survey's decision on the network in an avatar's file, None when it made none; raises UserError as
-    ``step_files.read`` does."""
+    """The survey's decision on the network in an avatar's file, or None; raises UserError as ``step_files.read``."""
 
     def made(data: dict[str, Any]) -> Decision | None:
         entry = str(data["decision"])

@@ -42,8 +42,8 @@ class Binding:
 
     Attributes:
         gaussians: N Gaussians in the body's own shaped rest pose, metres, SH degree at most 2.
-        bones: (N, 4) uint8 joints that carry each; ``weights``: (N, 4) float32, rows sum to 1.
-        betas: (B,) the body's shape.
+        bones, weights: uint8 joints that carry each; float32 weights, rows sum to 1.
+        betas: the body's shape.
         misfit_m: distance within which 95 % of the body's surface has a Gaussian.
     """
 
@@ -55,10 +55,9 @@ class Binding:
 
 
 def bind(given: Gaussians, model: BodyModel, named: str) -> Binding:
-    """Tie canonical Gaussians to the body; ``named`` is their source in messages.
+    """Tie canonical Gaussians, if finite, to the body; ``named`` is their source in messages.
 
-    Gaussians that are not finite are left out. Raises UserError when they are not a standing body in the rest pose:
-    arms out to the sides, y up, z forward, metres.
+    Raises UserError when they are not a standing body in the rest pose: arms out to the sides, y up, z forward, metres.
     """
     finite = np.isfinite(
         np.concatenate([given.means_m, given.log_scales, given.quaternions, given.sh[:, 0]], axis=1)
@@ -116,8 +115,7 @@ def _outside(model: BodyModel) -> np.ndarray:
 
 
 def _fit(points_m: np.ndarray, model: BodyModel) -> tuple[np.ndarray, np.ndarray, float]:
-    """Shape (B,), offset (3,) of the rest pose to ``points_m``, and the distance within which 95 % of the body has a
-    point."""
+    """Shape, offset of the rest pose to ``points_m``, and the distance within which 95 % of the body has a point."""
     vertices = np.flatnonzero(_outside(model))
     vertices = vertices[np.linspace(0, len(vertices) - 1, min(len(vertices), _FITTED_ON)).astype(int)]
     template, directions = model.template_m[vertices], model.shape_directions[vertices]

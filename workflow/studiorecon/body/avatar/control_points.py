@@ -23,13 +23,7 @@ _NEAREST = 4
 
 @dataclass(frozen=True)
 class ControlPoints:
-    """M control points and N Gaussians that interpolate them.
-
-    Attributes:
-        points_m: (M, 3) float64 positions in the rest pose, metres.
-        near: (N, 4) int32 the control points nearest to each Gaussian.
-        shares: (N, 4) float32 weight of each; rows sum to 1.
-    """
+    """M control points in the rest pose, metres; the nearest of each Gaussian, and their shares, which sum to 1."""
 
     points_m: Float[np.ndarray, "M 3"]
     near: Integer[np.ndarray, "N 4"]
@@ -80,8 +74,7 @@ class ControlPoints:
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> ControlPoints | None:
-        """The inverse of ``to_arrays``, None when ``held`` has no control points; raises ValueError for indices out of
-        range."""
+        """The inverse of ``to_arrays``, None without control points; raises ValueError for indices out of range."""
         if "points_m" not in held:
             return None
         if held["near"].size and held["near"].max() >= len(held["points_m"]):
@@ -90,10 +83,7 @@ class ControlPoints:
 
 
 def farthest_point_sample(points_m: Num[np.ndarray, "N 3"], count: int) -> Integer[np.ndarray, " K"]:
-    """Indices of ``count`` points (of all if there are fewer) by farthest-point sampling.
-
-    The first is the point nearest to their mean; each next one is farthest from all before it.
-    """
+    """Indices of ``count`` points (or all) by farthest-point sampling, beginning with the one nearest to their mean."""
     chosen = np.empty(min(count, len(points_m)), np.int64)
     chosen[0] = np.square(points_m - points_m.mean(axis=0)).sum(axis=1).argmin()
     gap = np.full(len(points_m), np.inf)

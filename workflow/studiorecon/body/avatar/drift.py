@@ -31,11 +31,7 @@ class Drift:
         self._answers = lru_cache(max(2, _KEPT // max(16 * rows, 1)))(self._evaluate)
 
     def residuals(self, frame: float) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
-        """Residuals of the constant harmonic and of the logit opacity, float32, at a 0-based, possibly fractional
-        frame.
-
-        Before the first and after the last frame they are those of that frame.
-        """
+        """Residuals of the constant harmonic and of the logit opacity, float32, at a frame, clamped to the clip."""
         at = float(np.clip(frame, 0, self._network.frames - 1))
         low = int(at)
         found, share = self._answers(low), np.float32(at - low)

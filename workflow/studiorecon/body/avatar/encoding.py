@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The temporal network's input: position and time as sines of rising frequency (paper, appendix: multires 10, 63 + 21
-inputs).
+"""The temporal network's input: position and time as sines of rising frequency (paper, appendix: 63 + 21 inputs).
 
 The identity is part of the code (3 + 3·2·10 = 63, 1 + 2·10 = 21). Frequencies are 2^k without π, as the predecessor's
 code has them (U47).
@@ -21,8 +20,7 @@ BANDS = 10
 def in_body_box(
     points_m: Num[np.ndarray, "N 3"], low_m: Num[np.ndarray, " 3"], high_m: Num[np.ndarray, " 3"]
 ) -> Float[np.ndarray, "N 3"]:
-    """Points, float64, scaled so that the box from ``low_m`` to ``high_m`` is [−1, 1]; a box without extent counts as a
-    metre wide.
+    """Points, float64, with the box from ``low_m`` to ``high_m`` scaled to [−1, 1]; an empty box counts as a metre.
 
     In metres far from the origin, sines of 2⁹ x lose all digits (O01); inside the box they never do.
     """
@@ -37,11 +35,10 @@ def encode_position(normalised: Num[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 
 
 
 def encode_time(frame: float, frames: int, every_band: bool = False) -> Float[np.ndarray, " 21"]:
-    """(21,) float32 code of 0-based ``frame`` of ``frames``; it may be fractional, and time runs from 0 to 1.
+    """Float32 code of 0-based ``frame`` of ``frames``; it may be fractional, and time runs from 0 to 1.
 
     With a single frame time is 0 (O03). Bands above half a cycle per frame are 0, because they would be aliased to
-    noise in the frame number (O02); the inputs stay 21. ``every_band`` keeps all bands, as the paper's network has
-    them.
+    noise in the frame number (O02). ``every_band`` keeps all bands, as the paper's network has them.
     """
     code = _encoded(np.array([[frame / max(frames - 1, 1)]]), BANDS)[0]
     if not every_band:

@@ -64,8 +64,7 @@ def _quaternion(r):
 
 @numba.njit(**_KERNEL)
 def _turn_sh(r, sh, i, out):
-    """Rotate the SH of Gaussian ``i``: the value along r·d is the given one's along d. Orthogonal, so the backward pass
-    is r transposed."""
+    """Rotate the SH of Gaussian ``i``: the value along r·d is the given one's along d. Its inverse is r transposed."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = r
     for channel in range(3):
         out[i, 0, channel] = sh[i, 0, channel]
@@ -130,8 +129,8 @@ def pose_gaussians(
 ):
     """Pose canonical Gaussians; quaternions keep their length (the renderer normalises).
 
-    Also fills the inputs of ``pull_back_gradients``: the blended ``linear`` (N, 3, 3), its polar rotation ``turn`` (N,
-    3, 3) and that as ``turn_quaternions`` (N, 4).
+    Also fills the inputs of ``pull_back_gradients``: the blended ``linear``, its polar rotation ``turn`` (N, 3, 3) and
+    that as ``turn_quaternions`` (N, 4).
     """
     for i in range(bones.shape[0]):
         blended, (x, y, z), strongest = _blend(bones[i], weights[i], world_from_rest)

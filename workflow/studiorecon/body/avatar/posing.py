@@ -19,12 +19,7 @@ MAX_SH_DEGREE = 2  # rotating degree 3 would need Wigner matrices; the paper's h
 
 
 class Posing:
-    """Buffers for posing the same N Gaussians many times.
-
-    Attributes:
-        bones: (N, K) uint8 joints that carry each Gaussian.
-        weights: (N, K) float32, non-negative, each row sums to 1.
-    """
+    """Buffers for posing the same N Gaussians many times; each row of ``weights`` sums to 1."""
 
     def __init__(self, bones: Integer[np.ndarray, "N K"], weights: Num[np.ndarray, "N K"]) -> None:
         count = len(bones)

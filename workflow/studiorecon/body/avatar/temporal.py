@@ -47,10 +47,8 @@ class TemporalNetwork:
 
     Attributes:
         flat: all parameters as one float32 vector, so that an optimiser has one array to move.
-        width: units of a hidden layer.
-        layers: hidden layers.
-        low_m: (3,) corner of the box that positions are normalised to (O01).
-        high_m: (3,) the opposite corner.
+        width, layers: units of a hidden layer, and hidden layers.
+        low_m, high_m: opposite corners of the box that positions are normalised to (O01).
         frames: number of frames that time runs over.
         control: the points at which it is evaluated; None evaluates it at every Gaussian (paper).
         every_band: whether to use time frequencies above what the frames can sample (paper).
@@ -113,14 +111,10 @@ class TemporalNetwork:
     def residuals(
         self, means_m: Num[np.ndarray, "N 3"], frame: float
     ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
-        """Residuals of the constant harmonic and of the logit opacity, float32, at a 0-based, possibly fractional
-        frame.
+        """Residuals of the constant harmonic and of the logit opacity, float32, at a possibly fractional frame.
 
-        With control points the positions do not matter: the residuals are those of the Gaussians the points were made
-        for.
-
-        Raises:
-            ValueError: ``means_m`` is not (N, 3), or has another N than the control points.
+        With control points they are those of the Gaussians the points were made for; ValueError for another number of
+        those.
         """
         require("means_m", means_m, ("N", 3), finite=False)
         if self.control is None:
@@ -131,7 +125,7 @@ class TemporalNetwork:
         return out[:, :3], out[:, 3]
 
     def at_points(self, frame: float) -> Num[np.ndarray, "M 4"]:
-        """(M, 4) colour and logit residuals of the control points at a frame; ValueError without any."""
+        """Colour and logit residuals of the control points at a frame; ValueError without any."""
         if self.control is None:
             raise ValueError("this network has no control points: it is evaluated at every Gaussian")
         if self._place is None:
@@ -208,8 +202,7 @@ def with_residuals(
     logits: Num[np.ndarray, " N"],
     frame: float,
 ) -> tuple[Num[np.ndarray, "N 1 3"], Num[np.ndarray, " N"]]:
-    """Constant harmonics and logits with the residuals of ``network`` on the ``seen`` Gaussians; unchanged without a
-    network."""
+    """Constant harmonics and logits with the residuals of ``network``, if any, on the ``seen`` Gaussians."""
     if network is None or not seen.any():
         return colour, logits
     more_colour, more_logit = network.residuals(means_m[seen], frame)

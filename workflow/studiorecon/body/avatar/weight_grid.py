@@ -22,12 +22,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WeightGrid:
-    """Weights at the corners of a cube of (R, R, R) nodes.
-
-    Attributes:
-        origin_m: (3,) position of node (0, 0, 0).
-        spacing_m: distance between neighbouring nodes.
-        weights: (R, R, R, B) float32, axes x, y, z; rows sum to 1.
+    """Float32 weights at the nodes of a cube, axes x, y, z, rows summing to 1; ``origin_m``: position of node (0, 0,
+    0).
     """
 
     origin_m: Num[np.ndarray, " 3"]
@@ -35,10 +31,8 @@ class WeightGrid:
     weights: Float[np.ndarray, "R R R B"]
 
     def query(self, points_m: Num[np.ndarray, "N 3"]) -> Num[np.ndarray, "N B"]:
-        """(N, B) trilinear weights at (N, 3) canonical points, float32, rows summing to 1.
-
-        Raises ValueError for another shape or points that are not finite.
-        """
+        """Trilinear weights at canonical points, float32, rows summing to 1; ValueError for points that are not
+        finite."""
         require("points_m", points_m, ("N", 3), finite=True)
         at = (np.asarray(points_m, np.float64) - self.origin_m) / self.spacing_m
         found = np.empty((len(at), self.weights.shape[3]), np.float32)
@@ -48,8 +42,7 @@ class WeightGrid:
 
 @numba.njit(cache=True)
 def _trilinear(at, weights, found):
-    """Interpolate at positions (N, 3) in nodes, clamped to the border; compiled because training calls it at every
-    step."""
+    """Interpolate at positions in nodes, clamped to the border; compiled, because training calls it at every step."""
     last, bones = weights.shape[0] - 1, weights.shape[3]
     mixed = np.empty(bones)
     for i in range(len(at)):
@@ -83,8 +76,8 @@ def build_weight_grid(
 ) -> WeightGrid:
     """The grid of a canonical body: every node takes the inverse-distance mean of its four nearest vertices' weights.
 
-    ``vertices_m`` (V, 3), ``weights`` (V, B); the cube is the body's longest side enlarged by ``margin`` (0.15 = 15 %)
-    on each side. 64³ nodes take about a second. Raises ValueError for other shapes or numbers that are not finite.
+    The cube is the body's longest side enlarged by ``margin`` (0.15 = 15 %) on each side. 64³ nodes take about a
+    second. Raises ValueError for other shapes or numbers that are not finite.
     """
     require("weights", weights, ("V", "B"), require("vertices_m", vertices_m, ("V", 3), finite=True), finite=True)
     low, high = vertices_m.min(axis=0), vertices_m.max(axis=0)

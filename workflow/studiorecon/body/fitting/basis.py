@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keypoints, joints and surface points as functions of pose, position, shape and scale, with derivatives, without the
-mesh."""
+"""Points of the body as functions of pose, position, shape and scale, with derivatives, without the mesh."""
 
 from __future__ import annotations
 
@@ -28,7 +27,7 @@ class State:
 
     @property
     def shared(self) -> Num[np.ndarray, " S"]:
-        """(S,) the unknowns shared by all frames: betas, log scale, corrections."""
+        """The unknowns shared by all frames: betas, log scale, corrections."""
         return np.concatenate([self.betas, [self.log_scale], self.corrections.reshape(-1)])
 
     def at(self, frames: Bool[np.ndarray, " F"] | slice) -> State:
@@ -78,8 +77,7 @@ class Linear:
 class Basis:
     """K points as a function of the state, with derivatives; see ``BodyModel.keypoint_basis``.
 
-    The state's corrections belong to the first ``corrected`` points. ``carrier`` (K,) is the joint that carries a point
-    most.
+    Corrections belong to the first ``corrected`` points; ``carrier`` is the joint that carries a point most.
     """
 
     def __init__(
@@ -115,7 +113,7 @@ class Basis:
         )
 
     def points(self, state: State) -> Num[np.ndarray, "F K 3"]:
-        """(F, K, 3) the points in the state's pose."""
+        """The points in the state's pose."""
         return self.placed(state)[0]
 
     def placed(
@@ -158,7 +156,7 @@ class Basis:
         return Linear(posed.points, self.turned(state, posed), self.shaped(state, posed), posed.world)
 
     def turned(self, state: State, posed: BodyPoints) -> Num[np.ndarray, "F K 24 3"]:
-        """(F, K, 24, 3) derivatives by turns, see ``Linear``."""
+        """Derivatives by turns, see ``Linear``."""
         frames = len(posed.world)
         turned = (
             np.swapaxes(posed.parts.reshape(frames, 24, -1), 1, 2) @ self.ancestors.T

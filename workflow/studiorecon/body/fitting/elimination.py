@@ -42,11 +42,9 @@ class Equations:
         self._only: Normal | None = None
 
     def step(self, damping: Num[np.ndarray, " F"]) -> State | None:
-        """The state after a step, frames damped by ``damping`` (F,); None where the equations are not positive
-        definite.
+        """The state after a step, frames damped by ``damping``; None where the equations are not positive definite.
 
-        In single precision where that suffices: a step that is off by 1e-4 of its length is as good, and the cost
-        decides.
+        In single precision where that suffices: a step may be off by 1e-4 of its length, and the cost decides.
         """
         try:
             product, normal, again = self._eliminated(damping, 1.0, (np.float32, np.float64))
@@ -77,9 +75,9 @@ class Equations:
         """Joints at ``state``, after the last step, and Laplace's deviations of joints, turns, parts and betas.
 
         A joint's is the root of its covariance's mean eigenvalue. A turn's is about the joint's own axes. A part's is
-        the angle of its orientation in the world, from all turns above it and their correlation. Turns and parts are
-        for the estimated shape. Raises FloatingPointError when even a little added weight does not make the equations
-        definite, because the input was not finite.
+        the angle of its orientation in the world, from all turns above it. Turns and parts are for the estimated shape.
+        Raises FloatingPointError when even a little added weight does not make the equations definite, for input that
+        is not finite.
         """
         nothing = np.zeros(len(self.state.trans))
         try:
@@ -156,10 +154,7 @@ class Equations:
 def _factors(
     normal: Normal, damping: np.ndarray, floor: float, kind: type
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Factors L of H, transposed, rows of L⁻¹[C g], and Σ [C g]ᵀ H⁻¹ [C g]; None where H is not positive definite.
-
-    Shapes: (F, 75, 75), (F, S + 1, 75), (S + 1, S + 1).
-    """
+    """Factors L of H, transposed, rows of L⁻¹[C g], and Σ [C g]ᵀ H⁻¹ [C g]; None where H is not positive definite."""
     lower: np.ndarray = normal.own.astype(kind)
     solved: np.ndarray = normal.rows.astype(kind)
     diagonal = np.einsum("fii->fi", lower)

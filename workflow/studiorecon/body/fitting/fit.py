@@ -92,16 +92,15 @@ class Fit:
     """Result for T frames; frames without enough points are NaN and not valid.
 
     Attributes:
-        rotations: (T, 24, 3, 3) relative to the parent, ``trans_m`` (T, 3) pelvis, ``betas`` (B,), ``scale`` of the
-            body; with a shape per frame ``betas`` is the median of ``frame_betas`` (T, B).
-        corrections_m: (K, 3) detector's point minus the body's, in the axes of the joint that carries it most.
-        valid: (T,) bool.
-        joints_m: (T, 24, 3); ``joint_sigma_m``: (T, 24) posterior deviation, root of the covariance's mean eigenvalue;
-            deviations include other bodies that explain a frame with few points (``multi_start``).
-        turn_sigma_rad: (T, 24, 3) posterior deviation of each joint's turn about its own axes; ``part_sigma_rad`` (T,
-            24) of each part's orientation in the world; ``beta_sigma`` (B,) of the betas.
-        residual_m: (T, K) distance between body and keypoint, NaN where there was none.
-        iterations: steps taken; ``converged``: whether the last one gained less than the tolerance.
+        rotations: relative to the parent; ``trans_m``: pelvis.
+        betas, scale: of the body; with a shape per frame ``betas`` is the median of ``frame_betas``.
+        corrections_m: detector's point minus the body's, in the axes of the joint that carries it most.
+        joint_sigma_m: posterior deviation, root of the covariance's mean eigenvalue; it includes other bodies that
+            explain a frame with few points (``multi_start``).
+        turn_sigma_rad: posterior deviation of each joint's turn about its own axes.
+        part_sigma_rad: of each part's orientation in the world.
+        residual_m: distance between body and keypoint, NaN where there was none.
+        iterations, converged: steps taken, and whether the last one gained less than the tolerance.
     """
 
     rotations: Num[np.ndarray, "T 24 3 3"]
@@ -129,11 +128,11 @@ def fit(
     settings: FitSettings,
     surface: SurfacePoints | None = None,
 ) -> Fit:
-    """The body that best fits ``points_m`` (T, K, 3), called ``names``, with deviations ``sigma_m`` (T, K).
+    """The body that best fits ``points_m``, called ``names``, with deviations ``sigma_m``; NaN or inf is not seen.
 
-    NaN or inf is not seen. float64; about 2 ms a frame for 25 points, 10 with 200 points of the surface. Frames whose
-    keypoints do not fix the body's position are left out (M06). Raises ValueError for other shapes, negative deviations
-    and a ``vertex_weight`` outside [0, 1].
+    float64; about 2 ms a frame for 25 points, 10 with 200 points of the surface. Frames whose keypoints do not fix the
+    body's position are left out (M06). Raises ValueError for other shapes, negative deviations and a ``vertex_weight``
+    outside [0, 1].
     """
     check(names, points_m, sigma_m, settings, surface)
     if settings.shape == "per_frame":
@@ -232,8 +231,7 @@ def merge_points(
     settings: FitSettings,
     surface: SurfacePoints | None,
 ) -> PointEvidence:
-    """Keypoints and surface points as one set; in every frame the surface weighs ``vertex_weight`` times its
-    keypoints."""
+    """Keypoints and surface points as one set; in a frame the surface weighs ``vertex_weight`` times its keypoints."""
     share, anchors = body.keypoint_basis(names)
     targets, sigma = np.asarray(points_m, dtype=np.float64), np.asarray(sigma_m, dtype=np.float64)
     if surface is not None and settings.vertex_weight > 0:
@@ -264,8 +262,7 @@ def _fit_each_frame(
     settings: FitSettings,
     surface: SurfacePoints | None,
 ) -> Fit:
-    """Fit every frame with its own shape and corrections (U39); the person has their median, so joints shift by a few
-    mm."""
+    """Fit every frame with its own shape and corrections (U39); their medians shift joints by a few mm."""
     frames = range(len(points_m))
     alone = replace(settings, shape="shared")
     fits = [

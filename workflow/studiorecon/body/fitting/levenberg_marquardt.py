@@ -28,8 +28,7 @@ _BUSY, _FEW = 0.01, 0.3
 
 
 def descend(problem: Problem, state: State, iterations: int, tolerance: float) -> tuple[State, Equations, int, bool]:
-    """The state of least cost within ``iterations`` steps, the last equations, the number of steps, and whether they
-    converged.
+    """The state of least cost within ``iterations`` steps, last equations, number of steps, and whether they converged.
 
     Converged: a step of all unknowns gains less than ``tolerance`` of the cost, or nothing.
     """
@@ -63,8 +62,7 @@ def descend(problem: Problem, state: State, iterations: int, tolerance: float) -
 def _reject_worse_steps(
     problem: Problem, state: State, moved: State, costs: np.ndarray
 ) -> tuple[State, np.ndarray, np.ndarray]:
-    """``moved``, but frames keep their old pose where that is better with the new shape; costs (F,), and which frames
-    (F,) kept it."""
+    """``moved``, with old poses of frames where those are better with the new shape; costs, and which frames."""
     new_costs = problem.costs(moved)
     worse = new_costs > costs
     if worse.any():

@@ -34,9 +34,8 @@ _TURNS = ((0.0, np.pi, 0.0), (np.pi, 0.0, 0.0), (0.0, 0.0, np.pi))
 class Spread:
     """Variances to add for other solutions: mean squared distances from the best one, weighted by likelihood.
 
-    Attributes:
-        joints_m2: (F, 24) per coordinate; turns_rad2: (F, 24, 3) of each joint's turn about its own axes; parts_rad2:
-            (F, 24) of a part's orientation in the world.
+    They are of joints per coordinate, of each joint's turn about its own axes, and of a part's orientation in the
+    world.
     """
 
     joints_m2: Num[np.ndarray, "F 24"]
@@ -45,7 +44,7 @@ class Spread:
 
 
 def has_too_few_points(names: list[str], seen: Num[np.ndarray, "F K"]) -> Num[np.ndarray, " F"]:
-    """(F,) bool: frames whose ``seen`` (F, K) keypoints are too few to be sure which way the body faces."""
+    """Frames whose ``seen`` keypoints are too few to be sure which way the body faces."""
     corners = [k for k, name in enumerate(names) if name.removesuffix("_joint") in _TRUNK]
     return (seen.sum(1) < _POINTS) | (seen[:, corners].sum(1) < _CORNERS)
 
@@ -53,8 +52,7 @@ def has_too_few_points(names: list[str], seen: Num[np.ndarray, "F K"]) -> Num[np
 def best_start(
     problem: Problem, state: State, chosen: Bool[np.ndarray, " F"], iterations: int, tolerance: float
 ) -> tuple[State, Spread]:
-    """The state of least cost from all start directions in the ``chosen`` frames, and the variance of the other
-    solutions.
+    """The state of least cost from all start directions in the ``chosen`` frames, and the other solutions' variance.
 
     About 10 ms for each chosen frame. Shape and corrections stay.
     """

@@ -14,15 +14,14 @@ import numpy as np
 
 @numba.njit(cache=True, nogil=True)
 def add_points(skeleton, points, state, weight, residual, own, rows, shared, shared_side):
-    """Add all frames' points to ``own`` (F, 75, 75), ``rows`` (F, S + 1, 75), ``shared`` (S, S) and ``shared_side``
-    (S,).
+    """Add all frames' points to ``own``, ``rows`` (F, S + 1, 75), ``shared`` and ``shared_side``.
 
     ``skeleton``: parents (24,) and the bones' derivatives by betas (24, 3, B). ``points``: share (K, 24) and share of
     each subtree (K, 24); the joints that carry a point and those that move it, ascending, padded with −1 (K, 25) each;
     the offsets' derivatives by betas (24, K, 3, B); the joint in whose axes a correction is (K,); the number of
-    corrections. ``state``: world rotations (F, 24, 3, 3) and joints (F, 24, 3) about the pelvis, offsets (24, K, 3),
-    scale. ``weight`` (F, K), ``residual`` and points about the pelvis (F, K, 3) each, stacked. With a single row in
-    ``rows``, the gradient, shared unknowns are left out.
+    corrections. ``state``: world rotations and joints about the pelvis, offsets (24, K, 3), scale. ``weight`` (F, K),
+    ``residual`` and points about the pelvis (F, K, 3) each, stacked. With a single row in ``rows``, the gradient,
+    shared unknowns are left out.
     """
     parents, bones = skeleton
     share, subtree, carriers, movers, shape_offsets, carrier, corrected = points

@@ -50,9 +50,9 @@ def fit(
 ) -> Fit:
     """The body as from ``fitting.fit``, by ``iterations``, ``tolerance`` and ``beta_weight`` (λ_β) only.
 
-    Of ``sigma_m`` only finite or not is used. There is no uncertainty: where measured, ``joint_sigma_m`` is the frame's
-    root mean square distance to its points per axis, and ``turn_sigma_rad`` stays infinite. About 20 ms a frame. Raises
-    ValueError as ``fitting.fit`` does.
+    Of ``sigma_m`` only finite or not is used. Where measured, ``joint_sigma_m`` is the frame's root mean square
+    distance to its points per axis; ``turn_sigma_rad`` stays infinite. About 20 ms a frame. Raises ValueError as
+    ``fitting.fit`` does.
     """
     fitting.check(names, points_m, sigma_m, settings, surface)
     frames = len(points_m)

@@ -59,8 +59,7 @@ LIMIT_SIGMA_RAD = 0.1  # one deviation of the excess beyond a limit
 
 @cache
 def mean_pose() -> Num[np.ndarray, "24 3 3"]:
-    """(24, 3, 3) local rotations of the relaxed pose, read-only; the right side mirrors the left, so y and z change
-    sign."""
+    """Local rotations of the relaxed pose, read-only; the right side mirrors the left, so y and z change sign."""
     axis_angle = np.zeros((24, 3))
     for j, name in enumerate(JOINT_NAMES):
         side, _, part = name.rpartition("_")
@@ -71,13 +70,13 @@ def mean_pose() -> Num[np.ndarray, "24 3 3"]:
 
 
 def precision() -> Num[np.ndarray, "24 3"]:
-    """(24, 3) inverse variances about each joint's axes; 0 for the pelvis, which may face anywhere."""
+    """Inverse variances about each joint's axes; 0 for the pelvis, which may face anywhere."""
     deviations = np.array([_DEVIATION.get(name.rpartition("_")[2], (np.inf,) * 3) for name in JOINT_NAMES])
     return 1.0 / deviations**2
 
 
 def bend(local: Num[np.ndarray, "F 24 3 3"]) -> Num[np.ndarray, "F 24 3"]:
-    """(F, 24, 3) axis-angles from the relaxed pose to ``local`` (F, 24, 3, 3)."""
+    """Axis-angles from the relaxed pose to ``local``."""
     return rotations.log(np.swapaxes(mean_pose(), -1, -2) @ local)
 
 

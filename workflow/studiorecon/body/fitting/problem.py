@@ -34,9 +34,8 @@ class PointEvidence:
 
     Attributes:
         basis: the same points on the body.
-        targets_m: (F, K, 3), any number where not seen; ``precision``: (F, K) inverse variance of a coordinate, 0 = not
-            seen.
-        share: (F, K) weight of a point (surface points less than 1, U33).
+        targets_m, precision: positions, and inverse variance of a coordinate, 0 = not seen.
+        share: weight of a point (surface points less than 1, U33).
     """
 
     basis: Basis
@@ -96,7 +95,7 @@ class Problem:
         return part
 
     def costs(self, state: State) -> Num[np.ndarray, " F"]:
-        """(F,) half the sum of squares in deviations that each frame adds, points beyond the Huber bound linearly."""
+        """Half the sum of squares in deviations that each frame adds, points beyond the Huber bound linearly."""
         residual = self.basis.points(state) - self.evidence.targets_m
         units = np.sqrt(self.evidence.precision * np.einsum("fkx,fkx->fk", residual, residual))
         bound = self.pulls.huber_units
@@ -110,13 +109,11 @@ class Problem:
         return float(0.5 * (self.shared_precision * state.shared**2).sum())
 
     def own(self, state: State) -> Normal:
-        """Normal equations of each frame's own unknowns, at a fraction of the time: H, the gradient (F, 1, 75) and
-        G."""
+        """Normal equations of each frame's own unknowns, in a fraction of the time: H, the gradient and G."""
         return self.normal(state, np.zeros((0, 0)), np.zeros(0))
 
     def normal(self, state: State, shared: Num[np.ndarray, "S S"], shared_side: Num[np.ndarray, " S"]) -> Normal:
-        """Gauss-Newton's normal equations of the points and of every frame's own prior; adds to ``shared`` and
-        ``shared_side`` in place.
+        """Gauss-Newton's normal equations of the points and each frame's prior; adds to ``shared``, ``shared_side``.
 
         A point's Huber weight follows from its distance, not per coordinate (T11).
         """

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Initial pose of a fit: the pelvis in closed form from the torso's points, then each limb swung towards its next
-point.
+"""Initial pose of a fit: the pelvis in closed form from the torso's points, then each limb swung to its next point.
 
 A gradient does not turn a body that faces the wrong way (M05), so nothing here is iterative.
 """
@@ -42,8 +41,7 @@ class Start:
 def start(
     body: BodyModel, names: list[str], points_m: Num[np.ndarray, "T K 3"], seen: Bool[np.ndarray, "T K"]
 ) -> Start:
-    """An initial pose of the mean shape from the keypoints that were ``seen``; undetermined frames keep the relaxed
-    pose."""
+    """An initial pose of the mean shape from the ``seen`` keypoints; undetermined frames keep the relaxed pose."""
     frames = len(points_m)
     at = {n: k for k, n in enumerate(names)}
     local = np.tile(prior.mean_pose(), (frames, 1, 1, 1))
@@ -85,8 +83,7 @@ def _posed(body: BodyModel, on_body: tuple[np.ndarray, np.ndarray], local: np.nd
 def _swing_limbs(
     body: BodyModel, at: dict[str, int], points_m: np.ndarray, seen: np.ndarray, local: np.ndarray
 ) -> None:
-    """Turn hips, knees, shoulders and elbows of ``local`` (T, 24, 3, 3) so that each bone points at the next
-    keypoint."""
+    """Turn hips, knees, shoulders and elbows of ``local`` so that each bone points at the next keypoint."""
     rest = body.rest_joints(np.zeros(1))
     for suffix in ("", "_joint"):
         for upper, lower in _SWINGS:
@@ -113,8 +110,7 @@ def _world_rotation(local: np.ndarray, parents: np.ndarray, joint: int) -> np.nd
 
 
 def _swing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(T, 3, 3) smallest rotations that take directions a (T, 3) to b; opposite directions turn about any
-    perpendicular."""
+    """Smallest rotations that take directions a to b; opposite directions turn about any perpendicular."""
     a, b = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (a, b))
     axis = np.cross(a, b)
     sine = np.linalg.norm(axis, axis=-1)

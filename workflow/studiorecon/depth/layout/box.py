@@ -27,8 +27,7 @@ _WIDE_SHARE = 20
 
 @dataclass(frozen=True)
 class Matching:
-    """How planes are compared when they are placed: window in pixels, weight of the mean difference, depth range in
-    metres."""
+    """How planes are compared: window in pixels, weight of the mean difference, depth range in metres."""
 
     window: int
     mean_weight: float
@@ -42,8 +41,7 @@ def plane_support(
     plane: Float[np.ndarray, " 4"],
     how: Matching,
 ) -> tuple[float, int]:
-    """Mean score of a plane over the pixels that voted for it (all pairs that see it), and the number of
-    comparisons."""
+    """Mean score of a plane over the pixels that voted for it (all pairs that see it), and number of comparisons."""
     total, count = 0.0, 0
     for i, picture in enumerate(pictures):
         if voters[i].sum() < _MIN_VOTERS:
@@ -66,8 +64,7 @@ def place_plane(
     step_m: float,
     how: Matching,
 ) -> tuple[float, float]:
-    """The offset near ``offset`` with the best agreement of the voters' pictures (parabola through the best three), and
-    its score."""
+    """The offset near ``offset`` at which the voters' pictures agree best (parabola through three), and its score."""
     tried = offset + np.arange(-round(span_m / step_m), round(span_m / step_m) + 1) * step_m
     support = [plane_support(pictures, voters, np.array([*normal, o]), how) for o in tried]
     # Comparisons are lost at a wrong offset, so the mean alone would reward a plane that few pixels still match.
@@ -91,7 +88,7 @@ def turned_offset(
     normal: Float[np.ndarray, " 3"],
     how: Matching,
 ) -> float:
-    """Offset of a plane (4,) that is turned to ``normal`` about the middle of the surface that its voters see."""
+    """Offset of a plane that is turned to ``normal`` about the middle of the surface that its voters see."""
     per_picture = [
         p.camera.unproject(p.camera.pixel_centres(), p.depth(plane, how.near_m, how.far_m))[v]
         for p, v in zip(pictures, voters)
@@ -108,10 +105,9 @@ def most_voted_offsets(
     side: int,
     least_votes: float,
 ) -> list[float]:
-    """Offsets of the most voted planes with this normal on the outer side of ``beyond``, best first; none below
-    ``least_votes``.
+    """Offsets of the most voted planes with this normal on the outer side of ``beyond``, best first.
 
-    Local maxima of the votes of three neighbouring planes, down to a share of the best one's.
+    Local maxima of the votes of three neighbouring planes, down to a share of the best one's and to ``least_votes``.
     """
     parallel = np.flatnonzero((planes[:, :3] @ normal > 0.999) & (side * (planes[:, 3] - beyond) > 0))
     if not len(parallel):
@@ -174,7 +170,7 @@ def refine_yaw(
 ) -> float:
     """Turn (radians) of all walls that matches best; 0 without walls.
 
-    Each wall is a plane (4,) with, per picture, the (H, W) pixels on it; it turns about the middle of its visible part.
+    Each wall is a plane with, per picture, the pixels on it; it turns about the middle of its visible part.
     """
     turns = np.arange(-round(span_rad / step_rad), round(span_rad / step_rad) + 1) * step_rad
     value = np.zeros(len(turns))
@@ -194,7 +190,7 @@ def refine_yaw(
 def candidates(
     planes: Float[np.ndarray, "L 4"], votes: Integer[np.ndarray, " L"], room_box: RoomBox, most: int, least_votes: int
 ) -> Float[np.ndarray, "K 4"]:
-    """(K, 4) the room box's six faces, then the most voted planes inside it that are not near-copies of one another."""
+    """The room box's six faces, then the most voted planes inside it that are not near-copies of one another."""
     chosen = list(room_box.faces)
     for k in np.argsort(-votes, kind="stable"):
         if votes[k] < least_votes or len(chosen) >= most + 6:

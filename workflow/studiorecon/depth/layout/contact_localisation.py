@@ -37,7 +37,7 @@ _WIDEST, _BASE_STEP, _BASE_PX = 1.6, 0.02, (1.0, 4.0)
 def localise_by_contact(
     cylinder: Float[np.ndarray, " 8"], picture: Picture, reach_px: float
 ) -> Float[np.ndarray, " 8"]:
-    """A cylinder (8,) on the floor, with its sides and its foot moved onto the edges of its picture, by at most
+    """A cylinder on the floor, with its sides and its foot moved onto the edges of its picture, by at most
     ``reach_px``.
 
     Unchanged where its foot has no edge. Its front is where the picture changes most along the front of its foot; its

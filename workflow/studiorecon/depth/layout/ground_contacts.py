@@ -53,10 +53,11 @@ class GroundContacts:
     """Lower ends of upright edges on the floor.
 
     Attributes:
-        place_m: (N, 2) x and y.
-        towards: (N, 2) unit, from the camera.
-        sigma_m: (N,) along that.
-        span_deg: (N,) length of the edge, seen from the camera; ``camera``: (N,) its index.
+        place_m: x and y.
+        towards: unit, from the camera.
+        sigma_m: along that.
+        span_deg: length of the edge, seen from the camera.
+        camera: index of that camera.
     """
 
     place_m: Float[np.ndarray, "N 2"]
@@ -102,10 +103,8 @@ def _contacts_in_view(view: int, camera: Camera, room: RoomPicture, floor_m: flo
 def wall_line(
     seen: GroundContacts, normal: Float[np.ndarray, " 2"], nearest_m: float, furthest_m: float
 ) -> tuple[float, Bool[np.ndarray, " N"], float] | None:
-    """(offset along ``normal``, which feet, their degrees of edge) of the line of feet between ``nearest_m`` and
-    ``furthest_m``.
-
-    None where no line is clear.
+    """Offset along ``normal`` of the line of feet in this range, which feet, and their degrees of edge; None if
+    unclear.
     """
     offsets = seen.place_m @ normal
     sigma = np.hypot(seen.sigma_m * (seen.towards @ normal), _FOOT_M)

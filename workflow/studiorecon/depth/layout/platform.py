@@ -53,10 +53,10 @@ class _HeightVotes:
     """The heights that pixels vote for.
 
     Attributes:
-        place_m: (N, 3) points on whose height two cameras agree.
-        step: (N,) their height, in steps above people's feet.
-        score: (N,) how well they match.
-        at_feet_m: (M, 2) positions of all comparable pixels at the height of people's feet.
+        place_m: points on whose height two cameras agree.
+        step: their height, in steps above people's feet.
+        score: how well they match.
+        at_feet_m: positions of all comparable pixels at the height of people's feet.
         stood_on: (M,) bool: their surface may be at that height.
     """
 
@@ -69,12 +69,9 @@ class _HeightVotes:
 
 @dataclass(frozen=True)
 class RaisedFloor:
-    """People are on a platform.
+    """People are on a ``platform``; the room's floor around it is at ``floor_m`` and matches with ``score``.
 
-    Attributes:
-        platform: the platform.
-        floor_m: height of the room's floor around it. score: how well that matches.
-        levels_m: heights of other surfaces below people's feet.
+    ``levels_m`` are heights of other surfaces below people's feet.
     """
 
     platform: Platform
@@ -86,7 +83,7 @@ class RaisedFloor:
 def fit_platform(
     pictures: Sequence[Picture], axes: Float[np.ndarray, "3 3"], standing_m: float, how: Matching
 ) -> RaisedFloor | None:
-    """The platform under people at ``standing_m``, or None where that is the floor; ``axes`` (3, 3) are the room box's.
+    """The platform under people at ``standing_m``, or None where that is the floor; ``axes`` are the room box's.
 
     A tenth of a second for four pictures 240 pixels wide where photos agree on the floor, 3 s where they do not.
     """
@@ -147,7 +144,7 @@ def _score(picture: Picture, other: Picture, height_m: float, how: Matching) -> 
 
 @dataclass(frozen=True)
 class _Pair:
-    """A picture compared with another, (H, W): best height, its score, bool whether it is clear, and two more scores.
+    """A picture compared with another: best height, its score, whether it is clear, and two more scores.
 
     These are the best score at people's feet, and the best of all heights up to there.
     """
@@ -212,17 +209,16 @@ def _height_votes(pictures: Sequence[Picture], standing_m: float, how: Matching)
 
 
 def _cells(local_m: Float[np.ndarray, "N 3"]) -> Integer[np.ndarray, "M 2"]:
-    """(M, 2) the cells in plan that points are in."""
+    """The cells in plan that points are in."""
     return np.unique(np.floor(local_m[:, :2] / _CELL_M).astype(int), axis=0)
 
 
 def _densest(
     places_m: Float[np.ndarray, "N 2"], agreed: Bool[np.ndarray, " N"]
 ) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]:
-    """(2,) least and (2,) greatest coordinates of the rectangle in which most cells agree and fewest do not.
+    """Least and greatest coordinates of the rectangle in which most cells agree and fewest do not.
 
-    It has the greatest sum, over cells, of the share of pixels that agree, less the least share of a cell of the
-    platform.
+    It maximises the sum over cells of the share of pixels that agree, less the least share of a platform's cell.
     """
     cell = np.floor(places_m / _CELL_M).astype(int)
     first = cell.min(axis=0)

@@ -41,7 +41,7 @@ _REFUSED_M = 0.25
 
 
 def neighbour_primitives(primitive: Float[np.ndarray, " 8"], step_m: float, turns: bool) -> Float[np.ndarray, "M 8"]:
-    """(M, 8) neighbours of a primitive: every face moved in or out, the whole moved, and turned if allowed."""
+    """Neighbours of a primitive: every face moved in or out, the whole moved, and turned if allowed."""
     c, s = np.cos(primitive[3]), np.sin(primitive[3])
     found = []
 
@@ -78,7 +78,7 @@ def neighbour_primitives(primitive: Float[np.ndarray, " 8"], step_m: float, turn
 def is_allowed(
     primitives: Float[np.ndarray, "N 8"], room_box: RoomBox, taken: Float[np.ndarray, "M 4"]
 ) -> Bool[np.ndarray, " N"]:
-    """(N,) bool: large enough, inside the room, and away from ``taken`` (M, 4: points and least distances, metres)."""
+    """Whether each is large enough, in the room, and away from ``taken`` (M, 4: points and least distances, metres)."""
     large = (primitives[:, 4:6] >= _MIN_SIDE_M).all(axis=1) & (primitives[:, 7] - primitives[:, 6] >= _MIN_HEIGHT_M)
     centres = np.stack([primitives[:, 1], primitives[:, 2], (primitives[:, 6] + primitives[:, 7]) / 2], axis=-1)
     fits = (
@@ -93,8 +93,7 @@ def is_allowed(
 
 @njit(cache=True)
 def contains_any(primitives: Float[np.ndarray, "N 8"], points_m: Float[np.ndarray, "M 4"]) -> Bool[np.ndarray, " N"]:
-    """(N,) bool: any of the points is in the primitive (N, 8) grown by that point's distance; ``points_m`` (M, 4): x,
-    y, z, distance."""
+    """Whether any of the points (x, y, z, distance) is in the primitive grown by that point's distance."""
     found = np.zeros(len(primitives), np.bool_)
     for k in range(len(primitives)):
         primitive = primitives[k]
@@ -182,7 +181,7 @@ class Proposals:
         return bool(self._heap)
 
     def keep(self, primitives: Iterable[tuple[Float[np.ndarray, " 8"], float]]) -> None:
-        """Add primitives (8,), each with the number of pixels it explains."""
+        """Add primitives, each with the number of pixels it explains."""
         for primitive, price in primitives:
             if price >= self._least:
                 heapq.heappush(self._heap, (-float(price), len(self._primitives)))
@@ -193,8 +192,8 @@ class Proposals:
     ) -> list[tuple[Float[np.ndarray, " 8"], float]]:
         """Remove and return the best primitives by their current gain, at most ``most``, with that number of pixels.
 
-        Primitives that cameras contradict are removed too near one of ``refused_m`` (M, 4: points and distances),
-        because they would be moved to the refused one.
+        Those too near one of ``refused_m`` (M, 4: points and distances) are removed: they would be moved to the refused
+        one.
         """
         while self._heap:
             # The best few by their last gain, evaluated again, include the best.
@@ -228,9 +227,9 @@ def fit_primitives(
 
     Greedy: the best few proposals are moved to where they explain most. The best of them is added if the photos'
     disagreement falls by ``least_gain`` pixels and the cameras do not contradict it; then the rest are evaluated again.
-    No primitive may contain a camera or one of ``free_m`` (M, 4: points and distances to keep), where a person walked
-    or was seen through. An object that only one camera sees is put at its foot in that camera's picture at ``full``
-    size, which is loaded by its number. The platform comes first. Costs some 10 s for four pictures 160 pixels wide.
+    No primitive may contain a camera or one of ``free_m`` (M, 4: points and distances to keep), where people were seen.
+    An object that only one camera sees is put at its foot in that camera's picture at ``full`` size, loaded by number.
+    The platform comes first. Costs some 10 s for four pictures 160 pixels wide.
     """
     room = PhotoCostVolume.by_room_box(pictures, room_box, window, mean_weight)
     evidence: list[float] = []
@@ -280,7 +279,7 @@ def fit_primitives(
 
 
 def _platform_box(platform: Platform, room_box: RoomBox) -> Float[np.ndarray, " 8"]:
-    """(8,) the platform, from the floor up."""
+    """The platform, from the floor up."""
     middle = (np.array([*(platform.low_m + platform.high_m) / 2, 0.0]) @ room_box.axes)[:2]
     size_m = platform.high_m - platform.low_m
     return np.array([0, *middle, room_box.yaw_rad, *size_m, room_box.low_m[2], platform.top_m])
@@ -295,8 +294,7 @@ def to_cylinder(
 ) -> tuple[Float[np.ndarray, " 8"], float]:
     """A cylinder instead of a nearly square box if it explains more; it has two parameters less, so it wins a tie.
 
-    The depth of an object seen in one photo is unknown: it is as deep as wide, a cylinder, unless that explains clearly
-    less.
+    The depth of an object seen in one photo is unknown: there a cylinder unless that explains clearly less.
     """
     if primitive[0] != 0:
         return primitive, gain

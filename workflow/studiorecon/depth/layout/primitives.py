@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Furniture as a few convex primitives: upright boxes and upright cylinders, and their intersections with camera
-rays."""
+"""Furniture as convex primitives, upright boxes and cylinders, and their intersections with camera rays."""
 
 from __future__ import annotations
 
@@ -38,11 +37,10 @@ class Primitive:
 
     Attributes:
         kind: one of ``KINDS``.
-        centre_m: (2,) x and y of its axis in the world.
+        centre_m: x and y of its axis in the world.
         yaw_rad: direction of its first side; 0 for a cylinder.
-        size_m: (2,) lengths along and across that direction; twice the radius, twice, for a cylinder.
-        low_m: height of its foot.
-        high_m: height of its top.
+        size_m: lengths along and across that direction; twice the radius, twice, for a cylinder.
+        low_m, high_m: heights of foot and top.
         evidence: disagreement between the photos that it removes, in pixels, at the width of the fit.
     """
 
@@ -56,7 +54,7 @@ class Primitive:
 
     @property
     def numbers(self) -> Float[np.ndarray, " 8"]:
-        """(8,) kind, x, y, yaw, both sizes, foot, top: the layout of the kernels."""
+        """Kind, x, y, yaw, both sizes, foot, top: the layout of the kernels."""
         return np.array(
             [KINDS.index(self.kind), *self.centre_m, self.yaw_rad, *self.size_m, self.low_m, self.high_m], np.float64
         )
@@ -67,7 +65,7 @@ class Primitive:
         return Primitive(KINDS[int(kind)], (x, y), yaw, (along, across), low, high, evidence)
 
     def depth(self, camera: Camera) -> Float[np.ndarray, "H W"]:
-        """(H, W) z-depth at which a camera's rays enter the primitive; 0 where they miss it."""
+        """Z-depth at which a camera's rays enter the primitive; 0 where they miss it."""
         origin, rays = camera.rays()
         depth_m = np.zeros(camera.hw)
         _meet(self.numbers, origin, rays.reshape(-1, 3), depth_m.reshape(-1))
@@ -77,10 +75,7 @@ class Primitive:
 def in_front(
     primitives: Sequence[Primitive], camera: Camera, depth_m: Float[np.ndarray, "H W"]
 ) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
-    """Depth (H, W) with every nearer primitive, in the type of ``depth_m``, and (H, W) bool: a primitive is visible.
-
-    Unknown depth (0) counts as behind.
-    """
+    """Depth with every nearer primitive, and where a primitive is visible; unknown depth (0) counts as behind."""
     nearest = np.where(depth_m > 0, depth_m, np.inf)
     shown = np.zeros(depth_m.shape, bool)
     for primitive in primitives:
@@ -116,11 +111,10 @@ def _meet(primitive, origin, rays, depth_m):
 
 @njit(cache=True)
 def enter(primitive, c, s, origin, ray, normal):
-    """Length along ``ray`` (3,) at which it enters a primitive (8,), -1 when it misses; fills the outward ``normal``
-    (3,) there.
+    """Length along ``ray`` at which it enters a primitive, -1 if it misses; fills the outward ``normal`` there.
 
-    ``c`` and ``s`` are the cosine and sine of its yaw. A ray that starts inside misses: a camera inside a piece of
-    furniture sees the room, not the furniture.
+    ``c`` and ``s`` are the cosine and sine of its yaw. A ray that starts inside misses, so that a camera inside a piece
+    of furniture sees the room.
     """
     x, y = origin[0] - primitive[1], origin[1] - primitive[2]
     ou, ov = c * x + s * y, c * y - s * x

@@ -25,8 +25,7 @@ _PAPER, _INK = (245, 243, 238), (60, 60, 60)
 
 
 def edges(primitive: Primitive) -> Float[np.ndarray, "E 2 3"]:
-    """(E, 2, 3) end points of a primitive's edges, metres; a cylinder's rims as many short ones, and four lines up its
-    side."""
+    """End points of a primitive's edges, metres; a cylinder's rims as many short ones, and four lines up its side."""
     if primitive.kind == "box":
         plan = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * np.array(primitive.size_m) / 2
     else:
@@ -43,7 +42,7 @@ def edges(primitive: Primitive) -> Float[np.ndarray, "E 2 3"]:
 def draw_outlines(
     picture: Picture, primitives: Sequence[Primitive], depth_m: Float[np.ndarray, "h w"]
 ) -> Integer[np.ndarray, "H W 3"]:
-    """(H, W, 3) uint8: the photo with the edges that no surface of ``depth_m`` (h, w) hides, one colour a primitive."""
+    """The photo with the edges that no surface of ``depth_m`` hides, one colour a primitive."""
     height = round(_WIDTH * picture.camera.hw[0] / picture.camera.wh[0])
     camera = picture.camera.resized((_WIDTH, height))
     canvas = cv2.resize(to_bytes(picture.rgb), (_WIDTH, height), interpolation=cv2.INTER_CUBIC)
@@ -65,8 +64,7 @@ def draw_outlines(
 def plan(
     room_box: RoomBox, cameras: Sequence[Camera], primitives: Sequence[Primitive], height: int
 ) -> Integer[np.ndarray, "height 640 3"]:
-    """(height, 640, 3) uint8: the room's walls, every primitive with the height of its top in centimetres, cameras as
-    dots."""
+    """The room's walls, every primitive with the height of its top in centimetres, cameras as dots."""
     canvas = np.full((height, _WIDTH, 3), _PAPER, np.uint8)
     u, v = [(room_box.low_m[a], room_box.high_m[a]) for a in (0, 1)]
     corners = np.array([(a, b, 0) for a, b in ((u[0], v[0]), (u[1], v[0]), (u[1], v[1]), (u[0], v[1]))]) @ room_box.axes
@@ -104,7 +102,7 @@ def sheet(
     primitives: Sequence[Primitive],
     depths_m: Sequence[Float[np.ndarray, "h w"]],
 ) -> Integer[np.ndarray, "H W 3"]:
-    """(H, W, 3) uint8: all photos, two to a row, and the plan last."""
+    """All photos, two to a row, and the plan last."""
     shown = [draw_outlines(picture, primitives, depth_m) for picture, depth_m in zip(pictures, depths_m)]
     shown.append(plan(room_box, [p.camera for p in pictures], primitives, shown[0].shape[0]))
     tallest = max(s.shape[0] for s in shown)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Furniture candidates: rectangles of table tops in plan and of fronts in elevation that match better than the
-background.
+"""Furniture candidates: rectangles of tops in plan and fronts in elevation that match better than the background.
 
 The photos are projected onto every horizontal and upright plane inside the room (orthographic, a few centimetres a
 cell), each pair of cameras is correlated there, and the score of the same pixels' current explanation is subtracted.
@@ -49,10 +48,9 @@ _UNLIKE, _GAP_PX, _MIN_AREA, _MIN_ON_FLOOR = 0.2, (5, 3), 40, 3
 def advantage(
     room: PhotoCostVolume, points_m: Float[np.ndarray, "A B 3"], outward: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, "A B"]:
-    """(A, B) float32: gain in agreement of the best pair of cameras on surface points (A, B, 3) over the current
-    explanation.
+    """Gain in agreement of the best pair of cameras on surface points over the current explanation, float32.
 
-    Only cameras on the side that ``outward`` (3,) points to take part; 0 where no two see the point.
+    Only cameras on the side that ``outward`` points to take part; 0 where no two see the point.
     """
     colours, agreed, inside = [], [], []
     cost = np.where(room.cost > 0, room.cost, np.where(room.known, room.cost, UNSEEN))
@@ -88,10 +86,7 @@ def advantage(
 def rectangles(
     value: Num[np.ndarray, "A B"], sides: tuple[int, ...], standing: bool
 ) -> list[tuple[float, int, int, int, int]]:
-    """Best (sum, top, left, rows, columns) of a map, overlapping ones reduced to the best.
-
-    ``contact_localisation`` ones start at row 0.
-    """
+    """Best (sum, top, left, rows, columns) of a map, overlapping ones reduced to the best; ``standing``: from row 0."""
     total = np.pad(value.cumsum(axis=0, dtype=np.float64).cumsum(axis=1), ((1, 0), (1, 0)))
     found = []
     bands = {rows: total[rows:] - total[:-rows] for rows in sides if rows < value.shape[0]}
@@ -124,7 +119,7 @@ def _overlap(one: tuple[float, int, int, int, int], other: tuple[float, int, int
 
 
 def ground(room: PhotoCostVolume, room_box: RoomBox) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-    """(3,) least and (3,) greatest coordinates along the room box's axes of the search for furniture.
+    """Least and greatest coordinates, along the room box's axes, of the search for furniture.
 
     That is the room; towards a default wall, it ends where two cameras no longer resolve furniture.
     """
@@ -219,8 +214,7 @@ def fronts(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Fl
 
 
 def single_view_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
-    """(area, primitive (8,)) of regions seen by one camera that differ from the wall and floor behind, on their lowest
-    point."""
+    """(area, primitive) of regions seen by one camera that differ from wall and floor behind, on their lowest point."""
     for v in range(len(room.known)):
         alone = room.known[v] & (room.cost[v] >= UNSEEN) & (room.surface[v] < 6)
         unlike = (alone & (room.odds[v] > _UNLIKE)).astype(np.uint8)
@@ -250,10 +244,10 @@ def single_view_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[
 
 
 def leg_candidates(slab: Float[np.ndarray, " 8"], floor_m: float) -> Float[np.ndarray, "N 8"]:
-    """(N, 8) upright bars between the floor and a floating box (8,), at all positions under it: legs.
+    """Upright bars between the floor and a floating box, at all positions under it: legs.
 
-    They are too thin to be detected as furniture, and each of them explains little; under a table top they are tried
-    one by one. None under other primitives, or under boxes nearly on the floor.
+    They are too thin to be detected as furniture and explain little each. None under other primitives, or under boxes
+    nearly on the floor.
     """
     if slab[0] != 0 or slab[6] - floor_m < _MIN_UNDER_M:
         return np.zeros((0, 8))

@@ -33,7 +33,7 @@ _LINES_AT_ONCE = 20_000
 
 
 def joint_places(people: Sequence[Person]) -> Float[np.ndarray, "M 4"]:
-    """(M, 4) positions, 20 cm apart along an axis, of measured joints at any time, with a least distance of 5 cm."""
+    """Positions, 20 cm apart along an axis, of measured joints at any time, with a least distance of 5 cm."""
     places = np.concatenate([np.zeros((0, 3)), *(person.joints[person.valid].reshape(-1, 3) for person in people)])
     return with_distance(
         np.unique(np.round(places[np.isfinite(places).all(axis=1)] / _CELL_M), axis=0) * _CELL_M, _CLEARANCE_M
@@ -41,7 +41,7 @@ def joint_places(people: Sequence[Person]) -> Float[np.ndarray, "M 4"]:
 
 
 def with_distance(places_m: Float[np.ndarray, "M 3"], distance_m: float) -> Float[np.ndarray, "M 4"]:
-    """(M, 4): positions (M, 3) and the least distance of primitives from each."""
+    """Positions and the least distance of primitives from each."""
     return np.column_stack([places_m, np.full(len(places_m), distance_m)])
 
 
@@ -51,11 +51,10 @@ def free_ray_points(
     found: Sequence[Detections],
     whose: Mapping[tuple[str, int], str],
 ) -> Float[np.ndarray, "M 4"]:
-    """(M, 4) positions, one in ten centimetres, on lines of sight to at least three joints with confident keypoints,
-    with distance 0.
+    """Positions, one in ten centimetres, on lines of sight to at least three joints with confident keypoints.
 
-    A line may graze a primitive. ``found`` are detections of any of the cameras in their working pixels, ``whose``
-    names the person of (camera, track).
+    Their distance is 0: a line may graze a primitive. ``found`` are detections of any of the cameras in their working
+    pixels, ``whose`` names the person of (camera, track).
     """
     bodies = {person.name: (number, person) for number, person in enumerate(people)}
     views = {camera.name: camera for camera in cameras}

@@ -31,12 +31,12 @@ class Votes:
     confident: Sequence[Bool[np.ndarray, "H W"]]
 
     def count(self) -> Integer[np.ndarray, " L"]:
-        """(L,) confident pixels per plane, over all pictures."""
+        """Confident pixels per plane, over all pictures."""
         each = (np.bincount(c[m], minlength=len(self.planes)) for c, m in zip(self.chosen, self.confident))
         return sum(each, np.zeros(len(self.planes), np.int64))
 
     def voters(self, normal: Num[np.ndarray, " 3"], offset: float, reach_m: float) -> list[Bool[np.ndarray, "H W"]]:
-        """Per picture (H, W) bool: confident pixels whose plane is parallel to ``normal`` and within ``reach_m`` of
+        """Confident pixels of each picture whose plane is parallel to ``normal`` and within ``reach_m`` of
         ``offset``."""
         near = (self.planes[:, :3] @ normal > 0.999) & (np.abs(self.planes[:, 3] - offset) < reach_m)
         return [m & near[c] for c, m in zip(self.chosen, self.confident)]
@@ -51,7 +51,7 @@ class Votes:
         return replace(self, confident=kept)
 
     def depths_m(self, pictures: Sequence[Picture], room_box: RoomBox) -> list[Float[np.ndarray, "H W"]]:
-        """(H, W) float32 depth of every picture: its pixel's plane where that is confident, else the room box."""
+        """Float32 depth of every picture: its pixel's plane where that is confident, else the room box."""
         return [
             np.where(sure, p.plane_depths_of_pixels(self.planes[at]), room_box.intersect(*p.camera.rays())[0]).astype(
                 np.float32
@@ -62,11 +62,9 @@ class Votes:
 
 @dataclass(frozen=True)
 class Swept:
-    """All sweeps of a scene.
+    """All sweeps of a scene: ``votes`` of all cameras, and exposure ``gains`` that make them agree on the floor.
 
-    Attributes:
-        votes: of all cameras. gains: (V, 3) exposure that makes them agree on the floor.
-        floor_m, yaw_rad: height of the floor, and direction of the walls, of the catalogue.
+    ``floor_m`` and ``yaw_rad`` are the height of the floor and the direction of the walls of the catalogue.
     """
 
     votes: Votes

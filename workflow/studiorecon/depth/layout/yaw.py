@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The walls' yaw without line segments: upright planes in all directions, and the pair of directions that matches
-most."""
+"""The walls' yaw without line segments: upright planes in all directions, and the pair that matches most."""
 
 from __future__ import annotations
 

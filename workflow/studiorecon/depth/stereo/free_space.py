@@ -26,8 +26,7 @@ MAX_COST = 0.5
 def is_looked_through(
     camera: Camera, depth_m: Float[np.ndarray, "H W"], others: Sequence[tuple[Camera, Float[np.ndarray, "h w"]]]
 ) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: a surface of ``depth_m`` (H, W) that at least one other camera (with its depth) sees past and none
-    confirms.
+    """Whether another camera sees past a pixel's surface and none confirms it.
 
     Cameras without evidence (outside their picture, hidden, unknown depth) have no vote.
     """
@@ -53,9 +52,8 @@ def snap_to_room_box(
 ) -> tuple[PlaneLabelling, float]:
     """The labelling with floating surfaces put on the room box, unjudged, and the share of pixels concerned.
 
-    A surface floats if other cameras see through it and none confirms it, or if no other camera judges it, or matches
-    it badly: where floor and walls match nothing, a plane that is hidden from all other cameras has a lower cost. Only
-    planes inside the room (label ≥ 6) are tested; all others are on the room box already.
+    A surface floats if other cameras see through it and none confirms it, or if no other camera judges it or matches it
+    well. Only planes inside the room (label ≥ 6) are tested; all others are on the room box already.
     """
     unproven = ~labelled.judged | (labelled.cost > MAX_COST)
     floating = (is_looked_through(camera, labelled.depth_m, others) | unproven) & (labelled.plane >= 6)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled loops of ``photo_cost``: colours of a camera's surfaces in the others, windowed correlation, visible
-primitives.
+"""Compiled loops of ``photo_cost``: colours of surfaces in other cameras, windowed correlation, visible primitives.
 
 ``trial_kernels`` computes the change by one more primitive. Arrays are (V, H, W) for V views; a primitive is eight
 numbers (``primitives.Primitive.numbers``).
@@ -70,10 +69,7 @@ def warp(lens, pose, rgb, known, depth, v, o, y, x, sample):
 
 @njit(cache=True, fastmath=True)
 def window_cost(rgb, v, y, x, samples, seen, surface, top, left, half, mean_weight):
-    """Cost of a pixel in one other camera over its surface's pixels in the window; -1 with too few.
-
-    ``samples`` starts at (top, left).
-    """
+    """Cost of a pixel in one other camera over its surface's pixels in the window from (top, left); -1 with too few."""
     rows, columns = seen.shape
     mine = surface[y - top, x - left]
     n, aa, bb, ab = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
@@ -112,10 +108,7 @@ def hidden(depth, o, flat, z):
 
 @njit(cache=True, parallel=True)
 def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, judges, half, mean_weight):
-    """Fill ``pair``, ``at``, ``z``, ``cost`` and ``judges`` for the surfaces in ``depth`` and ``surface``.
-
-    ``photo_cost.PhotoCostVolume`` describes them.
-    """
+    """Fill ``pair``, ``at``, ``z``, ``cost`` and ``judges`` (see ``photo_cost.PhotoCostVolume``) for the surfaces."""
     views, height, width = known.shape
     for job in prange(views * views):
         v, o = job // views, job % views
@@ -182,8 +175,7 @@ def invert_visibility(known, depth, pair, at, z):
 
 @njit(cache=True)
 def bounds(lens, pose, primitive, v, height, width):
-    """Rows and columns (top, bottom, left, right) that the part of a primitive in front of the camera can cover in a
-    view."""
+    """Rows and columns (top, bottom, left, right) of a view that a primitive in front of the camera can cover."""
     c, s = np.cos(primitive[3]), np.sin(primitive[3])
     top, bottom, left, right = float(height), 0.0, float(width), 0.0
     local = np.empty((8, 3))
@@ -226,8 +218,7 @@ def bounds(lens, pose, primitive, v, height, width):
 
 @njit(cache=True)
 def trace(lens, pose, centre, v, y, x, primitive, c, s, ray, normal):
-    """(depth or -1, face 0..7) at which a pixel's ray enters a primitive; ``c`` and ``s``: its yaw's cosine and
-    sine."""
+    """(depth or -1, face 0..7) at which a pixel's ray enters a primitive; ``c``, ``s``: cosine and sine of its yaw."""
     rx, ry = (x + 0.5 - lens[v, 2]) / lens[v, 0], (y + 0.5 - lens[v, 3]) / lens[v, 1]
     for i in range(3):
         ray[i] = pose[v, 0, i] * rx + pose[v, 1, i] * ry + pose[v, 2, i]

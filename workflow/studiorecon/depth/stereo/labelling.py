@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One plane per pixel from the cost of every plane: semi-global labelling with a Potts penalty that image edges
-lower."""
+"""One plane per pixel from the cost of every plane: semi-global labelling with a Potts penalty, lower on edges."""
 
 from __future__ import annotations
 
@@ -21,10 +20,10 @@ _MIN_PENALTY = 0.1
 def label(
     cost: Float[np.ndarray, "H W L"], rgb: Num[np.ndarray, "H W 3"], change_penalty: float
 ) -> Integer[np.ndarray, "H W"]:
-    """(H, W) int index of the best plane, from costs (H, W, L) float32 and the photo (H, W, 3).
+    """Index of the best plane, from float32 costs and the photo.
 
-    Four paths (left, right, up, down); every change of plane costs the same ``change_penalty``: the label is a plane,
-    so slanted surfaces need no discount for small changes.
+    Four paths (left, right, up, down); every change of plane costs the same ``change_penalty``: slanted surfaces are
+    one plane, so small changes need no discount.
     """
     smooth = cv2.GaussianBlur(rgb, (3, 3), 0.7)
     weights = []

@@ -27,8 +27,7 @@ UNKNOWN = np.float32(-9)
 
 
 def plane_inverse_depth(camera: Camera, plane: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " 3"] | None:
-    """(3,) w with 1/z = w·(column, row, 1) for points of a world plane (4,) n·p = o; None when the camera is in the
-    plane."""
+    """w with 1/z = w·(column, row, 1) for points of a world plane n·p = o; None when the camera is in the plane."""
     normal = camera.rotation_camera_from_world @ plane[:3]
     offset = plane[3] - plane[:3] @ camera.centre_m
     if abs(offset) < 1e-3:
@@ -39,8 +38,7 @@ def plane_inverse_depth(camera: Camera, plane: Float[np.ndarray, " 4"]) -> Float
 def plane_depth(
     camera: Camera, plane: Float[np.ndarray, " 4"], near_m: float, far_m: float
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float64 z-depth of a world plane (4,) seen from a camera; 0 where it is not between ``near_m`` and
-    ``far_m``."""
+    """Z-depth of a world plane seen from a camera; 0 where it is not between ``near_m`` and ``far_m``."""
     weights = plane_inverse_depth(camera, plane)
     if weights is None:
         return np.zeros(camera.hw)
@@ -50,9 +48,8 @@ def plane_depth(
 
 
 def plane_homography(camera: Camera, other: Camera, inverse_depth: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """(3, 3) map of homogeneous pixels from ``camera`` to ``other`` through a plane.
-
-    Its third output coordinate is the depth in ``other`` over the depth in ``camera``.
+    """Map of homogeneous pixels through a plane; its third coordinate is the depth in ``other`` over that in
+    ``camera``.
     """
     other_from_camera = other.camera_from_world @ camera.world_from_camera
     rays = other_from_camera[:3, :3] @ np.linalg.inv(camera.intrinsics)
@@ -72,8 +69,7 @@ def correlation(
     near_m: float,
     far_m: float,
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 score of a plane for every pixel of ``camera``: correlation - mean_weight · difference of means, ≤
-    1.
+    """Float32 score of a plane for every pixel of ``camera``: correlation - mean_weight · difference of means, ≤ 1.
 
     ``UNKNOWN`` where the plane is out of range, outside the other picture, or either picture is not ``known``.
     """

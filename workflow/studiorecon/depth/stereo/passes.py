@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second pass: few planes, judged only by cameras that see past the others' surfaces; the room box where none
-can."""
+"""The second pass: few planes, judged by cameras that see past the others' surfaces; else the room box."""
 
 from __future__ import annotations
 
@@ -35,8 +34,7 @@ _OUTSIDE_MARGIN_M = 0.05
 
 @dataclass(frozen=True)
 class PassSettings(Matching):
-    """Costs of the second pass: its window, a change of plane, planes without a judging camera, and furniture over
-    walls.
+    """Costs of the second pass: its window, a change of plane, planes without a judging camera, furniture over walls.
 
     The gap between the two defaults puts pixels seen by one view on walls.
     """
@@ -50,8 +48,7 @@ class PassSettings(Matching):
 
 @dataclass(frozen=True)
 class PlaneLabelling:
-    """The labelling of one picture: plane index (H, W), depth (H, W), cost (H, W), and (H, W) bool: another camera
-    judged it."""
+    """The labelling of one picture: plane index, depth, cost, and whether another camera judged it."""
 
     plane: Integer[np.ndarray, "H W"]
     depth_m: Float[np.ndarray, "H W"]
@@ -62,7 +59,7 @@ class PlaneLabelling:
 def plane_depths(
     picture: Picture, planes: Float[np.ndarray, "L 4"], room_box: RoomBox, settings: PassSettings
 ) -> Float[np.ndarray, "L H W"]:
-    """(L, H, W) float32 depth of every plane in a picture; 0 where it is out of range or outside the shell."""
+    """Float32 depth of every plane in a picture; 0 where it is out of range or outside the shell."""
     depths = np.zeros((len(planes), *picture.camera.hw), np.float32)
     pixels = picture.camera.pixel_centres()
     for k, plane in enumerate(planes):
@@ -82,7 +79,7 @@ def plane_scores(
     depths: Float[np.ndarray, "L H W"],
     settings: PassSettings,
 ) -> Float[np.ndarray, "L H W"]:
-    """(L, H, W) float32 agreement of a picture with another through every plane that ``depths`` allows."""
+    """Float32 agreement of a picture with another through every plane that ``depths`` allows."""
     scores = np.full(depths.shape, UNKNOWN, np.float32)
     for k, plane in enumerate(planes):
         if not depths[k].any():
@@ -98,8 +95,7 @@ def plane_scores(
 
 @dataclass(frozen=True)
 class PlaneCosts:
-    """Every plane at every pixel of one picture: depth (L, H, W), cost (H, W, L), and (H, W, L) bool: another camera
-    judged it."""
+    """Every plane at every pixel of one picture: depth, cost, and whether another camera judged it."""
 
     depths_m: Float[np.ndarray, "L H W"]
     cost: Float[np.ndarray, "H W L"]
@@ -114,8 +110,7 @@ def plane_costs(
     others: Sequence[tuple[Camera, Float[np.ndarray, "h w"]]],
     settings: PassSettings,
 ) -> PlaneCosts:
-    """The costs of one picture from its scores against every other camera, given those cameras and their latest depth
-    (H', W').
+    """The costs of one picture from its scores against every other camera, given those cameras and their latest depth.
 
     The first six planes are the room box: where no camera can judge, they cost ``room_box_default`` and all others
     ``other_default``, which puts pixels seen by one camera on the walls.

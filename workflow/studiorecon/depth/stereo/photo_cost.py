@@ -35,19 +35,19 @@ class PhotoCostVolume:
     """All views as explained by the current primitives; arrays are (V, H, W), padded to the largest picture.
 
     Attributes:
-        lens: (V, 4) focal lengths and principal point, pixels. pose: (V, 3, 4) camera_from_world. centre: (V, 3)
+        lens: focal lengths and principal point, pixels. pose: camera_from_world. centre: (V, 3)
             metres.
         rgb, known: the photos. depth: z-depth of the explaining surface, metres. surface: its number.
-        pair: (V, V, H, W) cost of the surface in another camera, -1 where they cannot be compared.
+        pair: cost of the surface in another camera, -1 where they cannot be compared.
         at, z: (V, V, H, W) flat pixel in the other camera, and depth there.
         begin, judged: (V, H W + 1) and (V, V H W): the pixels that each pixel judges (``kernels.invert_visibility``).
-        cost: (V, H, W) cost of every pixel; 0 where the photo is not known.
+        cost: cost of every pixel; 0 where the photo is not known.
         judges: number of other cameras that see its surface.
         half, mean_weight: half a window in pixels, weight of a difference of means.
         floor_m: height of the floor.
         bare: depth and surface of the room box alone.
         odds: ``self_dissimilarity.foreground_log_odds`` of the room box alone.
-        primitives: (K, 8) those added so far.
+        primitives: those added so far.
     """
 
     lens: Float[np.ndarray, "V 4"]
@@ -125,8 +125,8 @@ class PhotoCostVolume:
     def cost_of(
         self, view: int, depths_m: Sequence[Float[np.ndarray, "h w"]]
     ) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-        """Cost (h, w) of one view's own surface, any depth map, and whether another camera judged it; ``depths_m``: of
-        all views, at their size."""
+        """Cost of one view's surface, any depth map, and whether another camera judged it; ``depths_m``: of all
+        views."""
         depth = np.zeros_like(self.depth)
         for own, depth_m in zip(depth, depths_m):
             own[: depth_m.shape[0], : depth_m.shape[1]] = depth_m
@@ -138,15 +138,11 @@ class PhotoCostVolume:
         return cost[view, :rows, :columns], judges[view, :rows, :columns] > 0
 
     def gains(self, primitives: Float[np.ndarray, "N 8"], looks: bool = True) -> Float[np.ndarray, " N"]:
-        """(N,) decrease of the cost of all pixels with each of N primitives (N, 8) added alone.
-
-        Without ``looks`` only the agreement of cameras counts.
-        """
+        """Decrease of all pixels' cost with each of the primitives added alone; without ``looks`` by agreement only."""
         return self._gains_and_costs(primitives, looks)[:, 0]
 
     def contradicted(self, primitive: Float[np.ndarray, " 8"]) -> bool:
-        """Whether the pixels that show a primitive (8,) match no better than before, so that it gains only by hiding
-        wrong matches.
+        """Whether the pixels that show a primitive match no better than before, so that it only hides wrong matches.
 
         A wall or floor in the wrong place matches nothing, and everything that hides it explains the photos better.
         """
@@ -154,13 +150,13 @@ class PhotoCostVolume:
         return bool(better < _MIN_BETTER * was)
 
     def shown(self, primitive: Float[np.ndarray, " 8"]) -> Integer[np.ndarray, " V"]:
-        """(V,) number of pixels of every view that would show a primitive (8,)."""
+        """Number of pixels of every view that would show a primitive."""
         depth_m, surface, own = self.depth.copy(), self.surface.copy(), FIRST + 10 * len(self.primitives)
         draw(self.lens, self.pose, self.centre, self.known, depth_m, surface, np.asarray(primitive, np.float64), own)
         return ((surface >= own) & self.known).sum(axis=(1, 2))
 
     def _gains_and_costs(self, primitives: Float[np.ndarray, "N 8"], looks: bool) -> Float[np.ndarray, "N 3"]:
-        """(N, 3) gains, their part on pixels that show the primitives, and those pixels' cost before."""
+        """Gains, their part on pixels that show the primitives, and those pixels' cost before."""
         odds = self.odds if looks else np.zeros_like(self.odds)
         explained = (
             self.depth,
@@ -181,7 +177,7 @@ class PhotoCostVolume:
         return self.lens, self.pose, self.centre, self.rgb, self.known
 
     def replace_all(self, primitives: Float[np.ndarray, "K 8"]) -> None:
-        """Explain the room with these primitives (K, 8) and no other."""
+        """Explain the room with these primitives and no other."""
         self.primitives = np.ascontiguousarray(primitives, np.float64).reshape(-1, 8)
         self.depth[:], self.surface[:] = self.bare
         for k, primitive in enumerate(self.primitives):
@@ -201,5 +197,5 @@ class PhotoCostVolume:
         self.begin, self.judged = invert_visibility(self.known, self.depth, self.pair, self.at, self.z)
 
     def add(self, primitive: Float[np.ndarray, " 8"]) -> None:
-        """Add one primitive (8,)."""
+        """Add one primitive."""
         self.replace_all(np.concatenate([self.primitives, np.asarray(primitive, np.float64)[None]]))

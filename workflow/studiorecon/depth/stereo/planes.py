@@ -22,20 +22,18 @@ _BIN_RAD = np.radians(0.5)
 
 
 def rig_centre(cameras: Sequence[Camera]) -> Float[np.ndarray, " 3"]:
-    """(3,) mean of the camera centres, around which the offsets of wall hypotheses are spaced."""
+    """Mean of the camera centres, around which the offsets of wall hypotheses are spaced."""
     return np.mean([camera.centre_m for camera in cameras], axis=0)
 
 
 def wall_yaw(
     cameras: Sequence[Camera], pictures: Sequence[Num[np.ndarray, "H W 3"]], known: Sequence[Bool[np.ndarray, "H W"]]
 ) -> tuple[float, float]:
-    """Yaw in [0, pi/2) of the horizontal direction of most straight lines, and the share of line length that supports
-    it.
+    """Yaw in [0, pi/2) of the horizontal direction of most straight lines, and the share of line length behind it.
 
-    A line segment and its camera centre span a plane; a horizontal line in the world has the direction in both this
-    plane and the horizontal. Every segment thus votes for one yaw (modulo 90°: walls come in two directions) with its
-    length; segments that are plausibly vertical, or whose plane is nearly horizontal, abstain. The share is 0 without
-    lines.
+    A line segment and its camera centre span a plane; a horizontal line has the direction in both this plane and the
+    horizontal. Every segment votes for one yaw (modulo 90°: walls come in two directions) with its length, unless it
+    may be vertical or its plane is nearly horizontal. The share is 0 without lines.
     """
     detector = cv2.createLineSegmentDetector()
     yaws, weights = [], []
@@ -90,8 +88,7 @@ def hypotheses(
     ceiling_m: tuple[float, float],
     reach_m: float,
 ) -> Float[np.ndarray, "L 4"]:
-    """(L, 4) planes n·p = o: horizontals from the floor to ``furniture_m`` and through the ceiling's range, then the
-    walls.
+    """Planes n·p = o: horizontals from the floor to ``furniture_m`` and through the ceiling's range, then the walls.
 
     Walls are across yaw and yaw + 90°, up to ``reach_m`` from the rig's centre; their step grows with the square of the
     distance beyond 4.5 m.

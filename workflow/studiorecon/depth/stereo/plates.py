@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plates prepared for stereo: at its working size, with equal exposure, and with known floor and yaw of the
-walls."""
+"""The plates prepared for stereo: at its working size, with equal exposure; the floor, and the yaw of the walls."""
 
 from __future__ import annotations
 
@@ -42,11 +41,11 @@ class Picture:
     known: Bool[np.ndarray, "H W"]
 
     def depth(self, plane: Float[np.ndarray, " 4"], near_m: float, far_m: float) -> Float[np.ndarray, "H W"]:
-        """(H, W) z-depth of a plane in this picture; 0 out of range."""
+        """Z-depth of a plane in this picture; 0 out of range."""
         return plane_depth(self.camera, plane, near_m, far_m)
 
     def plane_depths_of_pixels(self, planes: Float[np.ndarray, "H W 4"]) -> Float[np.ndarray, "H W"]:
-        """(H, W) z-depth of a plane (H, W, 4) of its own for every pixel; 0 where the ray does not meet it."""
+        """Z-depth of a plane of its own for every pixel; 0 where the ray does not meet it."""
         origin, rays = self.camera.rays()
         along = (planes[..., :3] * rays).sum(axis=-1)
         ahead = planes[..., 3] - planes[..., :3] @ origin
@@ -54,7 +53,7 @@ class Picture:
         return np.maximum(depth_m, 0.0)
 
     def textured(self, window: int) -> Bool[np.ndarray, "H W"]:
-        """(H, W) bool: the window around a pixel is not flat. A flat one matches every plane, so it votes for none."""
+        """Whether the window around a pixel is not flat. A flat one matches every plane, so it votes for none."""
         mean, square = (cv2.blur(image, (window, window)) for image in (self.rgb, self.rgb * self.rgb))
         return channel_sum(square - mean * mean) > _MIN_VARIANCE
 
@@ -67,7 +66,7 @@ class Picture:
         near_m: float,
         far_m: float,
     ) -> Float[np.ndarray, "H W"]:
-        """(H, W) agreement with another picture through a plane; ``UNKNOWN`` where they are not comparable."""
+        """Agreement with another picture through a plane; ``UNKNOWN`` where they are not comparable."""
         return correlation(
             self.rgb,
             self.known,
@@ -98,11 +97,10 @@ def read_pictures(cameras: Sequence[Camera], plates: Sequence[Path], width: int)
 def floor_and_gains(
     pictures: Sequence[Picture], window: int, near_m: float, far_m: float
 ) -> tuple[float, Float[np.ndarray, "V 3"], int]:
-    """Height of the floor near z = 0, exposure gains (V, 3), and the number of camera pairs that shared floor.
+    """Height of the floor near z = 0, exposure gains, and the number of camera pairs that shared floor.
 
-    The floor is the one surface whose position is known beforehand, so colours through z = floor show the same points.
-    Gains are estimated before any depth, because unequal exposure ruins the matching costs (44 % instead of 86 % of
-    pixels within 5 % at ±12 %).
+    The floor is the one surface whose position is known beforehand. Gains are estimated before any depth, because
+    unequal exposure ruins the matching costs (44 % instead of 86 % of pixels within 5 % at ±12 %).
     """
     candidates = np.arange(-_FLOOR_SEARCH_M, _FLOOR_SEARCH_M + 1e-9, _FLOOR_STEP_M)
     pairs = [(i, j) for i in range(len(pictures)) for j in range(len(pictures)) if i != j]
@@ -132,10 +130,10 @@ def floor_and_gains(
 def surface_gains(
     pictures: Sequence[Picture], depths_m: Sequence[Float[np.ndarray, "H W"]], window: int
 ) -> tuple[Float[np.ndarray, "V 3"], int]:
-    """Remaining gains (V, 3) between the pictures on every surface that two of them see, and how many pairs saw one.
+    """Remaining gains between the pictures on every surface that two of them see, and how many pairs saw one.
 
-    The floor may be hidden or featureless; once depth is agreed, walls and furniture compare as well. A pixel counts
-    when both depth maps put it at the same place within 2 %.
+    Once depth is agreed, walls and furniture compare as well as the floor. A pixel counts when both depth maps put it
+    at the same place within 2 %.
     """
     overlaps = []
     for i, (picture, depth_m) in enumerate(zip(pictures, depths_m)):

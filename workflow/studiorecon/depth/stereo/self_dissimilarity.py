@@ -35,8 +35,8 @@ _USUAL, _NOISE = 1.5, 0.01
 
 
 def foreground_log_odds(pictures: Sequence[Picture], room_box: RoomBox) -> list[Float[np.ndarray, "H W"]]:
-    """(H, W) float32 in [-1, 1] of every picture: 1 where it differs from the rest of the face behind it, -1 where it
-    does not.
+    """Float32 in [-1, 1] of every picture: 1 where it differs from the rest of the face behind it, -1 where it does
+    not.
 
     0 where that is undecided; faces are those of the room box. 2 s for four pictures 160 pixels wide.
     """

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiled trial of primitives for ``photo_cost``: the change of all pixels' cost by one more primitive.
 
-Arrays are (V, H, W) for V views; a primitive is eight numbers (``primitives.Primitive.numbers``). After a change in
-``kernels`` touch this file: numba's cache does not notice changes in imported files.
+Arrays are (V, H, W) for V views; a primitive is eight numbers (``primitives.Primitive.numbers``).
 """
 
 from __future__ import annotations
@@ -47,10 +46,7 @@ def gains(photos, explained, half, mean_weight, floor_m, primitives):
 
 @njit(cache=True)
 def _is_unoccluded(number, known, surface, odds, top, bottom, left, right):
-    """Whether a trial object, where ``number`` (H, W) is not 0, shows its whole outline to one camera.
-
-    Then there is floor in front of its foot, and on either side the wall behind.
-    """
+    """Whether a trial object (``number`` not 0) shows its whole outline: floor before its foot, wall on either side."""
     height, width = number.shape
     foot, clear, beside, total = 0, 0, 0, 0.0
     for x in range(left, right):

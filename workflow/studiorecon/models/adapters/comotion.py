@@ -78,7 +78,7 @@ _FIELDS = {"id": (), "pose": (72,), "betas": (10,), "trans": (3,), "pred_3d": (J
 def preprocess(
     frame: Integer[np.ndarray, "H W 3"], intrinsics: Num[np.ndarray, "3 3"]
 ) -> tuple[Integer[np.ndarray, "3 H W"], Float[np.ndarray, "2 3"]]:
-    """(3, H, W) uint8 RGB and (2, 3) float32 intrinsics.
+    """(3, H, W) uint8 RGB and float32 intrinsics.
 
     Upstream's default principal point is W/2, so pixel centres are at +0.5 as here.
     """
@@ -92,8 +92,8 @@ def postprocess(
 ) -> Bodies:
     """The bodies of one frame from the state of all track slots; slots with id 0 are empty.
 
-    ``detected_px`` (n, 27, 2) and ``logits`` (n,) are the frame's detections: a track has the confidence of the
-    detection that it overlaps. Raises UserError for fields of another shape or non-finite values.
+    ``detected_px`` and ``logits`` are the frame's detections: a track has the confidence of the detection that it
+    overlaps. Raises UserError for fields of another shape or non-finite values.
     """
     for name, shape in _FIELDS.items():
         if name not in tracks or tracks[name].shape[1:] != shape:

@@ -78,8 +78,7 @@ _LARGEST_SHIFT = 0.25
 def preprocess(
     image: Num[np.ndarray, "H W 3"], reference: Num[np.ndarray, "r c 3"]
 ) -> tuple[Float[np.ndarray, "1 3 h w"], Float[np.ndarray, "1 3 h w"]]:
-    """Two (1, 3, h, w) float32 tensors in [0, 1], sides multiples of 8, of a render (H, W, 3) and a photo of any
-    size."""
+    """Two float32 tensors in [0, 1], sides multiples of 8, of a render and a photo of any size."""
     picture, photo = as_float(image), as_float(reference)
     photo = resample(photo, picture.shape[:2])
     return _tensor(picture), _tensor(photo)
@@ -92,9 +91,7 @@ def _tensor(picture: np.ndarray) -> np.ndarray:
 def postprocess(
     made: Float[np.ndarray, "1 3 h w"], image: Num[np.ndarray, "H W 3"], card: Card = CARD
 ) -> Float[np.ndarray, "H W 3"]:
-    """(H, W, 3) float32 picture in [0, 1] from the network's (1, 3, h, w); raises UserError when the result is
-    unusable.
-    """
+    """Float32 picture in [0, 1] from the network's; raises UserError when the result is unusable."""
     height, width = image.shape[:2]
     if made.ndim != 4 or made.shape[:2] != (1, 3) or made.shape[2] < height or made.shape[3] < width:
         raise UserError(
@@ -136,18 +133,15 @@ class Difix:
     def enhance(
         self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
     ) -> Float[np.ndarray, "H W 3"]:
-        """The repaired picture; see ``models.protocols.Enhancer``. The camera and the depth of ``moment`` are
-        not used.
-        """
+        """The repaired picture; see ``models.protocols.Enhancer``. The camera and the depth of ``moment`` are not
+        used."""
         return postprocess(denoised(self._pipeline, *preprocess(image, reference), self._seed, self._device), image)
 
 
 def denoised(
     pipeline: Any, picture: Float[np.ndarray, "1 3 h w"], photo: Float[np.ndarray, "1 3 h w"], seed: int, where: Any
 ) -> Float[np.ndarray, "1 3 h w"]:
-    """(1, 3, h, w) float32 from upstream's pipeline; the generator restarts, so that earlier pictures have no
-    influence.
-    """
+    """Float32 from upstream's pipeline; the generator restarts, so that earlier pictures have no influence."""
     import torch
 
     made = pipeline(

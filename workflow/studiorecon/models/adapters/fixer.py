@@ -56,8 +56,7 @@ _LOWER = "set enhance.enhancer to residual"
 
 def preprocess(image: Num[np.ndarray, "H W 3"]) -> tuple[Float[np.ndarray, "1 3 576 1024"], tuple[int, int]]:
     """(1, 3, 576, 1024) float32 in [-1, 1] of a picture scaled to fit and padded by its border; and its size (h, w)
-    there.
-    """
+    there."""
     picture = as_float(image)
     scale = min(side / own for side, own in zip(HW, picture.shape[:2]))
     taken = tuple(min(round(own * scale), side) for side, own in zip(HW, picture.shape[:2]))
@@ -69,7 +68,7 @@ def preprocess(image: Num[np.ndarray, "H W 3"]) -> tuple[Float[np.ndarray, "1 3 
 def postprocess(
     made: Float[np.ndarray, "1 3 576 1024"], taken: tuple[int, int], image: Num[np.ndarray, "H W 3"]
 ) -> Float[np.ndarray, "H W 3"]:
-    """(H, W, 3) float32 picture in [0, 1] from Fixer's (1, 3, 576, 1024) in [-1, 1]."""
+    """Float32 picture in [0, 1] from Fixer's in [-1, 1]."""
     if made.shape != (1, 3, *HW):
         raise UserError(f"Fixer returned shape {made.shape}, expected {(1, 3, *HW)}; use upstream at its pin")
     inside = np.clip((require_finite(CARD, "a picture", made)[0, :, : taken[0], : taken[1]] + 1) / 2, 0, 1).transpose(

@@ -44,8 +44,8 @@ class Evidence:
             warped into other pictures (or theirs into its) and those pictures' own depth; NaN where no two can be
             compared.
         shared: share of key-frame pixels on which two key frames could be compared at all.
-        coverage: (T,) share of the path's pixels that some key frame shows, at the frames of ``frames``.
-        frames: (T,) rendered frames of the path.
+        coverage: share of the path's pixels that some key frame shows, at the frames of ``frames``.
+        frames: rendered frames of the path.
     """
 
     own_error_levels: float
@@ -62,7 +62,7 @@ def splat(
     source: tuple,
     target: tuple,
 ) -> tuple[Float[np.ndarray, "3 H W"], Float[np.ndarray, "H W"]]:
-    """(3, H, W) colours in [−1, 1] (−1 in holes) and (H, W) depth (0 in holes) of one key frame in another camera.
+    """Colours in [−1, 1] (−1 in holes) and depth (0 in holes) of one key frame in another camera.
 
     ``source`` and ``target`` are (K, w2c) with pixel centres at whole numbers. Every sample goes to its four nearest
     pixels with bilinear weights; a pixel uses those within 5 % of its nearest depth.
@@ -117,8 +117,7 @@ def _carried(request: dict[str, np.ndarray], index: int, target: tuple) -> tuple
 
 def check_form(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
     """Raises UserError for a request that GEN3C would misread: missing arrays, sizes, ranges, lengths, a wrong start,
-    no rotations.
-    """
+    no rotations."""
     missing = [name for name in _FIELDS if name not in request]
     if missing:
         raise UserError(f"the GEN3C request lacks {', '.join(missing)}")
@@ -158,8 +157,7 @@ def check_form(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
 
 def evidence(request: dict[str, Shaped[np.ndarray, " ..."]], samples: int = 5) -> Evidence:
     """The measures of a well-formed request: its cache rendered into its key frames, and into ``samples`` frames of the
-    path.
-    """
+    path."""
     images, depth, mask = (request[f"{n}_key_frames"] for n in ("images", "depth", "mask"))
     targets = list(zip(request["K_key_frames"], request["w2cs_key_frames"]))
     own, _ = _carried(request, 0, targets[0])
@@ -186,8 +184,7 @@ def evidence(request: dict[str, Shaped[np.ndarray, " ..."]], samples: int = 5) -
 
 def check_evidence(found: Evidence, most_error: float = 2.0, most_gap: float = 0.1, least: float = 0.05) -> None:
     """Raises UserError when key frame 0 does not reproduce itself, key frames contradict each other, or the path leaves
-    them.
-    """
+    them."""
     if not found.own_error_levels <= most_error:
         raise UserError(
             "key frame 0 of the GEN3C request differs from itself by "

@@ -85,8 +85,7 @@ _HEIGHTS_M = (1.2, 2.3)
 
 
 def preprocess(photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"]) -> Integer[np.ndarray, "h w 3"]:
-    """(h, w, 3) uint8 picture of the person alone on white, h ≥ 1.25 w, from a uint8 photo and the person's mask (H, W)
-    bool.
+    """Picture of the person alone on white, h ≥ 1.25 w, from a uint8 photo and the person's mask bool.
 
     Raises UserError for a person who is cut off by the picture's border, lies or bends, or is too small.
     """

@@ -196,7 +196,7 @@ class Lpips:
     def __call__(
         self, rendered: Float[np.ndarray, "h w 3"], target: Float[np.ndarray, "h w 3"]
     ) -> tuple[float, Float[np.ndarray, "h w 3"]]:
-        """Distance of two (h, w, 3) float32 RGB pictures in [0, 1], and its gradient (h, w, 3) by ``rendered``."""
+        """Distance of two float32 RGB pictures in [0, 1], and its gradient by ``rendered``."""
         import torch
 
         ours, theirs = self._tensor(rendered).requires_grad_(True), self._tensor(target)
@@ -213,8 +213,7 @@ class Lpips:
 
 def normalised(features: Any) -> Any:
     """(1, C, h, w) features over their length per pixel; epsilon is inside the root, whose slope at 0 is infinite
-    (I06).
-    """
+    (I06)."""
     return features / (features.square().sum(dim=1, keepdim=True) + NORM_EPSILON).sqrt()
 
 

@@ -109,7 +109,7 @@ def encoder_from(checkout: Path) -> Iterator[None]:
 def inferred(
     network: Any, tensor: Float[np.ndarray, "N 3 h w"], where: Any
 ) -> tuple[Float[np.ndarray, "N h w 3"], Float[np.ndarray, "N h w"], Float[np.ndarray, "N 4 4"]]:
-    """Camera-frame points, confidence and world-from-camera poses of (N, 3, h, w) pictures.
+    """Camera-frame points, confidence and world-from-camera poses of pictures.
 
     The confidence c ≥ 1 (upstream: 1 + exp(x)) becomes (c - 1) / c, which is the sigmoid of x, and 0 outside its mask.
     """

@@ -74,7 +74,7 @@ _MODULES = {"moge": "moge.model.v2", "moge3": "moge.model.v3"}
 
 
 def preprocess(picture: Integer[np.ndarray, "H W 3"]) -> Float[np.ndarray, "3 H W"]:
-    """(3, H, W) float32 RGB in [0, 1]; any size, upstream makes its own grid of tokens."""
+    """Float32 RGB in [0, 1]; any size, upstream makes its own grid of tokens."""
     return np.ascontiguousarray(as_float(picture).transpose(2, 0, 1))
 
 
@@ -86,7 +86,7 @@ def fov_deg(focal_px: float, width: int) -> float:
 def postprocess(
     depth: Float[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"], card: Card = MOGE
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) float32 depth, 0 where it is infinite, not positive or outside the mask.
+    """Float32 depth, 0 where it is infinite, not positive or outside the mask.
 
     Raises UserError when no depth remains or much is NaN.
     """
@@ -128,7 +128,7 @@ class Moge:
 def inferred(
     network: Any, picture: Float[np.ndarray, "3 H W"], field_deg: float | None, where: Any, **options: Any
 ) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
-    """(H, W) depth, +inf outside the mask, and the mask, from upstream's ``infer``; half precision on a GPU only."""
+    """Depth, +inf outside the mask, and the mask, from upstream's ``infer``; half precision on a GPU only."""
     import torch
 
     with torch.inference_mode():

@@ -195,7 +195,7 @@ def resized_cubic(picture: Integer[np.ndarray, "H W 3"], hw: tuple[int, int]) ->
 def moge_depth(
     points: Float[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"] | None, focal: float | None
 ) -> Float[np.ndarray, "H W"]:
-    """(H, W) z of MoGe's affine points after the shift that projects them to their pixels; 0 outside the mask.
+    """Z of MoGe's affine points after the shift that projects them to their pixels; 0 outside the mask.
 
     ``focal`` is in halves of the picture's diagonal, fitted where it is None.
     """

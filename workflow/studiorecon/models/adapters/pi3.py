@@ -147,7 +147,7 @@ def probability(logits: Num[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
 
 
 def edges(depth: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: the depth of one of eight neighbours differs by more than ``EDGE`` of this depth.
+    """Whether the depth of one of eight neighbours differs by more than ``EDGE`` of this depth.
 
     Upstream's newer rule also needs a jump of the normal; this one drops more of floors seen at a grazing angle.
     """
@@ -157,8 +157,7 @@ def edges(depth: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
 
 
 def focal(points: Float[np.ndarray, "h w 3"], weight: Num[np.ndarray, "h w"]) -> tuple[float, float]:
-    """Focal length in pixels that projects (h, w, 3) camera-frame points to their own pixels, principal point in the
-    middle.
+    """Focal length in pixels that projects camera-frame points to their own pixels, principal point in the middle.
 
     Weighted least squares over both axes. Also returns the median distance in pixels between a point's pixel and its
     projection.
@@ -180,8 +179,7 @@ def postprocess(
     names: Sequence[str],
     metric: bool,
 ) -> Reconstruction:
-    """Cameras and depth from (N, h, w, 3) points in camera frames, (N, h, w) confidence in [0, 1] and (N, 4, 4)
-    world-from-camera poses.
+    """Cameras and depth from points in camera frames, confidence in [0, 1] and world-from-camera poses.
 
     The first camera becomes the world's origin. Depth near edges or of low confidence is 0. Raises UserError for poses
     that are no rotations, a camera without confident points, or one whose points are behind it.
@@ -256,7 +254,7 @@ class Pi3:
 def inferred(
     network: Any, tensor: Float[np.ndarray, "N 3 h w"], where: Any
 ) -> tuple[Float[np.ndarray, "N h w 3"], Float[np.ndarray, "N h w"], Float[np.ndarray, "N 4 4"]]:
-    """Camera-frame points, confidence after the sigmoid and world-from-camera poses of (N, 3, h, w) pictures."""
+    """Camera-frame points, confidence after the sigmoid and world-from-camera poses of pictures."""
     import torch
 
     kind = torch.device(where).type

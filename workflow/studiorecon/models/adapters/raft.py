@@ -60,7 +60,7 @@ class Fitted:
 def preprocess(
     first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]
 ) -> tuple[Float[np.ndarray, "2 3 h w"], Fitted]:
-    """(2, 3, h, w) float32 in [-1, 1] for the network from two uint8 RGB pictures (H, W, 3), and the padding to undo.
+    """(2, 3, h, w) float32 in [-1, 1] for the network from two uint8 RGB pictures, and the padding to undo.
 
     Pictures under 128 px a side are enlarged by an integer factor, by repeating pixels; then borders are repeated on
     both sides up to multiples of 8, as the authors do. Raises ValueError for pictures that differ in shape, are not
@@ -82,8 +82,7 @@ def preprocess(
 
 
 def postprocess(flow: Float[np.ndarray, "2 h w"], fitted: Fitted) -> Float[np.ndarray, "H W 2"]:
-    """(H, W, 2) float32 flow in pixels of the pictures from the network's (2, h, w): cropped, averaged over enlarged
-    pixels, rescaled.
+    """Float32 flow in pixels of the pictures from the network's: cropped, averaged over enlarged pixels, rescaled.
 
     Raises ValueError when the flow is smaller than the result of ``preprocess``.
     """
@@ -126,8 +125,7 @@ class Raft:
 def estimated(
     network: Any, pair: Float[np.ndarray, "2 3 h w"], where: Any, updates: int = 12
 ) -> Float[np.ndarray, "2 h w"]:
-    """(2, h, w) float32 flow from the first to the second of (2, 3, h, w) float32 pictures in [-1, 1], after
-    ``updates`` refinements."""
+    """Float32 flow from the first to the second of float32 pictures in [-1, 1], after ``updates`` refinements."""
     import torch
 
     first, second = (torch.from_numpy(picture[None]).to(where) for picture in pair)

@@ -94,7 +94,7 @@ def postprocess(
     masks: Shaped[np.ndarray, "P h w"],
     hw: tuple[int, int],
 ) -> Integer[np.ndarray, "H W"]:
-    """(H, W) int64: 0 = nobody, else 1 + the network's id; where masks overlap the more confident one is in front.
+    """Int64: 0 = nobody, else 1 + the network's id; where masks overlap the more confident one is in front.
 
     Raises UserError for another size.
     """
@@ -109,9 +109,8 @@ def postprocess(
 
 
 def match_labels(known: Integer[np.ndarray, "H W"], again: Integer[np.ndarray, "H W"]) -> dict[int, int]:
-    """label in ``again`` → label in ``known`` for people of one frame in two chunks, best agreement first,
-    one to one.
-    """
+    """label in ``again`` → label in ``known`` for people of one frame in two chunks, best agreement first, one to
+    one."""
     pairs = []
     for new in np.unique(again[again > 0]):
         for old in np.unique(known[(again == new) & (known > 0)]):
@@ -125,9 +124,8 @@ def match_labels(known: Integer[np.ndarray, "H W"], again: Integer[np.ndarray, "
 
 
 def joined(chunks: Iterable[list[Integer[np.ndarray, "H W"]]]) -> Iterator[Integer[np.ndarray, "H W"]]:
-    """(H, W) uint16 per frame of the clip from label maps of chunks that share a frame: 0 = nobody, else the person's
-    number from 1.
-    """
+    """Uint16 per frame of the clip from label maps of chunks that share a frame: 0 = nobody, else the person's number
+    from 1."""
     last, numbered = None, 0
     for chunk in chunks:
         names = match_labels(last, chunk[0]) if last is not None else {}
@@ -174,9 +172,7 @@ class Sam3:
 def tracked(
     network: Any, processor: Any, frames: list[Integer[np.ndarray, "H W 3"]], prompt: str, where: Any
 ) -> list[Integer[np.ndarray, "H W"]]:
-    """(H, W) int64 label map of every frame of one chunk, by upstream's video session; its frames stay in
-    main memory.
-    """
+    """Int64 label map of every frame of one chunk, by upstream's video session; its frames stay in main memory."""
     import torch
 
     kind = next(iter(network.parameters())).dtype

@@ -89,8 +89,7 @@ def attribute(card: Card, module: Any, wanted: str) -> Any:
 @contextmanager
 def arrays_alone(card: Card) -> Iterator[None]:
     """Context for upstream's loading: a checkpoint with more than arrays, which is refused (``sandbox``), gives a
-    UserError.
-    """
+    UserError."""
     try:
         yield
     except pickle.UnpicklingError as error:

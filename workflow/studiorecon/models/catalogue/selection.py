@@ -71,8 +71,7 @@ _PERCEPTUAL = ("background.training.lpips.weight", "humans.losses.lpips.weight")
 
 def select_networks(config: Mapping[str, Any]) -> list[tuple[str, str]]:
     """(setting, model) for every setting of a whole configuration that selects an upstream network, in the order data
-    flows.
-    """
+    flows."""
     found = [(where, str(value)) for where in (POINTS, *CHOICES) if (value := at(config, where)) in MODELS]
     found += [(where, "lpips") for where in _PERCEPTUAL if (at(config, where) or 0) > 0]
     if (net := at(config, _MEASURED)) in _NETS:
@@ -113,9 +112,8 @@ def at(config: Mapping[str, Any], where: str) -> Any:
 
 
 def check_licences(config: Mapping[str, Any]) -> None:
-    """Raises UserError with an alternative when ``licences`` is "commercial" and a selected network forbids
-    that use.
-    """
+    """Raises UserError with an alternative when ``licences`` is "commercial" and a selected network forbids that
+    use."""
     if config.get("licences") != "commercial":
         return
     for where, name in select_networks(config):
@@ -131,8 +129,7 @@ def check_licences(config: Mapping[str, Any]) -> None:
 
 def licence_rows(config: Mapping[str, Any]) -> list[dict[str, str]]:
     """For every selected network: its settings, its title, licences of code and weights, commercial use, condition,
-    alternative.
-    """
+    alternative."""
     rows = []
     for where, name in select_networks(config):
         entry = MODELS[name]

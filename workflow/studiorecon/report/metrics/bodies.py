@@ -17,7 +17,7 @@ _SAME_PERSON_M = 0.5
 
 
 def align_by_similarity(points: Float[np.ndarray, "J 3"], onto: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
-    """``points`` (J, 3) after the similarity that brings them closest to ``onto``, without mirroring (R19)."""
+    """``points`` after the similarity that brings them closest to ``onto``, without mirroring (R19)."""
     mean, target = points.mean(axis=0), onto.mean(axis=0)
     centred, wanted = points - mean, onto - target
     left, singular, right = np.linalg.svd(wanted.T @ centred)
@@ -28,10 +28,8 @@ def align_by_similarity(points: Float[np.ndarray, "J 3"], onto: Float[np.ndarray
 
 
 def joint_errors_mm(fitted: Float[np.ndarray, "T 24 3"], true: Float[np.ndarray, "T 24 3"]) -> dict[str, float]:
-    """Mean joint errors in millimetres of (T, 24, 3) against (T, 24, 3): W-MPJPE, MPJPE and PA-MPJPE.
-
-    They are taken in world coordinates, relative to the pelvis, and after a similarity fitted to each frame.
-    """
+    """Mean joint errors in millimetres: W-MPJPE (world), MPJPE (relative to the pelvis), PA-MPJPE (after a
+    similarity)."""
     at_pelvis = (fitted - fitted[:, :1]) - (true - true[:, :1])
     aligned = np.stack([align_by_similarity(f, t) for f, t in zip(fitted, true)])
     errors = {"mpjpe_world_mm": fitted - true, "mpjpe_pelvis_mm": at_pelvis, "mpjpe_similarity_mm": aligned - true}
@@ -39,10 +37,7 @@ def joint_errors_mm(fitted: Float[np.ndarray, "T 24 3"], true: Float[np.ndarray,
 
 
 def size_error_percent(fitted: Float[np.ndarray, "T 24 3"], true: Float[np.ndarray, "T 24 3"]) -> float | None:
-    """Size error of the fit in percent, positive when too large; None without frames.
-
-    It is the median ratio of the joints' spread about their mean.
-    """
+    """Median ratio of the joints' spread about their mean, as an error in percent, positive when too large."""
     spread = [np.linalg.norm(joints - joints.mean(axis=1, keepdims=True), axis=(1, 2)) for joints in (fitted, true)]
     usable = spread[1] > 0
     return 100 * float(np.median(spread[0][usable] / spread[1][usable]) - 1) if usable.any() else None
@@ -51,10 +46,9 @@ def size_error_percent(fitted: Float[np.ndarray, "T 24 3"], true: Float[np.ndarr
 def inside_sigma_share(
     fitted: Float[np.ndarray, "T 24 3"], true: Float[np.ndarray, "T 24 3"], sigma_m: Float[np.ndarray, "T 24"]
 ) -> float | None:
-    """Share of joints (T, 24) whose error is inside the 95 % ball of its predicted standard deviation; 0.95 is ideal.
+    """Share of joints whose error is inside the 95 % ball of its predicted standard deviation; 0.95 is ideal.
 
-    ``sigma_m`` is per axis, so the ball's radius is √χ²₃(0.95) σ = 2.795 σ. Joints of unknown deviation (inf) are left
-    out.
+    ``sigma_m`` is per axis, so the ball's radius is √χ²₃(0.95) σ = 2.795 σ. Unknown deviations (inf) are left out.
     """
     known = np.isfinite(sigma_m) & (sigma_m > 0)
     if not known.any():
@@ -67,11 +61,7 @@ def match(
     fitted: Mapping[str, tuple[Float[np.ndarray, "T 24 3"], Bool[np.ndarray, " T"]]],
     true: Mapping[str, Float[np.ndarray, "T 24 3"]],
 ) -> dict[str, str]:
-    """fitted name → true name, by the smallest mean joint distance over measured frames; pairs more than 0.5 m apart
-    are dropped.
-
-    ``fitted`` holds joints (T, 24, 3) and valid (T,).
-    """
+    """fitted name → true name, by the smallest mean joint distance over valid frames, at most 0.5 m."""
     if not fitted or not true:
         return {}
     fitted_names, true_names = list(fitted), list(true)
@@ -94,8 +84,7 @@ def compare_bodies(
     true: Mapping[str, Float[np.ndarray, "T 24 3"]],
     sigma_m: Mapping[str, Float[np.ndarray, "T 24"]] | None = None,
 ) -> dict[str, Any]:
-    """Joint errors per matched person and their mean, size error, calibration of sigma (T, 24), missed and false
-    people.
+    """Joint errors per matched person and their mean, size error, calibration of sigma, missed and false people.
 
     Frames with a non-finite joint count as not measured; ``not_finite`` is their number.
     """

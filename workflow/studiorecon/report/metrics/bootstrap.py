@@ -29,7 +29,7 @@ class Bootstrap:
 
 
 def mean_interval(frames: Frames, bootstrap: Bootstrap) -> list[float] | None:
-    """[low, high]: 95 % interval of the mean over frames, then cameras; None when there are too few frames.
+    """95 % interval of the mean over frames, then cameras; None when there are too few frames.
 
     ``frames`` maps camera → value per frame, None where it was not measured.
     """
@@ -38,8 +38,7 @@ def mean_interval(frames: Frames, bootstrap: Bootstrap) -> list[float] | None:
 
 
 def paired_difference(scenes: Mapping[str, tuple[Frames, Frames]], bootstrap: Bootstrap) -> dict[str, Any]:
-    """Second minus first run, paired per scene, camera and frame: difference, 95 % interval, unit drawn, number of
-    pairs.
+    """Second minus first run, paired per scene, camera and frame: difference, interval, unit drawn, number of pairs.
 
     Several scenes are drawn as wholes, for a statement about scenes; one scene's frames are drawn in blocks, for a
     statement about that scene. ``interval`` and ``significant`` are None when there is too little to draw from. A
@@ -68,9 +67,7 @@ def paired_difference(scenes: Mapping[str, tuple[Frames, Frames]], bootstrap: Bo
 
 
 def over_seeds(values: Sequence[float | None]) -> dict[str, Any]:
-    """Mean and half range of one number over runs that differ in their seed; the half range is None below
-    three runs.
-    """
+    """Mean and half range of one number over runs of different seeds; the half range is None below three runs."""
     used = [value for value in values if value is not None and np.isfinite(value)]
     if not used:
         return {"mean": None, "half_range": None, "seeds": 0}

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The meaning of every printed number: unit, better direction, variant, mask, library; and conditions for comparing two
-numbers.
-"""
+"""The meaning of every printed number (unit, direction, variant, mask, library), and when two may be compared."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class EstimatedFiles:
     """Files of the run's own depth and people.
 
     ``film_depth`` (one or none): rendered depth of the film that is compared. ``room_depths``, ``room_masks``: of the
-    training cameras, by their names; no masks without people. ``body``: the body model.
+    training cameras, by their names; no masks without people.
     """
 
     film_depth: list[Path] = field(default_factory=list)
@@ -55,10 +55,10 @@ def estimated_regions(
     frames: int,
     tolerances: Sequence[float],
 ) -> Iterator[dict[str, Bool[np.ndarray, "H W"]]]:
-    """Masks (H, W) bool of a held-out camera's frames: people, people_wide, background, and (un)seen at ``tolerances``.
+    """Masks of a held-out camera's frames: people, people_wide, background, and (un)seen at ``tolerances``.
 
-    ``start`` is the picture of the film at which the camera's own view begins. The tolerances are the usual, the
-    strict and the loose one.
+    ``start`` is the picture of the film at which the camera's own view begins. The tolerances are the usual, the strict
+    and the loose one.
     """
     body = BodyModel.load(files.body[0]) if people else None
     room_m = {path.stem: read_depth(path)[0] for path in files.room_depths}

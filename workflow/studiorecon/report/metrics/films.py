@@ -22,7 +22,7 @@ class ScoredFilms:
         capture: whose frames the films show.
         training, held_out: cameras. Films are those of the held-out ones or, without any, of the training ones.
         footage: camera → its photos.
-        films: version ("raw", "enhanced") → film; starts: camera → index of its first picture in every film.
+        films, starts: version ("raw", "enhanced") → film; camera → index of its first picture in every film.
     """
 
     capture: Manifest
@@ -61,10 +61,9 @@ class ScoredFilmFiles:
 
 
 def first_frames(path: Path, cameras: Sequence[Camera], capture: Manifest) -> dict[str, int]:
-    """camera → index of its first picture in a film.
+    """camera → index of its first picture in a film; raises UserError unless it shows every frame of this capture.
 
-    Raises UserError, naming the file of ``path``, unless the film shows every frame of this capture. A film of other
-    cameras, another length or every second frame would silently pair pictures with the wrong photos.
+    Otherwise pictures would silently be paired with the wrong photos.
     """
     steps, _ = read_path(path)
     starts: dict[str, int] = {}

@@ -27,10 +27,7 @@ ONLY = "camera"
 
 
 def cameras_in(place: Path) -> dict[str, Path]:
-    """camera → its video or folder of pictures; a single video, or pictures without folders, is one camera.
-
-    Raises UserError when there is none.
-    """
+    """camera → its video or folder of pictures, or a single camera; raises UserError when there is none."""
     if place.is_file() and place.suffix.lower() in film_suffixes():
         return {ONLY: place}
     if not place.is_dir():
@@ -52,13 +49,13 @@ def cameras_in(place: Path) -> dict[str, Path]:
 
 
 def read_folder_frames(source: Path) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-    """(H, W, 3) uint8 frames of a video or a folder of pictures, in name order."""
+    """Frames of a video or a folder of pictures, in name order."""
     for frame in _stored(source):
         yield np.repeat(frame[..., None], 3, axis=-1) if frame.ndim == 2 else frame
 
 
 def read_masks(source: Path) -> Iterator[Bool[np.ndarray, "H W"]]:
-    """(H, W) bool masks: True where a mask video or picture is not black."""
+    """Masks: True where a mask video or picture is not black."""
     for frame in _stored(source):
         yield frame > 0 if frame.ndim == 2 else (frame[..., 0] | frame[..., 1] | frame[..., 2]) > 0
 

@@ -34,8 +34,7 @@ NOBODY = -1
 
 
 def match_true_person(points: Float[np.ndarray, "K 2"], people: Float[np.ndarray, "P K 2"]) -> int:
-    """Index of the true person (P, K, 2) whose points are closest to ``points`` (K, 2) in the median; -1 when all are
-    far or unknown.
+    """Index of the true person whose points are closest in the median; -1 when all are far or unknown.
 
     Far means beyond a quarter of the person's height in the picture. Points that are NaN on either side are left out.
     """
@@ -57,9 +56,9 @@ def score_identities(
     cameras: Mapping[str, Camera],
     joints_m: Mapping[str, Float[np.ndarray, "T 24 3"]],
 ) -> dict[str, Any]:
-    """Accuracy, precision, IDF1 and switches of the detections' identities; ``joints_m`` are true (T, 24, 3).
+    """Accuracy, precision, IDF1 and switches of the detections' identities; None where they cannot be computed.
 
-    A detection belongs to the true person whose projected limbs it overlaps. Numbers that cannot be computed are None.
+    A detection belongs to the true person whose projected limbs it overlaps.
     """
     # Rejected tracks have no name, and do not form an identity together.
     names = sorted(set(identities.values()) - {""})
@@ -92,8 +91,7 @@ def score_against(
 ) -> dict[str, Any]:
     """The same scores of association's own ``identities`` against the user's table, ``annotated``.
 
-    Tracks that the table marks as no person count as false detections; tracks that it does not list are left out
-    (paper, Table of association).
+    Tracks that the table marks as no person are false detections; those it does not list are left out (paper's table).
     """
     names, found = sorted({*annotated.values()} - {""}), sorted({*identities.values()} - {""})
     rows: list[tuple[int, int, int, int]] = []
@@ -121,8 +119,8 @@ def true_people(
 ) -> list[list[TruePerson]]:
     """The true people in one picture per working frame, with visible joints and the box of their mask.
 
-    A joint counts when the pixel it projects to shows that person, and not when others, props or the picture's edge
-    hide it. Person k of the truth (in order of name) has mask value k + 1.
+    A joint counts when the pixel it projects to shows that person. Person k of the truth (in order of name) has mask
+    value k + 1.
     """
     pixels = true_pixels(camera, view.camera)
     projected = [camera.project(joints_m[name])[0] for name in sorted(joints_m)]
@@ -150,11 +148,9 @@ def score_bodies_in_pictures(
     first_frame: int,
     frames: int,
 ) -> dict[str, Any]:
-    """PCK and detection rate of the fitted joints (T, 24, 3), projected into the held-out cameras, against the true
-    ones.
+    """PCK and detection rate of the fitted joints, projected into the held-out cameras, against the true ones.
 
-    ``fitted`` also holds valid (T,). This is not the paper's PCK, which runs a detector on the rendered pictures: it
-    scores the bodies' positions and not their appearance.
+    Unlike the paper's PCK, which runs a detector on the rendered pictures, it scores positions and not appearance.
     """
     pictures = []
     for camera in cameras:

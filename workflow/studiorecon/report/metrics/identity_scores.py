@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scores of given identities against true ones: association accuracy and precision, IDF1, switches, wrong-identity
-frames.
+"""Scores of given identities against true ones: accuracy and precision of association, IDF1, switches, wrong frames.
 
 One detection is one row of four equally long integer arrays: ``frame``, ``view``, ``truth`` (true person, negative: a
 false detection) and ``given`` (the assigned identity, negative: rejected). Names need not agree: only the grouping
@@ -25,14 +24,12 @@ class IdentityScores:
     """Scores of one scene; NaN without a pair or a detection to score.
 
     Attributes:
-        accuracy: share of the pairs of one true person in different views of a frame that share a given identity (pair
-            recall).
+        accuracy: share of a true person's pairs in views of a frame that share a given identity (pair recall).
         precision: share of the pairs given the same identity that are truly one person.
         idf1: 2 IDTP / (2 IDTP + IDFP + IDFN) under the best one-to-one naming over all views and frames.
         idf1_per_view: {view: the same for that view alone}.
         switches: changes of identity of a true person within a view, from one identified detection to the next.
-        wrong_frames: frames with a detection whose identity is, under that naming, that of another person, or any
-            identity for a false detection.
+        wrong_frames: frames with a detection whose identity, under that naming, is another person's or a false one's.
         pairs, detections: numbers of true pairs and of detections of true people.
     """
 
@@ -52,7 +49,7 @@ def identity_scores(
     truth: Integer[np.ndarray, " D"],
     given: Integer[np.ndarray, " D"],
 ) -> IdentityScores:
-    """All scores of detections (D,); raises ValueError, naming the shapes, when the four arrays differ in shape."""
+    """All scores of detections; raises ValueError, naming the shapes, when the four arrays differ in shape."""
     frame, view, truth, given = _checked(frame, view, truth, given)
     views = {int(v): idf1(truth[view == v], given[view == v]) for v in np.unique(view)}
     return IdentityScores(
@@ -85,9 +82,8 @@ def association_precision(
     truth: Integer[np.ndarray, " D"],
     given: Integer[np.ndarray, " D"],
 ) -> float:
-    """Share of the pairs with the same given identity that are truly one person (§1.2); NaN without a pair.
-
-    Two false detections are not one person.
+    """Share of the pairs of one given identity that are truly one person, no false detection (§1.2); NaN without a
+    pair.
     """
     frame, view, truth, given = _checked(frame, view, truth, given)
     hits = [_same(truth, i, j)[_same(given, i, j)] for i, j in _pairs(frame, view)]
@@ -107,10 +103,7 @@ def best_naming(truth: Integer[np.ndarray, " D"], given: Integer[np.ndarray, " D
 
 
 def idf1(truth: Integer[np.ndarray, " D"], given: Integer[np.ndarray, " D"]) -> float:
-    """IDF1 of detections (D,) that are already matched to their truth.
-
-    A rejected true detection counts as missing, an identified false one as excess.
-    """
+    """IDF1 of matched detections; a rejected true one counts as missing, an identified false one as excess."""
     truth, given = np.asarray(truth), np.asarray(given)
     naming = best_naming(truth, given)
     right = sum(int(((given == name) & (truth == person)).sum()) for name, person in naming.items())
@@ -138,9 +131,7 @@ def identity_switches(
 def wrong_identity_frames(
     frame: Integer[np.ndarray, " D"], truth: Integer[np.ndarray, " D"], given: Integer[np.ndarray, " D"]
 ) -> int:
-    """Number of frames with at least one detection that has another person's identity; rejected detections
-    have none.
-    """
+    """Number of frames with a detection that has another person's identity; rejected detections have none."""
     naming = best_naming(truth, given)
     person = np.array([naming.get(int(g), -2) for g in given], dtype=int)
     return len(np.unique(frame[(given >= 0) & (person != truth)]))

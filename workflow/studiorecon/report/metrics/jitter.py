@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Jitter of moving bodies: second differences of positions, and of rotations on SO(3), within runs of
-measured frames.
-"""
+"""Jitter of bodies: second differences of positions, and of rotations on SO(3), within runs of measured frames."""
 
 from __future__ import annotations
 
@@ -16,15 +14,14 @@ if TYPE_CHECKING:
 
 
 def runs_of_three(valid: Bool[np.ndarray, " T"]) -> Bool[np.ndarray, " T-2"]:
-    """(T - 2,) bool: frames t whose neighbours t - 1 and t + 1 were measured too (V04: a gap is no motion)."""
+    """Frames t whose neighbours t - 1 and t + 1 were measured too (V04: a gap is no motion)."""
     return valid[:-2] & valid[1:-1] & valid[2:] if len(valid) >= 3 else np.zeros(0, bool)
 
 
 def translation_jitter(
     positions_m: Float[np.ndarray, "T ... 3"], valid: Bool[np.ndarray, " T"]
 ) -> Float[np.ndarray, "n ..."]:
-    """(n, ...) mm/frame²: ‖x(t+1) − 2 x(t) + x(t−1)‖ of positions (T, ..., 3) in metres at the n frames inside measured
-    runs."""
+    """Mm/frame²: ‖x(t+1) − 2 x(t) + x(t−1)‖ of positions in metres at the n frames inside measured runs."""
     inside = runs_of_three(valid)
     before, now, after = positions_m[:-2][inside], positions_m[1:-1][inside], positions_m[2:][inside]
     return 1000 * np.linalg.norm(after - 2 * now + before, axis=-1)
@@ -33,11 +30,9 @@ def translation_jitter(
 def rotation_jitter(
     world_or_local: Float[np.ndarray, "T ... 3 3"], valid: Bool[np.ndarray, " T"]
 ) -> Float[np.ndarray, "n ..."]:
-    """(n, ...) °/frame²: ‖log(R(t)ᵀ R(t+1)) − log(R(t−1)ᵀ R(t))‖ of rotations (T, ..., 3, 3) at the n frames inside
-    measured runs.
+    """°/frame²: ‖log(R(t)ᵀ R(t+1)) − log(R(t−1)ᵀ R(t))‖ of rotations at the n frames inside measured runs.
 
-    It takes differences of successive rotations and not of axis-angles, which jump by a full turn when a joint passes
-    180° (V05, U43).
+    Differences of axis-angles would jump by a full turn when a joint passes 180° (V05, U43).
     """
     inside = runs_of_three(valid)
     before, now, after = world_or_local[:-2][inside], world_or_local[1:-1][inside], world_or_local[2:][inside]
@@ -49,11 +44,10 @@ def rotation_jitter(
 def jitter(
     joints_m: Float[np.ndarray, "T 24 3"], poses: Float[np.ndarray, "T 72"], valid: Bool[np.ndarray, " T"], fps: float
 ) -> dict[str, Any]:
-    """Mean jitter of one person: root and joints in mm/f² and m/s², pose in °/f² and °/s² (mean over 24 joints), frames
-    used.
+    """Mean jitter of one person: root and joints in mm/f² and m/s², pose in °/f² and °/s², and frames used.
 
-    ``joints_m`` (T, 24, 3), ``poses`` (T, 72) axis-angle, ``valid`` (T,). Frames with a non-finite value count as not
-    measured, and ``not_finite`` is their number. All values are None unless three consecutive frames were measured.
+    Frames with a non-finite value count as not measured, and ``not_finite`` is their number. All values are None unless
+    three consecutive frames were measured.
     """
     finite = np.isfinite(joints_m).all(axis=(1, 2)) & np.isfinite(poses).all(axis=1)
     use = valid & finite

@@ -63,11 +63,10 @@ def measure_picture(
     distance: PerceptualDistance | None = None,
     flipped: bool = False,
 ) -> dict[str, float | None]:
-    """Every picture measure of one frame; ``regions`` are masks (H, W) bool of the photo by name.
+    """Every picture measure of one frame; ``regions`` are masks of the photo by name.
 
     LPIPS needs ``distance``. ꟻLIP, which takes ten times as long as the others, is measured only if ``flipped``.
-    Non-finite values of a float prediction count as black (white for +inf), as a stored video would have them, and
-    ``not_finite`` is their number.
+    Non-finite values of a float prediction count as black (white for +inf), and ``not_finite`` is their number.
     """
     similarity, errors = ssim_map(prediction, photo), error_map(prediction, photo)
     values = {
@@ -108,8 +107,7 @@ class Flicker:
         pictures: Mapping[str, Num[np.ndarray, "H W 3"]],
         regions: Mapping[str, Bool[np.ndarray, "H W"]],
     ) -> dict[str, dict[str, float | None]]:
-        """The ``TEMPORAL`` measures of every named picture and, as ``"photo"``, of the photos; None for the first
-        frame.
+        """The ``TEMPORAL`` measures of the named pictures and of the ``"photo"``; None for the first frame.
 
         Pixels count where forward and backward flow agree; ``regions`` belong to the current photo.
         """
@@ -178,8 +176,7 @@ def measure_sequence(
     flow_preset: str,
     distance: PerceptualDistance | None = None,
 ) -> dict[str, list[dict[str, float | None]]]:
-    """version → measures per frame of one camera; ``frames`` are (photo, pictures of every version, regions of the
-    photo).
+    """version → measures per frame of one camera; ``frames`` are (photo, pictures of every version, regions).
 
     ``"photo"`` is the photos' own flicker. ꟻLIP is measured in one frame of ``FLIP_EVERY``. Call inside ``one_thread``:
     the flow's result depends on OpenCV's number of threads.
@@ -201,8 +198,7 @@ def measure_sequence(
 def summary(
     frames: Mapping[str, Iterable[float | None]], reason: str, bootstrap: Bootstrap | None = None
 ) -> dict[str, Any]:
-    """One measure over cameras: value, 95 % interval, per-camera means, raw values per frame, counts of used, skipped,
-    capped frames.
+    """One measure over cameras: value, 95 % interval, means per camera, raw values, and counts of frames.
 
     ``frames`` maps camera → values; ``reason`` applies when there is no measurement at all. Non-finite values are
     skipped.
@@ -228,10 +224,7 @@ def summaries(
     reasons: Mapping[str, str],
     bootstrap: Bootstrap | None = None,
 ) -> dict[str, Any]:
-    """The summary of each named measure.
-
-    ``per_camera`` maps camera → values per frame, ``reasons`` says why a measure may be missing.
-    """
+    """The summary of each named measure; ``reasons`` says why one may be missing."""
     result = {}
     for name in names:
         found = summary(

@@ -16,9 +16,8 @@ from studiorecon.scene.camera import Camera
 def overlap(cameras: Sequence[Camera]) -> dict[str, Any]:
     """``training_cameras``, ``position_deg`` and ``viewing_deg``; the angles are None for a single camera.
 
-    ``position_deg`` is the mean angle between every two cameras about the middle of the scene (U56); ``viewing_deg``
-    the mean over cameras of the angle between their optical axis and the nearest other one's. Four on an even level
-    ring: 120 and 90.
+    ``position_deg`` is the mean angle between every two cameras about the middle of the scene (U56), ``viewing_deg``
+    that of a camera's optical axis with the nearest other one's. Four on an even level ring: 120 and 90.
     """
     if len(cameras) < 2:
         return {"training_cameras": len(cameras), "position_deg": None, "viewing_deg": None}

@@ -26,13 +26,7 @@ _OKS_K = 0.16
 
 @dataclass(frozen=True)
 class TruePerson:
-    """One true person in one picture.
-
-    Attributes:
-        points: (K, 2) pixels.
-        visible: (K,) bool: points that count.
-        box_wh: width and height of the person's box, pixels.
-    """
+    """One true person in one picture: pixels of points, which of them count, and the size of the person's box."""
 
     points: Float[np.ndarray, "K 2"]
     visible: Bool[np.ndarray, " K"]
@@ -40,8 +34,7 @@ class TruePerson:
 
 
 def similarity(found: Float[np.ndarray, "K 2"], person: TruePerson) -> float:
-    """Object keypoint similarity in [0, 1] of points (K, 2): mean over visible points of exp(−d² / (2 s² k²)), s² the
-    box's area.
+    """Object keypoint similarity in [0, 1]: mean over visible points of exp(−d² / (2 s² k²)), s² the box's area.
 
     A missing point (NaN) has similarity 0. It is also 0 when no point of the person is visible or the box is empty.
     """
@@ -67,8 +60,7 @@ def match(found: Sequence[Float[np.ndarray, "K 2"]], people: Sequence[TruePerson
 
 
 def correct(found: Float[np.ndarray, "K 2"] | None, person: TruePerson, alpha: float) -> tuple[int, int] | None:
-    """(right, counted) visible keypoints within ``alpha`` × the box's longer side; None when that side is under 16
-    pixels (V03).
+    """(right, counted) visible keypoints within ``alpha`` × the box's longer side; None below 16 pixels (V03).
 
     A missing or NaN prediction is wrong; for an undetected person (``found`` None) all are wrong.
     """
@@ -84,8 +76,7 @@ def correct(found: Float[np.ndarray, "K 2"] | None, person: TruePerson, alpha: f
 
 
 def score(pictures: Sequence[tuple[Sequence[Float[np.ndarray, "K 2"]], Sequence[TruePerson]]]) -> dict[str, Any]:
-    """PCK@0.05, PCK@0.1 and detection rate over pictures of (predictions (K, 2) each, true people); None when nothing
-    counted.
+    """PCK@0.05, PCK@0.1 and detection rate over pictures of (predictions, true people); None when nothing counted.
 
     PCK pools keypoints; people whose box is under 16 pixels or who show no keypoint are skipped and counted.
     """

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exact truth of a synthetic studio, which no other stage may read: people in a held-out picture, and seen parts of the
-room.
+"""Exact truth of a synthetic studio, for reports only: people in a held-out picture, and seen parts of the room.
 
 The folder holds ``cameras.json`` (ideal pinholes), ``depth/<camera>.exr`` (the empty room), ``masks/<camera>.mkv`` (0
 room, k + 1 person k, 255 props), ``bodies/<person>.npz`` and, if the studio's settings keep it,
@@ -39,7 +38,7 @@ _DEPTH_UNITS_PER_M = 1000
 
 @dataclass(frozen=True)
 class TrueView:
-    """Truth of one camera: its ideal pinhole, the empty room's depth (H, W) in metres, and the video of its masks."""
+    """Truth of one camera: its ideal pinhole, the empty room's depth in metres, and the video of its masks."""
 
     camera: Camera
     room_depth_m: Float[np.ndarray, "H W"]
@@ -56,18 +55,17 @@ def read_views(folder: Path) -> dict[str, TrueView]:
 
 
 def true_joints(folder: Path) -> dict[str, Float[np.ndarray, "T 24 3"]]:
-    """person → (T, 24, 3) world joints of every source frame, metres."""
+    """person → world joints of every source frame, metres."""
     return {path.stem: read_person(path).joints for path in sorted((folder / "bodies").glob("*.npz"))}
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Exact truth of a capture.
+    """Exact truth of a capture that begins at ``first_frame`` of the studio's films.
 
     Attributes:
         views: camera → what it sees.
-        joints: person → (T, 24, 3) world joints from the capture's first frame on, metres.
-        first_frame: of the studio's films, where the capture begins.
+        joints: person → world joints from the capture's first frame on, metres.
     """
 
     views: dict[str, TrueView]
@@ -84,10 +82,7 @@ def read_truth(folder: Path, first_frame: int) -> Truth:
 
 
 def true_pixels(working: Camera, true: Camera) -> Float[np.ndarray, "H W 2"]:
-    """(H, W, 2) pixels of the true pinhole that correspond to the working pixels.
-
-    Both cameras have the same pose and differ only in size.
-    """
+    """Pixels of the true pinhole that correspond to the working pixels of the same pose."""
     rays = (working.pixel_centres() - np.array(working.principal_px)) / np.array(working.focal_px)
     return rays * np.array(true.focal_px) + np.array(true.principal_px)
 
@@ -99,8 +94,7 @@ def is_visible(
     depth_m: Float[np.ndarray, "H W"],
     tolerances: Sequence[float],
 ) -> tuple[list[Bool[np.ndarray, " ..."]], Float[np.ndarray, "... 2"]]:
-    """Per tolerance (...,) bool: points (..., 3) that a camera with z-depth ``depth_m`` (H, W) sees; and its pixels
-    (..., 2) of them.
+    """Per tolerance which points a camera with z-depth ``depth_m`` sees; and their pixels.
 
     Seen: in front, inside the picture, and |z − z_n| ≤ tolerance · z_n with the camera's own depth z_n (relative to
     that one: 5 m read as 4.75 m is 5.3 % or 5.0 % by the choice, V02). z_n must be finite and positive (V01: inf passes
@@ -125,8 +119,7 @@ def regions(
     tolerance: float,
     sensitivity: tuple[float, float],
 ) -> Iterator[dict[str, Bool[np.ndarray, "H W"]]]:
-    """Masks (H, W) bool of one held-out camera's working frames, one dictionary per frame: people, background, seen,
-    unseen, ….
+    """Masks of one held-out camera's working frames, a dictionary per frame: people, background, seen, unseen, ….
 
     A background pixel is seen when at that time some training camera sees the same surface without a person in front;
     ``_strict`` and ``_loose`` use the two tolerances of ``sensitivity``. A person's pixel needs that frame's depth,

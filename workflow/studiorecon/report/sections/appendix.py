@@ -28,9 +28,7 @@ _FILES = {
 
 
 def film_warnings(ledgers: Sequence[Path], min_measured: float, max_angle_deg: float) -> list[tuple[str, str]]:
-    """(step, sentence) for films that show unfilmed parts or pass through something; ``ledgers`` are
-    ``render/<shot>.tsv``.
-    """
+    """(step, sentence) for films that show unfilmed parts or pass through something, by their ``ledgers``."""
     found = []
     for path in ledgers:
         rows = read_table(path, ("picture", "measured", "angle_deg", "near"))

@@ -38,9 +38,8 @@ function wipe(control) {
 def slider(moments: Sequence[tuple[str, Mapping[str, str]]], left: str, right: str) -> str:
     """A figure that compares two versions of one moment; empty without moments.
 
-    ``moments`` are (caption, version → picture's data address). All moments have the same versions; ``left`` and
-    ``right`` name those that are shown first. Every picture is stored once, as JSON, and the two that are shown also
-    work without a script.
+    ``moments`` are (caption, version → picture's data address) with equal versions; ``left`` and ``right`` are shown
+    first. Every picture is stored once, as JSON, and the two that are shown also work without a script.
     """
     if not moments:
         return ""

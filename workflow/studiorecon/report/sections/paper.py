@@ -36,11 +36,7 @@ MEASURES = (
 
 
 def own_row(metrics: Mapping[str, Any], recognised: Mapping[str, Any], version: str) -> dict[str, float | None]:
-    """This run's values by the names above; None where a value was not measured, such as ``recognised`` in an empty
-    room.
-
-    Jitter of the scene is the mean over people, all joints.
-    """
+    """This run's values by the names above, None where not measured; jitter is the mean over people, all joints."""
     pictures, people = metrics["pictures"].get(version, {}), metrics.get("jitter", {}).values()
     row = {name: pictures.get(name, {}).get("value") for name, _, _ in MEASURES}
     row |= {name: recognised.get(version, {}).get(name) for name in ("pck_0.05", "pck_0.1", "detection_rate")}
@@ -51,9 +47,7 @@ def own_row(metrics: Mapping[str, Any], recognised: Mapping[str, Any], version: 
 
 
 def paper_rows(path: Path) -> dict[str, dict[str, tuple[float, str]]]:
-    """method → measure → (value, the data it is the mean of), from the paper's tables of means; the file also has
-    single scenes.
-    """
+    """method → measure → (value, the data it is the mean of), from the paper's tables of means."""
     rows: dict[str, dict[str, tuple[float, str]]] = {method: {} for method in METHODS}
     for line in read_table(path, COLUMNS):
         if line["data"].startswith("mean of"):

@@ -21,7 +21,7 @@ _TRUTH_RGB = {255: (70, 130, 180), 128: (240, 200, 80), 0: (200, 80, 70)}
 def difference(
     picture: Integer[np.ndarray, "H W 3"], photo: Integer[np.ndarray, "H W 3"], gain: float = 3.0
 ) -> Integer[np.ndarray, "H W 3"]:
-    """(H, W, 3) uint8: absolute difference, mean over channels, amplified, dark = equal."""
+    """Absolute difference, mean over channels, amplified, dark = equal."""
     error = channel_sum(np.abs(picture.astype(np.float32) - photo.astype(np.float32))) / 3
     return cv2.applyColorMap(np.clip(error * gain, 0, 255).astype(np.uint8), cv2.COLORMAP_INFERNO)[..., ::-1]
 
@@ -29,7 +29,7 @@ def difference(
 def depth_picture(
     depth_m: Float[np.ndarray, "H W"], confidence: Float[np.ndarray, "H W"] | None = None
 ) -> tuple[Integer[np.ndarray, "H W 3"], tuple[float, float]]:
-    """(H, W, 3) uint8: near bright, far dark, unknown black, doubtful pale; and the depth range shown, metres."""
+    """A picture, near bright, far dark, unknown black, doubtful pale; and the depth range shown, metres."""
     known = depth_m > 0
     if not known.any():
         return np.zeros((*depth_m.shape, 3), np.uint8), (0.0, 0.0)
@@ -43,10 +43,7 @@ def depth_picture(
 
 
 def mask_picture(photo: Integer[np.ndarray, "H W 3"], mask: Integer[np.ndarray, "H W"]) -> Integer[np.ndarray, "H W 3"]:
-    """The photo with each person tinted in a colour of their own.
-
-    ``mask`` is 0 background, k+1 person k, 255 unassigned.
-    """
+    """The photo with each person tinted; ``mask`` is 0 background, k+1 person k, 255 unassigned."""
     tinted = photo.astype(np.float32)
     for label in np.unique(mask[mask > 0]):
         colour = NOBODY if label == UNASSIGNED else person_colour(int(label) - 1)

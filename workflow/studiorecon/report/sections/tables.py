@@ -180,10 +180,7 @@ def people(metrics: Mapping[str, Any]) -> str:
 
 
 def left_out(those: Sequence[Mapping[str, Any]]) -> str:
-    """The short list of people that association left out, with the reason and a remedy for each; empty without any.
-
-    ``those`` is ``left_out`` of people/association.json.
-    """
+    """The short list of people that association left out, with reason and remedy; empty without any."""
     if not those:
         return ""
     lead = (
@@ -260,10 +257,7 @@ def overlap(rig: Mapping[str, Any]) -> str:
 
 
 def cost_and_quality(metrics: Mapping[str, Any], spent: Mapping[str, Any], budget: Mapping[str, Any]) -> str:
-    """The cost and scores of this run in one sentence and three numbers.
-
-    A prediction is included where a ``budget`` chose the preset (``plan.budget.Choice.as_json``).
-    """
+    """The cost and scores of this run in one sentence and three numbers, with the prediction of its ``budget``."""
     if spent["reason"]:
         return html.heading("What accuracy costs") + f"<p>{MISSING}: {html.text(spent['reason'])}.</p>"
     seconds = {stage: entry["seconds"] or 0.0 for stage, entry in spent["stages"].items()}

@@ -21,9 +21,7 @@ _WIDTH, _LEFT, _BAR, _GAP = 1000, 120, 9, 12
 def frames_with_detections(
     found: Sequence[Detections], whose: Mapping[tuple[str, int], str], people: Sequence[str], frames: int
 ) -> dict[str, Bool[np.ndarray, "P F"]]:
-    """camera → (P + 1, frames) bool: frames with a detection of each person; the last row has detections of rejected
-    tracks.
-    """
+    """camera → frames with a detection of each person; the last row has detections of rejected tracks."""
     seen = {}
     for detections in found:
         rows = np.zeros((len(people) + 1, frames), bool)
@@ -35,9 +33,7 @@ def frames_with_detections(
 
 
 def strip(seen: Mapping[str, Bool[np.ndarray, "P F"]], people: Sequence[str]) -> str:
-    """A row of bars per camera, one bar per person, named and coloured as in the overlay films; rejected tracks are
-    grey.
-    """
+    """A row of bars per camera, one bar per person, coloured as in the overlay films; rejected tracks are grey."""
     if not seen:
         return ""
     lanes = len(people) + 1

@@ -19,8 +19,7 @@ _STAGES = {"people": ("people", "masks", "humans"), "view_synthesis": ("views",)
 def decisions(found: Sequence[Mapping[str, Decision]], spent: Mapping[str, Any]) -> str:
     """A row for every effect, in the order of the first file; a later file's decision replaces an earlier one.
 
-    ``spent`` is the run's cost by stage (``report.sections.cost``): the cost of an effect's own jobs is the saving of
-    leaving it out.
+    ``spent`` is the run's cost by stage: the cost of an effect's own jobs is the saving of leaving it out.
     """
     merged: dict[str, Decision] = {}
     for survey in found:
@@ -43,9 +42,7 @@ def decisions(found: Sequence[Mapping[str, Decision]], spent: Mapping[str, Any])
 
 
 def gauge(decision: Decision) -> str:
-    """A small picture of interval and value on a scale from 0 to twice the threshold; words when there is no
-    measurement.
-    """
+    """A small picture of interval and value on a scale to twice the threshold; words without a measurement."""
     if decision.value is None or decision.interval is None or not decision.threshold:
         return "not measured"
     measured = (decision.interval[0], decision.value, decision.interval[1])

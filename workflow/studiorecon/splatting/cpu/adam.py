@@ -48,8 +48,7 @@ def _step_some(parameter, gradient, first, second, moves, rate, beta1, beta2, ep
 
 @njit(**KERNEL)
 def step_arrays(parameter, gradient, first, second, rows, width, rate, beta1, beta2, epsilon, correction1, correction2):
-    """One Adam step of a flat array whose rows are ``width`` long; returns the number of gradients that were not
-    finite."""
+    """Number of gradients that were not finite, after one Adam step of a flat array with rows of ``width``."""
     refused, count = 0, len(parameter) // width
     moves = np.ones(_ROWS_AT_ONCE * width, np.uint8)
     for begin in range(0, count, _ROWS_AT_ONCE):
@@ -159,8 +158,7 @@ def step_blocks(
     log_scale_max,
     refused,
 ):
-    """One Adam step of all visible Gaussians, with the activations: ``raw`` holds log scales and logits, ``parameters``
-    their values.
+    """One Adam step of all visible Gaussians; ``raw`` holds log scales and logits, ``parameters`` their values.
 
     ``rates`` and ``epsilons`` are per row (59). ``rows`` is the number of rows that move; log scales stay at or below
     ``log_scale_max``. ``refused`` (blocks) counts gradients that were not finite. corrections: 1 − β^t.

@@ -17,8 +17,7 @@ LN_2 = np.float32(np.log(2.0))
 
 @njit(**INLINE)
 def _sixteen(flat, start, count, missing, scratch):
-    """flat[start : start + count] in the first lanes, ``missing`` in the others; an empty array is ``missing``
-    everywhere."""
+    """flat[start : start + count] in the first lanes, ``missing`` in the others; all ``missing`` for an empty array."""
     if len(flat) == 0:
         return broadcast(missing)
     if count >= LANES:
@@ -60,9 +59,8 @@ def density_terms(planes, weight, density, gradient, sums):
 
 @njit(**KERNEL)
 def silhouette_terms(planes, weight, wanted, strength, gradient, sums):
-    """Add the gradient of strength · Σ weight |alpha − wanted| to ``gradient[4]`` (H, W), for ``wanted`` (H, W) bool.
-
-    ``sums`` (H,) gains every row's Σ weight |alpha − wanted|.
+    """Add the gradient of strength · Σ weight |alpha − wanted| to ``gradient[4]``, and every row's sum to ``sums``
+    (H,).
     """
     for y in range(weight.shape[0]):
         for x in range(weight.shape[1]):

@@ -149,8 +149,8 @@ def _gather_tile(
 def gather(shares, columns, rows, splats, starts, pairs, touched, ends, offsets, planes, gradients, moments):
     """Add every splat's moments to ``moments`` (shares · N · 16) for image gradients (5, H, W): rgb, depth sum, alpha.
 
-    Tile t belongs to share t modulo ``shares``: each share has its own records, so sums repeat bit for bit for a given
-    number of shares. This is as fast as handing out tiles dynamically.
+    Tile t belongs to share t modulo ``shares``, each with its own records: sums repeat bit for bit for equal
+    ``shares``.
     """
     size = len(splats)
     for share in prange(shares):

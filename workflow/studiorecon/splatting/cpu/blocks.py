@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaussians in the kernels' layout: blocks of sixteen, every parameter a row of sixteen floats, in Morton order when it
-pays.
+"""Gaussians in the kernels' layout: blocks of sixteen, a parameter a row of sixteen floats, in Morton order if it pays.
 
 One block is 59 consecutive cache lines (mean, scale, quaternion, opacity, harmonics), so projection, its gradient and
 Adam are plain vector loads, and a block with nothing visible costs nothing. In Morton order, neighbours in space share
@@ -58,8 +57,8 @@ def padded_count(count: int) -> int:
 def block(
     gaussians: Gaussians, order: Integer[np.ndarray, " N"] | None = None, within: Float[np.ndarray, " P"] | None = None
 ) -> BlockedGaussians:
-    """Parameter blocks of the Gaussians, in ``order`` (a permutation; the given order when None), in the memory
-    ``within`` where that has their size."""
+    """Parameter blocks of the Gaussians in ``order`` (None: as given), in the memory ``within`` if it has their
+    size."""
     order = np.arange(gaussians.count) if order is None else order
     size = padded_count(gaussians.count) * (BLOCK_FLOATS // LANES)
     parameters = within if within is not None and len(within) == size else aligned_zeros(size)
@@ -70,8 +69,8 @@ def block(
 
 
 def morton_order(means_m: Float[np.ndarray, "N 3"]) -> Integer[np.ndarray, " N"]:
-    """Permutation (N,) that sorts means (N, 3) along a Z-order curve of 1024³ cells over their middle 98 %; non-finite
-    ones go last."""
+    """Permutation that sorts means along a Z-order curve of 1024³ cells over their middle 98 %; non-finite ones
+    last."""
     finite = np.isfinite(means_m).all(axis=1)
     if not finite.any():
         return np.arange(len(means_m))
@@ -89,8 +88,7 @@ def morton_order(means_m: Float[np.ndarray, "N 3"]) -> Integer[np.ndarray, " N"]
 
 @njit(**KERNEL)
 def fill_blocks(means_m, quaternions, log_scales, logit_opacities, sh, order, parameters):
-    """Gaussians → blocks with activated scales and opacities; padding lanes become harmless (opacity 0, unit scale, no
-    rotation)."""
+    """Gaussians → blocks with activated scales and opacities; padding lanes have opacity 0, unit scale, no rotation."""
     count, bands = len(order), sh.shape[1]
     for block_index in range(len(parameters) // BLOCK_FLOATS):
         base = block_index * BLOCK_FLOATS
@@ -119,8 +117,7 @@ def fill_blocks(means_m, quaternions, log_scales, logit_opacities, sh, order, pa
 def take_gradients(
     gradient, parameters, visible, screen, means_m, quaternions, log_scales, logit_opacities, sh, screen_norm
 ):
-    """Gradient blocks → arrays of the Gaussians in block order, by log scale and logit opacity; 0 for invisible
-    ones."""
+    """Gradient blocks → arrays in block order, by log scale and logit opacity; 0 for invisible Gaussians."""
     count, bands, size = len(means_m), sh.shape[1], len(visible)
     for block_index in prange(size // LANES):
         for lane in range(min(LANES, count - block_index * LANES)):

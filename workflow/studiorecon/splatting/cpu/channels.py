@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blends any values like colours, three channels at a time: in the same pass as the colours, or again with the same
-lists."""
+"""Blends any values like colours, three channels at a time: with the colours, or again with the same lists."""
 
 from __future__ import annotations
 
@@ -35,7 +34,7 @@ def collect(planes, first, image):
 
 
 def in_threes(values: Num[np.ndarray, "N C"]) -> list[Float[np.ndarray, "N 3"]]:
-    """(N, C) → arrays (N, 3) of float32, the last padded with zeros."""
+    """(N, C) → arrays of float32, the last padded with zeros."""
     count, channels = values.shape
     if channels % 3 == 0:
         padded = np.asarray(values, np.float32)

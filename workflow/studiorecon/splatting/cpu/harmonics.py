@@ -35,8 +35,8 @@ DISTINCT_DEG = 5.0
 def degree_supported(directions: Num[np.ndarray, "N 3"]) -> int:
     """The largest degree d, at most 3, for which there are (d + 1)² distinct viewing directions (G15).
 
-    ``directions`` (N, 3) point from the surface to the cameras, with any length; zeros and NaN do not count. With fewer
-    directions than coefficients, the bands fit every camera's exposure error exactly and invent colours in between.
+    ``directions`` point from the surface to the cameras; zeros and NaN do not count. With fewer directions than
+    coefficients, the bands fit every camera's exposure error exactly and invent colours in between.
     """
     length = np.linalg.norm(directions, axis=1, keepdims=True)
     usable = np.isfinite(length[:, 0]) & (length[:, 0] > 0)
@@ -125,10 +125,8 @@ def _spread(parameters, gradient, row, mask, weight, red, green, blue):
 
 @njit(**INLINE)
 def colour_gradient(parameters, gradient, base, degree, mask, x, y, z, red, green, blue):
-    """Store the gradients of all harmonics for colour gradients (red, green, blue); return dL/d(x, y, z), not yet
+    """Store the gradients of all harmonics for colour gradients, 0 outside ``mask``; return dL/d(x, y, z), not
     tangential.
-
-    The colour gradients must be 0 outside ``mask``.
     """
     first = base + SH * LANES
     _spread(parameters, gradient, first, mask, broadcast(C0), red, green, blue)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Converts between the kernels' planes (5, H, W) — red, green, blue, depth sum, transmittance — and the project's
-images."""
+"""Converts the kernels' planes (5, H, W: red, green, blue, depth sum, transmittance) to images and back."""
 
 from __future__ import annotations
 
@@ -27,8 +26,7 @@ def planes_to_images(planes, rgb, alpha, depth_m):
 
 @njit(parallel=True, **KERNEL)
 def gradients_into_planes(planes, by_rgb, by_alpha, by_depth, plane_gradients, behind):
-    """Flat gradients by rgb, alpha and expected depth (an empty array means 0) → gradients by rgb, depth sum and alpha
-    (5, H, W).
+    """Flat gradients by rgb, alpha and expected depth (empty means 0) → by rgb, depth sum and alpha (5, H, W).
 
     Each row's gradient by the background colour is added to ``behind`` (H, 3).
     """

@@ -77,8 +77,8 @@ def in_camera(parameters, base, camera):
 
 @njit(**INLINE)
 def unit_quaternion(parameters, base):
-    """Normalised (w, x, y, z) of the block, one over the norm, and the squared norm. A zero quaternion acts as no
-    rotation."""
+    """Normalised (w, x, y, z) of the block, one over the norm, and the squared norm; no rotation for zero
+    quaternions."""
     row = base + QUATERNION * LANES
     w, x, y, z = (
         load(parameters, row),
@@ -138,8 +138,8 @@ def axes_in_image(t, r):
 
 @njit(**INLINE)
 def covariance(a0, a1, a2, b0, b1, b2):
-    """Dilated Sxx, Syy, Sxy and determinant of the image covariance with rows m1 = a, m2 = b, and its determinant
-    before dilation.
+    """Dilated Sxx, Syy, Sxy of the image covariance with rows m1 = a, m2 = b; its determinant with and without
+    dilation.
 
     Both determinants are sums of squares, so nothing cancels (G03, G04).
     """

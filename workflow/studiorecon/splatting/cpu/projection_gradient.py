@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Moments of the backward pass → gradients of the parameter blocks; the projection is computed again instead of
-stored."""
+"""Moments of the backward pass → gradients of the parameter blocks; the projection is computed again, not stored."""
 
 from __future__ import annotations
 
@@ -235,10 +234,10 @@ def _gradients_of_blocks(begin, end, parameters, camera, degree, splats, visible
 
 @njit(parallel=True, **KERNEL)
 def project_gradient(parameters, camera, degree, splats, visible, moments, gradient, screen):
-    """Fill ``gradient`` (layout of the parameter blocks) and ``screen`` (2·N: dL/dx then dL/dy of the centre in
-    pixels).
+    """Fill ``gradient`` (as parameter blocks, by activated scale and opacity) and ``screen`` (2·N: dL/dx, then dL/dy,
+    px).
 
-    Gradients are by the stored (activated) scale and opacity. Blocks without a visible Gaussian are left as they are.
+    Blocks without a visible Gaussian are left as they are.
     """
     blocks = len(visible) // LANES
     for piece in prange(-(-blocks // PIECE)):

@@ -63,18 +63,16 @@ def _threads(count: int) -> Iterator[None]:
 
 
 class Rasteriser:
-    """Forward and backward passes that reuse their buffers.
+    """Forward and backward passes that reuse their buffers; one instance serves one Python thread.
 
-    The same inputs give the same bytes for the same ``threads`` (work is split into that many shares whether or not the
-    machine has as many cores). One instance serves one Python thread.
+    The same inputs give the same bytes for the same ``threads``, whatever the machine's number of cores.
 
     Attributes:
         near_m: Gaussians at or before this depth are not drawn.
         threads: shares of the work.
         antialias: whether opacities are compensated for the dilation of small splats (``projection``).
         refused: Gaussians of the last view left out for NaN, infinite or absurd values (1e7 metres or pixels).
-        visible_count: Gaussians of the last view that can touch a pixel.
-        pair_count: splat–tile pairs of the last view.
+        visible_count, pair_count: Gaussians of the last view that can touch a pixel, and its splat–tile pairs.
     """
 
     planes: Float[np.ndarray, "5 H W"]
@@ -111,9 +109,8 @@ class Rasteriser:
     ) -> Rendering:
         """One view as fresh arrays; Gaussians are first put into blocks in their order, blocks are drawn directly.
 
-        ``values`` (N, C) of the Gaussians are blended like colours, over 0; they may be negative; ``normals`` adds
-        normals. The first three channels of all these cost 14 to 25 % of a pass (50,000 Gaussians at 320×176 to 300,000
-        at 1280×704), every three more 70 to 80 %. Raises ValueError for values of another number of Gaussians.
+        ``values`` of the Gaussians are blended like colours, over 0; ``normals`` adds normals. The first three channels
+        of these cost 14 to 25 % of a pass, every three more 70 to 80 %. Raises ValueError for another number of values.
         """
         wanted = [] if values is None else [check_values(values, gaussians.count)]
         with self.own_threads():
@@ -177,11 +174,10 @@ class Rasteriser:
         grad_alpha: Num[np.ndarray, "H W"] | None = None,
         grad_depth: Num[np.ndarray, "H W"] | None = None,
     ) -> GaussianGradients:
-        """Gradients of a scalar by the Gaussians of the last ``forward``, from its gradients by rgb (H, W, 3), alpha
-        and depth (H, W).
+        """Gradients of a scalar by the Gaussians of the last ``forward``, from its gradients by rgb, alpha and depth.
 
-        Blocks changed in between give wrong gradients. Pixels whose alpha is below 1e-4 pass no depth gradient. Raises
-        ValueError before a ``forward`` and for gradients of another size.
+        Blocks must not change in between. Pixels whose alpha is below 1e-4 pass no depth gradient. Raises ValueError
+        before a ``forward`` and for gradients of another size.
         """
         if self._blocked is None:
             raise ValueError("backward needs a forward pass first")
@@ -204,14 +200,15 @@ class Rasteriser:
     def forward_planes(
         self, gaussians: Gaussians, camera: Camera, background_rgb: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> Float[np.ndarray, "5 H W"]:
-        """The planes of ``draw`` for Gaussians that change at every call, as posed ones do; the next call overwrites
-        everything."""
+        """The planes of ``draw`` for Gaussians that change at every call, as posed ones do; overwritten by the next
+        call.
+        """
         self._own_blocks = blocks.block(gaussians, within=self._own_blocks).parameters
         blocked = BlockedGaussians(self._own_blocks, gaussians.count, gaussians.sh_degree)
         return self.draw(blocked, camera, background_rgb)
 
     def backward_planes(self, plane_gradients: Float[np.ndarray, "5 H W"]) -> GaussianGradients:
-        """``backward`` of gradients (5, H, W) as ``gather`` takes them; that by the background's colour stays 0."""
+        """``backward`` of gradients as ``gather`` takes them; that by the background's colour stays 0."""
         blocked = self._blocked
         assert blocked is not None, "backward_planes needs a forward pass first"
         n, bands = blocked.count, (blocked.degree + 1) ** 2
@@ -239,10 +236,9 @@ class Rasteriser:
         background_rgb: Sequence[float],
         three: Float[np.ndarray, "N 3"] | None = None,
     ) -> Float[np.ndarray, "5 H W"]:
-        """Fill and return ``planes`` (5, H, W) for training: red, green, blue, depth sum, transmittance.
+        """Fill and return ``planes`` for training: red, green, blue, depth sum, transmittance.
 
-        ``three`` (N, 3) are values that are blended in the same pass. The next call overwrites everything. Raises
-        UserError when the Gaussians cover more tiles than any lists can hold.
+        ``three`` are values blended in the same pass. Raises UserError when the lists of tiles cannot hold all splats.
         """
         self._resize(blocked.padded, camera.hw)
         columns, rows = self._grid
@@ -287,7 +283,7 @@ class Rasteriser:
         return self.planes
 
     def gather(self, plane_gradients: Float[np.ndarray, "5 H W"]) -> Float[np.ndarray, " P"]:
-        """Fill and return ``gradient`` for training (blocks; by activated scale and opacity) from gradients (5, H, W).
+        """Fill and return ``gradient`` (blocks; by activated scale and opacity) from gradients of the planes.
 
         The planes are red, green, blue, depth sum, alpha. Blocks without a visible Gaussian are left unchanged;
         ``visible`` marks the others.

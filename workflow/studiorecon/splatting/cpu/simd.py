@@ -5,8 +5,6 @@ numba's own vectoriser gives up on masked, branchy loops over pixels, so this mo
 floats) and ``Mask`` (16 bits), and intrinsics that emit LLVM vector instructions. LLVM lowers them to the machine's
 own: AVX-512, two AVX2 halves, four NEON or SSE quarters. ``madd`` and its relatives are fused where the target fuses,
 otherwise a product and a sum.
-
-numba's on-disk cache checks a kernel's file, not its imports: after an edit here, delete ``__pycache__``.
 """
 
 from __future__ import annotations
@@ -67,7 +65,7 @@ def call(builder: Any, name: str, returned: Any, arguments: list[Any]) -> Any:
 
 
 def emit_madd(builder: Any, a: Any, b: Any, c: Any) -> Any:
-    """a·b + c. fmuladd, not fma: without the instruction an fma becomes sixteen calls of a C function (70 ms instead of
+    """a·b + c by fmuladd: where the instruction is missing, fma is sixteen calls of a C function (70 ms instead of
     4)."""
     return call(builder, "llvm.fmuladd.v16f32", FLOATS, [a, b, c])
 

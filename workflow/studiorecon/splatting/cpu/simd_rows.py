@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory side of the sixteen lanes: unchecked loads and stores of flat arrays, transposed records, small integer
-tricks.
+"""Memory side of the sixteen lanes: loads and stores of flat arrays, transposed records, small integer tricks.
 
 Nothing here checks bounds. Kernels index with sizes that the driver computed; a wrong index is a crash.
 """
@@ -140,8 +139,7 @@ def store_records(
     v10: Any,
     v11: Any,
 ) -> Any:
-    """Sixteen records of sixteen floats: array[index + 16·j + k] = lane j of the k-th vector; the last four fields are
-    0."""
+    """Sixteen records of sixteen floats: array[index + 16·j + k] = lane j of the k-th vector; the last four are 0."""
 
     def emit(context: Any, builder: Any, signature: Any, v: Any) -> Any:
         for j, record in enumerate(_transposed(builder, list(v[2:]) + [constant(0.0)] * 4)):
@@ -185,8 +183,7 @@ def add_sums(
     v8: Any,
     v9: Any,
 ) -> Any:
-    """array[index + k] += sum of the lanes of the k-th vector: a transpose that adds on the way, always in the same
-    order."""
+    """array[index + k] += sum of the lanes of the k-th vector, by a transpose that adds, always in the same order."""
 
     def emit(context: Any, builder: Any, signature: Any, v: Any) -> Any:
         def halves(a: Any, b: Any, one: list[int], other: list[int]) -> Any:

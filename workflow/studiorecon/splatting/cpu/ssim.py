@@ -28,7 +28,7 @@ C1, C2 = np.float32(K_1**2), np.float32(K_2**2)
 
 
 def window() -> Float[np.ndarray, " 11"]:
-    """(11,) float32 window of the measure SSIM."""
+    """Float32 window of the measure SSIM."""
     return similarity.window().astype(np.float32)
 
 
@@ -57,8 +57,8 @@ def _sum_of_lanes(lanes, scratch):
 
 @njit(**KERNEL)
 def pad_target(rgb, weight, wide, padded, wide_weight):
-    """Target (H, W, 3) and weight (H, W) → padded planes and weights, both zero before; returns the number of weighted
-    pixels.
+    """Number of weighted pixels of a target, which is written with its weights (H, W) to padded arrays that are 0
+    before.
 
     Colours of other pixels are clipped to 0..1, 0 where they are NaN.
     """
@@ -99,8 +99,7 @@ def target_statistics(target, height, wide, taps, mean, square):
 
 @njit(**KERNEL)
 def _pad_row(j, planes, target, weight, wide, padded):
-    """Rendering (5, H, W) → padded planes; where the weight (H, wide − 32) is 0 the target replaces it and leaves
-    windows unbiased."""
+    """Rendering (5, H, W) → padded planes, with the target's colours where the weight (H, wide − 32) is 0."""
     height, width = planes.shape[1], planes.shape[2]
     rows, inner = height + 2 * RADIUS, wide - 2 * PAD
     channel, y = j // height, j % height
@@ -111,8 +110,7 @@ def _pad_row(j, planes, target, weight, wide, padded):
 
 @njit(**KERNEL)
 def _similarity_row(j, image, target, mean, square, weight, height, wide, taps, slopes, sums):
-    """Fills ``slopes`` (three padded images: w·dSSIM by windowed mean, square and product) and sums[:, 0] = Σ w·(1 −
-    SSIM)."""
+    """Fills ``slopes`` (padded: w·dSSIM by windowed mean, square and product) and sums[:, 0] = Σ w·(1 − SSIM)."""
     rows, inner, size = height + 2 * RADIUS, wide - 2 * PAD, len(image)
     one, two, c1, c2 = broadcast(float32(1)), broadcast(float32(2)), broadcast(C1), broadcast(C2)
     y = j % height
@@ -196,11 +194,9 @@ def _gradient_row(j, image, target, weight, height, wide, taps, slopes, l1, ssim
 def photometric_terms(
     planes, target, mean, square, weight, height, wide, taps, l1, ssim, image, slopes, gradient, sums
 ):
-    """Compare a rendering (5, H, W) with a padded target: add to ``gradient`` (3, H, W) and fill the rows' ``sums``
-    (3·H, 3).
+    """Compare a rendering (5, H, W) with a padded target: add to ``gradient`` and fill the rows' ``sums`` (3·H, 3).
 
-    The rows' functions define the sums. Three loops in one kernel, since each parallel kernel takes a second to
-    compile; not fused, since rows need their neighbours.
+    The rows' functions define the sums. One kernel, because each parallel kernel takes a second to compile.
     """
     for j in prange(3 * height):
         _pad_row(int64(j), planes, target, weight, wide, image)

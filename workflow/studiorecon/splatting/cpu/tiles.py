@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lists the splats that touch each tile, front to back: one radix sort by depth, then a stable counting scatter into
-tiles.
+"""Lists of the splats that touch each tile, front to back: a radix sort by depth, then a stable scatter into tiles.
 
-Splats are scattered in depth order, so every tile's list comes out sorted and ties resolve by index.
+Every tile's list comes out sorted, and ties resolve by index.
 """
 
 from __future__ import annotations
@@ -35,8 +34,7 @@ DIGITS = 1 << DIGIT_BITS
 
 @njit(**KERNEL)
 def depth_order(depth_bits, visible, order, order_scratch, keys, keys_scratch):
-    """Fill ``order`` with the visible indices by increasing depth (three stable passes of 11 bits); return how many
-    there are.
+    """Number of visible indices, which fill ``order`` by increasing depth (three stable passes of 11 bits).
 
     ``depth_bits`` are the uint32 bit patterns of positive float32 depths, which sort like the depths.
     """
@@ -87,8 +85,7 @@ def _tile_range(centre, half, tiles):
 
 @njit(**INLINE)
 def _columns_in_row(x, y, k, c, reach, inverse_root_a, tip, half_h, row, columns):
-    """First and last tile column that the ellipse meets within tile row ``row``; ``tip`` is dy of its rightmost
-    point."""
+    """First and last tile column that the ellipse meets in tile row ``row``; ``tip``: dy of its rightmost point."""
     above = max(float32(row * TILE_PX) + float32(0.5) - y, -half_h)
     below = min(float32(row * TILE_PX + TILE_PX) - float32(0.5) - y, half_h)
     if above > below:
@@ -156,10 +153,9 @@ def scatter_into_tiles(count, order, splats, columns, rows, shares, cursor, rect
 
 @njit(**KERNEL)
 def place_tiles(cursor, shares, starts):
-    """Counts → first places, by tile and within a tile by share; fills ``starts`` (tiles + 1) and returns the total in
-    64 bits.
+    """Total of the counts, which become first places by tile, then share; fills ``starts`` (tiles + 1).
 
-    When the total does not fit 32 bits the places are meaningless; the caller must refuse.
+    When the 64-bit total does not fit 32 bits the places are meaningless; the caller must refuse.
     """
     tiles = len(starts) - 1
     total = int64(0)

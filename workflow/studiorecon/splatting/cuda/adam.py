@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Adam over tensors of Gaussians, changed as ``train.optimiser``: only visible ones move, epsilon is relative, NaN is
+"""Adam over tensors of Gaussians, as ``train.optimiser``: only visible ones move, epsilon is relative, NaN is
 skipped."""
 
 from __future__ import annotations
@@ -40,8 +40,7 @@ class Adam:
         bands: int,
         visible: torch.Tensor,
     ) -> None:
-        """One step of the visible rows (N,) from the leaves' own gradients; of the harmonics the first ``bands``
-        move."""
+        """One step of the visible rows from the leaves' own gradients; of the harmonics the first ``bands`` move."""
         self._steps += 1
         for name, leaf in leaves.items():
             parts = (
@@ -123,7 +122,7 @@ class Adam:
         self.refused.fill_(int(held["refused"]))
 
     def regrow(self, parent: Integer[np.ndarray, " M"], fresh: Bool[np.ndarray, " M"]) -> None:
-        """The moments of Gaussians that descend from ``parent`` (M,); ``fresh`` (M,) ones start without."""
+        """The moments of Gaussians that descend from ``parent``; ``fresh`` ones start without."""
         for moments in (self._first, self._second):
             for name, value in moments.items():
                 taken = value[torch.as_tensor(parent, device=value.device)]

@@ -3,8 +3,7 @@
 
 gsplat shares our conventions (viewmats are camera_from_world, pixel centres at +0.5, quaternions w first, harmonics (N,
 K, 3) in 3DGS order, dilation 0.3, thresholds of ``conventions``), so only shapes are converted. It does not check its
-input: a zero quaternion becomes NaN, an infinite scale a wild tile index. So such Gaussians are removed and counted
-before the call.
+input (a zero quaternion becomes NaN, an infinite scale a wild tile index), so such Gaussians are removed and counted.
 
 torch and gsplat are imported inside functions. Tests call this module without a GPU, with a float64 replacement of
 gsplat's function.
@@ -92,7 +91,7 @@ def view(
     function: Rasterization,
     values: torch.Tensor | None = None,
 ) -> DeviceView:
-    """Draw raw parameters (the fields of ``Gaussians`` as tensors); with ``values`` (N, C) those are blended instead of
+    """Draw raw parameters (the fields of ``Gaussians`` as tensors); ``values`` (N, C) are blended instead of
     colours."""
     import torch
 
@@ -171,9 +170,9 @@ def _sane(parameters: dict[str, torch.Tensor], camera: Camera, near_m: float) ->
 
 
 class GsplatRasteriser:
-    """Forward and backward passes on a CUDA device, arrays in and out like ``Rasteriser``.
+    """Forward and backward passes on a CUDA device, with arrays in and out and the attributes of ``Rasteriser``.
 
-    Attributes: as for ``Rasteriser``; ``pair_count`` counts gsplat's tile intersections.
+    ``pair_count`` counts gsplat's tile intersections.
     """
 
     def __init__(

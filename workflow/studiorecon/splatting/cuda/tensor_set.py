@@ -32,12 +32,8 @@ if TYPE_CHECKING:
 class TensorSet:
     """Gaussians as tensors, and the targets they are fitted to; arguments as for ``train.still.train_still``.
 
-    ``place`` and ``function`` (instead of gsplat's) let it run without a GPU.
-
-    Attributes:
-        leaves: the fields of ``Gaussians``.
-        source: (N,) index of the initial Gaussian each descends from.
-        adam: counts the gradients that it refused.
+    ``place`` and ``function`` (instead of gsplat's) let it run without a GPU. Each of ``leaves``, the fields of
+    ``Gaussians``, has in ``source`` the index of the initial one it descends from; ``adam`` counts refused gradients.
     """
 
     def __init__(

@@ -51,7 +51,7 @@ class BlockedSet:
 
     @property
     def source(self) -> Integer[np.ndarray, " N"]:
-        """(N,) index of the initial Gaussian each descends from."""
+        """Index of the initial Gaussian each descends from."""
         return self.state.source
 
     @property

@@ -30,8 +30,7 @@ _FACTS = "facts"
 
 
 def fingerprint(settings: Any, inputs: Sequence[Path], code: str, *more: object) -> str:
-    """Hex digest of a settings dataclass, the input files' bytes, the code's digest and other data that the result
-    depends on."""
+    """Hex digest of a settings dataclass, the input files' bytes and the code's digest."""
     digest = hashlib.sha256(json.dumps([dataclasses.asdict(settings), code, *map(str, more)], sort_keys=True).encode())
     digest.update(f"numba {numba.__version__} numpy {np.__version__}".encode())
     for path in inputs:
@@ -41,11 +40,7 @@ def fingerprint(settings: Any, inputs: Sequence[Path], code: str, *more: object)
 
 
 class Checkpoint:
-    """One run's checkpoint file.
-
-    Attributes:
-        path: of the file; written under another name first and renamed, so it is never incomplete.
-    """
+    """One run's checkpoint file; it is written under another name and renamed, so ``path`` is never incomplete."""
 
     def __init__(self, path: Path, mark: str, every_s: float) -> None:
         self.path, self._mark, self._every_s = path, mark, every_s
@@ -64,8 +59,9 @@ class Checkpoint:
         self._last = time.monotonic()
 
     def load(self) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], dict[str, Any]] | None:
-        """The arrays and facts saved with the same fingerprint; None, after a message, for another fingerprint or an
-        unreadable file."""
+        """The arrays and facts saved with this fingerprint; None, after a message, for another one or an unreadable
+        file.
+        """
         if not self.path.is_file():
             return None
         try:

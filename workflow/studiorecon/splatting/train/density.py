@@ -30,10 +30,7 @@ class Growth:
 
 
 def is_density_control_on(settings: TrainingSettings, done: int) -> bool:
-    """Whether density control continues after ``done`` steps.
-
-    Gaussians added after the last step would stay untrained: 6 dB on the photos when measured.
-    """
+    """Whether density control continues: Gaussians added after the last step stay untrained (6 dB on the photos)."""
     return settings.densify != "none" and done <= settings.densify_until and done < settings.iterations
 
 
@@ -73,7 +70,7 @@ def grow(
     cap: int,
     rng: np.random.Generator,
 ) -> Growth:
-    """Gaussians after pruning, then cloning or splitting those whose mean screen gradient (N,) exceeds ``threshold``.
+    """Gaussians after pruning, then cloning or splitting those whose mean screen gradient exceeds ``threshold``.
 
     Opacities below ``prune_opacity`` are pruned. Those with a longest axis up to ``large_m`` are cloned, longer ones
     split, the strongest first, while there are fewer than ``cap`` (0 for no cap). The others stay in order.

@@ -23,10 +23,8 @@ if TYPE_CHECKING:
 
 
 class Adam:
-    """Adam over named arrays, which ``step`` changes in place.
-
-    Attributes:
-        refused: gradient entries so far that were not finite.
+    """Adam over named arrays, which ``step`` changes in place; ``refused`` counts gradient entries that were not
+    finite.
     """
 
     def __init__(
@@ -68,8 +66,9 @@ class Adam:
         parent: Integer[np.ndarray, " M"],
         fresh: Bool[np.ndarray, " M"],
     ) -> Adam:
-        """Adam over ``parameters`` with other rows: ``parent`` (M,) is each one's old row, ``fresh`` (M,) bool start
-        without moments."""
+        """Adam over ``parameters`` with other rows: ``parent`` is each one's old row, ``fresh`` ones start without
+        moments.
+        """
         other = Adam(parameters, self._betas, self._epsilon)
         other.refused, other._steps = self.refused, dict(self._steps)
         for name, old in self._moments.items():
@@ -85,11 +84,8 @@ class Adam:
         rates: Mapping[str, float],
         rows: Bool[np.ndarray, " N"] | None = None,
     ) -> None:
-        """Move the parameters named in ``gradients`` by one step; with ``rows`` (N,) bool only those entries of the
-        first axis.
-
-        Raises ValueError for a gradient or rows of another shape.
-        """
+        """Move the parameters named in ``gradients`` by one step, or only their ``rows``; ValueError for another
+        shape."""
         for name, gradient in gradients.items():
             parameter, (first, second) = self.parameters[name], self._moments[name]
             if gradient.shape != parameter.shape:
@@ -113,11 +109,8 @@ class Adam:
 
 
 class BlockAdam:
-    """Adam of a set in parameter blocks; one epsilon for each kind of parameter, from the gradients of the first steps.
-
-    Attributes:
-        refused: gradient entries so far that were not finite.
-    """
+    """Adam of a set in parameter blocks; one epsilon for each kind of parameter, from the gradients of the first
+    steps."""
 
     def __init__(self, epsilon: float) -> None:
         self.refused, self._steps, self._epsilon = 0, 0, epsilon
@@ -132,8 +125,7 @@ class BlockAdam:
         degree: int,
         log_scale_max: float,
     ) -> None:
-        """Move the ``visible`` (padded,) Gaussians by ``rates`` (59,); harmonics above ``degree`` stay. ``gradient`` is
-        in blocks."""
+        """Move ``visible`` Gaussians by ``rates`` along ``gradient`` (blocks); harmonics above ``degree`` stay."""
         self._steps += 1
         if self._steps <= EPSILON_STEPS:
             self._settle_epsilons(gradient, visible)

@@ -23,8 +23,7 @@ SMALLEST_PX = 16
 
 @dataclass(frozen=True)
 class PerceptualSettings:
-    """Schedule and crop of LPIPS: weighted ``every`` times at every ``every``-th step, on a random square of
-    ``crop_px``.
+    """Schedule and crop of LPIPS: weighted ``every`` times at every ``every``-th step, on a square of ``crop_px``.
 
     ``whole``: at every step on the whole picture. On a CPU it is by far the slowest part of a step.
     """
@@ -57,7 +56,7 @@ class Perceptual(Protocol):
     def __call__(
         self, rendered: Float[np.ndarray, "h w 3"], target: Float[np.ndarray, "h w 3"]
     ) -> tuple[float, Float[np.ndarray, "h w 3"]]:
-        """Distance of two (h, w, 3) float32 RGB pictures in [0, 1], and its gradient (h, w, 3) by ``rendered``."""
+        """Distance of two float32 RGB pictures in [0, 1], and its gradient by ``rendered``."""
 
     def distance(self, rendered: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
         """The same for two tensors (1, 3, h, w) on the network's device, as a () tensor that carries gradients."""
@@ -81,10 +80,10 @@ def perceptual(
     rng: np.random.Generator,
     weighed: bool = False,
 ) -> tuple[float, Float[np.ndarray, "H W 3"]]:
-    """The term's share of the loss and its gradient (H, W, 3) for one picture of (H, W, 3).
+    """The term's share of the loss for one picture, and its gradient; 0 for crops below ``SMALLEST_PX``.
 
-    Where ``weight`` (H, W) is 0 the target replaces the rendering, so masked pixels neither count nor affect their
-    surroundings (U11). ``weighed``: times the mean weight of the others. 0 for crops below ``SMALLEST_PX``.
+    Where ``weight`` is 0 the target replaces the rendering, so masked pixels neither count nor affect their
+    surroundings (U11). ``weighed``: times the mean weight of the others.
     """
     rows, columns = choose_crop(rendered.shape[:2], settings, rng)
     gradient = np.zeros(rendered.shape, np.float32)
@@ -112,10 +111,7 @@ def perceptual_of_tensors(
     rng: np.random.Generator,
     weighed: bool = False,
 ) -> torch.Tensor:
-    """``perceptual`` for tensors on the drawing device: ``rendered`` and ``wanted`` (3, H, W), ``weight`` (H, W).
-
-    Weight 0 is masked; ``wanted`` is finite there too. No data leave the device.
-    """
+    """``perceptual`` for tensors on the drawing device, ``wanted`` (3, H, W) finite also where the weight is 0."""
     import torch
 
     rows, columns = choose_crop((weight.shape[0], weight.shape[1]), settings, rng)

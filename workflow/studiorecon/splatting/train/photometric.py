@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PreparedTarget:
-    """A target image in the kernels' layout; ``mean`` and ``square`` are None when its statistics are computed at every
-    use."""
+    """A target image in the kernels' layout; ``mean`` and ``square`` are None when computed at every use."""
 
     padded: Float[np.ndarray, " P"]
     weight: Float[np.ndarray, " W"]
@@ -84,8 +83,7 @@ class Photometric:
     def prepare(
         self, rgb: Num[np.ndarray, "H W 3"], weight: Num[np.ndarray, "H W"] | None = None, keep_statistics: bool = True
     ) -> PreparedTarget:
-        """A target (H, W, 3) with per-pixel weights (H, W); masked colours may be NaN. Raises ValueError for another
-        size."""
+        """A target with per-pixel weights; masked colours may be NaN. Raises ValueError for another size."""
         height, width = self.hw
         weight = np.ones(self.hw, np.float32) if weight is None else weight
         if rgb.shape != (height, width, 3) or weight.shape != self.hw:
@@ -103,8 +101,7 @@ class Photometric:
     def evaluate(
         self, planes: Float[np.ndarray, "5 H W"], target: PreparedTarget, gradient: Float[np.ndarray, "5 H W"]
     ) -> PhotometricTerms:
-        """The loss of planes (5, H, W); its gradient is added to the first three planes of ``gradient`` (5, H,
-        W)."""
+        """The loss of planes; its gradient is added to the first three planes of ``gradient`` (5, H, W)."""
         height = self.hw[0]
         mean, square = target.mean, target.square
         if mean is None or square is None:

@@ -18,11 +18,7 @@ if TYPE_CHECKING:
 
 
 class Feedback:
-    """Losses of a run and their reports.
-
-    Attributes:
-        losses, psnrs_db: of every iteration so far, on the picture it drew; restored in a resumed run.
-    """
+    """Losses and PSNRs of every iteration so far, restored in a resumed run, and their reports."""
 
     def __init__(self, label: str, first: int, last: int, previews: Path | None) -> None:
         self.losses: list[float] = []
@@ -57,10 +53,9 @@ class Feedback:
         wanted: Num[np.ndarray, "H W 3"],
         used: Bool[np.ndarray, "H W"],
     ) -> None:
-        """Log one line of progress and write ``preview_<percent>.png``: left ``wanted``, right ``shown`` (H, W, 3).
+        """Log one line of progress and write ``preview_<percent>.png``: left ``wanted``, right ``shown``.
 
-        PSNR is over the pixels ``used`` (H, W) of ``view``, which is a training view: it measures the training, not the
-        quality of unseen views.
+        PSNR is over the pixels ``used`` of the training ``view``, so it does not measure unseen views.
         """
         done = len(self.losses)
         score = psnr(shown, wanted, used)

@@ -115,8 +115,7 @@ def exponential(begin: float, end: float, done: float) -> float:
 
 
 def rates_at(settings: TrainingSettings, iteration: int, extent_m: float) -> Float[np.ndarray, " 59"]:
-    """(59,) float32 learning rate of every row of a parameter block; positions move in shares of the scene's extent
-    (O08)."""
+    """Float32 learning rate of every row of a parameter block; positions move in shares of the scene's extent (O08)."""
     rates = np.empty(ROWS, np.float32)
     done = iteration / settings.iterations
     rates[:SCALE] = extent_m * exponential(settings.position_lr_start, settings.position_lr_end, done)

@@ -30,9 +30,8 @@ class TrainingState:
         blocked: parameters with activated scales and opacities.
         raw: (blocks · 4 · 16,) log scales and logits.
         first, second: Adam's moments, layout of the parameters.
-        source: (N,) index of the initial Gaussian each one descends from.
-        gradient_sum, gradient_count: (padded,) float32 screen gradient summed over the views that saw it, since the
-            last growth.
+        source: index of the initial Gaussian each one descends from.
+        gradient_sum, gradient_count: (padded,) screen gradients of the views that saw it since the last growth.
     """
 
     blocked: BlockedGaussians
@@ -54,8 +53,7 @@ def start(gaussians: Gaussians) -> TrainingState:
 def regrow(
     state: TrainingState, gaussians: Gaussians, parent: Integer[np.ndarray, " M"], fresh: Bool[np.ndarray, " M"]
 ) -> TrainingState:
-    """The state with other Gaussians: ``parent`` (M,) is the old index of each; ``fresh`` ones start without
-    moments."""
+    """The state with other Gaussians: ``parent`` is the old index of each; ``fresh`` ones start without moments."""
     return _laid_out(gaussians, state.source[parent], state.first, state.second, np.where(fresh, -1, parent))
 
 
@@ -98,7 +96,7 @@ def restore_state(arrays: Mapping[str, Shaped[np.ndarray, " ..."]]) -> TrainingS
 
 
 def finite(gaussians: Gaussians) -> Bool[np.ndarray, " N"]:
-    """(N,) bool: Gaussians without NaN or infinite values."""
+    """Gaussians without NaN or infinite values."""
     arrays = (gaussians.means_m, gaussians.quaternions, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh)
     return np.all([np.isfinite(array).all(axis=tuple(range(1, array.ndim))) for array in arrays], axis=0)
 
@@ -113,10 +111,9 @@ def state_gaussians(state: TrainingState) -> Gaussians:
 
 @njit(**KERNEL)
 def fill_raw(log_scales, logit_opacities, order, raw):
-    """Write log scales and logits into blocks.
+    """Write log scales and logits into blocks; padding gets logit −60.
 
-    Padding gets logit −60: Adam writes the opacity of every lane of a visible block, and a logit of 0 would be a ghost
-    of ½.
+    Adam writes the opacity of every lane of a visible block, and a logit of 0 would be a ghost of ½.
     """
     for i in range(len(order), len(raw) // RAW_ROWS):
         raw[((i // LANES) * RAW_ROWS + 3) * LANES + i % LANES] = float32(-60)

@@ -34,7 +34,7 @@ class TrainedGaussians:
 
     Attributes:
         gaussians: in the order of the initial ones (descendants are adjacent); without densification the same N.
-        source: (N,) index of the initial Gaussian each descends from, to carry over labels such as provenance.
+        source: index of the initial Gaussian each descends from, to carry over labels such as provenance.
         psnr_db: mean over the last tenth of the iterations, on the pixels that counted.
         refused: gradient entries that were not finite and were skipped.
         left_out: Gaussians, given or trained, that were not finite and are not in the result.

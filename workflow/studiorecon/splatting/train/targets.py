@@ -19,15 +19,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Target:
-    """One image to fit.
+    """One image to fit, of ``camera``'s size.
 
     Attributes:
-        camera: of the image; its size is the image's.
-        rgb: (H, W, 3) float32; masked pixels may hold anything.
-        weight: (H, W) float32 per pixel, 0 = masked; None = 1 everywhere.
+        rgb: float32; masked pixels may hold anything.
+        weight: float32 per pixel, 0 = masked; None = 1 everywhere.
         share: how often it is drawn, relative to the others.
         background_rgb: colour behind the Gaussians.
-        silhouette: (H, W) bool, where the person is, for the silhouette loss; None = none.
+        silhouette: where the person is, for the silhouette loss; None = none.
     """
 
     camera: Camera
@@ -39,7 +38,7 @@ class Target:
 
     @property
     def used(self) -> Bool[np.ndarray, "H W"]:
-        """(H, W) bool, the pixels that count."""
+        """The pixels that count."""
         return np.ones(self.camera.hw, bool) if self.weight is None else self.weight > 0
 
     def sound(self) -> tuple[Target, int]:
@@ -87,11 +86,9 @@ class TargetSizes:
 
 
 class DrawOrder:
-    """Chooses the next target: each as often as its share, spread evenly; with equal shares every round visits all
-    once.
+    """Chooses the next target: each as often as its share, spread evenly; equal shares visit all once a round.
 
-    Attributes:
-        pending: the rest of the round, in order; with the generator's state it is all that a resumed run needs.
+    ``pending`` is the rest of the round, in order; with the generator's state it is all that a resumed run needs.
     """
 
     def __init__(self, shares: Sequence[float], rng: np.random.Generator) -> None:

@@ -40,8 +40,8 @@ class PlaneView:
     Attributes:
         target: the image that it is compared with.
         iteration, rng: for terms that are not evaluated at every step, or on random crops.
-        planes: (5, H, W) red, green, blue, depth sum, transmittance.
-        gradient: (5, H, W) of the loss by red, green, blue, depth sum and alpha; 0 before the first term.
+        planes: red, green, blue, depth sum, transmittance.
+        gradient: of the loss by red, green, blue, depth sum and alpha; 0 before the first term.
         key: cache key of a target that comes again unchanged; None = it was made for this step.
         psnr_db: over the pixels that count; the photometric term sets it.
     """
@@ -64,10 +64,9 @@ class PlaneView:
 
 @dataclass
 class TensorView:
-    """A picture as tensors that carry gradients, and its target.
+    """A picture as tensors that carry gradients, and its target; see ``PlaneView``.
 
     Attributes:
-        target, iteration, rng, key, psnr_db: as in ``PlaneView``.
         rgb, alpha: (H, W, 3), (H, W) as drawn.
         wanted_rgb: (3, H, W); where the weight is 0 it may be anything finite.
         weight: (H, W), 0 = masked.
@@ -164,10 +163,8 @@ def _windowed(planes: torch.Tensor) -> torch.Tensor:
 
 @cache
 def _window_on_device() -> type[torch.autograd.Function]:
-    """An autograd function of the window, with the window as its adjoint because it is symmetric.
-
-    A convolution's own derivative takes an H100 2.7 times as long.
-    """
+    """An autograd function of the window, its own adjoint; a convolution's derivative takes an H100 2.7 times as
+    long."""
     import torch
     from kornia.filters import filter2d_separable
 
@@ -241,8 +238,7 @@ class Density:
 class LpipsTerm:
     """The perceptual distance on a random crop at every n-th step; without a network it is 0.
 
-    ``weighed``: times the mean weight of the crop's pixels that count, as in Eq. 5 of the paper: a photo that counts
-    three times does so here too. A distance of pictures has no pixels to weight one by one.
+    ``weighed``: times the mean weight of the crop's pixels that count, as in Eq. 5 of the paper.
     """
 
     settings: PerceptualSettings
@@ -273,8 +269,7 @@ WEIGHED: dict[str, Callable[[float], Term]] = {"mask": Silhouette, "density": De
 
 
 def active_terms(weights: Any, network: Perceptual | None = None) -> list[Term]:
-    """The terms whose weights (fields ``l1``, ``ssim``, ``lpips`` and the names in ``WEIGHED``) are above 0; L1 and
-    SSIM always.
+    """The terms whose weights (``l1``, ``ssim``, ``lpips``, names in ``WEIGHED``) are above 0; L1 and SSIM always.
 
     ``weighing``, where there is such a field, selects the errors that the targets' weights multiply.
     """

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one training loop: draw a target, render, add up the terms, step; with checkpoints, messages and preview
-pictures.
+"""The one training loop: draw a target, render, add up the terms, step; with checkpoints, messages and previews.
 
 Its subject is a ``Trainable``: a still set of Gaussians in blocks on the CPU (``blocked_set``) or in tensors on a CUDA
 device (``cuda/tensor_set``), or a person posed at every step (``humans/training``).

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects that a scene may call for: one file each, ending with its ``EFFECT``, and listed only here.
 
-In: ``survey.evidence``; out: a measurement for each, which ``survey.effect_decisions`` turns into a decision.
-Settings, schema, ``survey.force`` and the table of ``config/README.md`` are generated from the list. Start with
-``surveyed`` (the type of an effect) and ``people`` (the simplest); the statistics are in the parent folder,
-one file per kind of measurement.
-``docs/contributing.md`` says how to add one.
+In: ``survey.evidence``; out: a measurement for each, which ``survey.effect_decisions`` turns into a decision. Settings,
+schema, ``survey.force`` and the table of ``config/README.md`` are generated from the list. Start with ``surveyed`` (the
+type of an effect) and ``people`` (the simplest). ``docs/contributing.md`` says how to add one.
 """
 
 from __future__ import annotations

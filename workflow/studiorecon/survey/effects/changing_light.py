@@ -71,11 +71,9 @@ def write(path: Path, decision: Decision, evidence: Evidence, recordings: Record
 def brightness_over_time(
     path: Path, camera: Camera, frames: int, found: Detections | None, view: ExposureView, longest_px: int
 ) -> Float[np.ndarray, "frames 3"] | None:
-    """(frames, 3) factors of a film's brightness against its plate, equal in all channels; None when no frame can be
-    measured.
+    """Factors of a film's brightness against its plate, equal in all channels; None when no frame can be measured.
 
-    Frames in which too little of the room is seen are interpolated from those before and after. A change of the lamp's
-    colour is not corrected.
+    Frames that show too little of the room are interpolated. A change of the lamp's colour is not corrected.
     """
     level = np.concatenate(list(_levels(path, camera, frames, found, view, longest_px)))
     known = np.flatnonzero(np.isfinite(level))

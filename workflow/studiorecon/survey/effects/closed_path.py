@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures whether the cameras surround the stage: a ring has even gaps between neighbours, an arc a wide one between
-its ends.
-"""
+"""Measures whether the cameras surround the stage: a ring has even gaps, an arc a wide one between its ends."""
 
 from __future__ import annotations
 

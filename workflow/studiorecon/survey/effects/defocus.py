@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures whether a camera is less sharp than the others: out of focus, or behind a dirty lens.
-
-Its photos soften what others show sharply. Nothing in this workflow repairs that: the effect only informs.
-"""
+"""Measures whether a camera is less sharp than the others, which softens its photos; the effect only informs."""
 
 from __future__ import annotations
 
@@ -38,8 +35,7 @@ _APART, _MANY = 0.1, 6
 def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The blur of each clean plate's edges beyond that of the median camera, the largest of them.
 
-    Blurs add in squares: ``extra² = blur² - median²``. Plates are medians of many pictures, so they contain neither
-    noise nor moving people.
+    Blurs add in squares: ``extra² = blur² - median²``. Plates contain neither noise nor moving people.
     """
     views = evidence.material.views
     found = [edge_blur_px(view.rgb, view.measured) for view in evidence.material.views]
@@ -71,10 +67,7 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
 
 
 def _beyond(blur: float, error: float, of_what_it_sees: float, usual: float) -> Estimate:
-    """The blur that, added to ``usual``, gives ``blur``, with an interval from that of ``blur``.
-
-    As much as ``of_what_it_sees`` of it may come from the scene and not from the camera.
-    """
+    """The blur that, added to ``usual``, gives ``blur``, with an interval; ``of_what_it_sees`` may be the scene's."""
     if not np.isfinite(error):
         return NOTHING
     ends = (blur, blur - float(np.hypot(error, of_what_it_sees)), blur + error)
@@ -83,8 +76,7 @@ def _beyond(blur: float, error: float, of_what_it_sees: float, usual: float) -> 
 
 
 def edge_blur_px(rgb: Float[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H W"]) -> Estimate:
-    """Standard deviation, px, of the blur of a picture's sharpest edges: ``rgb`` (H, W, 3) in [0, 1], where
-    ``measured`` (H, W).
+    """Standard deviation, px, of the blur of a picture's sharpest edges: ``rgb`` in [0, 1], where ``measured``.
 
     A step blurred by s has the slope 1 / s; blurred again by a, 1 / √(s² + a²): their ratio R gives s = a / √(R² - 1)
     (Zhuo and Sim 2011, Defocus map estimation from a single image). Only the steepest pixel across each edge counts; a

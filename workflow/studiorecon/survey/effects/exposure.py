@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures whether the cameras agree on the colour of shared surfaces. Ignored, 2 % caps PSNR at 40 dB, 10 %
-at 26 dB.
-"""
+"""Measures whether the cameras agree on the colour of shared surfaces: 2 % caps PSNR at 40 dB, 10 % at 26 dB."""
 
 from __future__ import annotations
 
@@ -49,10 +47,7 @@ def write(path: Path, decision: Decision, evidence: Evidence, recordings: Record
 
 
 def gains_called_for(exposure: Decision) -> Mapping[str, Float[np.ndarray, "1 3"]]:
-    """Camera → (1, 3) gains to divide pictures by.
-
-    There are none unless the verdict is on, nor for cameras that could not be compared.
-    """
+    """Camera → gains to divide pictures by; none unless the verdict is on, nor for cameras that cannot be compared."""
     if not exposure.called_for:
         return {}
     found = {

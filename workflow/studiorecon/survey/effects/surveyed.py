@@ -33,11 +33,9 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Artefact:
-    """A file that is written with the decision, for the steps that obey it.
+    """A file ``file`` that is written with the decision, for the steps that obey it.
 
-    Attributes:
-        file: its name in the results of the survey.
-        write: writes it from path, decision, evidence, recordings; an empty file unless the effect is on.
+    ``write`` makes it from path, decision, evidence, recordings; it stays empty unless the effect is on.
     """
 
     file: str
@@ -46,11 +44,9 @@ class Artefact:
 
 @dataclass(frozen=True, kw_only=True)
 class SurveyedEffect(Effect):
-    """An effect with its measurement.
+    """An effect with its measurement, and the artefact for the steps that obey it.
 
-    Attributes:
-        measure: the statistic of a scene; it also gets the threshold, for reasons that count the values beyond it.
-        artefact: the file for the steps that obey the effect.
+    ``measure`` also gets the threshold, for reasons that count the values beyond it.
     """
 
     measure: Callable[[Evidence, float], Measurement]

@@ -21,8 +21,7 @@ _PLATE_PICTURES = 16
 
 
 def measure(evidence: Evidence, threshold: float) -> Measurement:
-    """The share of surface points whose colour differs between directions of view, after division by the cameras'
-    gains.
+    """The share of surface points whose colour, divided by the cameras' gains, differs between directions of view.
 
     ``detail`` has the highest degree of harmonics that the real views can determine (G15).
     """

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures how much of the stage the photos of two neighbours leave open, so that views between them must be
-synthesised.
-"""
+"""Measures how much of the stage the photos of two neighbours leave open, for views synthesised between them."""
 
 from __future__ import annotations
 
@@ -16,8 +14,7 @@ from studiorecon.survey.evidence import Evidence
 
 
 def measure(evidence: Evidence, threshold: float) -> Measurement:
-    """The share of the stage that is not covered, of the part that either of two neighbours sees; the largest of all
-    pairs.
+    """The uncovered share of the part of the stage that either of two neighbours sees; the largest of all pairs.
 
     Where neighbours are further apart than ``COVERED_DEG``, surfaces that both see still change between them: the share
     that counts as covered is lowered by the ratio of the two.
