@@ -187,8 +187,8 @@ def score(
     scores = identity_scores(
         np.concatenate([d.frame for d in found]), view, np.concatenate(owners), np.concatenate(given)
     )
-    compared = Compared.of(found, take.cameras, options.association)
-    groups, _ = groups_and_returns(compared, FRAMES, 30.0, options.association, options.triangulation)
+    compared = Compared.of(found, take.cameras, FRAMES, 30.0, options.association, options.triangulation)
+    groups, _ = groups_and_returns(compared)
     margins = track_margins(groups, compared)
     return {
         "accuracy": scores.accuracy,

@@ -10,7 +10,7 @@ import pytest
 from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry.lifting import SURFACE_TO_PELVIS_M, lift_joint
 from studiorecon.geometry.rotations import exp, log
-from studiorecon.keypoints.correspondence import track_groups
+from studiorecon.keypoints.correspondence import stable_detections, track_groups
 from studiorecon.keypoints.tracking import match
 from studiorecon.people.associate import Settings
 from studiorecon.people.association import terms
@@ -19,7 +19,7 @@ from studiorecon.people.association.affinity import affinities, window_distances
 from studiorecon.people.association.group import Group
 from studiorecon.people.association.grouping import Compared, group_tracks, track_margins
 from studiorecon.people.association.postures import joint_differences_rad, parameter_differences_rad
-from studiorecon.people.association.track_pairs import TrackPairs, margins, posture_angle_rad, sights
+from studiorecon.people.association.track_pairs import TrackPairs, margins, track_pairs
 from studiorecon.rig.correspondences import make_observations
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -78,7 +78,7 @@ def pair_recall(groups, planted: dict[tuple[int, int], int]) -> float:
 def test_nobody_matches_nobody(shape):  # A01 naive: max over empty raises
     assert match(np.zeros(shape), 1.0) == []
     assert margins(TrackPairs(*np.zeros((2, 0), int), *np.zeros((6, 0, 0))), []).shape == (0,)
-    assert window_distances([]).shape == (0, 0)
+    assert window_distances(np.zeros((0, 5, 3))).shape == (0, 0)
 
 
 @pytest.mark.parametrize("method", ["A01-tracks", "A01-star"])
@@ -197,14 +197,14 @@ def test_the_papers_norm_of_pose_parameters_takes_them_as_they_are_given(options
     apart = parameter_differences_rad(pose[:, None], other[None, :])
     assert apart[0, 0] == pytest.approx(0.3)
     assert apart[0, 0] * 23**0.5 == pytest.approx(np.linalg.norm(pose[0] - other[0]))
-    cameras = ring()
+    cameras = ring()[:2]
     found = detect(cameras, [walk(np.zeros(3), np.zeros(3), 12)], 0.0, np.random.default_rng(0))
     around = np.array([[[np.pi - 0.05, 0, 0]] * 23, [[-(np.pi + 0.05), 0, 0]] * 23])
     seen = [replace(d, body_pose=np.tile(around[v % 2], (len(d.frame), 1, 1))) for v, d in enumerate(found)]
     for distance, expected in (("angle", 0.0), ("axis_angles", 2 * np.pi)):
         limits = replace(options.association, affinity="pose", pose_distance=distance)
-        one, two = sights(seen[:2], seen[:2], cameras[:2], limits)
-        assert posture_angle_rad(one, np.array([0]), two, np.array([0]))[0] == pytest.approx(expected, abs=1e-6)
+        pairs = track_pairs(seen, stable_detections(seen), cameras, limits)
+        assert pairs.pose_rad[0, 1] == pytest.approx(expected, abs=1e-6)
 
 
 def test_a08_a_little_noise_on_all_joints_keeps_a_graded_affinity(
@@ -278,7 +278,7 @@ def test_a_window_of_frames_finds_the_pairs_through_noise_and_misses(noise_m, fr
     for _ in range(20):
         truth = np.array([[0.0, 0, 1], [0.8, 0.3, 1], [-0.5, 0.8, 1]])
         view, person = np.repeat(np.arange(4), 3), np.tile(np.arange(3), 4)
-        tracks = [truth[p] + rng.normal(0, noise_m, (frames, 3)) for p in person]
+        tracks = np.array([truth[p] + rng.normal(0, noise_m, (frames, 3)) for p in person])
         for track in tracks:
             track[rng.random(frames) < 0.2] = np.nan
         distance = window_distances(tracks)
@@ -353,13 +353,13 @@ def test_a12_people_that_two_level_cameras_cannot_tell_apart_are_undecided(optio
     level = arc(117)
     found = detect(level, people, 1.0, np.random.default_rng(0))
     groups = group_tracks(found, level, 20, 30.0, options.association, options.triangulation)
-    margins = track_margins(groups, Compared.of(found, level, options.association))
+    margins = track_margins(groups, Compared.of(found, level, 20, 30.0, options.association, options.triangulation))
     assert margins
     assert min(margins.values()) < options.association.undecided_margin
     found = detect(ring(), people, 1.0, np.random.default_rng(0))
     groups = group_tracks(found, ring(), 20, 30.0, options.association, options.triangulation)
     assert pair_recall(groups, owner(ring(), found, people)) == 1.0
-    margins = track_margins(groups, Compared.of(found, ring(), options.association))
+    margins = track_margins(groups, Compared.of(found, ring(), 20, 30.0, options.association, options.triangulation))
     assert min(margins.values()) > options.association.undecided_margin
 
 
@@ -463,9 +463,10 @@ def test_cameras_that_agree_with_one_other_by_turns_say_less_than_three_at_once(
 
 def test_a_trajectory_must_last_and_be_of_a_size() -> None:
     """Ratios cross 0 between what chance gives and what people give, and no term is without bounds."""
-    nats = [terms.log_normal_nats(s, (5.0, 1.2), (0.1, 0.8)) for s in (0.05, 0.3, 1.0, 5.0)]
+    ratio = terms.Ratio((5.0, 1.2), (0.1, 0.8), -9, 9)
+    nats = [ratio.nats(s) for s in (0.05, 0.3, 1.0, 5.0)]
     assert nats[0] < nats[1] < 0 < nats[2] < nats[3]
-    assert terms.log_normal_nats(float("nan"), (5.0, 1.2), (0.1, 0.8)) == 0
+    assert ratio.nats(float("nan")) == 0
     trunks = {length: terms.size({"trunk": [np.full(5, length)]}).nats for length in (0.05, 0.3, 0.5, 0.7, 5.0)}
     assert min(trunks[0.3], trunks[0.5], trunks[0.7]) > -0.5
     assert -13 < min(trunks.values()) < -4

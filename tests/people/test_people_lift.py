@@ -12,12 +12,13 @@ from studiorecon.camera_files.colmap import write_model
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import write_lossless
+from studiorecon.keypoints.correspondence import stable_detections
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.models.adapters import moge
 from studiorecon.models.catalogue.card import Card
 from studiorecon.people import lift
 from studiorecon.people.association.affinity import AssociationLimits
-from studiorecon.people.association.track_pairs import detection_affinities, sights
+from studiorecon.people.association.track_pairs import require_measured, track_pairs
 from studiorecon.people.lift import Lifting, Settings
 from studiorecon.rig import first_depth
 from studiorecon.scene.camera import Camera
@@ -214,17 +215,17 @@ def test_two_cameras_find_the_same_people_by_them(tmp_path: Path, monkeypatch: p
     cameras = rig()[:2]
     found = [run_lifting(tmp_path, monkeypatch, camera) for camera in cameras]
     limits = AssociationLimits(method="star", affinity="position", position="scene")
-    first, second = sights(found, found, cameras, limits)
-    now = np.flatnonzero(first.frame == FRAMES - 1)
-    alike = detection_affinities(first, now, second, now, limits)
+    now = [one.only(one.frame == FRAMES - 1) for one in found]
+    pairs = track_pairs(now, stable_detections(now), cameras, limits)
+    alike = pairs.affinity[np.ix_(pairs.view == 0, pairs.view == 1)]
     assert (np.diag(alike) > 0.7).all()
     # Beyond 0.3 m two pelvises are two people.
     assert alike[0, 1] == alike[1, 0] == 0
     nobody = [replace(one, pelvis=None) for one in found]
     for position, said in (("scene", "depth is unknown at every pelvis; set it to rays"), ("pelvis", "set it to rays")):
         with pytest.raises(UserError, match=said):
-            sights(nobody, nobody, cameras, replace(limits, position=position))
-    assert len(sights(nobody, nobody, cameras, replace(limits, position="rays"))) == 2
+            require_measured(nobody, cameras, replace(limits, position=position))
+    require_measured(nobody, cameras, replace(limits, position="rays"))
 
 
 def test_a_depth_of_another_view_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,8 +13,8 @@ from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people.association.affinity import AssociationLimits
-from studiorecon.people.association.postures import COUNT, limb_differences_rad, limb_directions
-from studiorecon.people.association.track_pairs import sights, track_pairs
+from studiorecon.people.association.postures import limb_differences_rad, limb_directions
+from studiorecon.people.association.track_pairs import require_measured, track_pairs
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -55,7 +55,7 @@ def guessed(points: np.ndarray, camera: Camera) -> Detections:
 def test_limbs_point_the_same_way_from_every_camera_and_another_for_another_person(root: Path) -> None:
     people = bodies(root, 4)
     seen = [limb_directions(guessed(people, camera), camera) for camera in CAMERAS]
-    assert seen[0].shape == (4, COUNT, 3)
+    assert seen[0].shape == (4, 12, 3)
     for other in seen[1:]:
         apart = limb_differences_rad(seen[0][:, None], other[None])
         assert np.diag(apart).max() < 0.06, "the middle of what is seen is not quite the body's"
@@ -83,12 +83,12 @@ def test_who_stands_where_rays_cannot_tell_is_told_by_posture(root: Path) -> Non
     people = bodies(root, 3, seed=4)
     found = [guessed(people, camera) for camera in CAMERAS]
     limits = AssociationLimits(affinity="pose")
-    pairs = track_pairs(sights(found, found, CAMERAS, limits), found, CAMERAS, limits)
+    pairs = track_pairs(found, found, CAMERAS, limits)
     same = (pairs.track[:, None] == pairs.track[None]) & (pairs.view[:, None] != pairs.view[None])
     other = (pairs.track[:, None] != pairs.track[None]) & (pairs.view[:, None] != pairs.view[None])
     assert pairs.affinity[same].min() > 2 * pairs.affinity[other].max()
     blind = [replace(one, points_m=None) for one in found]
     with pytest.raises(UserError, match=r"no detection has a body pose.*set it to both or position"):
-        sights(blind, blind, CAMERAS, limits)
+        require_measured(blind, CAMERAS, limits)
     for affinity in ("both", "position"):
-        assert len(sights(blind, blind, CAMERAS, AssociationLimits(affinity=affinity))) == len(CAMERAS)
+        require_measured(blind, CAMERAS, AssociationLimits(affinity=affinity))

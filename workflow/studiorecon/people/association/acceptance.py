@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,21 +70,13 @@ def identities_from_keypoints(
     Candidates are all groups on which the keypoints of two cameras or more agree. ``witnesses``: every camera's
     evidence other than its film.
     """
-    compared = Compared.of(given, cameras, association)
-    clothes = compare_clothes(cameras, videos) if videos else None
-    groups, returns = groups_and_returns(compared, frames, fps, association, triangulation, clothes)
-    if association.method == "star":
-        # The paper rejects nobody: each person of its reference view is one.
-        about, accepted = [[] for _ in groups], np.ones(len(groups), dtype=bool)
-    else:
-        about, accepted = _judge(groups, compared, videos, fps, association, triangulation, witnesses)
+    compared = Compared.of(given, cameras, frames, fps, association, triangulation)
+    groups, returns = groups_and_returns(compared, compare_clothes(cameras, videos) if videos else None)
+    about, accepted = _judge(groups, compared, videos, witnesses)
     kept = name_people([g for g, one in zip(groups, accepted) if one])
     rejected = [(g, own) for g, own, one in zip(groups, about, accepted) if not one]
-    for group, own in rejected:
-        say(f"not a person of this scene: {_tracks(group, cameras)}: {terms.describe(own)}")
-    margins = track_margins(groups, compared)
-    table = _verdicts(kept, rejected, margins, compared, association.undecided_margin)
-    rows = [_row(number, group, compared, frames) for number, group in enumerate(kept)]
+    table = _verdicts(kept, rejected, compared)
+    rows = [_row(number, group, compared) for number, group in enumerate(kept)]
     nobodys = sum(not v.person for v in table.values())
     say(
         f"{len(rows)} people with keypoints; {nobodys} of {len(table)} tracks belong to no person"
@@ -95,19 +88,25 @@ def identities_from_keypoints(
 
 
 def _judge(
-    groups: Sequence[Group],
-    compared: Compared,
-    videos: Sequence[Path],
-    fps: float,
-    association: AssociationLimits,
-    agree: Limits,
-    witnesses: Sequence[CameraEvidence | None],
+    groups: Sequence[Group], compared: Compared, videos: Sequence[Path], witnesses: Sequence[CameraEvidence | None]
 ) -> tuple[list[list[Term]], Bool[np.ndarray, " G"]]:
-    """The terms of each group, and which groups are people."""
-    about = [_keypoint_terms(group, compared, fps, association, agree) for group in groups]
-    if videos:
-        _add_picture_terms(about, groups, compared, videos, fps, witnesses)
-    pairs = pair_terms(groups, compared.cameras, fps)
+    """The terms of each group, and which groups are people.
+
+    The paper rejects nobody: each person of its reference view is one.
+    """
+    if compared.limits.method == "star":
+        return [[] for _ in groups], np.ones(len(groups), dtype=bool)
+    rig_m = rig_sigma_m(compared)
+    about = [_keypoint_terms(group, compared, rig_m) for group in groups]
+    # Pictures are read for groups that they can still decide.
+    open_ = [k for k, own in enumerate(about) if videos and total_nats(own) > -_PICTURES_NATS]
+    if open_:
+        seen = picture_terms(
+            [groups[k] for k in open_], compared.detections, compared.cameras, videos, compared.fps, witnesses
+        )
+        for k, own in zip(open_, seen):
+            about[k] += own
+    pairs = pair_terms(groups, compared.cameras, compared.fps)
     accepted = solve([total_nats(own) for own in about], {key: term.nats for key, term in pairs.items()})
     for (g, h), term in pairs.items():
         if accepted[h] and not accepted[g]:
@@ -115,93 +114,61 @@ def _judge(
     return about, accepted
 
 
-def _keypoint_terms(
-    group: Group, compared: Compared, fps: float, association: AssociationLimits, agree: Limits
-) -> list[Term]:
+def _keypoint_terms(group: Group, compared: Compared, rig_m: float) -> list[Term]:
     """What a group's keypoints alone say."""
-    node = [compared.node[m] for m in group.members]
-    distance_m, pose_rad = (a[np.ix_(node, node)] for a in (compared.pairs.distance_m, compared.pairs.pose_rad))
+    between = np.ix_(*2 * [compared.rows(group)])
     lengths = terms.bone_lengths_m(group.points_m)
     extremities_m = terms.extremities_m(
-        group.members, compared.detections, compared.cameras, len(group.points_m), agree
+        group.members, compared.detections, compared.cameras, compared.frames, compared.agree
     )
     return [
-        terms.duration(group, fps),
+        terms.duration(group, compared.fps),
         terms.views(group, compared.cameras),
-        terms.rays(group, distance_m, association.gate_m, rig_sigma_m(compared, association.gate_m)),
+        terms.rays(group, compared.pairs.distance_m[between], compared.limits.gate_m, rig_m),
         terms.size(lengths),
         terms.proportions(lengths),
         terms.steadiness(lengths),
-        terms.posture(pose_rad),
-        terms.depth(group.points_m, extremities_m, lengths, fps),
+        terms.posture(compared.pairs.pose_rad[between]),
+        terms.depth(group.points_m, extremities_m, lengths, compared.fps),
     ]
 
 
-def rig_sigma_m(compared: Compared, gate_m: float) -> float:
+def rig_sigma_m(compared: Compared) -> float:
     """Deviation of rays to one joint that the cameras themselves cause, m: how far rays of tracks that can be one
     person usually pass each other, weighted by their time; 0 with too few."""
     pairs = compared.pairs
-    one = np.triu(pairs.affinity > 0, 1) & (np.nan_to_num(pairs.distance_m, nan=np.inf) < gate_m)
-    weights = pairs.moments[one]
-    if not weights.sum():
-        return 0.0
-    order = np.argsort(pairs.distance_m[one])
-    total = np.cumsum(weights[order])
-    return float(pairs.distance_m[one][order][np.searchsorted(total, 0.5 * total[-1])])
-
-
-def _add_picture_terms(
-    about: Sequence[list[Term]],
-    groups: Sequence[Group],
-    compared: Compared,
-    videos: Sequence[Path],
-    fps: float,
-    witnesses: Sequence[CameraEvidence | None],
-) -> None:
-    """Add what the pictures say of groups that they can still decide."""
-    open_ = [k for k, own in enumerate(about) if total_nats(own) > -_PICTURES_NATS]
-    if not open_:
-        return
-    seen = picture_terms([groups[k] for k in open_], compared.detections, compared.cameras, videos, fps, witnesses)
-    for k, own in zip(open_, seen):
-        about[k] += own
+    one = np.triu(pairs.affinity > 0, 1) & (np.nan_to_num(pairs.distance_m, nan=np.inf) < compared.limits.gate_m)
+    apart = np.repeat(pairs.distance_m[one], pairs.moments[one])
+    return float(np.quantile(apart, 0.5, method="inverted_cdf")) if len(apart) else 0.0
 
 
 def pair_terms(groups: Sequence[Group], cameras: Sequence[Camera], fps: float) -> dict[tuple[int, int], Term]:
     """(g, h) → what is against group g if h is a person; pairs that say nothing are left out."""
     centres_m = np.array([c.centre_m for c in cameras])
     found = {}
-    for g, first in enumerate(groups):
-        for h, second in enumerate(groups):
-            if g == h:
-                continue
-            own = [
-                terms.overlap(first.points_m, second.points_m),
-                terms.reflection(first.points_m, second.points_m, centres_m, fps),
-            ]
-            worst = min(own, key=lambda term: term.nats)
-            if worst.nats < 0:
-                found[g, h] = worst
-    return found
+    for (g, one), (h, other) in permutations(enumerate(groups), 2):
+        own = [
+            terms.overlap(one.points_m, other.points_m),
+            terms.reflection(one.points_m, other.points_m, centres_m, fps),
+        ]
+        found[g, h] = min(own, key=lambda term: term.nats)
+    return {pair: term for pair, term in found.items() if term.nats < 0}
 
 
 def solve(nats: Sequence[float], pairs: dict[tuple[int, int], float]) -> Bool[np.ndarray, " G"]:
     """(G,) which groups are accepted: the set with the largest sum of ``nats`` and of the ``pairs`` (≤ 0) within it."""
-    count = len(nats)
-    together = sorted({(min(g, h), max(g, h)) for g, h in pairs})
-    costs = {(g, h): pairs.get((g, h), 0.0) + pairs.get((h, g), 0.0) for g, h in together}
-    objective = -np.array([*nats, *costs.values()])
-    if not count:
+    if not len(nats):
         return np.zeros(0, dtype=bool)
+    objective = -np.array([*nats, *pairs.values()])
     # A pair's variable is 1 where both of its groups are.
-    rows = np.zeros((len(costs), count + len(costs)))
-    for k, (g, h) in enumerate(costs):
-        rows[k, [g, h, count + k]] = 1, 1, -1
-    constraints = [scipy.optimize.LinearConstraint(rows, -np.inf, 1)] if costs else []
+    rows = np.zeros((len(pairs), len(objective)))
+    for k, (g, h) in enumerate(pairs):
+        rows[k, [g, h, len(nats) + k]] = 1, 1, -1
+    constraints = [scipy.optimize.LinearConstraint(rows, -np.inf, 1)] if pairs else []
     found = scipy.optimize.milp(
         objective, integrality=np.ones(len(objective)), bounds=scipy.optimize.Bounds(0, 1), constraints=constraints
     )
-    return np.round(found.x[:count]).astype(bool)
+    return np.round(found.x[: len(nats)]).astype(bool)
 
 
 def name_people(groups: Sequence[Group]) -> list[Group]:
@@ -210,43 +177,40 @@ def name_people(groups: Sequence[Group]) -> list[Group]:
 
 
 def _verdicts(
-    kept: Sequence[Group],
-    rejected: Sequence[tuple[Group, Sequence[Term]]],
-    margins: dict[tuple[int, int], float],
-    compared: Compared,
-    undecided: float,
+    kept: Sequence[Group], rejected: Sequence[tuple[Group, Sequence[Term]]], compared: Compared
 ) -> dict[tuple[str, int], TrackVerdict]:
-    """(camera, track) → verdict of every track."""
-    nan = float("nan")
-    alone = "no other camera agrees with it, or it fits two people equally well"
-    reasons = {m: terms.describe(own) for group, own in rejected for m in group.members}
-    names = [d.camera for d in compared.detections]
-    table = {
-        (d.camera, int(t)): TrackVerdict("", margins.get((v, int(t)), nan), nan, reasons.get((v, int(t)), alone))
-        for v, d in enumerate(compared.detections)
-        for t in np.unique(d.track)
-    }
+    """(camera, track) → verdict of every track; who is rejected or undecided is logged."""
+    table, nan, cameras = {}, float("nan"), compared.cameras
+    for v, t in compared.pairs.nodes:
+        alone = "no other camera agrees with it, or it fits two people equally well"
+        table[cameras[v].name, t] = TrackVerdict("", nan, nan, alone)
+    for group, own in rejected:
+        reason = terms.describe(own)
+        tracks = [(cameras[v].name, t) for v, t in group.members]
+        say(f"not a person of this scene: tracks {', '.join(f'{name}/{t}' for name, t in tracks)}: {reason}")
+        table |= dict.fromkeys(tracks, TrackVerdict("", nan, nan, reason))
+    margins = track_margins(kept, compared)
     for number, group in enumerate(kept):
         for v, t in group.members:
-            near = margins[v, t] < undecided
-            doubt = f"undecided: it fits p{number} only {margins[v, t]:.2f} better than another person" if near else ""
-            table[names[v], t] = TrackVerdict(f"p{number}", margins[v, t], float(group.agreement[v]), doubt)
-            if doubt:
-                say(f"{names[v]}/{t} is {doubt}")
+            margin, doubt = margins[v, t], ""
+            if margin < compared.limits.undecided_margin:
+                doubt = f"undecided: it fits p{number} only {margin:.2f} better than another person"
+                say(f"{cameras[v].name}/{t} is {doubt}")
+            table[cameras[v].name, t] = TrackVerdict(f"p{number}", margin, float(group.agreement[v]), doubt)
     return table
 
 
-def _row(number: int, group: Group, compared: Compared, frames: int) -> tuple[str, int, str, float, str]:
+def _row(number: int, group: Group, compared: Compared) -> tuple[str, int, str, float, str]:
     """The line of people.tsv."""
-    seen_by = [c.name for c, seen in zip(compared.cameras, np.any(group.seen, axis=1)) if seen]
+    names = group.seen_by(compared.cameras)
     confidence = float(np.nanmean(group.agreement))
     lengths = terms.bone_lengths_m(group.points_m).get("trunk")
     torso = f", torso {np.median(lengths[0]):.2f} m" if lengths else ""
     say(
-        f"p{number}: seen in {len(group.frames)} of {frames} frames by {', '.join(seen_by)}; "
+        f"p{number}: seen in {len(group.frames)} of {compared.frames} frames by {', '.join(names)}; "
         f"{confidence:.0%} of its keypoints agree{torso}"
     )
-    return f"p{number}", len(group.frames), ",".join(seen_by), confidence, "keypoints"
+    return f"p{number}", len(group.frames), ",".join(names), confidence, "keypoints"
 
 
 def _report_returns(
@@ -266,7 +230,3 @@ def _report_returns(
                 f"{after}, seen from {one.back_s:.1f} s on, may be {before}, who left at {one.left_s:.1f} s: undecided "
                 f"by {one.margin_nats:.1f} nats ({because}); if so, give {after}'s tracks in identities.tsv to {before}"
             )
-
-
-def _tracks(group: Group, cameras: Sequence[Camera]) -> str:
-    return "tracks " + ", ".join(f"{cameras[v].name}/{t}" for v, t in group.members)

@@ -8,7 +8,6 @@ angle over the body joints without the root (A06-A08, U27); a pair past its gate
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -87,37 +86,25 @@ def apply_gate(distance: Num[np.ndarray, " ..."], gate: float) -> Float[np.ndarr
 def affinities(
     distance_m: Float[np.ndarray, " ..."], pose_rad: Float[np.ndarray, " ..."], gate_m: float, limits: AssociationLimits
 ) -> Float[np.ndarray, " ..."]:
-    """The paper's affinity in [0, 1] of gated pairs (any shape); exactly 0 for pairs that must not be matched (A02,
-    A03, A13).
+    """Affinity in [0, 1] of pairs (any shape); exactly 0 for pairs that must not be matched (A02, A03, A13).
 
     With ``affinity: both`` the position must pass its gate; a pair with unknown poses is judged by its position alone,
     on the same scale. ``position`` and ``pose`` use one term, with its own gate (``gate_m``, ``limits.pose_gate_rad``).
+    Position counts as 1 - d / gate but in the paper's star: the affinities of whole groups are summed, and a chance
+    neighbour at the gate must add nothing (A05: "or cost -d instead of exp").
     """
     near, alike = apply_gate(distance_m, gate_m), apply_gate(pose_rad, np.inf)
-    position = np.exp(-near / limits.sigma_m)
-    return combine_similarities(
-        position, np.exp(-alike / limits.sigma_rad), apply_gate(pose_rad, limits.pose_gate_rad), limits
-    )
-
-
-def combine_similarities(
-    position: Float[np.ndarray, " ..."],
-    pose: Float[np.ndarray, " ..."],
-    pose_rad: Float[np.ndarray, " ..."],
-    limits: AssociationLimits,
-) -> Float[np.ndarray, " ..."]:
-    """Weighted sum of similarities, NaN = unknown or refused; ``pose_rad`` is the gated angle, which alone decides for
-    ``pose``."""
+    position = np.exp(-near / limits.sigma_m) if limits.method == "star" else 1 - near / gate_m
+    pose = np.exp(-alike / limits.sigma_rad)
     if limits.affinity == "pose":
-        return np.where(np.isfinite(pose_rad), np.nan_to_num(pose), 0.0)
-    if limits.affinity == "position":
-        return np.nan_to_num(position)
-    total = limits.position_weight + limits.pose_weight
-    both = (limits.position_weight * position + limits.pose_weight * np.nan_to_num(pose)) / total
-    return np.nan_to_num(np.where(np.isfinite(pose), both, position))
+        return np.where(np.isfinite(apply_gate(pose_rad, limits.pose_gate_rad)), np.nan_to_num(pose), 0.0)
+    if limits.affinity == "both":
+        both = limits.position_weight * position + limits.pose_weight * pose
+        position = np.where(np.isfinite(pose), both / (limits.position_weight + limits.pose_weight), position)
+    return np.nan_to_num(position)
 
 
-def window_distances(positions_m: Sequence[Float[np.ndarray, "T 3"]]) -> Float[np.ndarray, "M M"]:
+def window_distances(positions_m: Float[np.ndarray, "M T 3"]) -> Float[np.ndarray, "M M"]:
     """(M, M) distance of M tracks' positions (T, 3), NaN where unseen, averaged over the frames they share (A11); NaN
     where none.
 
@@ -125,10 +112,9 @@ def window_distances(positions_m: Sequence[Float[np.ndarray, "T 3"]]) -> Float[n
     """
     count = len(positions_m)
     distance = np.full((count, count), np.nan)
-    for i in range(count):
-        for j in range(i + 1, count):
-            shared = np.isfinite(positions_m[i]).all(-1) & np.isfinite(positions_m[j]).all(-1)
-            if shared.any():
-                offset = (positions_m[i][shared] - positions_m[j][shared]).mean(0)
-                distance[i, j] = distance[j, i] = np.linalg.norm(offset)
+    for i, j in zip(*np.triu_indices(count, 1)):
+        offsets = positions_m[i] - positions_m[j]
+        offsets = offsets[np.isfinite(offsets).all(-1)]
+        if len(offsets):
+            distance[i, j] = distance[j, i] = np.linalg.norm(offsets.mean(0))
     return distance

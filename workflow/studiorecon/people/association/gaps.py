@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from studiorecon.people.association.group import Group, has_no_rival
-from studiorecon.people.association.terms import Term, bone_lengths_m, log_normal_nats
+from studiorecon.people.association.terms import Ratio, Term, bone_lengths_m
 from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ _KEPT_S = 0.8
 # Velocities above this are errors, m/s: a fast walk.
 _MAX_WALK_M_S = 3.0
 # Difference of the colours of one part of the body in one camera, CIELAB: of one person's, and of two people's.
-_SAME_COLOUR, _OTHER_COLOUR = (7.0, 0.7), (28.0, 0.6)
+_COLOUR = Ratio((7.0, 0.7), (28.0, 0.6), -3, 1.5)
 # Ratios within so many nats of 0 are worth a question.
 REACH_NATS = 3.0
 
@@ -68,11 +69,6 @@ class Return:
     margin_nats: float
     joined: bool
 
-    @property
-    def nats(self) -> float:
-        """Log-likelihood ratio of one person to two."""
-        return sum(term.nats for term in self.terms)
-
 
 def join_over_gaps(
     groups: Sequence[Group],
@@ -82,39 +78,32 @@ def join_over_gaps(
     clothes: Clothes | None = None,
 ) -> tuple[list[Group], list[Return]]:
     """The groups, joined by ``merge`` where they are one person, and every return that is decided or in question."""
-    count, area_m2 = len(groups), _area_m2(groups)
-    seen = [np.flatnonzero(np.isfinite(g.centres_m).all(-1)) for g in groups]
-    terms: dict[tuple[int, int], list[Term]] = {}
-    for i in range(count):
-        for j in range(count):
-            if len(seen[i]) and len(seen[j]) and seen[i][-1] < seen[j][0] and _apart(groups[i], groups[j], stable):
-                own = [_way(groups[i], groups[j], seen[i], seen[j], fps, area_m2), _size(groups[i], groups[j])]
-                if clothes is not None and sum(term.nats for term in own) > -2 * REACH_NATS:
-                    own.append(_worn(clothes(groups[i], groups[j])))
-                terms[i, j] = own
-    nats = np.full((count, count), -np.inf)
+    area_m2, seen = _area_m2(groups), [np.flatnonzero(np.isfinite(g.centres_m).all(-1)) for g in groups]
+    terms: dict[tuple[int, int], tuple[Term, ...]] = {}
+    for (i, first), (j, second) in permutations(enumerate(groups), 2):
+        if len(seen[i]) and len(seen[j]) and seen[i][-1] < seen[j][0] and _apart(first, second, stable):
+            terms[i, j] = _way(first, second, seen[i], seen[j], fps, area_m2), _size(first, second)
+            if clothes is not None and sum(term.nats for term in terms[i, j]) > -2 * REACH_NATS:
+                terms[i, j] += (_worn(clothes(first, second)),)
+    nats = np.full((len(groups),) * 2, -np.inf)
     for pair, own in terms.items():
         nats[pair] = sum(term.nats for term in own)
-    chosen, best = _assigned(nats)
+    after, best = _assigned(nats)
     returns = []
     for (i, j), own in sorted(terms.items()):
-        if abs(nats[i, j]) > REACH_NATS and (i, j) not in chosen:
-            continue
-        without = nats.copy()
-        without[i, j] = -np.inf
-        if (i, j) in chosen:
+        joined = after.get(i) == j
+        if joined:
+            without = nats.copy()
+            without[i, j] = -np.inf
             margin = best - _assigned(without)[1]
+        elif i in after or j in after.values() or abs(nats[i, j]) > REACH_NATS:
+            continue
         else:
-            if i in {a for a, _ in chosen} or j in {b for _, b in chosen}:
-                continue
-            margin = -nats[i, j]
+            margin = -float(nats[i, j])
         ends = seen[i][-1] / fps, seen[j][0] / fps
-        returns.append(
-            Return(groups[i].members[0], groups[j].members[0], *ends, tuple(own), float(margin), (i, j) in chosen)
-        )
-    after = dict(chosen)
+        returns.append(Return(groups[i].members[0], groups[j].members[0], *ends, own, margin, joined))
     out = []
-    for i in sorted(set(range(count)) - set(after.values())):
+    for i in sorted(set(range(len(groups))) - set(after.values())):
         chain = [i]
         while chain[-1] in after:
             chain.append(after[chain[-1]])
@@ -122,12 +111,11 @@ def join_over_gaps(
     return out, returns
 
 
-def _assigned(nats: Float[np.ndarray, "G G"]) -> tuple[list[tuple[int, int]], float]:
-    """(pairs, their sum) with the largest sum, each group followed by one at most and none below 0."""
+def _assigned(nats: Float[np.ndarray, "G G"]) -> tuple[dict[int, int], float]:
+    """(who follows whom, their sum) with the largest sum, each group followed by one at most and none below 0."""
     gain = np.maximum(nats, 0.0)
     rows, columns = scipy.optimize.linear_sum_assignment(-gain)
-    chosen = [(int(i), int(j)) for i, j in zip(rows, columns) if gain[i, j] > 0]
-    return chosen, float(sum(gain[pair] for pair in chosen))
+    return {int(i): int(j) for i, j in zip(rows, columns) if gain[i, j] > 0}, float(gain[rows, columns].sum())
 
 
 def _apart(first: Group, second: Group, stable: Sequence[Detections]) -> bool:
@@ -182,6 +170,6 @@ def _size(first: Group, second: Group) -> Term:
 def _worn(apart: Float[np.ndarray, " P"]) -> Term:
     """How alike their clothes are."""
     known = apart[np.isfinite(apart)]
-    nats = sum(float(np.clip(log_normal_nats(one, _SAME_COLOUR, _OTHER_COLOUR), -3, 1.5)) for one in known)
+    nats = sum(_COLOUR.nats(one) for one in known)
     said = f"clothes {np.median(known):.0f} apart in CIELAB" if len(known) else "clothes unknown"
     return Term("clothes", nats, said)

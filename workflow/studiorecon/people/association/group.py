@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,7 +43,11 @@ class Group:
         """Frames in which at least two cameras agree."""
         return np.flatnonzero(self.seen.sum(0) >= 2)
 
-    @property
+    def seen_by(self, cameras: Sequence[Camera]) -> list[str]:
+        """Names of the cameras that see it."""
+        return [camera.name for camera, seen in zip(cameras, self.seen) if seen.any()]
+
+    @cached_property
     def centres_m(self) -> Float[np.ndarray, "T 3"]:
         """(T, 3) median of the determined keypoints, NaN where there are none."""
         known = np.isfinite(self.points_m).all(-1)
@@ -60,7 +65,11 @@ def make_group(
     agree: Limits,
 ) -> Group:
     """The group of ``members`` (view, track), with its triangulated points."""
-    pixels, confidence = _observed(members, stable, frames)
+    pixels = np.full((len(stable), frames, len(STABLE_KEYPOINTS), 2), np.nan)
+    confidence = np.zeros(pixels.shape[:-1])
+    for view, track in members:
+        own = stable[view].only(stable[view].track == track)
+        pixels[view, own.frame], confidence[view, own.frame] = own.keypoints[..., :2], own.keypoints[..., 2]
     views, times, count = confidence.shape
     found = triangulate(pixels.reshape(views, -1, 2), confidence.reshape(views, -1), cameras, agree)
     inliers = found.inliers.reshape(views, times, count)
@@ -70,18 +79,6 @@ def make_group(
     return Group(
         tuple(sorted(members)), found.points_m.reshape(times, count, 3), agreement, inliers.sum(-1) >= _AGREEING
     )
-
-
-def _observed(
-    members: Sequence[tuple[int, int]], stable: Sequence[Detections], frames: int
-) -> tuple[np.ndarray, np.ndarray]:
-    pixels = np.full((len(stable), frames, len(STABLE_KEYPOINTS), 2), np.nan)
-    confidence = np.zeros(pixels.shape[:-1])
-    for view, track in members:
-        which = stable[view].track == track
-        pixels[view, stable[view].frame[which]] = stable[view].keypoints[which, :, :2]
-        confidence[view, stable[view].frame[which]] = stable[view].keypoints[which, :, 2]
-    return pixels, confidence
 
 
 def has_no_rival(member: tuple[int, int], members: Sequence[tuple[int, int]], stable: Sequence[Detections]) -> bool:

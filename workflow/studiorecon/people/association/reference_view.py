@@ -15,69 +15,39 @@ import numpy as np
 
 from studiorecon.keypoints.tracking import match
 from studiorecon.people.association.affinity import AssociationLimits
-from studiorecon.people.association.track_pairs import Sights, detection_affinities
+from studiorecon.people.association.track_pairs import track_pairs
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
 
 
-def star_groups(seen: Sequence[Sights], limits: AssociationLimits) -> list[list[tuple[int, int]]]:
+def star_groups(
+    detections: Sequence[Detections], stable: Sequence[Detections], cameras: Sequence[Camera], limits: AssociationLimits
+) -> list[list[tuple[int, int]]]:
     """(view, track) pairs of every person with more than the reference view, in order of the reference view's
     tracks."""
-    frames = [int(s.frame.min()) for s in seen if len(s.frame)]
-    if not frames:
-        return []
-    start = min(frames)  # the paper's t₀ = 0, or the first frame with a person (U31)
-    now = [np.flatnonzero(s.frame == start) for s in seen]
-    reference = max(range(len(seen)), key=lambda v: (len(now[v]), -v))
-    owner = {(reference, int(seen[reference].track[d])): k for k, d in enumerate(now[reference])}
-    people = len(owner)
-    for v in range(len(seen)):
-        if v == reference:
-            continue
-        affinity = detection_affinities(seen[reference], now[reference], seen[v], now[v], limits)
-        # No affinity is no match, whatever the assignment (A03, A13).
-        for k, d in match(1 - affinity, 1.0):
-            owner[v, int(seen[v].track[now[v][d]])] = k
-    _later_tracks(seen, start, owner, people, limits)
+    first = {
+        (v, int(t)): int(d.frame[d.track == t].min()) for v, d in enumerate(detections) for t in np.unique(d.track)
+    }
+    owner: dict[tuple[int, int], int] = {}
+    people, start, reference = 0, min(first.values(), default=0), 0  # the paper's t₀ = 0, or the first person's (U31)
+    for frame in sorted(set(first.values())):
+        now = track_pairs(*([d.only(d.frame == frame) for d in own] for own in (detections, stable)), cameras, limits)
+        nodes = now.nodes
+        if frame == start:
+            reference = int(np.argmax(np.bincount(now.view, minlength=len(cameras))))
+            owner = {node: k for k, node in enumerate(node for node in nodes if node[0] == reference)}
+            people = len(owner)
+        for v in range(len(cameras)):
+            new = [n for n, node in enumerate(nodes) if node[0] == v and first[node] == frame and node not in owner]
+            taken = {owner.get(node) for node in nodes if node[0] == v}
+            # Where the other views see each person now; at the first frame the reference view alone.
+            shown = np.zeros((len(nodes), people))
+            for n, node in enumerate(nodes):
+                person = owner.get(node)
+                if node[0] != v and person is not None and person not in taken:
+                    shown[n, person] = frame > start or node[0] == reference
+            affinity = now.affinity[new] @ shown / np.maximum(shown.sum(0), 1)
+            # No affinity is no match, whatever the assignment (A03, A13).
+            owner |= {nodes[new[i]]: k for i, k in match(1 - affinity, 1.0)}
     groups = [sorted(node for node, k in owner.items() if k == person) for person in range(people)]
     return [g for g in groups if len({v for v, _ in g}) >= 2]
-
-
-def _later_tracks(
-    seen: Sequence[Sights], start: int, owner: dict[tuple[int, int], int], people: int, limits: AssociationLimits
-) -> None:
-    """Add to ``owner`` the tracks that begin after ``start``, in order of their first frame."""
-    waiting = []
-    for v, s in enumerate(seen):
-        for track in np.unique(s.track):
-            first = int(s.frame[s.track == track].min())
-            if first > start:
-                waiting.append((first, v, int(track)))
-    for frame in sorted({first for first, _, _ in waiting}):
-        for v in range(len(seen)):
-            new = [t for first, view, t in waiting if first == frame and view == v]
-            here = np.array(
-                [int(np.flatnonzero((seen[v].frame == frame) & (seen[v].track == t))[0]) for t in new], dtype=int
-            )
-            for i, person in match(1 - _to_people(seen, v, here, frame, owner, people, limits), 1.0):
-                owner[v, new[i]] = person
-
-
-def _to_people(
-    seen: Sequence[Sights],
-    view: int,
-    detections: np.ndarray,
-    frame: int,
-    owner: dict[tuple[int, int], int],
-    people: int,
-    limits: AssociationLimits,
-) -> np.ndarray:
-    """(A, people) mean affinity of new detections of a view to every person in the other views of this frame; 0 if
-    taken."""
-    total, count = np.zeros((len(detections), people)), np.zeros(people)
-    taken = {owner.get((view, int(t))) for t in seen[view].track[seen[view].frame == frame]}
-    for v, s in enumerate(seen):
-        for d in np.flatnonzero(s.frame == frame):
-            person = owner.get((v, int(s.track[d])))
-            if v != view and person is not None and person not in taken:
-                total[:, person] += detection_affinities(seen[view], detections, s, np.array([d]), limits)[:, 0]
-                count[person] += 1
-    return total / np.maximum(count, 1)

@@ -64,24 +64,23 @@ def list_rejected(
     """The rejected groups, with reasons, the likeliest first: on which two cameras agreed for a second, or half of a
     shorter clip, or who are within reach of 0 nats. Who was found twice is not left out."""
     listed = [
-        (group, own)
+        (-total_nats(own), group.members, group, describe(own))
         for group, own in rejected
         if not any(term.name == "overlap" for term in own)
         and (len(group.frames) >= min(_LONG_S * fps, frames / 2) or total_nats(own) > -_REACH_NATS)
     ]
-    listed.sort(key=lambda one: (-total_nats(one[1]), one[0].members))
     return [
         RejectedPerson(
             f"r{n}",
             len(group.frames),
             len(group.frames) / fps,
-            tuple(c.name for c, seen in zip(cameras, np.any(group.seen, axis=1)) if seen),
-            tuple((cameras[v].name, t) for v, t in group.members),
+            tuple(group.seen_by(cameras)),
+            tuple((cameras[v].name, t) for v, t in members),
             float(np.nanmean(group.agreement)),
-            total_nats(own),
-            describe(own),
+            -against,
+            reason,
         )
-        for n, (group, own) in enumerate(listed)
+        for n, (against, members, group, reason) in enumerate(sorted(listed, key=lambda one: one[:2]))
     ]
 
 
@@ -94,7 +93,6 @@ def report_rejected(those: Sequence[RejectedPerson], next_person: str) -> None:
             "accept this person, copy people/identities.tsv into the dataset folder and replace these lines of the "
             "same tracks:"
         )
-        for line in lines[:_SAID]:
+        more = [f"and {len(lines) - _SAID} more lines, listed in people/review.html"] * (len(lines) > _SAID)
+        for line in [*lines[:_SAID], *more]:
             say(line)
-        if len(lines) > _SAID:
-            say(f"and {len(lines) - _SAID} more lines, listed in people/review.html")

@@ -2,8 +2,7 @@
 """Terms of the log-likelihood ratio "is a person here" of a group of tracks, in nats: positive speaks for a person.
 
 Each term compares what was measured with what a person gives and with what nobody gives: furniture, an animal, a
-picture, tracks that fit by chance. Most are ratios of two log-normal densities, given as (median, deviation of the
-logarithm). No term alone decides: each has bounds, because each has exceptions.
+picture, tracks that fit by chance. No term alone decides: each has bounds, because each has exceptions.
 """
 
 from __future__ import annotations
@@ -24,73 +23,6 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_AT = {name: k for k, name in enumerate(STABLE_KEYPOINTS)}
-_OTHER_SIDE = [
-    _AT[name.replace(*("left", "right") if name.startswith("left") else ("right", "left"))] for name in STABLE_KEYPOINTS
-]
-# One candidate of twenty is a person before anything is measured.
-PRIOR_NATS = -3.0
-# Time in which two cameras agree on a person, s: people stay for seconds.
-_STAYS_S = (5.0, 1.2)
-# The same by chance, which ends after a moment.
-_CHANCE_S = (0.1, 0.8)
-# A camera that looks at the place of a person detects one in 80 % of the frames, and one where nobody is in 20 %.
-_HIT_NATS = np.log(0.8 / 0.2)
-# Least deviation of the distance of two rays to one joint, m: landmarks mean points some centimetres apart from
-# different sides.
-_RAY_SIGMA_M = 0.03
-# Share of the keypoints that agree in a camera: (mean, deviation); by chance any from half of them is as likely.
-_AGREEMENT = (0.95, 0.15)
-# Middle of the shoulders to that of the hips, m: people from children to giants.
-_TRUNK_M = (0.5, 0.28)
-# The same of something else: anything.
-_ANY_TRUNK_M = (0.5, 1.2)
-# Bones as shares of the trunk. (Real people and the studio's: shoulders 0.65 to 0.71; dogs: 0.15 to 0.35.)
-_SHARES = {
-    "shoulders": (0.68, [("left_shoulder", "right_shoulder")]),
-    "hips": (0.4, [("left_hip", "right_hip")]),
-    "upper arms": (0.53, [("left_shoulder", "left_elbow"), ("right_shoulder", "right_elbow")]),
-    "forearms": (0.5, [("left_elbow", "left_wrist"), ("right_elbow", "right_wrist")]),
-    "thighs": (0.82, [("left_hip", "left_knee"), ("right_hip", "right_knee")]),
-    "shins": (0.8, [("left_knee", "left_ankle"), ("right_knee", "right_ankle")]),
-}
-# Deviations of the logarithm of such a share: of people, and of anything else.
-_SHARE_SIGMA = 0.18
-_ANY_SHARE_SIGMA = 0.6
-# Rarely is one of somebody's bones mismeasured; it costs no more than that.
-_MISMEASURED_NATS = -5.0
-# Median relative change of a person's bone lengths (filmed people: 0.01 to 0.06).
-_STEADY = (0.035, 0.7)
-# The same of dogs and false landmarks (0.08 to 0.3).
-_UNSTEADY = (0.16, 0.5)
-# Angle between the postures of one person in two cameras, radians (0.2 to 0.6; with hidden legs 0.9).
-_SAME_POSE = (0.5, 0.45)
-# The same of two skeletons that have nothing to do with each other.
-_OTHER_POSE = (0.9, 0.35)
-# Deviation of a person's joints and extremities from one plane, in trunks (0.17 to 0.54, arms hanging 0.14).
-_DEEP_SHARE = (0.24, 0.3)
-# The same on posters and screens (0.03 to 0.05).
-_FLAT_SHARE = (0.04, 0.35)
-_DEEP = ("nose", "left_ear", "right_ear", "left_heel", "right_heel", "left_big_toe", "right_big_toe")
-# Time over which joints are averaged before that, s: noise is no depth.
-_CALM_S = 0.25
-# Fewer known joints show neither a plane nor another person's place.
-_MIN_JOINTS = 8
-# Deviation of a mirror image from the reflection of the person, m: two triangulations.
-_REFLECTED_M = 0.05
-# The same of another person in a like place.
-_SYMMETRIC_M = 0.5
-# Way, m, that makes one independent place of a reflection: one person in one place may only look symmetric.
-_MOVED_M = 0.3
-# Shorter, s, no reflection is known.
-_LASTING_S = 1.0
-# Distance of the joints of one person detected twice, m.
-_ONE_M = (0.05, 0.4)
-# The same of two people side by side.
-_TWO_M = (0.8, 0.4)
-# A length needs so many frames, or half of those with any known point.
-_MIN_FRAMES = 3
-
 
 @dataclass(frozen=True)
 class Term:
@@ -107,6 +39,85 @@ class Term:
     said: str
 
 
+@dataclass(frozen=True)
+class Ratio:
+    """The log ratio of two log-normal densities, each given as (median, deviation of the logarithm).
+
+    Attributes:
+        person, nobody: of what was measured, where a person is and where nobody is.
+        least, most: bounds of the ratio, nats.
+    """
+
+    person: tuple[float, float]
+    nobody: tuple[float, float]
+    least: float
+    most: float
+
+    def nats(self, value: float) -> float:
+        """At a measured ``value`` > 0; 0 where it is NaN."""
+        if not np.isfinite(value):
+            return 0.0
+        ends = self.person, self.nobody
+        first, second = ((np.log(max(value, 1e-9) / median) / sigma, sigma) for median, sigma in ends)
+        ratio = 0.5 * (second[0] ** 2 - first[0] ** 2) + np.log(second[1] / first[1])
+        return float(np.clip(ratio, self.least, self.most))
+
+
+_AT = {name: k for k, name in enumerate(STABLE_KEYPOINTS)}
+_OTHER_SIDE = [
+    _AT[name.replace(*("left", "right") if name.startswith("left") else ("right", "left"))] for name in STABLE_KEYPOINTS
+]
+# One candidate of twenty is a person before anything is measured.
+PRIOR_NATS = -3.0
+# Time in which two cameras agree, s: people stay for seconds, agreement by chance ends after a moment.
+_DURATION = Ratio((5.0, 1.2), (0.1, 0.8), -8, 3)
+# A camera that looks at the place of a person detects one in 80 % of the frames, and one where nobody is in 20 %.
+_HIT_NATS = np.log(0.8 / 0.2)
+# Least deviation of the distance of two rays to one joint, m: landmarks mean points some centimetres apart from
+# different sides.
+_RAY_SIGMA_M = 0.03
+# Share of the keypoints that agree in a camera: (mean, deviation); by chance any from half of them is as likely.
+_AGREEMENT = (0.95, 0.15)
+# Middle of the shoulders to that of the hips, m: people from children to giants, and anything.
+_TRUNK = Ratio((0.5, 0.28), (0.5, 1.2), -12, 1.5)
+# Bones as shares of the trunk. (Real people and the studio's: shoulders 0.65 to 0.71; dogs: 0.15 to 0.35.)
+_SHARES = {
+    "shoulders": (0.68, [("left_shoulder", "right_shoulder")]),
+    "hips": (0.4, [("left_hip", "right_hip")]),
+    "upper arms": (0.53, [("left_shoulder", "left_elbow"), ("right_shoulder", "right_elbow")]),
+    "forearms": (0.5, [("left_elbow", "left_wrist"), ("right_elbow", "right_wrist")]),
+    "thighs": (0.82, [("left_hip", "left_knee"), ("right_hip", "right_knee")]),
+    "shins": (0.8, [("left_knee", "left_ankle"), ("right_knee", "right_ankle")]),
+}
+# Such a share over its median, of people and of anything else. Rarely is one of somebody's bones mismeasured; and a
+# pair of limbs and the trunk they are measured against are wrong together: fit says less than misfit.
+_SHARE = Ratio((1.0, 0.18), (1.0, 0.6), -5, 0.4)
+# Median relative change of the lengths of bones (filmed people: 0.01 to 0.06; dogs and false landmarks: 0.08 to 0.3).
+_STEADINESS = Ratio((0.035, 0.7), (0.16, 0.5), -4, 1)
+# Angle between postures in two cameras, radians, of one person (0.2 to 0.6; with hidden legs 0.9) and of two skeletons.
+_POSTURE = Ratio((0.5, 0.45), (0.9, 0.35), -4, 1)
+# Deviation of joints and extremities from one plane, in trunks, of a person (0.17 to 0.54, arms hanging 0.14), and on
+# posters and screens (0.03 to 0.05).
+_DEPTH = Ratio((0.24, 0.3), (0.04, 0.35), -15, 0)
+_DEEP = ("nose", "left_ear", "right_ear", "left_heel", "right_heel", "left_big_toe", "right_big_toe")
+# Time over which joints are averaged before that, s: noise is no depth.
+_CALM_S = 0.25
+# Fewer known joints show neither a plane nor another person's place.
+_MIN_JOINTS = 8
+# Deviation of a mirror image from the reflection of the person, m: two triangulations.
+_REFLECTED_M = 0.05
+# The same of another person in a like place.
+_SYMMETRIC_M = 0.5
+# Way, m, that makes one independent place of a reflection: one person in one place may only look symmetric.
+_MOVED_M = 0.3
+# Shorter, s, no reflection is known.
+_LASTING_S = 1.0
+# Distance of the joints of two people side by side, and of one person detected twice, m.
+_OVERLAP = Ratio((0.8, 0.4), (0.05, 0.4), -10, 0)
+# A length needs so many frames, or half of those with any known point.
+_MIN_FRAMES = 3
+
+
 def total_nats(terms: Sequence[Term]) -> float:
     """The log-likelihood ratio of a group: the prior and all its terms."""
     return PRIOR_NATS + float(sum(term.nats for term in terms))
@@ -118,18 +129,10 @@ def describe(terms: Sequence[Term]) -> str:
     return "; ".join(f"{term.said} ({term.nats:+.1f} nats)" for term in against) or "too little is known of it"
 
 
-def log_normal_nats(value: float, person: tuple[float, float], nobody: tuple[float, float]) -> float:
-    """Log ratio of two log-normal densities at ``value`` > 0; 0 where it is NaN."""
-    if not np.isfinite(value):
-        return 0.0
-    first, second = ((np.log(max(value, 1e-9) / median) / sigma, sigma) for median, sigma in (person, nobody))
-    return float(0.5 * (second[0] ** 2 - first[0] ** 2) + np.log(second[1] / first[1]))
-
-
 def duration(group: Group, fps: float) -> Term:
     """For how long two cameras agree; half of a short clip is enough not to count against anybody."""
     seconds, clip = len(group.frames) / fps, group.seen.shape[1] / fps
-    nats = float(np.clip(log_normal_nats(seconds, _STAYS_S, _CHANCE_S), -8, 3))
+    nats = _DURATION.nats(seconds)
     if seconds >= 0.5 * clip:
         nats = max(nats, 0.0)
     return Term("duration", nats, f"two cameras agree for {seconds:.2f} s of {clip:.1f} s only")
@@ -170,36 +173,29 @@ def rays(group: Group, distance_m: Float[np.ndarray, "M M"], gate_m: float, rig_
 def size(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> Term:
     """The length of its trunk."""
     trunk_m = float(np.median(lengths["trunk"][0])) if "trunk" in lengths else float("nan")
-    nats = float(np.clip(log_normal_nats(trunk_m, _TRUNK_M, _ANY_TRUNK_M), -12, 1.5))
-    return Term("size", nats, f"its torso would be {trunk_m:.2f} m long")
+    return Term("size", _TRUNK.nats(trunk_m), f"its torso would be {trunk_m:.2f} m long")
 
 
 def proportions(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> Term:
     """The lengths of its bones against its trunk: an animal has narrow shoulders and hips, and forelegs for arms."""
-    nats, off = 0.0, []
-    for part, share in trunk_shares(lengths).items():
-        median = _SHARES[part][0]
-        own = log_normal_nats(share, (median, _SHARE_SIGMA), (median, _ANY_SHARE_SIGMA))
-        # A pair of limbs and the trunk they are measured against are wrong together: fit says less than misfit.
-        nats += float(np.clip(own, _MISMEASURED_NATS, 0.4))
-        off += [f"{part} {share:.2f} of its trunk"] * (own < 0)
-    return Term("proportions", nats, "its proportions are not a person's: " + ", ".join(off))
+    shares = trunk_shares(lengths)
+    nats = {part: _SHARE.nats(share / _SHARES[part][0]) for part, share in shares.items()}
+    off = ", ".join(f"{part} {shares[part]:.2f} of its trunk" for part in shares if nats[part] < 0)
+    return Term("proportions", sum(nats.values()), f"its proportions are not a person's: {off}")
 
 
 def steadiness(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> Term:
     """How much its bones change their lengths."""
     own = [np.median(np.abs(v - np.median(v))) / np.median(v) for values in lengths.values() for v in values]
     wavers = float(np.median(own)) if own else float("nan")
-    nats = float(np.clip(log_normal_nats(wavers, _STEADY, _UNSTEADY), -4, 1))
-    return Term("steadiness", nats, f"its bones change their length by {wavers:.0%}")
+    return Term("steadiness", _STEADINESS.nats(wavers), f"its bones change their length by {wavers:.0%}")
 
 
 def posture(pose_rad: Float[np.ndarray, "M M"]) -> Term:
     """Whether the cameras see one posture, by the detector's guess (``pose_rad`` of its members, NaN unknown)."""
     known = pose_rad[np.isfinite(pose_rad)]
     apart = float(np.median(known)) if len(known) else float("nan")
-    nats = float(np.clip(log_normal_nats(apart, _SAME_POSE, _OTHER_POSE), -4, 1))
-    return Term("posture", nats, f"the postures that cameras see are {np.degrees(apart):.0f}° apart")
+    return Term("posture", _POSTURE.nats(apart), f"the postures that cameras see are {np.degrees(apart):.0f}° apart")
 
 
 def depth(
@@ -214,11 +210,11 @@ def depth(
     """
     described = np.isfinite(deep_m).all(-1).mean(0) >= 0.5
     share = float("nan")
-    trunk_m = float(np.median(lengths["trunk"][0])) if "trunk" in lengths else _TRUNK_M[0]
+    trunk_m = float(np.median(lengths["trunk"][0])) if "trunk" in lengths else _TRUNK.person[0]
     if described.any():
         share = flatness_m(np.concatenate([points_m, deep_m[:, described]], axis=1), fps) / trunk_m
-    nats = float(np.clip(log_normal_nats(share, _DEEP_SHARE, _FLAT_SHARE), -15, 0))
-    return Term("depth", nats, "it is flat: all its points are in one plane, as on a poster or a screen")
+    said = "it is flat: all its points are in one plane, as on a poster or a screen"
+    return Term("depth", _DEPTH.nats(share), said)
 
 
 def reflection(
@@ -257,10 +253,8 @@ def overlap(points_m: Float[np.ndarray, "T 12 3"], other_m: Float[np.ndarray, "T
     """Whether two skeletons (T, 12, 3) are at one place wherever both are known: one person, detected twice."""
     apart = np.linalg.norm(points_m - other_m, axis=-1)
     apart = apart[np.isfinite(apart)]
-    nats = 0.0
-    if len(apart) >= _MIN_JOINTS:
-        # Arms and legs of two people are as far apart as their trunks: three places.
-        nats = float(np.clip(3 * log_normal_nats(float(np.median(apart)), _TWO_M, _ONE_M), -30, 0))
+    # Arms and legs of two people are as far apart as their trunks: three places.
+    nats = 3 * _OVERLAP.nats(float(np.median(apart)) if len(apart) >= _MIN_JOINTS else np.nan)
     return Term("overlap", nats, "it is at the same place as another person: one person, detected twice")
 
 
