@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``calibration.files``: reads the user's calibration files, and converts them to lenses in the metric world, z up.
-
-A read calibration is in the files' own world and unit.
-"""
+"""``calibration.files``: reads the user's calibration files; a read one is in the files' own world and unit."""
 
 from __future__ import annotations
 
@@ -61,8 +58,7 @@ class Settings:
 
 
 def read_calibration(files: Sequence[Path], wanted: str = "auto") -> Reading:
-    """The calibration in the format ``wanted``, or in any format; raises UserError when there is none or it is
-    unreadable."""
+    """The calibration in the format ``wanted``, or in any; raises UserError when there is none or it is unreadable."""
     if not files:
         raise UserError(
             "the dataset has no calibration, and cameras this far apart cannot be "
@@ -100,8 +96,7 @@ def paired_lenses(
     settings: Settings,
     pairing: Pairing | None = None,
 ) -> tuple[list[Lens], list[str], bool]:
-    """Lenses in the order of ``cameras`` by ``pairing``, sentences about every change, and whether z = 0 is known to be
-    the floor.
+    """Lenses in the order of ``cameras`` by ``pairing``, sentences about changes, and whether z = 0 is the floor.
 
     ``pairing`` is the likeliest by default.
     """
@@ -150,10 +145,8 @@ def normalise_pose(pose: Float[np.ndarray, "4 4"], poses: str) -> Float[np.ndarr
 
 
 def run(settings: Settings, files: list[Path], cameras: list[str], read: Written) -> None:
-    """Read the calibration ``files`` for the footage names ``cameras``; write ``read`` (JSON) in the files' own world.
-
-    Every error that needs no people is raised here.
-    """
+    """Read the calibration ``files`` for the footage names ``cameras``; write ``read`` (JSON) in the files' own
+    world."""
     reading = read_calibration(files, settings.format)
     paired_lenses(reading, files[0].name, cameras, {}, settings)
     say(f"{len(reading.cameras)} cameras from {files[0].name} ({reading.format})")

@@ -27,12 +27,9 @@ _SAME, _SAME_BUT_FOR_CASE, _PART = 16.0, 8.0, 2.0
 
 @dataclass(frozen=True)
 class Pairing:
-    """One camera of the calibration for every video.
+    """One camera of the calibration for every video (``calibrated``), and ``how`` names decided it, "" if equal.
 
-    Attributes:
-        calibrated: video → name in the calibration.
-        how: its basis, in words; "" where the names are equal.
-        sure: whether names alone suffice; others are used only where people show that they are right.
+    ``sure``: whether names alone suffice; others are used only where people show that they are right.
     """
 
     calibrated: dict[str, str]
@@ -85,8 +82,7 @@ def mismatch_error(footage: Sequence[str], calibrated: Sequence[str], source: st
 def pairings_in_order(footage: Sequence[str], count: int, source: str) -> list[Pairing]:
     """The pairings of a calibration of ``count`` cameras without names: the sorted videos in its order.
 
-    Numbers sort as numbers (cam2 before cam10) first, as text second. Raises UserError when the counts differ, since
-    the missing one is unknown.
+    Numbers sort as numbers (cam2 before cam10) first, as text second. Raises UserError when the counts differ.
     """
     if len(footage) != count:
         raise UserError(

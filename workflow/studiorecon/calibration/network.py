@@ -59,12 +59,10 @@ class Settings:
 def torso_lengths(
     found: Reconstruction, wh: Sequence[tuple[int, int]], detections: Sequence[Detections], sure: float
 ) -> Float[np.ndarray, " L"]:
-    """Distances from the middle of the shoulders to the middle of the hips of all people at frame 0, in the network's
-    unit.
+    """Distances from the middle of the shoulders to that of the hips of all people at frame 0, in the network's unit.
 
-    ``wh`` is the size of the pictures of the cameras ``found`` by the network, to which the keypoints (frame 0 of
-    ``detections``, of some of them) refer. Both middles have the median depth of their points' surfaces, so a keypoint
-    on a jump in depth does no harm.
+    ``wh`` is the size of the pictures of the cameras ``found`` by the network, to which the keypoints refer. Both
+    middles have the median depth of their points' surfaces, so a keypoint on a jump in depth does no harm.
     """
     lengths, at = [], {camera.name: k for k, camera in enumerate(found.cameras)}
     for seen in detections:
@@ -138,8 +136,8 @@ def run(
 ) -> None:
     """Write a COLMAP text model of ``cameras`` from the first moment of their ``sources``.
 
-    ``sightings`` may be empty, or one of each training camera: those of held-out ones measure nothing. ``depths``: of
-    every camera, EXR of that moment's depth in metres and the network's confidence, at its own size.
+    ``sightings`` may be empty, or one of each training camera. ``depths``: of every camera, EXR of that moment's depth
+    in metres and the network's confidence, at its own size.
     """
     common = read_clocks(clocks)
     if common.refusal:

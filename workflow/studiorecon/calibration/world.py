@@ -28,8 +28,8 @@ def refuse_wrong_places(
 ) -> None:
     """Raise UserError for two cameras of one pose, and for cameras a hundred times further out than the others.
 
-    The lengths of the latter are in another unit, or wrong, and would decide for all. Two cameras may share a place
-    and face different directions: so do inverted poses of a ring, which the people reveal.
+    The lengths of the latter are in another unit, or wrong. Two cameras may share a place and face different
+    directions: so do inverted poses of a ring, which the people reveal.
     """
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
     turned = np.array([[np.abs(one[:3, :3] - other[:3, :3]).max() > 1e-6 for other in poses] for one in poses])
@@ -58,8 +58,7 @@ def refuse_wrong_places(
 def metres_per_unit(
     centres: Float[np.ndarray, "N 3"], unit: str, wanted: Literal["auto", "m", "cm", "mm"]
 ) -> tuple[float, str | None]:
-    """Factor to metres for camera centres (N, 3) in a file's unit ("m", "mm" or "unknown"), and a sentence if it was
-    guessed."""
+    """Factor to metres for camera centres in a file's unit ("m", "mm", "unknown"), and a sentence if it was guessed."""
     factors = {"m": 1.0, "cm": 0.01, "mm": 0.001}
     if wanted != "auto":
         return factors[wanted], f"lengths were read as {wanted} (calibration.unit)"
@@ -78,7 +77,7 @@ def metres_per_unit(
 
 
 def camera_up(rotations_camera_from_world: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, " 3"]:
-    """(3,) unit up vector for level cameras (N, 3, 3): across all their x axes, on the side of their -y axes.
+    """Unit up vector for level cameras: across all their x axes, on the side of their -y axes.
 
     Pitched cameras bias the mean of -y, but not the cross direction. With rolled cameras, or parallel x axes, the mean
     of -y is used.
@@ -97,7 +96,7 @@ def camera_up(rotations_camera_from_world: Float[np.ndarray, "N 3 3"]) -> Float[
 
 
 def z_up_from_world(rotations: Float[np.ndarray, "N 3 3"], wanted: str) -> tuple[Float[np.ndarray, "3 3"], str | None]:
-    """(3, 3) rotation from the calibration's world to one with z up, and a sentence when it is not the identity.
+    """Rotation from the calibration's world to one with z up, and a sentence when it is not the identity.
 
     ``wanted`` is "auto" (trust z when the cameras' own up is within 45° of it, else the nearest axis within 20°, else
     the cameras' up itself) or a signed axis such as "-y".
@@ -140,11 +139,10 @@ def _turn_to_z(up: np.ndarray) -> np.ndarray:
 def to_metric_world(
     poses: Sequence[Float[np.ndarray, "4 4"]], z_up: Float[np.ndarray, "3 3"], factor: float, floor_known: bool
 ) -> tuple[list[Float[np.ndarray, "4 4"]], list[str]]:
-    """``camera_from_world`` (4, 4) of all cameras in metres and z up, and sentences about shifts.
+    """``camera_from_world`` of all cameras in metres and z up, and sentences about shifts.
 
-    They are shifted when far away or without a floor. Coordinates a hundred metres from the origin cost pixels in
-    float32 (C08). A world that was rotated has no known floor: the cameras are put at eye height until people determine
-    it.
+    They are shifted when far away or without a floor: coordinates a hundred metres from the origin cost pixels in
+    float32 (C08). A rotated world has no known floor: the cameras are put at eye height until people determine it.
     """
     moved = []
     for pose in poses:

@@ -26,10 +26,9 @@ _CALIBRATION = {
 
 @dataclass(frozen=True)
 class Calibration:
-    """All lenses of a scene, and facts about them.
+    """All lenses of a scene by the name of their camera, in the file's order, and facts about them.
 
     Attributes:
-        lenses: by the name of their camera, in the file's order.
         floor_known: whether z = 0 is the floor.
         about: source, format, notes and doubts, for people to read.
         left_out: camera → the reason why people could not calibrate it; only in a calibration from people.

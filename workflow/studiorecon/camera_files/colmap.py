@@ -45,8 +45,7 @@ def write_model(
 ) -> None:
     """Write ``cameras.txt``, ``images.txt`` and ``points3D.txt``; image names are ``<camera>.png``.
 
-    ``points_m`` and ``colours`` in [0, 1] are optional. Numbers are printed with 17 digits: reading gives the same bits
-    for intrinsics, and rotations to 1e-15.
+    ``colours`` are in [0, 1]. Numbers have 17 digits: reading gives the same intrinsics, and rotations to 1e-15.
     """
     camera_lines = ["# Camera list: CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]; pixel centres at 0.5"]
     image_lines = ["# Image list: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of 2D points (none)"]
@@ -118,9 +117,9 @@ def read_points(folder: Path) -> Num[np.ndarray, "N 3"]:
 
 
 def _rows(path: Path, columns: int) -> list[list[str]]:
-    """The words of every line that is no comment, where the last of ``columns`` may contain blanks.
+    """The words of every line that is no comment; the last of ``columns`` may contain blanks.
 
-    Raises ValueError for a truncated file.
+    Raises ValueError if cut off.
     """
     text = read_text(path, CURE)
     expect(text.startswith("#") and text.endswith("\n"), "its beginning or its end is missing")

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads COLMAP models of users, text or binary, by COLMAP's own pycolmap; ``camera_files.colmap`` reads our own text
-models.
+"""Reads COLMAP models of users, text or binary, by COLMAP's own pycolmap; ``camera_files.colmap`` reads our own.
 
 Since COLMAP 3.12 a picture's pose is that of its frame after that of its sensor in the rig. ``images.txt`` only repeats
 it, and for rigs COLMAP 4.2.0 exported rotations there that are up to 63° off (colmap#4752). pycolmap composes rigs and
@@ -27,8 +26,7 @@ _GENERIC_FOLDERS = {"images", "input", "rgb", "frames", ".", ""}
 
 
 def posed_pictures(files: Sequence[Path]) -> list[RawCamera]:
-    """Camera of every picture of the model ``files``, in order of picture ids, named after the picture by
-    ``camera_name``.
+    """Camera of every picture of the model ``files``, in order of picture ids, named by ``camera_name``.
 
     ``files`` are cameras, images, and rigs and frames where the model has them. Raises UserError for files that COLMAP
     cannot read or that are truncated, for lens models that this project lacks, and for pictures without a pose.
@@ -51,15 +49,13 @@ def posed_pictures(files: Sequence[Path]) -> list[RawCamera]:
 
 
 def camera_name(image: str) -> str:
-    """The folder of ``cam01/00001.jpg`` or ``images/cam01/000000.jpg``, the stem of ``cam01.png`` or
-    ``images/cam01.png``."""
+    """The folder of ``cam01/00001.jpg`` or ``images/cam01/000000.jpg``, the stem of ``cam01.png``."""
     path = PurePosixPath(image.replace("\\", "/"))
     return path.parent.name if path.parent.name not in _GENERIC_FOLDERS else path.stem
 
 
 def _read(files: Sequence[Path]) -> Any:
-    """The model without its 3D points, which pycolmap would read but no step needs: they may be missing, or
-    gigabytes."""
+    """The model without its 3D points, which no step needs: they may be missing, or gigabytes."""
     try:
         import pycolmap
     except ImportError as error:

@@ -77,7 +77,7 @@ def model_in(table: Mapping[str, Any], where: str) -> str:
 
 
 def coefficients(model: str, values: object, where: str) -> Num[np.ndarray, " C"]:
-    """(8,) k1 k2 p1 p2 k3 k4 k5 k6 of the model opencv or (4,) k1 k2 k3 k4 of fisheye; missing ones are 0.
+    """k1 k2 p1 p2 k3 k4 k5 k6 of the model opencv or k1 k2 k3 k4 of fisheye; missing ones are 0.
 
     Raises UserError unless ``values`` is a list of numbers of a length that the model can have.
     """

@@ -38,9 +38,8 @@ class RawCamera:
     """One camera as described in its file: axes and pixel centres already ours, world and unit still the file's.
 
     Attributes:
-        name: its name in the file.
         wh: calibrated size; (0, 0) when the file has none.
-        intrinsics: (3, 3), pixel centres at +0.5; ``check_camera`` removes scale and skew of the file.
+        intrinsics: pixel centres at +0.5; ``check_camera`` removes scale and skew of the file.
         model, distortion: as in ``scene.camera.Lens``.
         camera_from_world: rigid, OpenCV axes.
     """
@@ -61,8 +60,7 @@ class RawCamera:
 def check_camera(name: str, camera: RawCamera, source: str) -> tuple[RawCamera, list[str]]:
     """The camera with intrinsics in the form of all later steps, and a sentence for every number that was left out.
 
-    Raises UserError with camera, number and likely cause for an impossible size, focal length, skew, principal point,
-    distortion or position.
+    Raises UserError with camera, number and likely cause for an impossible size, lens or position.
     """
     where = f"camera {name} in {source}"
     longer = max(camera.wh)
@@ -130,7 +128,7 @@ def intrinsics_matrix(fx: float, fy: float, cx: float, cy: float, integer_centre
 
 
 def unadjusted_intrinsics(matrix: object, where: str, integer_centres: bool = True) -> Float[np.ndarray, "3 3"]:
-    """Camera matrix of a file with pixel centres at +0.5, with its scale and skew still in it for ``check_camera``.
+    """Camera matrix of a file with pixel centres at +0.5, its scale and skew still in it for ``check_camera``.
 
     Raises UserError unless it is a 3×3 list of finite numbers.
     """
@@ -151,7 +149,7 @@ def vector(value: object, where: str) -> Float[np.ndarray, " 3"]:
 
 
 def rotation_from_file(value: object, where: str) -> Float[np.ndarray, "3 3"]:
-    """(3, 3) from a matrix, which is not checked to be a rotation, or from an axis times angle in radians."""
+    """The rotation of a matrix, which is not checked, or of an axis times angle in radians."""
     given = numbers(value, where)
     if given.size not in (3, 9):
         raise UserError(f"{where} holds {given.size} numbers; a rotation is 3×3, or an axis times its angle")

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""nerfstudio's and instant-ngp's ``transforms.json``: camera-to-world with OpenGL axes, intrinsics on top or per
-frame."""
+"""nerfstudio's and instant-ngp's ``transforms.json``: camera-to-world, OpenGL axes, intrinsics on top or per frame."""
 
 from __future__ import annotations
 
@@ -45,8 +44,7 @@ class Transforms:
 
 
 def read_transforms(path: Path) -> Transforms:
-    """The contents of ``path``; raises UserError for a file without frames, a frame without lens or pose, and a pose
-    without a rotation."""
+    """The contents of ``path``; raises UserError for missing frames, lenses or poses, and for no rotation."""
     content = read_json(path)
     if not isinstance(content, dict) or not content.get("frames"):
         raise UserError(f"{path} has no frames; it is not a nerfstudio transforms.json")

@@ -56,8 +56,7 @@ def list_settings(configuration: Path, schema: Mapping[str, Any]) -> list[Settin
 
 
 def list_film_settings(kinds: Mapping[str, type], schema: Mapping[str, Any]) -> list[Setting]:
-    """The settings of every kind of film, such as ``render.shots.NAME (kind orbit).frames``, with the defaults of its
-    dataclass."""
+    """The settings of every kind of film, such as ``render.shots.NAME (kind orbit).frames``, with defaults."""
     found = []
     for kind, settings in kinds.items():
         described, name = schema["$defs"][kind]["properties"], f"render.shots.NAME (kind {kind})"
@@ -101,8 +100,7 @@ def _as_yaml(value: Any) -> str:
 
 
 def _comments(text: str) -> Iterator[tuple[str, str]]:
-    """(dotted name, comment) of every key with one: the lines right above it at its own indentation, then the end of
-    its line."""
+    """(dotted name, comment) of every key with one: lines right above at its indentation, then the end of its line."""
     path: list[tuple[int, str]] = []
     above: list[str] = []
     for line in text.splitlines():

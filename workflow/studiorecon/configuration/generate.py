@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes the files generated from the settings' declarations: config.yaml, its schema and the tables of
-config/README.md.
+"""Writes config.yaml, its schema and the tables of config/README.md from the settings' declarations.
 
 ``python -m studiorecon.configuration.generate`` writes all three; a test compares them with the files.
 """

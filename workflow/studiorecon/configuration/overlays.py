@@ -13,10 +13,7 @@ from studiorecon.scene.user_files import read_yaml
 
 
 def check_overlay(path: Path) -> None:
-    """Raises UserError unless a file is a readable mapping of settings.
-
-    It also refuses a repeated setting, and a number that YAML 1.1 reads as another (010 as 8).
-    """
+    """Raises UserError unless a file is a readable mapping of settings, each once, without numbers like 010."""
     held = read_yaml(path, yaml.SafeLoader)
     if held is not None and not isinstance(held, Mapping):
         raise UserError(f"{path} holds no settings; write lines such as capture: {{width: 960}}")

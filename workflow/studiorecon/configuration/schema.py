@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks the configuration against its schema: converts values to the schema's types, and describes mistakes in
-sentences.
+"""Checks the configuration against its schema: converts values to its types, and describes mistakes.
 
 Snakemake reads values inside ``--config section='{...}'`` as text, YAML reads an unquoted ``off`` as false and ``1e-4``
 as text. The type of such a value depends on the setting, not on how it was written: ``coerce_types`` uses the
@@ -24,8 +23,7 @@ _WORDS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "o
 def coerce_types(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any] | None = None) -> Any:
     """A copy of ``value`` in which every setting has the type that ``schema`` gives it, as far as possible.
 
-    A value without a valid interpretation stays as it is, for ``mistakes`` to report. ``root`` is the schema that
-    references point into.
+    Other values stay, for ``mistakes`` to report. ``root`` is the schema that references point into.
     """
     root = schema if root is None else root
     schema = _resolved(schema, root)
@@ -58,8 +56,7 @@ def mistakes(config: Mapping[str, Any], schema: Mapping[str, Any]) -> list[str]:
 
 
 def named(schema: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Every setting of the schema by its dotted name, sections included, with the part of the schema that describes
-    it."""
+    """Every setting of the schema by its dotted name, sections included, with the schema's part for it."""
     for name, inner in schema.get("properties", {}).items():
         yield name, inner
         for below, part in named(inner):
@@ -182,8 +179,7 @@ def _choices(schema: Mapping[str, Any], name: str) -> str:
 
 
 def _nearest(name: str, path: list[str], known: list[str], schema: Mapping[str, Any]) -> str:
-    """The probable meaning of an unknown name: a neighbour with a similar spelling, or the same name in another
-    section."""
+    """The probable meaning of an unknown name: a similar neighbour, or the same name in another section."""
     near = [".".join([*path, close]) for close in difflib.get_close_matches(name, known, 1)]
     elsewhere = [full for full, _ in named(schema) if full.rpartition(".")[2] == name]
     inside = [full for full in elsewhere if path and full.startswith(f"{path[0]}.")]

@@ -20,8 +20,8 @@ class Section:
     Attributes:
         name: of the stage.
         about: the subject of its settings.
-        declared_in: ``module:Class`` of the dataclasses that declare its settings, in their order. Stages are named,
-            not imported: most steps need libraries that the configuration does without.
+        declared_in: ``module:Class`` of the dataclasses that declare its settings, in order; not imported, because most
+            steps need libraries that the configuration does without.
     """
 
     name: str

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Converts the JSON settings of one step to a frozen dataclass, with errors in sentences.
-
-Defaults are in the dataclasses only (``configuration.setting``).
-"""
+"""Converts the JSON settings of one step to a frozen dataclass, with errors in sentences."""
 
 from __future__ import annotations
 
@@ -24,10 +21,9 @@ T = TypeVar("T", bound="DataclassInstance")
 def load(cls: type[T], values: Mapping[str, Any], where: str, default: T | None = None) -> T:
     """The dataclass ``cls`` filled from ``values``; ``where`` (``"depth.sweep"``) names the place in messages.
 
-    Missing values come from ``default``, else from the fields' own defaults. A section of the configuration may serve
-    several steps, so keys that ``cls`` does not have are ignored here; the configuration schema refuses misspelt keys.
-    Nested dataclasses are filled from nested mappings. Raises UserError for a missing key of a field without a default,
-    or a value of the wrong type.
+    Missing values come from ``default``, else from the fields' own defaults. Keys that ``cls`` does not have are
+    ignored: a section may serve several steps. Nested dataclasses are filled from nested mappings. Raises UserError for
+    a missing key of a field without a default, or a value of the wrong type.
     """
     hints = typing.get_type_hints(cls)
     filled = {}
@@ -91,8 +87,7 @@ def _convert(value: Any, kind: Any, where: str, default: Any = None) -> Any:
 
 
 def named_keys(kind: Any) -> tuple[str, ...]:
-    """The keys that ``Mapping[Literal["a", "b"], V]`` names, for a step that reads part of a shared mapping; else
-    none."""
+    """The keys that ``Mapping[Literal["a", "b"], V]`` names, for a step that reads part of a mapping; else none."""
     keys = typing.get_args(kind)[:1]
     return typing.get_args(keys[0]) if keys and typing.get_origin(keys[0]) is typing.Literal else ()
 

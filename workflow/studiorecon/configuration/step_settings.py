@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The settings that one step reads, selected from the configuration by the step's ``Settings``.
-
-A rule's params hold this, so that a changed setting reruns only the steps that read it.
-"""
+"""The settings that one step reads, so that a changed setting reruns only the steps that read it."""
 
 from __future__ import annotations
 
@@ -30,8 +27,7 @@ _REMEMBERED = 500
 
 
 def select_settings(step: str, section: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of a stage's ``section`` of the configuration that ``"stage.step"`` reads; empty for a step without
-    settings."""
+    """The part of a stage's ``section`` that ``"stage.step"`` reads; empty for a step without settings."""
     return restrict(section, read_by(step))
 
 
@@ -68,7 +64,7 @@ def restrict(values: Mapping[str, Any], fields: Fields) -> dict[str, Any]:
 
 
 def read_by(step: str) -> Fields:
-    """The settings that a step reads, from importing the step once; the result is cached until its code changes.
+    """The settings that a step reads, from importing the step; cached until its code changes.
 
     Raises FileNotFoundError when there is no such step.
     """
@@ -81,10 +77,7 @@ def read_by(step: str) -> Fields:
 
 
 def setting_fields(kind: type) -> Fields:
-    """The settings of a dataclass, without its constants.
-
-    Groups of settings are dataclasses, or mappings whose keys the annotation names.
-    """
+    """The settings of a dataclass, without its constants; groups are dataclasses, or mappings with named keys."""
     hints = typing.get_type_hints(kind)
     return {field.name: _below(hints[field.name]) for field in dataclasses.fields(kind) if is_setting(field)}
 
@@ -100,10 +93,7 @@ def _below(hint: Any) -> Fields | None:
 
 
 def _memory() -> Path:
-    """The cache file, next to the byte code as the cache of ``code``.
-
-    Importing every step takes seconds, which Snakemake would spend at every start.
-    """
+    """The cache file, next to the byte code: importing every step takes seconds."""
     return code.PACKAGE / "__pycache__" / f"settings.{sys.implementation.cache_tag}.json"
 
 

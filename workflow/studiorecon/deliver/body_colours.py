@@ -24,10 +24,7 @@ _MIN_WEIGHT = 1e-3
 
 @dataclass(frozen=True)
 class BodyColours:
-    """Attributes:
-    rgb: (V, 3) float64 in [0, 1] as displayed, one per vertex of the body model.
-    provenance: (V,) uint8 of the nearest Gaussian, see ``scene/provenance.py``.
-    """
+    """Displayed colours in [0, 1] of the body model's vertices, and the nearest Gaussian's provenance."""
 
     rgb: Float[np.ndarray, "V 3"]
     provenance: Integer[np.ndarray, " V"]

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes the cameras for other tools: COLMAP, EasyMocap, nerfstudio and Pose2Sim, all undistorted pinholes in metres, z
-up.
+"""Writes the cameras for COLMAP, EasyMocap, nerfstudio and Pose2Sim: undistorted pinholes in metres, z up.
 
 Also writes the undistorted pictures that COLMAP's and nerfstudio's files name.
 """
@@ -31,8 +30,7 @@ _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def colmap_picture(camera: str, frame: int | None) -> str:
-    """Path of a picture below ``images/``, as ``images.txt`` names it; without a frame that of a camera's only
-    picture."""
+    """Path of a picture below ``images/``, as in ``images.txt``; without a frame that of a camera's only picture."""
     return f"{camera}.png" if frame is None else f"{camera}/{frame:06d}.png"
 
 
@@ -44,16 +42,14 @@ def nerfstudio_picture(camera: str, frame: int | None) -> str:
 def colmap(
     folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"], frames: Sequence[int | None] = (None,)
 ) -> list[Path]:
-    """Writes ``cameras.txt images.txt points3D.txt``: a text model with one picture per camera, or one per camera and
-    frame."""
+    """Writes ``cameras.txt images.txt points3D.txt``, a text model with one picture per camera, or per frame too."""
     every = [replace(c, name=colmap_picture(c.name, frame).removesuffix(".png")) for c in cameras for frame in frames]
     write_model(folder, every, points_m)
     return [folder / f"{name}.txt" for name in ("cameras", "images", "points3D")]
 
 
 def easymocap(folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> list[Path]:
-    """Writes ``intri.yml`` and ``extri.yml`` with sizes, axis-angles and matrices, so that EasyVolcap can read them
-    too."""
+    """Writes ``intri.yml`` and ``extri.yml`` with sizes, axis-angles and matrices (for EasyVolcap)."""
     intri = extri = "%YAML:1.0\n---\n" + "names:\n" + "".join(f'   - "{c.name}"\n' for c in cameras)
     for c in cameras:
         rotation = c.camera_from_world[:3, :3]
@@ -69,11 +65,8 @@ def easymocap(folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarra
 def nerfstudio(
     folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"], frames: Sequence[int | None] = (None,)
 ) -> list[Path]:
-    """Writes ``transforms.json``: camera-to-world with OpenGL axes in our own world, without an applied_transform to
-    undo.
-
-    With several frames, each has its ``time``, 0 to 1.
-    """
+    """Writes ``transforms.json``: camera-to-world, OpenGL axes, our world; several frames have their ``time``, 0 to
+    1."""
     entries: list[dict[str, Any]] = []
     for c in cameras:
         (fx, fy), (cx, cy) = c.focal_px, c.principal_px
@@ -114,11 +107,7 @@ PICTURES: dict[str, Callable[[str, int | None], str]] = {"colmap": colmap_pictur
 
 
 def write_pictures(folder: Path, videos: Mapping[str, Path], frames: Sequence[int | None]) -> list[Path]:
-    """Write the undistorted pictures of every camera's video that COLMAP's and nerfstudio's files name, into
-    ``folder``.
-
-    ``frames`` None means only the first.
-    """
+    """Write the undistorted pictures of every camera's video that the files name; ``frames`` None: only the first."""
     written = []
     for camera, video in videos.items():
         for frame, picture in zip(frames, read_frames(video)):

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``deliver.export``: writes the result in other tools' formats into one folder, with a manifest that has every file's
-digest.
-"""
+"""``deliver.export``: writes the result in other tools' formats into one folder, with a manifest of digests."""
 
 from __future__ import annotations
 
@@ -186,8 +184,7 @@ def run(
     blender: Path,
     contents: Written,
 ) -> None:
-    """Fill the folder of ``contents`` (its manifest.json), and remove files of an earlier export that are not in this
-    one."""
+    """Fill the folder of ``contents`` (its manifest.json), and remove other files of an earlier export."""
     capture, folder = read_manifest(manifest), contents.parent
     cameras, people = read_model(model.parent), files.people()
     written = gaussian_files(read_ply(files.background), people, _STILL_FRAME)

@@ -32,8 +32,8 @@ class FinishedScene:
         name: the scene's.
         capture: its frames, frame rate and footage.
         cameras: training cameras.
-        room: N static Gaussians in the world, with the plates' colours.
-        provenance: (N,) uint8 of the room's, see ``scene/provenance.py``; people and objects have their own.
+        room: static Gaussians in the world, with the plates' colours.
+        provenance: uint8 of the room's, see ``scene/provenance.py``; people and objects have their own.
         people: all persons, canonical, with their motion.
         things: objects with their motion.
         paths: film → its steps, in the order of its pictures.
@@ -58,8 +58,7 @@ class FinishedScene:
 
 
 def read_finished(manifest: Path, model: Path, files: SceneFiles, paths: Sequence[Path] = ()) -> FinishedScene:
-    """The scene from its files: ``model`` is images.txt of the training cameras, ``paths`` the films'
-    ``render/<shot>.json``.
+    """The scene from its files: ``model`` is the training cameras' images.txt, ``paths`` the films' paths.
 
     Raises UserError when files are missing or belong to different scenes, and for a Gaussian with a non-finite value,
     which other programs do not skip.

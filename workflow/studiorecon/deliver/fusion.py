@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contents of the room as one coloured surface: depth rendered from many viewpoints, in a truncated signed distance
-field (open3d).
+"""The contents of the room as one coloured surface, from depth of many viewpoints in a signed distance field (open3d).
 
 Curless and Levoy (SIGGRAPH 1996): every depth map moves the voxels near its surface; the surface is where their mean is
 zero, so noise of single maps averages out and parts that no map shows stay open.
@@ -40,13 +39,7 @@ _ACROSS_CLUSTER_M = 0.15
 
 @dataclass(frozen=True)
 class FusedView:
-    """The room from one viewpoint.
-
-    Attributes:
-        camera: the viewpoint.
-        rgb: (H, W, 3) float32 in [0, 1].
-        depth_m: (H, W) float32, 0 where the pixel is not opaque, invented, or at an edge in depth.
-    """
+    """The room from one viewpoint: float32 colours, and depth, 0 where not opaque, invented, or at a depth edge."""
 
     camera: Camera
     rgb: Float[np.ndarray, "H W 3"]
@@ -55,11 +48,7 @@ class FusedView:
 
 @dataclass(frozen=True)
 class FusedSurface:
-    """Attributes:
-    vertices_m: (V, 3) float64 in the world.
-    triangles: (F, 3) int64.
-    rgb: (V, 3) float64 in [0, 1] as displayed.
-    """
+    """A mesh in the world with one displayed colour in [0, 1] per vertex."""
 
     vertices_m: Float[np.ndarray, "V 3"]
     triangles: Integer[np.ndarray, "F 3"]
@@ -130,10 +119,7 @@ def fuse(views: Sequence[FusedView], voxel_m: float) -> FusedSurface:
 
 
 def remove_vertices(surface: FusedSurface, dropped: Bool[np.ndarray, " V"]) -> FusedSurface:
-    """The surface without the triangles whose three vertices are all ``dropped``, and without pieces below 15 cm.
-
-    Vertices and triangles have a fixed order.
-    """
+    """The surface without triangles whose vertices are all ``dropped``, and pieces below 15 cm, in a fixed order."""
     triangles = surface.triangles[~dropped[surface.triangles].all(axis=1)]
     triangles = triangles[_large(surface.vertices_m, triangles)]
     used, back = np.unique(triangles, return_inverse=True)
@@ -149,8 +135,7 @@ def remove_vertices(surface: FusedSurface, dropped: Bool[np.ndarray, " V"]) -> F
 
 
 def decimate(surface: FusedSurface, triangles: int) -> FusedSurface:
-    """The surface with at most ``triangles``, by quadric error (Garland and Heckbert 1997); flat parts lose theirs
-    first."""
+    """The surface with at most ``triangles``, by quadric error (Garland and Heckbert 1997), flat parts first."""
     if len(surface.triangles) <= triangles:
         return surface
     o3d = open3d()

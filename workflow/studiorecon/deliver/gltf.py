@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes a person as a binary glTF 2.0 (``.glb``): skinned mesh, skeleton and animation, for Blender, Unity and web
-viewers.
+"""Writes a person as a binary glTF 2.0 (``.glb``): skinned mesh, skeleton and animation.
 
 glTF is y up, metres, (x, y, z, w) quaternions, little endian; everything is in one file. The specification allows four
 bones per vertex in one attribute set, so the four largest weights of each vertex are kept and renormalised.
@@ -64,8 +63,7 @@ class Buffer:
 
 
 def strongest_bones(weights: Float[np.ndarray, "V 24"]) -> tuple[Integer[np.ndarray, "V 4"], Float[np.ndarray, "V 4"]]:
-    """(V, 4) uint8 joints and float32 weights with sum 1; joints of zero weight are 0, as the specification
-    requires."""
+    """Uint8 joints and float32 weights with sum 1; joints of zero weight are 0, as the specification requires."""
     joints = np.argsort(-weights, axis=1, kind="stable")[:, :BONES]
     kept = np.take_along_axis(weights, joints, axis=1).astype(np.float64)
     kept /= kept.sum(axis=1, keepdims=True)
@@ -109,8 +107,7 @@ def add_colours(
 def add_body(
     buffer: Buffer, body: BodyModel, betas: Float[np.ndarray, " B"], colours: BodyColours | None
 ) -> tuple[dict[str, Any], list[dict[str, Any]], int]:
-    """A primitive of the shaped body in its T-pose, the nodes of its 24 joints, and the accessor of their inverse bind
-    matrices.
+    """A primitive of the shaped T-pose, the nodes of its 24 joints, and the accessor of inverse bind matrices.
 
     Children are counted from the first node.
     """
@@ -164,8 +161,7 @@ def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours 
 
 
 def write_document(path: Path, document: dict[str, Any], buffer: Buffer) -> None:
-    """Write a ``.glb`` of a document and the binary chunk of its accessors; raises UserError when it exceeds the
-    format's limit."""
+    """Write a ``.glb`` of a document and its accessors' bytes; raises UserError beyond the format's limit."""
     held = {"accessors": buffer.accessors, "bufferViews": buffer.views, "buffers": [{"byteLength": len(buffer.data)}]}
     text = json.dumps(document | held, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
@@ -182,11 +178,9 @@ def write_document(path: Path, document: dict[str, Any], buffer: Buffer) -> None
 
 
 def motion_channels(buffer: Buffer, person: Person | Avatar, first: int = 0) -> dict[str, Any]:
-    """Samplers and channels that animate 24 joints, the nodes from ``first`` on, with the motion of a person in the
-    z-up world.
+    """Samplers and channels that animate 24 joints, the nodes from ``first`` on, with a person's motion.
 
-    While a person is away the root is scaled to zero, which the specification names as the way to animate visibility; a
-    person who is always present has no such channel.
+    While a person is away the root is scaled to zero, which the specification names as the way to animate visibility.
     """
     times = buffer.add((np.arange(len(person.poses)) / person.fps).astype(np.float32).reshape(-1, 1))
     turned = rotations.exp(person.poses.reshape(-1, 24, 3))

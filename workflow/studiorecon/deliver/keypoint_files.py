@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes 2D keypoints with identities for other tools: OpenPose JSON and EasyMocap annots, in pixels of the exported
-cameras.
-"""
+"""Writes 2D keypoints with identities, in the exported cameras' pixels: OpenPose JSON and EasyMocap annots."""
 
 from __future__ import annotations
 
@@ -21,10 +19,7 @@ _CENTRE = 0.5
 
 
 def openpose(folder: Path, seen: Detections, camera: Camera, frames: int, people: Mapping[int, int]) -> list[Path]:
-    """Writes ``<camera>_json/<camera>_<frame>_keypoints.json``, one per frame, including empty ones.
-
-    ``person_id`` is the identity or -1.
-    """
+    """Writes ``<camera>_json/<camera>_<frame>_keypoints.json`` per frame; ``person_id`` is the identity or -1."""
     written = []
     for frame in range(frames):
         entries = [
@@ -41,8 +36,7 @@ def openpose(folder: Path, seen: Detections, camera: Camera, frames: int, people
 
 
 def easymocap(folder: Path, seen: Detections, camera: Camera, frames: int, people: Mapping[int, int]) -> list[Path]:
-    """Writes ``annots/<camera>/<frame>.json``, one per frame, including empty ones; ``personID`` is the identity or
-    -1."""
+    """Writes ``annots/<camera>/<frame>.json``, one per frame; ``personID`` is the identity or -1."""
     written = []
     for frame in range(frames):
         annots = []

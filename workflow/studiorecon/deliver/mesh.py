@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``deliver.mesh``: writes the room as one coloured mesh, ``deliver/room.glb``, for Blender, Unreal and collision; only
-on request.
+"""``deliver.mesh``: writes the room as one coloured mesh, ``deliver/room.glb``, only on request.
 
 Floor and walls are the fitted room's own planes; the objects between them come from rendered depth
 (``deliver.fusion``). y up, metres.
@@ -37,8 +36,7 @@ _OF_PLANE_M = 0.06
 
 
 def write_room(path: Path, surfaces: list[Plane], standing: FusedSurface, left_out: list[str]) -> None:
-    """Write one node per plane and one for the room's contents; ``_PROVENANCE`` of every vertex is 0 measured or 2
-    invented."""
+    """Write one node per plane and one for the contents; ``_PROVENANCE`` is 0 measured or 2 invented."""
     buffer, meshes = Buffer(), []
     parts = [(p.name, p.vertices_m, p.triangles, p.rgb, p.provenance) for p in surfaces]
     if len(standing.triangles):
@@ -79,8 +77,7 @@ def write_room(path: Path, surfaces: list[Plane], standing: FusedSurface, left_o
 
 
 def run(model: Path, background: Path, provenance: Path, room_box: Path, path: Path, mesh: Written) -> None:
-    """Write ``mesh`` (GLB) of the room's Gaussians, seen from the training cameras of ``model`` and along ``path``
-    between them."""
+    """Write ``mesh`` (GLB) of the room's Gaussians, seen from the cameras of ``model`` and along ``path``."""
     gaussians, box = read_ply(background), read_room(room_box)
     marks = read_provenance(provenance, gaussians.count)
     steps, _ = read_path(path)

@@ -37,11 +37,10 @@ ways, of which ezc3d reads Vicon's only and Mokka none.
 
 
 def amass(path: Path, person: Person, body: BodyModel) -> list[Path]:
-    """Writes ``poses (T, 72) trans (T, 3) betas mocap_framerate gender`` with SMPL's own ``trans``: pelvis = J(betas)₀
-    + trans.
+    """Writes ``poses trans betas mocap_framerate gender`` with SMPL's own ``trans``: pelvis = J(betas)₀ + trans.
 
-    In the project's own files ``trans`` is the pelvis itself; programs that load AMASS expect this one. A person with a
-    size in addition to the shape (``people.fit.scale``) has ``scale``: multiply the shaped model by it.
+    In the project's own files ``trans`` is the pelvis itself. A person with a size in addition to the shape
+    (``people.fit.scale``) has ``scale``: multiply the shaped model by it.
     """
     betas, scale = shape_and_size(person.betas, body.shapes)
     arrays = {
@@ -60,13 +59,12 @@ def amass(path: Path, person: Person, body: BodyModel) -> list[Path]:
 
 
 def bvh(path: Path, person: Person, body: BodyModel, unit: Literal["m", "cm"] = "m") -> list[Path]:
-    """Writes a Biovision hierarchy: the skeleton in its T-pose, then one line of channels per frame; y up, ``unit``,
-    degrees.
+    """Writes a Biovision hierarchy: the skeleton in its T-pose, then a line of channels per frame; y up, degrees.
 
     Channels are ``Zrotation Xrotation Yrotation``, applied in that order to column vectors as R = Rz Rx Ry.
-    Interpolated frames are included so that a film does not flicker, and so are those in which the person is away,
-    which the format cannot mark: there the skeleton moves from the place of leaving to the place of return. A BVH file
-    names no unit: Blender reads metres, which every other file here has, Unreal and MotionBuilder read centimetres.
+    Interpolated frames are included, and so are those in which the person is away, which the format cannot mark: there
+    the skeleton moves from the place of leaving to the place of return. A BVH file names no unit: Blender reads metres,
+    which every other file here has, Unreal and MotionBuilder read centimetres.
     """
     per_m = {"m": 1.0, "cm": 100.0}[unit]
     rest = per_m * body.rest_joints(person.betas)
@@ -105,8 +103,7 @@ def bvh(path: Path, person: Person, body: BodyModel, unit: Literal["m", "cm"] = 
 
 
 def trc(path: Path, person: Person, body: BodyModel) -> list[Path]:
-    """Writes OpenSim's marker file: the body's surface points under OpenPose BODY_25 names; y up, metres, frames from
-    1.
+    """Writes OpenSim's marker file: surface points under OpenPose BODY_25 names; y up, metres, frames from 1.
 
     Unmeasured frames are empty, which OpenSim reads as missing.
     """
@@ -131,13 +128,11 @@ def trc(path: Path, person: Person, body: BodyModel) -> list[Path]:
 
 
 def c3d(path: Path, person: Person, body: BodyModel) -> list[Path]:
-    """Writes C3D for biomechanics (Vicon, Qualisys, Visual3D, OpenSim, Mokka): the points of ``trc``, millimetres, z
-    up, frames from 1.
+    """Writes C3D for biomechanics (Vicon, Qualisys, Visual3D, OpenSim, Mokka): the points of ``trc``, mm, z up.
 
-    An unmeasured frame has NaN points with the residual -1 that marks them. Points come from pictures and have no
-    residual of their own: 0. The format counts frames with 16 bits: a longer motion becomes several files that every
-    reader can read, ``<name>_frames_<first>-<last>.c3d``. Where ezc3d has no wheel a warning says so and no file is
-    written.
+    An unmeasured frame has NaN points with the residual -1 that marks them; other residuals are 0, because points come
+    from pictures. The format counts frames, from 1, with 16 bits: a longer motion becomes several files,
+    ``<name>_frames_<first>-<last>.c3d``. Where ezc3d has no wheel a warning says so and no file is written.
     """
     if importlib.util.find_spec("ezc3d") is None:
         warn(
@@ -186,8 +181,7 @@ def _c3d_bytes(path: Path, person: Person, body: BodyModel, frames: slice) -> No
 
 
 def openpose_3d(path: Path, person: Person, body: BodyModel) -> list[Path]:
-    """Writes OpenPose's JSON with ``pose_keypoints_3d``: BODY_25, metres, z up, confidence 1, or 0 in interpolated
-    frames.
+    """Writes OpenPose's JSON with ``pose_keypoints_3d``: BODY_25, metres, z up, confidence 0 in interpolated frames.
 
     One file for the clip: a list with one OpenPose document per frame, empty while the person is away.
     """
@@ -215,10 +209,7 @@ WRITERS: dict[str, Callable[[Path, Person, BodyModel], list[Path]]] = {
 
 
 def euler_zxy_deg(rotation: Float[np.ndarray, "... 3 3"]) -> Float[np.ndarray, "... 3"]:
-    """Angles about z, x, y in degrees with R = Rz Rx Ry; where x is ±90 degrees y is 0.
-
-    Only for BVH, whose channels are Euler angles; no computation uses them (R21).
-    """
+    """Angles about z, x, y in degrees with R = Rz Rx Ry, for BVH only (R21); where x is ±90 degrees y is 0."""
     sine = np.clip(rotation[..., 2, 1], -1, 1)
     locked = np.abs(sine) > 1 - 1e-12
     z = np.where(

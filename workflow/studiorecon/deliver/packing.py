@@ -63,10 +63,8 @@ class Bytes:
         return self._add("floats", values.tobytes(), count=len(values), columns=values.shape[1])
 
     def quaternions(self, values: Num[np.ndarray, "N 4"]) -> dict[str, Any]:
-        """(N, 4) quaternions of any length, one 32-bit number each, within 0.2 degrees.
-
-        A number holds the index of the largest component, and the other three.
-        """
+        """Quaternions of any length, one 32-bit number each, within 0.2 degrees: largest component's index, other
+        three."""
         values = np.asarray(values, np.float64)
         length = np.linalg.norm(values, axis=1, keepdims=True)
         unit = np.where(length < 1e-12, [1.0, 0, 0, 0], values / np.where(length < 1e-12, 1, length))
@@ -100,7 +98,7 @@ def _table(values: np.ndarray, kind: Any) -> np.ndarray:
 
 
 def quantise_weights(weights: Float[np.ndarray, "N K"]) -> Integer[np.ndarray, "N K"]:
-    """(N, K) uint8 that add up to exactly 255 in every row, nearest to ``weights`` that add up to 1.
+    """Uint8 that add up to exactly 255 in every row, nearest to ``weights`` that add up to 1.
 
     A splat whose shares add up to less would be pulled towards the origin of the world.
     """

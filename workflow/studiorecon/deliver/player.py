@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``deliver.player``: writes the moving 4D scene as one page for any browser with WebGL2, opened from disk, without a
-network.
-"""
+"""``deliver.player``: writes the moving 4D scene as one page for browsers with WebGL2, without a network."""
 
 from __future__ import annotations
 
@@ -80,7 +78,7 @@ def _film(video: Path, path: Path, frames: int, fps: float) -> bytes:
 
 
 def downscale_to_width(picture: Integer[np.ndarray, "H W 3"], width: int = FILM_WIDTH) -> Integer[np.ndarray, "h w 3"]:
-    """A picture (H, W, 3) uint8, at most ``width`` wide, with even sides, as H.264 requires."""
+    """A picture, at most ``width`` wide, with even sides, as H.264 requires."""
     wide = min(picture.shape[1], width)
     size = max(wide // 2 * 2, 2), max(round(picture.shape[0] * wide / picture.shape[1] / 2) * 2, 2)
     if size == (picture.shape[1], picture.shape[0]):

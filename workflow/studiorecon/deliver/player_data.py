@@ -36,7 +36,7 @@ _SHADE_MAX = 1.5
 
 @dataclass(frozen=True)
 class Shade:
-    """Shadows of people as factors on the light: (M,) indices of the room's Gaussians, (K,) moments, (K, M) factors."""
+    """Shadows of people as factors on the light: indices of the room's Gaussians, moments, factors."""
 
     at: Integer[np.ndarray, " M"]
     times: Num[np.ndarray, " K"]
@@ -46,8 +46,7 @@ class Shade:
 def describe_scene(
     scene: FinishedScene, held: Bytes, exposure: Factors, shade: Shade | None = None
 ) -> tuple[dict[str, Any], list[str]]:
-    """The description that the page reads with the bytes in ``held``, which this fills; and sentences on omitted or
-    simplified parts."""
+    """The page's description of the scene, with bytes in ``held``, and sentences on omitted or simplified parts."""
     described: list[str] = []
     frames = scene.capture.frames
     bodies = max(len(scene.people) + len(scene.things), 1)
@@ -149,8 +148,7 @@ def camera_json(camera: Camera, held: Bytes, exposure: Factors) -> dict[str, Any
 
 
 def film_rows(steps: Sequence[PathStep]) -> Float[np.ndarray, "P 14"]:
-    """(P, 14) per picture: size, focal lengths, principal point, rotation (w, x, y, z) and centre of its camera, and
-    the frame it shows."""
+    """Per picture: size, focal lengths, principal point, rotation (w, x, y, z) and centre of its camera, frame."""
     turns = rotations.to_quaternion(np.stack([step.camera.world_from_camera[:3, :3] for step in steps]))
     rows = [
         [*step.camera.wh, *step.camera.focal_px, *step.camera.principal_px, *turn, *step.camera.centre_m, step.frame]
@@ -160,8 +158,7 @@ def film_rows(steps: Sequence[PathStep]) -> Float[np.ndarray, "P 14"]:
 
 
 def read_shade(path: Path, count: int) -> Shade:
-    """The shade in ``render/room.shade.npz`` of a room of ``count`` Gaussians; raises UserError as ``step_files.read``
-    does."""
+    """The shade in ``render/room.shade.npz`` of ``count`` Gaussians; raises UserError as ``step_files.read`` does."""
     schema: Schema = {
         "at": whole("M", low=0, high=count - 1),
         "times": whole("K", low=0, such=ASCENDING),

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motion in the player: skeletons, objects, and colours that change over time, at evenly spaced moments of
-the capture.
-"""
+"""Motion in the player: skeletons, objects, and colours that change, at evenly spaced moments of the capture."""
 
 from __future__ import annotations
 
@@ -64,8 +62,7 @@ def rigid(held: Bytes, thing: RigidObject, times: Num[np.ndarray, " K"]) -> dict
 
 
 def skin(held: Bytes, bones: Integer[np.ndarray, "N J"], weights: Float[np.ndarray, "N J"]) -> dict[str, Any]:
-    """The four bones (N, 4) with the largest weights of each Gaussian, and their shares, which add up to exactly
-    one."""
+    """The four bones with the largest weights of each Gaussian, and their shares, which add up to exactly one."""
     count, given = weights.shape
     if given < BONES:
         bones = np.concatenate([bones, np.zeros((count, BONES - given), bones.dtype)], axis=1)

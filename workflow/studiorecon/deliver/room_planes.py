@@ -28,11 +28,10 @@ class Plane:
 
     Attributes:
         name: as in ``scene.room.FACES``.
-        vertices_m: (V, 3) float64, corners included.
-        triangles: (F, 3) int64, counter-clockwise from inside the room.
-        rgb: (V, 3) float64 in [0, 1] as displayed.
-        provenance: (V,) uint8, ``MEASURED`` where a viewpoint sees it, ``INVENTED`` where its colour comes from its
-            nearest visible neighbours.
+        vertices_m: corners included.
+        triangles: counter-clockwise from inside the room.
+        rgb: in [0, 1] as displayed.
+        provenance: ``MEASURED`` where a viewpoint sees it, else ``INVENTED``, with the nearest visible colour.
     """
 
     name: str
@@ -43,8 +42,7 @@ class Plane:
 
 
 def kept_faces(room_box: RoomBox) -> list[int]:
-    """Indices of the faces in the mesh: the floor, and faces fitted to the photos; the position of a default wall is
-    arbitrary."""
+    """Indices of the faces in the mesh: the floor, and faces fitted to the photos; default walls are arbitrary."""
     return [index for index, name in enumerate(FACES) if name == "floor" or room_box.fitted[index]]
 
 
@@ -59,8 +57,7 @@ def distance_m(room_box: RoomBox, points_m: Float[np.ndarray, "N 3"]) -> Float[n
 
 
 def planes(room_box: RoomBox, views: Sequence[FusedView], step_m: float, vertices: int) -> list[Plane]:
-    """The faces of the mesh as grids of about ``step_m``, coarser where all together would have more than
-    ``vertices``."""
+    """The faces of the mesh as grids of about ``step_m``, coarser where all would have more than ``vertices``."""
     size = room_box.high_m - room_box.low_m
     area = sum(np.prod(np.delete(size, index // 2)) for index in kept_faces(room_box))
     step_m = max(step_m, float(np.sqrt(area / vertices)))

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``deliver.scene_glb``: writes the 4D scene as one binary glTF, ``deliver/scene.glb``, for three.js, PlayCanvas,
-Babylon.js and Blender.
+"""``deliver.scene_glb``: writes the 4D scene as one binary glTF (three.js, PlayCanvas, Babylon.js, Blender).
 
 The room and objects are points with ``KHR_gaussian_splatting`` (ratified by Khronos), which programs without that
 extension show as coloured points. People are skinned meshes in the colours of their Gaussians; the training cameras are
@@ -46,8 +45,7 @@ _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 
 def splats(buffer: Buffer, own: Gaussians, provenance: Integer[np.ndarray, " N"]) -> dict[str, Any]:
-    """A primitive of N Gaussians: linear scales, opacities in 0..1, unit quaternions (x, y, z, w), harmonics as
-    trained.
+    """A primitive of N Gaussians: linear scales, opacities in 0..1, quaternions (x, y, z, w), harmonics as trained.
 
     The harmonics give display-referred sRGB; ``COLOR_0``, linear, is for programs that draw points.
     """
@@ -73,11 +71,7 @@ def splats(buffer: Buffer, own: Gaussians, provenance: Integer[np.ndarray, " N"]
 
 
 def camera_node(camera: Camera) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A glTF camera and its node.
-
-    glTF has no principal point: it is in the camera's ``extras``, in pixels, with the focal lengths and the size of the
-    picture.
-    """
+    """A glTF camera and its node; principal point, focal lengths and size are in ``extras``, in pixels."""
     (width, height), (_, fy) = camera.wh, camera.focal_px
     shown = {"yfov": 2 * float(np.arctan(height / (2 * fy))), "aspectRatio": width / height, "znear": _NEAR_M}
     described = {"wh": list(camera.wh), "focal_px": list(camera.focal_px), "principal_px": list(camera.principal_px)}
@@ -88,10 +82,7 @@ def camera_node(camera: Camera) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def thing_motion(buffer: Buffer, thing: RigidObject, fps: float, node: int) -> dict[str, Any] | None:
-    """An object's position and rotation in the frames in which they are known; None if they never are.
-
-    Programs interpolate over the other frames.
-    """
+    """An object's position and rotation in frames in which they are known, for interpolation; None if never."""
     known = np.flatnonzero(thing.present)
     if not len(known):
         return None

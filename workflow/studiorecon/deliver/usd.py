@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``deliver.usd``: writes the 4D scene as one OpenUSD stage, ``deliver/scene.usdc``, for usdview, Houdini, Omniverse
-and Unreal; only on request.
+"""``deliver.usd``: writes the 4D scene as one OpenUSD stage, ``deliver/scene.usdc``, only on request.
 
 z up, metres, one time code per frame. The room is a ``ParticleField3DGaussianSplat`` (OpenUSD 26.03), people are
 ``UsdSkel`` bodies in the colours of their Gaussians, objects are moving particle fields, cameras ``UsdGeom``'s.
@@ -40,8 +39,7 @@ _REACH = 3.0
 
 
 def pxr() -> Any:
-    """The library, imported late because it is rarely needed; raises UserError with a remedy when it cannot be
-    loaded."""
+    """The library, imported late because it is rarely needed; raises UserError with a remedy if it cannot load."""
     try:
         import pxr
         from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, UsdVol, Vt  # noqa: F401
@@ -83,8 +81,7 @@ def add_gaussians(stage: Any, path: str, own: Gaussians, provenance: Integer[np.
 
 
 def add_body(stage: Any, path: str, person: Avatar) -> None:
-    """The shaped body in its T-pose with its skeleton and motion, interpolated frames included, invisible while the
-    person is away.
+    """The shaped T-pose with skeleton and motion, interpolated frames included, invisible while the person is away.
 
     All weights of every vertex are kept. UsdSkel cannot represent pose correctives of an SMPL file.
     """

@@ -13,7 +13,7 @@ from studiorecon.scene.files import write_text
 
 
 def write_chapters(path: Path, films: Sequence[Path]) -> tuple[int, ...]:
-    """Write the list of ``films`` to ``path``; returns the number of frames of each.
+    """Number of frames of each of ``films``, whose list is written to ``path``.
 
     Every chapter begins one frame time after the last picture of the one before, whatever the length of its sound.
     Raises UserError naming the film that cannot be read, or whose size, rate or rotation is not that of the first.

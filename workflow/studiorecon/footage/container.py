@@ -35,8 +35,8 @@ def read_film_list(path: Path) -> tuple[Path, ...]:
 
 
 def read_parts(path: Path) -> tuple[tuple[Path, float], ...]:
-    """(film, seconds) of the list at ``path``, in order; the path alone with 0 where it is no list. Raises UserError
-    for an unreadable list."""
+    """(film, seconds) of the list at ``path``; the path alone with 0 where it is none. Raises UserError if
+    unreadable."""
     if path.suffix != CHAPTERS:
         return ((path, 0.0),)
     lines = read_text(path).split("\n")
@@ -46,10 +46,7 @@ def read_parts(path: Path) -> tuple[tuple[Path, float], ...]:
 
 
 def film_streams(container: av.container.InputContainer) -> list[av.VideoStream]:
-    """The video streams with a decoder, the film first: more than one picture, then the largest ones.
-
-    Cover pictures and thumbnails are left out.
-    """
+    """The video streams with a decoder, the film first: more than one picture, then the largest; no cover pictures."""
     found = [s for s in container.streams.video if s.codec_context is not None and not s.disposition & _COVERS]
     return sorted(found, key=lambda s: (s.frames != 1, s.width * s.height), reverse=True)
 

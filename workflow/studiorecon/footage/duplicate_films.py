@@ -27,8 +27,7 @@ _MIN_DETAIL = 1.0
 
 
 def duplicate_film_note(sources: Mapping[str, FootageSource]) -> str:
-    """A sentence about two cameras (name → footage) with the same view, from three pictures each; empty if all
-    differ."""
+    """A sentence about two cameras with the same view, from three pictures each; empty if all differ."""
     still: dict[str, np.ndarray] = {}
     for camera, source in sources.items():
         try:

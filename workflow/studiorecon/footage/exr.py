@@ -33,8 +33,7 @@ def write_depth(path: Path, depth_m: Num[np.ndarray, "H W"], confidence: Num[np.
 
 
 def write_channels(path: Path, channels: Mapping[str, Float[np.ndarray, "H W"]]) -> None:
-    """Write named float16 or float32 channels, lossless (ZIP). Raises ValueError for channels of two sizes or another
-    type."""
+    """Write named float16 or float32 channels, lossless (ZIP). Raises ValueError for other types or two sizes."""
     sizes: dict[str, int] = {}
     for name, channel in channels.items():
         sizes = require(name, channel, ("H", "W"), sizes)
@@ -63,11 +62,11 @@ def _write(path: Path, channels: Mapping[str, np.ndarray]) -> None:
 def read_depth(
     path: Path, wh: tuple[int, int] | None = None
 ) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
-    """(H, W) float32 depth in metres and confidence (1 where known when the file has no A); invalid depth becomes 0.
+    """Float32 depth in metres and confidence (1 where known when the file has no A); invalid depth becomes 0.
 
     Depths that are negative or not finite are unknown, and confidences that are not finite are 0; a message counts
-    them. Accepts a depth channel named Z, Y, R or depth. A map that a step made has ``wh``, Z and A, and depths and
-    confidences in their ranges. Raises UserError naming the file.
+    them. Accepts a depth channel named Z, Y, R or depth. A map that a step made has ``wh``, Z and A in their ranges.
+    Raises UserError naming the file.
     """
     import OpenEXR
 

@@ -40,7 +40,7 @@ _HALVED = (
 def decode(
     source: FootageSource, first: int, count: int, damaged: list[int] | None = None
 ) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-    """Frames ``first`` … ``first`` + ``count`` − 1 (``count`` 0 = to the end), (H, W, 3) uint8 RGB, as shown.
+    """Frames ``first`` … ``first`` + ``count`` − 1 (``count`` 0 = to the end), as shown.
 
     A damaged frame of a video is replaced by the one before; its number is appended to ``damaged``, or, without such a
     list, a warning follows at the end. Raises UserError naming file and frame when a picture of a folder is damaged,
@@ -76,7 +76,7 @@ def damage_note(damaged: Sequence[int], count: int) -> str:
 
 
 def stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-    """The frames numbered ``wanted`` (ascending, maybe twice) as from ``decode``; numbers past the end are left out.
+    """The frames numbered ``wanted`` (ascending, maybe twice) as from ``decode``, without those past the end.
 
     Raises UserError as ``decode`` does.
     """
@@ -93,8 +93,8 @@ def stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[Integer[np.
 def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.ndarray, "H W 3"]]:
     """The frames numbered ``wanted`` (ascending; beyond the end: the last one), as from ``decode``.
 
-    A video is sought to the key frame before each, unless the last one is after that, so a frame costs at most one
-    group of pictures. Raises UserError when nothing can be read.
+    A video is sought to the key frame before each, so a frame costs at most one group of pictures. Raises UserError
+    when nothing can be read.
     """
     wanted = [min(number, source.frames - 1) for number in wanted]
     if source.pictures or not source.carried:
@@ -125,9 +125,9 @@ def _glimpses_of_parts(parts: Sequence[FootageSource], wanted: Sequence[int]) ->
 
 
 def small_grey(source: FootageSource, width: int, count: int) -> Iterator[Integer[np.ndarray, "h w"]]:
-    """The first ``count`` frames in grey, (h, w) uint8, at most ``width`` pixels along the longer side.
+    """The first ``count`` frames in grey, at most ``width`` pixels along the longer side, not turned upright.
 
-    Ends at the first unreadable frame, which proper decoding reports. Not turned upright, because only changes matter.
+    Ends at the first unreadable frame, which proper decoding reports.
     """
     shrink = max(1.0, max(source.wh) / width)
     small = _small(source.form.square_wh if source.form else source.wh, shrink)
@@ -174,10 +174,7 @@ def _frames_at(
 
 
 def _key_frame_between(stream: av.VideoStream, after_s: float, target_s: float) -> bool:
-    """Whether decoding on from ``after_s`` takes longer than from the key frame before ``target_s``.
-
-    Also True where the file's index does not reach that far.
-    """
+    """Whether decoding on from ``after_s`` takes longer than from the key frame before ``target_s``, if indexed."""
     assert stream.time_base is not None
     index, after, target = stream.index_entries, after_s / stream.time_base, target_s / stream.time_base
     if not len(index) or index[-1].timestamp < target:
@@ -188,8 +185,7 @@ def _key_frame_between(stream: av.VideoStream, after_s: float, target_s: float) 
 def _video_frames(source: FootageSource, damaged: list[int] | None = None) -> Iterator[av.VideoFrame]:
     """All frames that ``source`` counts, without fields and in stored colours.
 
-    A frame missing at its time is replaced by the one before (at the start, by the first); its number goes into
-    ``damaged``.
+    A frame missing at its time is replaced by the one before (or the first); its number goes into ``damaged``.
     """
     assert source.form is not None
     damaged = [] if damaged is None else damaged

@@ -53,10 +53,7 @@ def is_film(path: Path) -> bool:
 
 @cache
 def film_suffixes() -> frozenset[str]:
-    """Lower-case suffixes of films, such as ``.mp4``.
-
-    They are those of the containers' writers, because readers claim single pictures' too.
-    """
+    """Lower-case suffixes of films, such as ``.mp4``: those of writers, because readers claim pictures' too."""
     writers = (ContainerFormat(name, "w") for name in _CONTAINERS & av.formats_available if _is_written(name))
     return frozenset(f".{suffix}" for writer in writers for suffix in writer.extensions) - _SOUND
 

@@ -31,10 +31,9 @@ _MAX_BYTES = 1 << 28
 
 
 def focal_px_from_metadata(path: Path, wh: tuple[int, int]) -> float | None:
-    """Focal length in pixels of footage of size ``wh`` (width, height) from the file's metadata; None without it.
+    """Focal length in pixels of footage of size ``wh`` from the file's metadata; None without it.
 
-    An initial value, not a calibration: it is the lens's nominal length, and a phone's stabilisation crops up to a
-    tenth of the picture.
+    An initial value: it is the lens's nominal length, and a phone's stabilisation crops up to a tenth of the picture.
     """
     path = read_film_list(path)[0]
     film_mm = _of_photo(path) if path.suffix.lower() in (".jpg", ".jpeg", ".png", ".webp", ".tif") else _of_film(path)
@@ -100,8 +99,7 @@ def _value_in(data: bytes) -> str | None:
 
 
 def _tag_value(meta: dict[bytes, bytes]) -> str | None:
-    """The value of the key: ``keys`` lists names from 1 on; an atom of ``ilst`` is named by such a number and holds
-    ``data``."""
+    """The value of the key: ``keys`` lists names from 1 on; an atom of ``ilst`` is named by such a number."""
     names = [value for _, value in _atoms(meta.get(b"keys", b"")[8:])]
     if _KEY.encode() not in names:
         return None

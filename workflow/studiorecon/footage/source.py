@@ -43,10 +43,7 @@ class FootageSource:
     """The frames that a decoder shows of a video, or the pictures in a folder.
 
     Attributes:
-        path: the video file or folder.
         wh: size as shown: upright, with square pixels.
-        fps: frames per second.
-        frames: number of frames.
         announced: number of frames in the video's header; more than ``frames`` where its end cannot be used.
         times_s: time of each on the video's own time line; empty for a folder.
         carried: whether decoded frames carry these times, so that each can be sought.
@@ -82,8 +79,7 @@ class FootageSource:
 def open_source(path: Path, picture_fps: float) -> FootageSource:
     """The footage at ``path``; ``picture_fps`` is the rate of a folder of pictures, which has none itself.
 
-    Raises UserError naming the file or folder and the remedy when it is missing, unreadable, empty or without a frame
-    rate.
+    Raises UserError naming the file or folder and the remedy when it is missing, unreadable, empty or without a rate.
     """
     if path.is_dir():
         return _open_folder(path, picture_fps)
@@ -93,10 +89,7 @@ def open_source(path: Path, picture_fps: float) -> FootageSource:
 
 
 def check_readable(path: Path) -> None:
-    """Raise UserError as ``open_source`` does if the first picture of the footage at ``path`` cannot be decoded.
-
-    Only this picture is read.
-    """
+    """Raise UserError as ``open_source`` does if the first picture of the footage at ``path`` cannot be decoded."""
     if path.is_dir():
         _open_folder(path, 1.0)
     else:
@@ -193,10 +186,7 @@ def _as_film(path: Path) -> Iterator[None]:
 
 
 def timing_irregularities(times_s: Sequence[float], first: int) -> str | None:
-    """A sentence about uneven times (seconds) of successive frames from ``first`` on; None if they are even.
-
-    A dropped frame shifts all that follow.
-    """
+    """A sentence about uneven times (seconds) of successive frames from ``first`` on; None if they are even."""
     gaps = np.diff(np.asarray(times_s, dtype=float))
     usual = float(np.median(gaps)) if len(gaps) else 0.0
     if usual <= 0:

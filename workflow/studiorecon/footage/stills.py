@@ -22,8 +22,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def read_image(path: Path, flags: int, cure: str = "replace it") -> Shaped[np.ndarray, "H W ..."]:
-    """The picture of a file as decoded by OpenCV (BGR); raises UserError, which ends in ``cure``, when missing or
-    unreadable."""
+    """The picture of a file as decoded by OpenCV (BGR); raises UserError, which ends in ``cure``, if unreadable."""
     data = read_bytes(path)
     try:
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if _whole(data) else None
@@ -53,10 +52,9 @@ def _whole(data: bytes) -> bool:
 def read_plate(
     path: Path, wh: tuple[int, int] | None = None
 ) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
-    """(H, W, 3) float32 RGB in [0, 1] of a picture file and (H, W) bool: measured (alpha above one half).
+    """Float32 RGB in [0, 1] of an 8- or 16-bit picture file, and where it is measured (alpha above one half, or none).
 
-    Without alpha all pixels are measured. 8- and 16-bit files are read. ``wh``: the size of a plate that a step made.
-    Raises UserError naming the file.
+    ``wh``: the size of a plate that a step made. Raises UserError naming the file.
     """
     stored = read_image(path, cv2.IMREAD_UNCHANGED, "replace it" if wh is None else CURE)
     if stored.dtype not in (np.uint8, np.uint16):

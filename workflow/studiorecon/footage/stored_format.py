@@ -34,8 +34,7 @@ class StoredFormat:
     """How a film's frames are stored.
 
     Attributes:
-        wh: width and height of the stored frames.
-        square_wh: the same with square pixels.
+        wh, square_wh: size of the stored frames, and the same with square pixels.
         turn: the display matrix: x and y of a shown pixel in those of the stored one, each 1, −1 or 0.
         deinterlacing: libavfilter's filters, with arguments, that consecutive frames go through.
         colours: those that convert a frame's colours to BT.709.
@@ -65,10 +64,7 @@ class StoredFormat:
         return {(1, 0): 0, (0, -1): 90, (-1, 0): 180, (0, 1): 270}[(-a, -b) if mirrored else (a, b)]
 
     def pictures(self, frames: Iterable[av.VideoFrame]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
-        """Yields (H, W, 3) uint8 RGB as shown, from frames without fields.
-
-        Setting up the conversion of colours takes seconds, so pass all frames to one call.
-        """
+        """Yields uint8 RGB as shown, from frames without fields; one call for all, because setting up takes seconds."""
         width, height = self.square_wh
         for frame in _through(self.colours, frames):
             if self.square_wh == self.wh:
@@ -84,8 +80,7 @@ class StoredFormat:
         return np.ascontiguousarray(turned[:: b + d, :: a + c]) if self.turn != _UPRIGHT else picture
 
     def without_fields(self, frames: Iterable[av.VideoFrame]) -> Iterator[av.VideoFrame]:
-        """Yields consecutive frames (all of the stored size), each with its own time, deinterlaced where they are not
-        whole."""
+        """Yields consecutive frames of the stored size, each with its time, deinterlaced where they are not whole."""
         yield from _through(self.deinterlacing, frames)
 
     def _turned(self, wh: tuple[int, int]) -> tuple[int, int]:
@@ -93,8 +88,7 @@ class StoredFormat:
 
 
 def stored_format(stream: av.VideoStream, first: av.VideoFrame) -> tuple[StoredFormat, tuple[str, ...]]:
-    """How the frames of ``stream`` are stored, by its header and ``first`` frame, and sentences about their
-    conversion."""
+    """How the frames of ``stream`` are stored, and sentences about their conversion."""
     wh, notes, deinterlacing = (first.width, first.height), [], []
     square_wh, about = _square(wh, stream.sample_aspect_ratio)
     notes += about

@@ -18,8 +18,7 @@ Writer = Callable[[Iterator[np.ndarray]], object]
 
 @contextmanager
 def writing(writers: Sequence[Writer]) -> Iterator[Callable[..., None]]:
-    """A function ``put(frame_0, frame_1, …)`` that hands one frame to each writer, which consumes an iterator of
-    frames.
+    """A function ``put(frame_0, frame_1, …)`` that hands one frame to each writer, which consumes an iterator.
 
     The files are complete when the block ends. When the block, or any writer, fails, every writer is stopped by an
     error inside its iterator, so that none of them keeps a partial file, and that first error is raised.

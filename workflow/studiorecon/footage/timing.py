@@ -39,8 +39,7 @@ class Timing:
     Attributes:
         times_s: of every frame on the file's own time line, which its sound shares; strictly ascending.
         fps: frames per second; the header's where the times agree with it.
-        announced: number of frames in the header, without those that an edit list hides; ``times_s`` has fewer where
-            the end cannot be used.
+        announced: number of frames in the header, without those that an edit list hides; ``times_s`` may have fewer.
         carried: whether frames carry these times when they are decoded, so that each can be sought.
         notes: sentences about contradictions in the header.
     """
@@ -54,13 +53,9 @@ class Timing:
 
 @dataclass(frozen=True)
 class _Packets:
-    """The frames of a film in its file, without decoding.
+    """The frames of a film in its file, without decoding: times in order, NaN where there are none.
 
-    Attributes:
-        shown_s: presentation times, in order, NaN where there are none.
-        decoded_s: decoding times of the same frames, in order, NaN where there are none.
-        hidden: number of frames that are not shown: an edit list leaves them out, or they repeat the one before.
-        whole: whether none is damaged and all come in order.
+    ``hidden`` counts frames that an edit list leaves out or that repeat the one before; ``whole``: none is damaged.
     """
 
     shown_s: Float[np.ndarray, " T"]
@@ -129,7 +124,7 @@ def read_timing(path: Path) -> Timing:
 def film_frames(path: Path) -> Iterator[av.VideoFrame]:
     """All undamaged frames of the film in ``path``; none where the file no longer holds one.
 
-    From a damaged frame on it is decoded by one thread: with several, the frames lost with it vary by chance.
+    From a damaged frame on one thread decodes: with several, the frames lost with it vary by chance.
     """
     done = 0
     for threads in ("AUTO", "SLICE"):
@@ -156,7 +151,7 @@ def shown_frames(
 ) -> Iterator[av.VideoFrame]:
     """The undamaged frames from the current position of ``container``.
 
-    ``to_damage``: raises _DamagedError for a damaged or lost frame, except for the first ones, whose reference was cut
+    ``to_damage``: raises _DamagedError for a damaged or lost frame, except for the first ones, whose reference is cut
     off.
     """
     begun, missing = False, 0
@@ -194,10 +189,7 @@ def _readable(container: av.container.InputContainer, stream: av.VideoStream) ->
 
 
 def _frames_by_duration(container: av.container.InputContainer, rate: float) -> int:
-    """Number of frames by the container's duration and ``rate``; 0 where unknown.
-
-    A container lasts as long as its longest stream, which may be the sound.
-    """
+    """Number of frames by the container's duration (of its longest stream) and ``rate``; 0 where unknown."""
     if len(container.streams) > 1 or container.duration is None:
         return 0
     return round((container.duration - (container.start_time or 0)) / av.time_base * rate)
@@ -228,10 +220,7 @@ def _packets(path: Path) -> _Packets:
 
 
 def _decoded(path: Path, from_s: float | None = None, most: int | None = None) -> _Decoded:
-    """At most ``most`` undamaged frames from the key frame before ``from_s`` (None: from the first) on.
-
-    They end at the first of another size.
-    """
+    """At most ``most`` undamaged frames from the key frame before ``from_s`` (None: the first) on, of one size."""
     if from_s is None:
         return _timed(islice(film_frames(path), most))
     with open_container(path) as container:
@@ -296,10 +285,7 @@ def _ascending(times_s: np.ndarray) -> bool:
 
 
 def _repaired(times_s: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"] | None:
-    """The times, with missing or repeated ones interpolated between neighbours; None where most are.
-
-    None also where steps are smaller than any film's.
-    """
+    """The times, with missing or repeated ones interpolated; None where most are, or steps are too small."""
     highest = np.maximum.accumulate(np.nan_to_num(times_s, nan=-np.inf))
     good = np.isfinite(times_s) & np.concatenate([[True], highest[1:] > highest[:-1]])
     if 2 * good.sum() < len(times_s) or not (good[0] and good[-1]):

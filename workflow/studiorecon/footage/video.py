@@ -67,9 +67,9 @@ def to_float(image: Integer[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
 
 
 def write_lossless(path: Path, frames: Iterable[Integer[np.ndarray, "H W ..."]], fps: float, title: str = "") -> int:
-    """Write frames losslessly: (H, W, 3) uint8, (H, W) uint8 or (H, W) uint16; returns how many.
+    """Number of frames (colour or grey) that were written losslessly; ``title``: kept in the file (``camera_title``).
 
-    ``title``: kept in the file (``camera_title``). Raises ValueError for frames of two sizes or none at all.
+    Raises ValueError for frames of two sizes or none at all.
     """
     return write_film(path, frames, fps, None, title)
 
@@ -80,7 +80,7 @@ def camera_title(camera: str, source_sha256: str) -> str:
 
 
 def write_watchable(path: Path, frames: Iterable[Integer[np.ndarray, "H W 3"]], fps: float, crf: int = 16) -> int:
-    """Write (H, W, 3) uint8 frames as an H.264 mp4 that browsers play; odd sizes lose their last row or column.
+    """Write frames as an H.264 mp4 that browsers play; odd sizes lose their last row or column.
 
     Raises ValueError for frames of two sizes or none at all.
     """
@@ -94,10 +94,7 @@ def write_watchable(path: Path, frames: Iterable[Integer[np.ndarray, "H W 3"]], 
 def write_film(
     path: Path, frames: Iterable[Integer[np.ndarray, "H W ..."]], fps: float, codec: Codec | None, title: str = ""
 ) -> int:
-    """Write frames with ``codec``, or losslessly without one; returns how many.
-
-    Raises ValueError for frames of two sizes or none at all.
-    """
+    """Number of frames that were written with ``codec``, or losslessly; raises ValueError for two sizes or no frame."""
     rate = Fraction(fps).limit_denominator(1001 * 60)
     frames = iter(frames)
     first = next(frames, None)
@@ -143,7 +140,7 @@ def pixels(frame: av.VideoFrame) -> Integer[np.ndarray, "H W ..."]:
 
 
 def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator[Integer[np.ndarray, "H W ..."]]:
-    """Frames ``start`` … ``stop`` - 1 of a working video, in order: (H, W, 3) uint8, or (H, W) for grey ones.
+    """Frames ``start`` … ``stop`` - 1 of a working video, in order, as stored.
 
     Raises UserError naming the file when it is missing, unreadable or ends early.
     """
@@ -170,11 +167,10 @@ def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator
 
 
 def read_frames_from(path: Path, start: int, stop: int) -> Iterator[Integer[np.ndarray, "H W ..."]]:
-    """Frames ``start`` … ``stop`` - 1 of a working video as from ``read_frames``, after seeking to the key frame
-    before.
+    """Frames ``start`` … ``stop`` - 1 as from ``read_frames``, after seeking to the key frame before.
 
-    Only for videos that this package wrote: their frames are on a regular grid of times, which gives a frame's number
-    after seeking. Raises UserError naming the file when it is missing, unreadable or ends early.
+    Only for videos that this package wrote, whose frames are on a regular grid of times. Raises UserError naming the
+    file when it is missing, unreadable or ends early.
     """
     if not path.is_file():
         raise UserError(f"{path} is missing")

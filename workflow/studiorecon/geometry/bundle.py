@@ -23,12 +23,7 @@ _FIXED = 1e-9
 
 @dataclass(frozen=True)
 class BundleSettings:
-    """How far poses may move.
-
-    Attributes:
-        iterations: Levenberg-Marquardt steps.
-        prior_deg, prior_m: sigmas of the given rotations and centres: the expected error of the calibration.
-    """
+    """How far poses may move: ``prior_deg`` and ``prior_m`` are sigmas of the given ones, the calibration's error."""
 
     iterations: int = 30
     prior_deg: float | Num[np.ndarray, " V"] = 0.3
@@ -37,10 +32,7 @@ class BundleSettings:
 
 @dataclass(frozen=True)
 class LensPrior:
-    """How far lenses may move: sigmas of the log focal length and of a radial term k1 that starts at 0.
-
-    Each is one for all cameras, or (V,).
-    """
+    """Sigmas, for all cameras or each, of the log focal length and of a radial term k1 that starts at 0."""
 
     log_focal: float | Num[np.ndarray, " V"]
     radial: float
@@ -52,11 +44,9 @@ class BundleResult:
 
     Attributes:
         cameras: with their new poses and focal lengths.
-        points_m: (N, 3).
         radial: k1 on undistorted normalised coordinates, in addition to the distortion removed before.
-        sigma: standard deviations: turn about camera axes (rad), centre (m), log focal length, radial term.
-            Poses are relative to one another (the common rotation, translation and scale are removed); noise is the
-            residuals' own.
+        sigma: turn about camera axes (rad), centre (m), log focal length, radial term. Poses are relative to each other
+            (the common rotation, translation and scale are removed); noise is the residuals' own.
         error_units: root mean square residual per coordinate, in error units, Huber-weighted.
     """
 
@@ -91,7 +81,7 @@ def adjust_with_lenses(
     eliminated by their Schur complement, so a step costs O(N V²). The Huber norm is that of the two-dimensional
     residual (T11) with the delta ``huber_px``, so residuals are in error units and the priors count as one unit per
     standard deviation. 0.1 s for 400 points and 4 views. ``given``: the cameras that the priors refer to, lenses
-    included, where the search starts from others. Pixels that are not finite are not seen; raises ValueError that names
+    included, where the search starts from others. Pixels that are not finite are not seen. Raises ValueError that names
     the argument for other shapes, and for points that are seen and not finite.
     """
     problem = _Problem(cameras, pixels, weights, huber_px, settings, lens, given)
@@ -117,13 +107,13 @@ def move_camera(
 def remove_drift(
     adjusted: Sequence[Camera], given: Sequence[Camera], weights: Sequence[float] | None = None
 ) -> tuple[list[Camera], tuple[Num[np.ndarray, "3 3"], Num[np.ndarray, " 3"], float]]:
-    """The adjusted cameras without their common rotation, translation and scale against the given ones, and that
+    """The adjusted cameras without their common rotation, translation and scale against the given ones; that
     similarity.
 
     Cameras that were not adjusted (held-out ones) stay consistent with them. The rotation is fitted to centres and
-    viewing axes together, which also determines it for two cameras, or cameras in a line. The similarity (rotation,
-    translation, scale) maps adjusted world points to given ones: X' = scale · rotation · X + translation. ``weights``:
-    positive weight of every camera; equal by default.
+    viewing axes together, which determines it for cameras in a line too. The similarity (rotation, translation, scale)
+    maps adjusted world points to given ones: X' = scale · rotation · X + translation. ``weights``: positive; equal by
+    default.
     """
     new, old = np.stack([c.centre_m for c in adjusted]), np.stack([c.centre_m for c in given])
     share = np.ones(len(new)) if weights is None else np.asarray(weights, np.float64)
@@ -285,8 +275,7 @@ class _Problem:
 
 
 def _gauge(state: _State) -> np.ndarray:
-    """(8 V, 7) derivatives of the cameras' parameters by a small common rotation, translation and scale of the
-    world."""
+    """Derivatives of the cameras' parameters by a small common rotation, translation and scale of the world."""
     views = len(state.centres)
     columns = np.zeros((views, 8, 7))
     middle = state.centres - state.centres.mean(0)
@@ -307,10 +296,7 @@ def _times(mixed: np.ndarray, of_points: np.ndarray) -> np.ndarray:
 
 
 def _reduced(blocks: np.ndarray, divided: np.ndarray, mixed: np.ndarray) -> np.ndarray:
-    """(8 V, 8 V) normal matrix of the cameras only: Schur complement of the points.
-
-    ``divided`` are the mixed blocks divided by the points' blocks.
-    """
+    """Normal matrix of the cameras only: Schur complement of the points, with mixed blocks ``divided`` by theirs."""
     views = len(blocks)
     system = np.zeros((views, 8, views, 8))
     for v in range(views):
@@ -319,8 +305,8 @@ def _reduced(blocks: np.ndarray, divided: np.ndarray, mixed: np.ndarray) -> np.n
 
 
 def _solve(problem: _Problem, points_m: np.ndarray, iterations: int) -> tuple[_State, float]:
-    """State and error after damped Gauss-Newton; a step that raises the cost or puts a seen point behind its camera is
-    refused (T12)."""
+    """State and error after damped Gauss-Newton; steps that raise the cost or cross a camera plane are refused
+    (T12)."""
     state, damping = problem.start(points_m), 1e-4
     in_camera, error, cost = problem.residuals(state)
     for _ in range(iterations):

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera paths between the cameras of a rig: order around the scene, rotation by slerp, motion straight or along an
-arc."""
+"""Camera paths between the cameras of a rig: order around the scene, rotation by slerp, motion along line or arc."""
 
 from __future__ import annotations
 
@@ -28,8 +27,7 @@ _ASSUMPTION_WEIGHT = 1e-3
 
 
 def scene_centre(cameras: Sequence[Camera]) -> Num[np.ndarray, " 3"]:
-    """The point nearest to all optical axes in least squares; undetermined directions use three metres ahead of the
-    rig.
+    """The point nearest to all optical axes in least squares, three metres ahead where those leave it undetermined.
 
     Raises ValueError without a camera.
     """
@@ -44,10 +42,8 @@ def scene_centre(cameras: Sequence[Camera]) -> Num[np.ndarray, " 3"]:
 
 
 def azimuths_rad(cameras: Sequence[Camera], centre_m: Num[np.ndarray, " 3"]) -> Num[np.ndarray, " V"]:
-    """Direction of each camera seen from the centre, counter-clockwise from x, in [0, 2 pi).
-
-    Raises ValueError for a ``centre_m`` that is no point.
-    """
+    """Direction of each camera from the centre, counter-clockwise from x, in [0, 2 pi). Raises ValueError for no
+    point."""
     require("centre_m", centre_m, (3,), finite=True)
     offsets = np.stack([camera.centre_m - centre_m for camera in cameras])
     return np.arctan2(offsets[:, 1], offsets[:, 0]) % (2 * np.pi)
@@ -56,8 +52,8 @@ def azimuths_rad(cameras: Sequence[Camera], centre_m: Num[np.ndarray, " 3"]) -> 
 def order_around(cameras: Sequence[Camera], centre_m: Num[np.ndarray, " 3"], closed: bool) -> tuple[list[int], float]:
     """Camera indices counter-clockwise around the centre (U18), and the largest gap between neighbours in radians.
 
-    A closed ring starts at the first camera; an open arc starts behind the largest gap, so that the gap is not flown
-    through. Raises ValueError for a ``centre_m`` that is no point.
+    A closed ring starts at the first camera; an open arc starts behind the largest gap. Raises ValueError for a
+    ``centre_m`` that is no point.
     """
     azimuth = azimuths_rad(cameras, centre_m)
     order = np.argsort(azimuth, kind="stable")
@@ -88,10 +84,9 @@ def gaps_around(cameras: Sequence[Camera]) -> list[Gap]:
 
 
 def look_at(eye_m: Num[np.ndarray, " 3"], target_m: Num[np.ndarray, " 3"]) -> Num[np.ndarray, "3 3"]:
-    """World_from_camera of a level camera at ``eye_m`` whose optical axis meets ``target_m``.
+    """World_from_camera of a level camera at ``eye_m`` whose optical axis meets ``target_m``; y is up if that is below.
 
-    A camera that points straight down has y as its up direction. Raises ValueError for arguments that are not finite
-    numbers.
+    Raises ValueError for arguments that are not finite numbers.
     """
     require("eye_m", eye_m, (3,), finite=True)
     require("target_m", target_m, (3,), finite=True)
@@ -106,10 +101,8 @@ def look_at(eye_m: Num[np.ndarray, " 3"], target_m: Num[np.ndarray, " 3"]) -> Nu
 
 
 def with_pose(camera: Camera, world_from_camera: Num[np.ndarray, "3 3"], centre_m: Num[np.ndarray, " 3"]) -> Camera:
-    """The camera turned to the rotation ``world_from_camera`` and moved to ``centre_m``.
-
-    Raises ValueError for another shape or numbers that are not finite.
-    """
+    """The camera turned to ``world_from_camera`` and moved to ``centre_m``. Raises ValueError unless both are
+    finite."""
     require("world_from_camera", world_from_camera, (3, 3), finite=True)
     require("centre_m", centre_m, (3,), finite=True)
     camera_from_world = np.eye(4)
@@ -163,8 +156,7 @@ def clearance_share(points_m: Num[np.ndarray, "N 3"], centre_m: Num[np.ndarray, 
 
 
 def axis_miss_rad(camera: Camera, target_m: Num[np.ndarray, " 3"]) -> float:
-    """Angle between the optical axis and the direction to ``target_m``, by atan2. Raises ValueError for another
-    shape."""
+    """Angle between the optical axis and the direction to ``target_m``. Raises ValueError for another shape."""
     require("target_m", target_m, (3,))
     direction = target_m - camera.centre_m
     return float(np.arctan2(np.linalg.norm(np.cross(camera.forward, direction)), camera.forward @ direction))
@@ -184,8 +176,8 @@ def interpolate_cameras(
     Rotations by slerp (half turns about the world's up), centres along the chord, as in the paper. A chord that passes
     the centre nearer than ``clearance`` times its nearer end is replaced by the arc (R07: opposite cameras would fly
     through the people). ``look_at`` keeps the centre at its place in the two cameras' pictures, which slerp does not
-    for unlike cameras (R08). Cameras exactly half a turn apart are named in the log, because the direction of rotation
-    was a choice (R05). Raises ValueError for a ``centre_m`` that is no point or fewer than one camera.
+    for unlike cameras (R08). Half a turn is logged, because its direction was a choice (R05). Raises ValueError for a
+    ``centre_m`` that is no point or fewer than one camera.
     """
     require("centre_m", centre_m, (3,), finite=True)
     if count < 1:

@@ -58,10 +58,7 @@ def crop_hypotheses(lens: Lens, source_wh: tuple[int, int]) -> list[CropHypothes
 
 
 def without_bars(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Float[np.ndarray, " 4"]:
-    """(left, top, right, bottom) in pixels of the part of a film's ``pictures`` inside of black bars.
-
-    The whole picture where there are none, or where everything is black.
-    """
+    """(left, top, right, bottom) in pixels of the part of ``pictures`` inside black bars, or of all of them."""
     brightest = np.stack([picture.max(-1) for picture in pictures])
     area = []
     for axis, side in ((1, brightest.shape[2]), (2, brightest.shape[1])):
@@ -72,8 +69,7 @@ def without_bars(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Float[np.n
 
 
 def inside_bars(lens: Lens, area: Num[np.ndarray, " 4"], source_wh: tuple[int, int]) -> CropHypothesis | None:
-    """The calibrated picture in the part ``area`` of a film with black bars; None where the shapes differ or there are
-    no bars."""
+    """The calibrated picture in the part ``area`` of a film with black bars; None without bars or of other shape."""
     low, size = area[:2], area[2:] - area[:2]
     whole = size == source_wh
     if whole.all() or lens.has_place or 0 in lens.wh:
@@ -94,8 +90,8 @@ def inside_bars(lens: Lens, area: Num[np.ndarray, " 4"], source_wh: tuple[int, i
 def for_square_pixels(lens: Lens, stored_wh: tuple[int, int], shown_wh: tuple[int, int]) -> tuple[Lens, str]:
     """The lens for the shown picture of a film of ``stored_wh`` non-square pixels, and a sentence on the choice.
 
-    The calibration is for stored or for shown pixels: its size decides, or without one the ratio of its focal lengths.
-    Unchanged, with "", for square pixels.
+    The calibration's size decides whether it is for stored or for shown pixels, or without one the ratio of its focal
+    lengths. Unchanged, with "", for square pixels.
     """
     if stored_wh == shown_wh or lens.has_place:
         return lens, ""

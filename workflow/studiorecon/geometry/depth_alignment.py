@@ -34,8 +34,7 @@ class Alignment:
     model: str
 
     def apply(self, predicted: Num[np.ndarray, " ..."], near_m: float) -> Num[np.ndarray, " ..."]:
-        """Aligned depth in metres; 0 (unknown) where the prediction is unknown, not finite, or falls nearer than
-        ``near_m`` (D04)."""
+        """Aligned depth in metres; 0 where the prediction is unknown, not finite, or nearer than ``near_m`` (D04)."""
         known = np.isfinite(predicted) & (predicted > 0)
         aligned = self.scale * np.where(known, predicted, 1.0) + self.shift_m
         return np.where(known & (aligned >= near_m), aligned, 0.0)
@@ -54,8 +53,8 @@ def align_depth(
     tolerate up to 45 % of moved pixels (D01); more need the mask. With both maps ``noisy``, in proportion to their
     scale, the slope is the geometric mean of the fits in both directions. With noise in the prediction only it is the
     inverse of the fit of prediction to reference: the other direction flattens it to 0.9 or 0.67 (D07). Values that are
-    not finite or not positive count as unknown (D05). A scale ≤ 0 is never returned. Raises ValueError that names the
-    argument when shapes differ.
+    not finite or not positive count as unknown (D05). A scale ≤ 0 is never returned. Raises ValueError for unequal
+    shapes.
     """
     require("reference_m", reference_m, np.shape(predicted))
     require("static", static, np.shape(predicted))
@@ -101,8 +100,7 @@ def align_depth(
 
 
 def shared_alignment(frames: Sequence[Alignment]) -> Alignment:
-    """One alignment for a static camera: median scale and shift of its frames, so that depth does not flicker (D06,
-    U22).
+    """One alignment for a static camera: median scale and shift of its frames against flicker (D06, U22).
 
     Affine when most determined frames are; undetermined without any.
     """

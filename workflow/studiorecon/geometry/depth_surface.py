@@ -16,11 +16,10 @@ if TYPE_CHECKING:
 
 
 def depth_breaks(depth_m: Num[np.ndarray, "H W"], jump: float) -> Bool[np.ndarray, "H W"]:
-    """Pixels next to a jump in depth or next to unknown depth.
+    """Pixels next to a jump in depth or next to unknown depth. Raises ValueError for a ``depth_m`` that is no map.
 
     The measure is the second difference of 1/z times z: it is 0 on a plane, however slanted, because 1/z is linear in
-    pixels on a plane; a step from z to z(1 + ``jump``) has about ``jump``. Sampling must not interpolate across such
-    pixels (C12). Raises ValueError for a ``depth_m`` that is no map.
+    pixels on a plane; a step from z to z(1 + ``jump``) has about ``jump``. Sampling must not interpolate there (C12).
     """
     require("depth_m", depth_m, ("H", "W"))
     known = np.isfinite(depth_m) & (depth_m > 0)
@@ -44,9 +43,9 @@ def points_and_normals(
 ) -> tuple[Num[np.ndarray, "H W 3"], Num[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
     """World points, unit normals towards the camera, and where both are measured.
 
-    Normals come from central differences in 1/z, which are exact on planes. ``valid`` excludes unknown depth, its
-    neighbours, and, when ``jump`` is given, the pixels of ``depth_breaks``. Invalid points are NaN-free: their depth is
-    set to 1 m. Raises ValueError for a map of another size than the camera's.
+    Normals come from central differences in 1/z, exact on planes. Not measured are unknown depth, its neighbours, and,
+    with ``jump``, pixels of ``depth_breaks``; their depth is set to 1 m. Raises ValueError for a map that is not of the
+    camera's size.
     """
     require("depth_m", depth_m, camera.hw)
     height, width = camera.hw

@@ -79,7 +79,7 @@ def undistort(
 
 
 def fold_radius(model: str, coefficients: Num[np.ndarray, " C"]) -> float:
-    """Radius (fisheye: angle in radians) at which the radial distortion stops growing or has a pole; inf when it never
+    """Radius (fisheye: angle in radians) at which the radial distortion stops growing or has a pole; inf if it never
     does.
 
     Raises ValueError for another model or coefficients that are not finite.

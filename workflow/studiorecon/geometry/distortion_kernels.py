@@ -23,8 +23,7 @@ _TABLE_SIZE, _TABLE_SPAN = 2048, 2.0
 
 @njit(cache=True, nogil=True)
 def undistort(points, k, fisheye, limit, tolerance, answers, valid):
-    """Fill answers (N, 2), NaN for undefined, and valid (N,) for distorted ``points`` (N, 2); ``limit`` is the fold
-    radius."""
+    """Fill ``answers``, NaN for undefined, and ``valid`` for distorted ``points``; ``limit`` is the fold radius."""
     # A division is most of a step's time, and most lenses have no denominator.
     rational = k[5] != 0.0 or k[6] != 0.0 or k[7] != 0.0
     tangential = not fisheye and (k[2] != 0.0 or k[3] != 0.0)
@@ -166,8 +165,7 @@ def _radial(radius, k, fisheye):
 
 @njit(cache=True, nogil=True)
 def _ratio(square, table, reach):
-    """Undistorted over distorted radius at a squared distorted one up to ``reach``, interpolated: almost linear in the
-    square."""
+    """Undistorted over distorted radius at a squared distorted one up to ``reach``, interpolated in the square."""
     position = square * (_TABLE_SIZE / reach)
     i = min(int(position), _TABLE_SIZE - 1)
     return table[i] + (position - i) * (table[i + 1] - table[i])
@@ -175,8 +173,7 @@ def _ratio(square, table, reach):
 
 @njit(cache=True, nogil=True)
 def _invert(target, radius, k, fisheye, limit, farthest):
-    """Radius up to ``limit`` whose distortion is ``target``: Newton from ``radius`` inside a bracket, else bisection
-    (C09)."""
+    """Radius up to ``limit`` whose distortion is ``target``: Newton inside a bracket, else bisection (C09)."""
     if target >= farthest:
         return limit
     low, high = 0.0, limit

@@ -20,9 +20,9 @@ FLOOR_M = 0.06
 def floor_points(
     camera: Camera, depth_m: Num[np.ndarray, "H W"], floor_m: float
 ) -> tuple[Num[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
-    """World points that a depth map shows, and which of them are floor: known depth, at the floor's height.
+    """World points that a depth map shows, and which of them are floor; ``camera`` has the map's size.
 
-    ``camera`` has the size of ``depth_m``. Raises ValueError for another size.
+    Raises ValueError for another size.
     """
     require("depth_m", depth_m, camera.hw)
     known = np.isfinite(depth_m) & (depth_m > 0)

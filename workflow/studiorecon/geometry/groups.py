@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Groups of linked nodes, chosen whole by the sum of their affinities: beam search in each connected part of the
-graph."""
+"""Groups of linked nodes, chosen whole by the sum of their affinities: beam search in each connected part."""
 
 from __future__ import annotations
 
@@ -28,9 +27,8 @@ def groups_by_affinity(affinity: Num[np.ndarray, "M M"], forbidden: Bool[np.ndar
     """Groups of nodes, best first, chosen greedily by the largest sum of ``affinity``, 0 = not linked.
 
     No two nodes of a group are ``forbidden`` together; nodes without a link are left out. Connected parts of the graph
-    are searched separately: a detector that loses people gives hundreds of short tracks, and one search over all of
-    them took minutes. Raises ValueError for other shapes, and for affinities that are not finite: a pair that was not
-    measured has 0 (A02).
+    are searched separately: one search over hundreds of short tracks took minutes. Raises ValueError for other shapes,
+    and for affinities that are not finite: a pair that was not measured has 0 (A02).
     """
     require("forbidden", forbidden, ("M", "M"), require("affinity", affinity, ("M", "M"), finite=True))
     forbidden = forbidden | np.eye(len(affinity), dtype=bool)
@@ -59,8 +57,7 @@ def _connected(nodes: np.ndarray, affinity: np.ndarray, forbidden: np.ndarray) -
 
 
 def _best_group(affinity: np.ndarray, forbidden: np.ndarray) -> tuple[float, np.ndarray]:
-    """(score, nodes) by beam search over groups, grown one node at a time from every linked pair; ties go to the lower
-    nodes."""
+    """(score, nodes) by beam search over groups grown by one node at a time; ties go to the lower nodes."""
     count = len(affinity)
     # A group's name is independent of the order in which it grew; two of a million groups collide once in ten million
     # searches.

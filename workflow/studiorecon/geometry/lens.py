@@ -56,8 +56,7 @@ class WorkingView:
     map_y: Float[np.ndarray, "nH nW"]
 
     def picture(self, source: Num[np.ndarray, "rows columns ..."]) -> Num[np.ndarray, "H W ..."]:
-        """The working picture (H, W[, C]) of a source frame, same dtype: bilinear, then averaged over the
-        oversampling."""
+        """The working picture of a source frame, same dtype: bilinear, then averaged over the oversampling."""
         # The maps stay inside the footage; replication only affects the half pixel beyond the outermost centres.
         sampled = cv2.remap(source, self.map_x, self.map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return sampled if self.oversampling == 1 else cv2.resize(sampled, self.wh, interpolation=cv2.INTER_AREA)
@@ -74,8 +73,8 @@ def working_view(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) ->
     """Intrinsics and sampling maps of the largest undistorted picture of size ``wh`` without black borders.
 
     The picture shows the largest axis-aligned rectangle that the lens covers inside both the video frame and the
-    calibrated frame, cut to the aspect of ``wh``. A lens without distortion keeps its whole frame; its intrinsics are
-    only scaled. Pixels that cannot be undistorted are outside of it. Raises UserError as ``unseen_share``.
+    calibrated frame, cut to the aspect of ``wh``. A lens without distortion keeps its whole frame. Pixels that cannot
+    be undistorted are outside of it. Raises UserError as ``unseen_share``.
     """
     unseen_share(lens, source_wh)
     calibration_from_video = calibration_from_video_pixels(lens, source_wh)
@@ -101,11 +100,10 @@ def working_view(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) ->
 
 
 def calibration_from_video_pixels(lens: Lens, source_wh: tuple[int, int]) -> Num[np.ndarray, "2 3"]:
-    """Map from video pixels to calibration pixels.
+    """Map from video pixels to calibration pixels: the lens's own if given, else the scaling between the two sizes.
 
-    The lens's own map where one was given; else the scaling from the video's size to the calibrated one. Raises
-    UserError when the two sizes have different shapes: then the footage was cropped or padded, and only the user knows
-    how. Raises UserError also when the given map puts the calibrated pixels outside the video.
+    Raises UserError when the two sizes have different shapes (the footage was cropped or padded, and only the user
+    knows how), and when the given map puts the calibrated pixels outside the video.
     """
     given = np.asarray(lens.calibration_from_video, dtype=np.float64)
     if lens.has_place:
@@ -180,10 +178,7 @@ def normalised_from_calibration(
 def working_from_calibration(
     pixels: Num[np.ndarray, "... 2"], lens: Lens, intrinsics: Num[np.ndarray, "3 3"]
 ) -> tuple[Num[np.ndarray, "... 2"], Bool[np.ndarray, " ..."]]:
-    """Working pixels and validity of calibration pixels; ``intrinsics`` of the working picture.
-
-    Raises ValueError for another shape.
-    """
+    """Working pixels and validity of calibration pixels. Raises ValueError for another shape."""
     require("intrinsics", intrinsics, (3, 3), finite=True)
     normalised, valid = normalised_from_calibration(pixels, lens)
     return normalised * np.array([intrinsics[0, 0], intrinsics[1, 1]]) + intrinsics[:2, 2], valid
@@ -203,7 +198,7 @@ def working_from_video(
 def video_from_working(
     pixels: Num[np.ndarray, "... 2"], lens: Lens, source_wh: tuple[int, int], intrinsics: Num[np.ndarray, "3 3"]
 ) -> Num[np.ndarray, "... 2"]:
-    """Pixels of the video file of working pixels, centres at +0.5; far outside of it where the lens has no such ray.
+    """Pixels of the video file, centres at +0.5, of working pixels; far outside where the lens has no such ray.
 
     Raises ValueError for another shape.
     """
@@ -221,8 +216,7 @@ def video_from_working(
 
 
 def _pixel_aspect(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) -> float:
-    """The pixel aspect that makes an uncropped frame fit ``wh`` exactly although both sizes were rounded: 1 up to
-    rounding."""
+    """The pixel aspect, 1 up to rounding, that makes an uncropped frame fit ``wh`` exactly."""
     affine = calibration_from_video_pixels(lens, source_wh)
     stretch = affine[0, 0] / affine[1, 1]
     return stretch * (source_wh[0] / source_wh[1]) / (wh[0] / wh[1])
@@ -231,8 +225,7 @@ def _pixel_aspect(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) -
 def _covered(
     lens: Lens, source_wh: tuple[int, int], calibration_from_video: np.ndarray
 ) -> tuple[float, float, float, float]:
-    """Left, top, right, bottom (undistorted calibration pixels) of the largest rectangle inside the undistorted
-    footage."""
+    """Left, top, right, bottom (undistorted calibration px) of the largest rectangle inside the undistorted footage."""
     corners = np.array([[0.0, 0.0], source_wh]) @ calibration_from_video[:, :2].T + calibration_from_video[:, 2]
     low, high = corners.min(0), corners.max(0)
     if 0 not in lens.wh:
@@ -260,8 +253,7 @@ def _covered(
 def _undoable(
     edges: Mapping[str, tuple[np.ndarray, np.ndarray]], lens: Lens, low: np.ndarray, high: np.ndarray
 ) -> Float[np.ndarray, " 4"]:
-    """Left, top, right, bottom (normalised) of a rectangle that is seen entirely between the pixels ``low`` and
-    ``high``.
+    """Left, top, right, bottom (normalised) of a rectangle that is seen entirely between pixels ``low`` and ``high``.
 
     For a lens that cannot be undistorted everywhere on the undistorted ``edges`` (points, validity).
     """
@@ -293,15 +285,13 @@ def _undoable(
 
 
 def _reach(lens: Lens) -> float:
-    """The largest undistorted radius (normalised) in use: below the lens's fold, and no steeper than a pinhole picture
-    can show."""
+    """The largest undistorted radius (normalised) in use: below the fold, and no steeper than a pinhole can show."""
     fold = fold_radius(lens.model, lens.distortion)
     return min(float(np.tan(fold)) if lens.model == "fisheye" else fold, float(np.tan(_STEEPEST)))
 
 
 def unseen_share(lens: Lens, source_wh: tuple[int, int]) -> float:
-    """Share of a video's picture for which the lens model has no ray, since its polynomial folds before; it is not
-    used.
+    """Share of a video's picture beyond the fold of the lens's polynomial, which is not used.
 
     Raises UserError where it is most of the picture, and as ``calibration_from_video_pixels``: every step that rejects
     a lens does so here.

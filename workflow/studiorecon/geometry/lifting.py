@@ -29,9 +29,9 @@ def patch_depth(
 ) -> tuple[Num[np.ndarray, " D"], Bool[np.ndarray, " D"]]:
     """Median depth of the valid pixels of a square patch around each of ``pixels``, and whether there is any.
 
-    ``valid_mask``, or one per pixel (D, H, W): the person, where the depth is measured. The lower of two middle values
-    is taken, never their mean, which may be on neither surface (C12). Depths that are not finite or not past ``near_m``
-    do not vote (C04). Raises ValueError for other shapes or an even ``patch_px``.
+    ``valid_mask`` is where the depth is measured and the person is. The lower of two middle values is taken, never
+    their mean, which may be on neither surface (C12). Depths that are not finite or not past ``near_m`` do not vote
+    (C04). Raises ValueError for other shapes or an even ``patch_px``.
     """
     sizes = require("depth_m", depth_m, ("H", "W"))
     sizes = require("pixels", pixels, ("D", 2), sizes)
@@ -67,8 +67,7 @@ def lift_pelvis(
     patch_px: int = 9,
     near_m: float = 0.1,
 ) -> tuple[Num[np.ndarray, "... 3"], Bool[np.ndarray, " ..."]]:
-    """World pelvises (D, 3), or (3,) for one pixel (2,), NaN where undetermined, and (D,) or () bool whether
-    determined.
+    """World pelvises, NaN where undetermined, and whether each is determined.
 
     The paper's p_world = Rᵀ(d K⁻¹p − t), with d from ``patch_depth`` and ``surface_to_joint_m`` added along the ray,
     not in z: the skin seen from two sides is up to 0.34 m apart (C11, U26). Raises ValueError as ``patch_depth`` does,
@@ -88,9 +87,9 @@ def lift_joint(
     camera: Camera,
     surface_to_joint_m: float,
 ) -> Num[np.ndarray, "... 3"]:
-    """World points ``surface_to_joint_m`` behind the surface seen at ``pixels`` at a z-depth.
+    """World points ``surface_to_joint_m`` behind the surface seen at ``pixels`` at a z-depth, NaN if unknown (C04).
 
-    NaN where the depth is not finite and positive, or the pixel not finite (C04). Raises ValueError for other shapes.
+    Raises ValueError for other shapes.
     """
     pixels, depth = np.asarray(pixels, dtype=np.float64), np.asarray(surface_depth_m, dtype=np.float64)
     require("pixels", pixels, (*depth.shape, 2))

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses from points: of two cameras relative to each other (up to scale), and of one camera relative to known
-points."""
+"""Poses from points: of two cameras relative to each other (up to scale), and of a camera relative to points."""
 
 from __future__ import annotations
 
@@ -26,10 +25,9 @@ def relative_pose(
     """Rotation, unit translation and inliers with x_second = R x_first + t, or None.
 
     ``first`` and ``second`` are undistorted normalised coordinates of the same points, ``unit`` the Sampson distance of
-    an inlier, in the same coordinates. Samples of five points propose (Nister 2004; OpenCV's USAC, which takes an
-    eighth of the time of its RANSAC and ends in the same cameras), then robust least squares of the Sampson distance
-    over the five numbers; only points in front of both cameras are inliers. None when there is no solution. Raises
-    ValueError for other shapes and coordinates that are not finite.
+    an inlier. Samples of five points propose (Nister 2004; OpenCV's USAC, an eighth of the time of its RANSAC with the
+    same cameras), then robust least squares of the Sampson distance over the five numbers; only points in front of both
+    cameras are inliers. Raises ValueError for other shapes and coordinates that are not finite.
     """
     require("second", second, ("N", 2), require("first", first, ("N", 2), finite=True), finite=True)
     if len(first) < _MIN_PAIRS:

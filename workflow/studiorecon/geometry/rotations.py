@@ -37,10 +37,10 @@ def cross_matrix(vectors: Num[np.ndarray, "... 3"]) -> Num[np.ndarray, "... 3 3"
 
 
 def exp(axis_angle_rad: Num[np.ndarray, "... 3"]) -> Num[np.ndarray, "... 3 3"]:
-    """Rotations of axis-angles.
+    """Rotations of axis-angles. Raises ValueError for another last axis.
 
     I + sin θ/θ [w]× + 2 sin²(θ/2)/θ² [w]×²; ``np.sinc`` is exact at 0, and the half angle keeps the digits that (1 −
-    cos θ)/θ² loses (R09, R10). Raises ValueError for another last axis.
+    cos θ)/θ² loses (R09, R10).
     """
     w = np.asarray(axis_angle_rad, dtype=np.float64)
     require("axis_angle_rad", w, (..., 3))
@@ -50,10 +50,7 @@ def exp(axis_angle_rad: Num[np.ndarray, "... 3"]) -> Num[np.ndarray, "... 3 3"]:
 
 
 def log(rotations: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "... 3"]:
-    """Axis-angles, angle in [0, π], of rotations; 1e-8 rad or better also at 0 and π (R11, R12).
-
-    Raises ValueError for other last axes.
-    """
+    """Axis-angles, angle in [0, π], to 1e-8 rad also at 0 and π (R11, R12). Raises ValueError for other last axes."""
     q = to_quaternion(rotations)
     sine = np.sqrt(np.einsum("...i,...i", q[..., 1:], q[..., 1:]))
     # θ / sin(θ/2) tends to 2 at 0; the denominator is replaced before dividing, not after (double where).
@@ -71,10 +68,7 @@ def angle(a: Num[np.ndarray, "... 3 3"], b: Num[np.ndarray, "... 3 3"]) -> Num[n
 
 
 def to_quaternion(rotations: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "... 4"]:
-    """Unit quaternions w, x, y, z with w ≥ 0 of rotations, by the largest of the four pivots (R13).
-
-    Raises ValueError for other last axes.
-    """
+    """Unit quaternions w, x, y, z with w ≥ 0, by the largest pivot (R13). Raises ValueError for other last axes."""
     q = largest_quaternion_row(rotations).reshape(-1, 4)
     q /= np.linalg.norm(q, axis=-1, keepdims=True)
     q[q[:, 0] < 0] *= -1
@@ -82,10 +76,7 @@ def to_quaternion(rotations: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "...
 
 
 def largest_quaternion_row(rotations: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "... 4"]:
-    """Quaternions w, x, y, z of either sign and a length between 2 and 4, of rotations.
-
-    Raises ValueError for other last axes.
-    """
+    """Quaternions w, x, y, z of either sign, of length 2 to 4. Raises ValueError for other last axes."""
     r = np.asarray(rotations, dtype=np.float64)
     require("rotations", r, (..., 3, 3))
     m = np.moveaxis(r.reshape(-1, 9), -1, 0)
@@ -130,8 +121,7 @@ def from_quaternion(quaternions: Num[np.ndarray, "... 4"]) -> Num[np.ndarray, ".
 def project_to_so3(matrices: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "... 3 3"]:
     """Nearest rotations in the Frobenius norm; the sign fix keeps the determinant at +1 (R18, R19, C01).
 
-    Raises ValueError for other last axes and for values that are not finite, which would make the whole decomposition
-    fail.
+    Raises ValueError for other last axes and for values that are not finite, with which the decomposition would fail.
     """
     matrices = np.asarray(matrices, dtype=np.float64)
     require("matrices", matrices, (..., 3, 3), finite=True)
@@ -148,9 +138,8 @@ def slerp(
 ) -> Num[np.ndarray, "... 3 3"]:
     """The rotation at ``share`` of the shortest way from a to b, both world_from_… rotations.
 
-    Exactly half a turn apart the shortest way is ambiguous: the rotation then is counter-clockwise about ``up`` (the
-    world's z when None), whatever the rounding (R01-R06); ``half_turn`` detects this. Raises ValueError for other last
-    axes.
+    Half a turn is counter-clockwise about ``up`` (the world's z when None), whatever the rounding (R01-R06);
+    ``half_turn`` detects it. Raises ValueError for other last axes.
     """
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     require("a", a, (..., 3, 3))
@@ -166,10 +155,8 @@ def slerp(
 
 
 def half_turn(a: Num[np.ndarray, "... 3 3"], b: Num[np.ndarray, "... 3 3"]) -> Bool[np.ndarray, " ..."]:
-    """Whether a and b are so nearly half a turn apart that ``slerp`` chose one of two ways (R05).
-
-    Raises ValueError as ``angle``.
-    """
+    """Whether a and b are so nearly half a turn apart that ``slerp`` chose a way (R05). Raises ValueError as
+    ``angle``."""
     return angle(a, b) > np.pi - _HALF_TURN_RAD
 
 
@@ -179,8 +166,8 @@ def mean(
     """Mean over the axis of N, and whether it is determined.
 
     Eigenvector of Σ w q qᵀ: signs of quaternions do not matter (R16). Undetermined where the two largest eigenvalues
-    coincide, as for thirds of a turn (R17); the returned rotation is then one of many. Raises ValueError for other last
-    axes and for rotations or weights that are not finite.
+    coincide, as for thirds of a turn (R17). Raises ValueError for other last axes and for rotations or weights that are
+    not finite.
     """
     require("rotations", rotations, (..., "N", 3, 3), finite=True)
     q = to_quaternion(rotations)

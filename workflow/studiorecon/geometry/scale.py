@@ -35,8 +35,7 @@ class SceneScale:
         world_per_metre: scene units per metre; NaN when undetermined. Divide scene coordinates by it to get metres.
         spread: robust relative standard deviation of single bones about the scale; NaN when undetermined.
         bones: number of different bones that were measured at least once.
-        per_person: every person's own ratio to the scene's scale, NaN where undetermined: far from 1 hints at a
-            wrong height or identity, not at another scale.
+        per_person: every person's own ratio to the scene's scale, NaN where undetermined; a hint at wrong heights.
         reason: one clause why the scale is undetermined; empty when it is determined.
     """
 
@@ -61,12 +60,11 @@ def scene_scale(
 ) -> SceneScale:
     """Scale of triangulated ``joints`` in scene units against template joints in metres.
 
-    ``bones`` are pairs of joints, ``valid`` marks the measured joints; joints that are not finite count as not
-    measured. ``sigma`` is their standard deviation per coordinate in scene units, one for all or one each: noise makes
-    bones longer by (σᵢ² + σⱼ²)/b on average, which is subtracted (S05). Bones shorter than ``least_bone_m`` in the
-    template are left out, because noise would be most of their length (S04, S05). Undetermined with fewer than 4
-    different bones or a scale outside 1e-6 to 1e6 (S03). Raises ValueError that names the argument when shapes do not
-    fit or the template is not finite.
+    ``bones`` are pairs of joints; joints that are not finite count as not measured. ``sigma`` is their standard
+    deviation per coordinate in scene units: noise makes bones longer by (σᵢ² + σⱼ²)/b on average, which is subtracted
+    (S05). Bones shorter than ``least_bone_m`` in the template are left out, because noise would be most of their length
+    (S04, S05). Undetermined with fewer than 4 different bones or a scale outside 1e-6 to 1e6 (S03). Raises ValueError
+    that names the argument when shapes do not fit or the template is not finite.
     """
     sizes = require("joints", joints, ("P", "T", "J", 3))
     sizes = require("template_joints_m", template_joints_m, ("P", "J", 3), sizes, finite=True)
@@ -104,12 +102,11 @@ def scene_scale(
 def fit_scale(
     lengths: Num[np.ndarray, " N"], template_m: Num[np.ndarray, " N"], variance: Num[np.ndarray, " N"]
 ) -> float:
-    """The s that minimises Σ ρ(length − variance / (s b) − s b) over bones of template length b.
+    """The s that minimises Σ ρ(length − variance / (s b) − s b) over bones of template length b; 0 for lengths 0.
 
-    It is 0 when the lengths are 0. ``variance`` is the sum of the two ends' variances per coordinate: E‖b + n‖ = b +
-    v/b up to exp(−b²/2v). Delta is a tenth of the bone's expected length at the median ratio. Iteratively reweighted
-    from the median; 1e-9 or better, at any scale. Lengths must be finite and template lengths positive. Raises
-    ValueError for other shapes and numbers that are not finite.
+    ``variance`` is the sum of the two ends' variances per coordinate: E‖b + n‖ = b + v/b up to exp(−b²/2v). Delta is a
+    tenth of the bone's expected length at the median ratio. Iteratively reweighted from the median; 1e-9 or better, at
+    any scale. Raises ValueError for other shapes and numbers that are not finite and, in the template, positive.
     """
     sizes = require("lengths", lengths, ("N",), finite=True)
     require("template_m", template_m, ("N",), sizes, finite=True)

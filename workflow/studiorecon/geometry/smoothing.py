@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Smoothing over time as in the paper's appendix: exponential forwards and backwards, then Gaussian; vectors and
-rotations.
+"""Smoothing of vectors and rotations as in the paper's appendix: exponential forwards and backwards, then Gaussian.
 
 The two exponential passes are a cascade (U40), whose response is α/(2−α) (1−α)^|d|. Together with the Gaussian that is
 one symmetric kernel, truncated where it has faded and renormalised at the ends, so that constants stay and the first
@@ -85,10 +84,9 @@ def at_frame_rate(smoothing: Smoothing, fps: float) -> tuple[float, float]:
 
 
 def kernel(alpha: float, sigma_frames: float) -> Num[np.ndarray, " W"]:
-    """(2R + 1,) weights that sum to 1: exponential passes (U40), then Gaussian cut at four deviations (U41).
+    """Weights that sum to 1: exponential passes (U40), then a Gaussian cut at four deviations (U41).
 
-    The second pass runs over the first one's result: its response is α/(2−α) (1−α)^|d|. Raises ValueError for α outside
-    (0, 1] and a negative σ.
+    The second pass runs over the first one's result. Raises ValueError for α outside (0, 1] and a negative σ.
     """
     if not 0 < alpha <= 1 or sigma_frames < 0:
         raise ValueError(f"alpha must be in (0, 1] and sigma ≥ 0, not {alpha} and {sigma_frames}")
@@ -109,8 +107,7 @@ def gain(alpha: float, sigma_frames: float, period_frames: float) -> float:
 
 
 def fill_vectors(values: Num[np.ndarray, "T ..."], valid: Bool[np.ndarray, " T"]) -> Num[np.ndarray, "T ..."]:
-    """``values`` with invalid frames replaced by straight lines between valid ones, and by the nearest one beyond the
-    ends.
+    """``values`` with invalid frames on straight lines between valid ones, beyond the ends those of the nearest.
 
     Raises ValueError when no frame is valid or the shapes do not fit.
     """
@@ -153,9 +150,9 @@ def smooth_rotations(
 ) -> Num[np.ndarray, "T ... 3 3"]:
     """Smoothed along the first axis on SO(3): weighted Karcher mean of each window, two steps from the mean quaternion.
 
-    Differences are taken from the frame at the window's centre, so turns of any size pass; within one window (± 17
-    frames at the paper's values) the body must not turn by more than half a turn. Fewer than three frames pass through
-    (F04). Raises ValueError for other shapes and values that are not finite.
+    Differences are taken from the frame at the window's centre; within one window (± 17 frames at the paper's values)
+    the body must not turn by more than half a turn. Fewer than three frames pass through (F04). Raises ValueError for
+    other shapes and values that are not finite.
     """
     values = np.asarray(values, dtype=np.float64)
     require("values", values, ("T", ..., 3, 3), finite=True)
@@ -188,12 +185,10 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _turn_per_vector(dot: np.ndarray) -> np.ndarray:
-    """Angle of the shorter turn between unit quaternions over the length of its vector part, θ / sin(θ/2), from their
-    product.
+    """θ / sin(θ/2) of the shorter turn θ between unit quaternions, from their product ``dot``.
 
-    Turns of a window then add up before the one product with the centre. Near equality both angle and sine come from
-    the same rounded product, so their ratio, 2 in the limit, is exact to rounding; a negative product is the longer way
-    round (R03).
+    Turns of a window then add up before the one product with the centre. Near equality the ratio, 2 in the limit, is
+    exact to rounding; a negative product is the longer way round (R03).
     """
     cosine = np.minimum(np.abs(dot), 1 - 1e-15)
     sine = np.sqrt((1 - cosine) * (1 + cosine))

@@ -31,8 +31,7 @@ NOTHING = Estimate(None, None, -1)
 
 
 def share(hits: int, count: int, independent: float | None = None) -> Estimate:
-    """Share ``hits`` of ``count``, with Wilson's interval for ``independent`` samples (default: all are); None without
-    samples."""
+    """Share ``hits`` of ``count``, with Wilson's interval for ``independent`` samples (all); None without samples."""
     if count <= 0:
         return NOTHING
     n, p = max(float(independent if independent is not None else count), 1.0), hits / count
@@ -65,10 +64,9 @@ def mean(values: Num[np.ndarray, " N"], least: int) -> Estimate:
 def largest(
     values: Sequence[float] | Num[np.ndarray, " N"], errors: Sequence[float] | Num[np.ndarray, " N"]
 ) -> Estimate:
-    """The largest magnitude of several estimates with standard errors.
+    """The largest magnitude of several estimates with standard errors; ones that are not finite take no part.
 
-    The lower end is the best lower end of any of them, the upper end the worst upper end; entries that are not finite
-    take no part.
+    The lower end is the best lower end of any of them, the upper end the worst upper end.
     """
     size, error = np.abs(np.asarray(values, dtype=np.float64)), np.asarray(errors, dtype=np.float64)
     known = np.flatnonzero(np.isfinite(size) & np.isfinite(error))

@@ -50,12 +50,9 @@ class TriangulatedPoints:
 
     Attributes:
         points_m: world points, NaN where undetermined.
-        valid: (N,) bool.
-        verified: (N,) bool: at least three views agree within ``outlier_units``. The residual of a pair proves nothing
-            (T13).
-        inliers: (V, N) bool: views that determine the point.
-        covariance_m2: for the given noise or the observed residual, whichever is larger; inf where
-            undetermined.
+        verified: at least three views agree within ``outlier_units``. The residual of a pair proves nothing (T13).
+        inliers: views that determine the point.
+        covariance_m2: for the given noise or the observed residual, whichever is larger; inf where undetermined.
         error_px: reprojection error in every view with the point, otherwise NaN.
     """
 

@@ -11,12 +11,10 @@ _SWEEPS = 30
 
 @njit(cache=True, nogil=True)
 def dlt(rig, seen, weights, n, used, rows, turned, point):
-    """Solve homogeneous least squares over the used views into ``point``; False for a shared centre or a point at
-    infinity.
+    """Solve homogeneous least squares over the used views into ``point``; False for a shared centre or infinity.
 
-    Rows carry √w, because they enter squared (T05); the world is centred and scaled to the used views, so that no other
-    view affects it (T15). One-sided Jacobi on the rows themselves: the eigenvalues of AᵀA would lose half of the digits
-    (T14).
+    Rows carry √w, because they enter squared (T05); the world is centred and scaled to the used views (T15). One-sided
+    Jacobi on the rows themselves: the eigenvalues of AᵀA would lose half of the digits (T14).
     """
     rotations, translations, centres, focal, principal, _ = rig
     centre, total, spread = np.zeros(3), 0.0, 0.0

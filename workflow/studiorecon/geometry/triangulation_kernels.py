@@ -2,8 +2,7 @@
 """The inner loops of triangulation, one point at a time, compiled; ``triangulation.py`` explains them.
 
 A rig is the tuple (rotations (V, 3, 3), translations (V, 3), centres (V, 3), focal (V, 2), principal (V, 2), units
-(V,)), all float64. After a change in ``triangulation_dlt.py`` touch this file: numba's cache does not notice changes in
-imported files.
+(V,)), all float64.
 """
 
 from __future__ import annotations
@@ -77,8 +76,7 @@ def robust(rig, seen, weights, gates, filled):
 
 @njit(cache=True, nogil=True)
 def linear(rig, seen, weights, gates, huber, filled):
-    """The same outputs from plain DLT over all usable views, or, with ``huber``, refined under the Huber norm with
-    outliers."""
+    """The same outputs by plain DLT over all usable views, or, with ``huber``, refined with outliers."""
     near = gates[1]
     views, count = weights.shape
     used, everyone, room = np.empty(views, np.int64), np.ones(views, np.bool_), np.empty(9)
@@ -115,8 +113,7 @@ def _rays(rig, seen, weights, n, rays, used):
 
 @njit(cache=True, nogil=True)
 def _midpoint(rig, rays, a, b, near, min_sine, point):
-    """Middle of the common perpendicular of two rays; False where it is not in front of both or the rays are nearly
-    parallel."""
+    """Middle of the common perpendicular of two rays; False where it is not in front of both or they are parallel."""
     centres = rig[2]
     cosine, along_a, along_b, cross = 0.0, 0.0, 0.0, 0.0
     for i in range(3):
@@ -140,8 +137,7 @@ def _midpoint(rig, rays, a, b, near, min_sine, point):
 
 @njit(cache=True, nogil=True)
 def _error_units(rig, seen, v, n, point, near):
-    """Reprojection error of a point in one view in error units; inf behind the near plane, where there is no projection
-    (C05)."""
+    """Reprojection error of a point in one view in error units; inf behind the near plane (C05)."""
     rotations, translations, _, focal, principal, units = rig
     r = rotations[v]
     z = r[2, 0] * point[0] + r[2, 1] * point[1] + r[2, 2] * point[2] + translations[v, 2]
@@ -156,8 +152,7 @@ def _error_units(rig, seen, v, n, point, near):
 
 @njit(cache=True, nogil=True)
 def _normal(rig, seen, weights, n, used, chosen, mode, near, point, room):
-    """Cost over the chosen views in error units; the upper triangle of JᵀWJ and JᵀWr into ``room`` (9,). inf behind a
-    camera.
+    """Cost over the chosen views in error units, inf behind a camera; JᵀWJ (upper) and JᵀWr into ``room``.
 
     With ``_HUBER`` the norm of the two-dimensional residual has delta 1 unit: r² inside, 2r - 1 outside (T11).
     """
@@ -221,8 +216,7 @@ def _solve(room, lift, b0, b1, b2):
 
 @njit(cache=True, nogil=True)
 def _refine(rig, seen, weights, n, used, chosen, mode, steps, near, point, room):
-    """Refine the point in place by damped Gauss-Newton; a step that raises the cost or crosses a near plane is refused
-    (T12)."""
+    """Refine the point by damped Gauss-Newton; steps that raise the cost or cross a near plane are refused (T12)."""
     cost = _normal(rig, seen, weights, n, used, chosen, mode, near, point, room)
     if cost == np.inf:
         return
@@ -246,8 +240,7 @@ def _refine(rig, seen, weights, n, used, chosen, mode, steps, near, point, room)
 
 @njit(cache=True, nogil=True)
 def _report(rig, seen, weights, n, used, chosen, gates, point, filled):
-    """Write point n where at least two chosen views see it in front, with rays neither parallel nor opposite (T01, T02,
-    T06)."""
+    """Write point n if two chosen views see it in front, with rays neither parallel nor opposite (T01, T02, T06)."""
     centres, units = rig[2], rig[5]
     gate, near, min_sine, noise_px = gates
     points, covariance, error_px, inliers, state = filled

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The temporal network in a person's training: whether it is needed, its first step, and its optimiser (paper, appendix
-D)."""
+"""The temporal network in a person's training: whether it is needed, its first step, and its optimiser (appendix D)."""
 
 from __future__ import annotations
 
@@ -56,8 +55,7 @@ class Appearance:
 
     Attributes:
         network: the network in training; its last layer is zero until the first step.
-        seen: (N,) bool, the Gaussians it acts on: nothing trains it on Gaussians that no camera saw, yet the paper
-            evaluates it at all.
+        seen: the Gaussians it acts on: those that a camera saw; the paper evaluates it at all.
         decision: the measured decision whether the network is needed; None before it, and when none was required.
     """
 

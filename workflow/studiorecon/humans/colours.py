@@ -25,11 +25,10 @@ def in_view(
     normals: Float[np.ndarray, "N 3"],
     nearest_m: Float[np.ndarray, "h w"],
 ) -> tuple[Integer[np.ndarray, " M"], Float[np.ndarray, "M 2"], Float[np.ndarray, " M"]]:
-    """Indices, pixels float32 and weights of the Gaussians that a picture shows.
+    """Indices, float32 pixels and weights of the Gaussians that a picture shows.
 
-    ``means_m`` and ``normals`` are posed, ``nearest_m`` is the depth of the person's own surface in the crop. A
-    Gaussian counts where the pixel is the person's, it is not behind that surface, and it faces the camera; frontal and
-    near views weigh more.
+    ``nearest_m`` is the depth of the person's own surface in the crop. A Gaussian counts where the pixel is the
+    person's, it is not behind that surface, and it faces the camera; frontal and near views weigh more.
     """
     pixels, depth_m = crop.camera.project(means_m)
     width, height = crop.camera.wh

@@ -28,8 +28,7 @@ class Crop(Protocol):
         frame: 0-based working frame.
         view: index of the training camera.
         camera: the camera cut to the crop.
-        rgb: (h, w, 3) uint8.
-        verdict: (h, w) uint8: PERSON, OUTSIDE (no part of the person) or IGNORED (undecided).
+        verdict: PERSON, OUTSIDE (no part of the person) or IGNORED (undecided).
     """
 
     @property
@@ -77,8 +76,7 @@ class SpooledCrop:
 
 @dataclass(frozen=True)
 class TrainingCrop:
-    """The input of a ``Crop``: its picture, with mask labels (h, w) uint8 and the fitted body's silhouette (h, w)
-    bool."""
+    """The input of a ``Crop``: its picture, with mask labels and the fitted body's silhouette."""
 
     frame: int
     view: int
@@ -125,14 +123,14 @@ def classify_pixels(
     occluder_px: int,
     inset_px: int = 0,
 ) -> Integer[np.ndarray, "h w"]:
-    """Classes of pixels, from mask labels and the body's silhouette (h, w) bool.
+    """Classes of pixels, from mask labels and the body's silhouette.
 
     Labels are 0 background, k+1 person k, 255 unassigned. Where masks are too small (``mask_inset_px``), pixels up to
-    ``inset_px`` around them inside the silhouette are the person's too, and so are limbs that such a mask misses: the
-    photo shows them there. Ignored are: pixels of other people and unassigned foreground, which may hide the person; a
-    seam of ``edge_px`` on either side of the outline, whose colours are mixed with the background and would leave a
-    halo; and pixels deeper than ``occluder_px`` inside the silhouette that the mask calls background, because furniture
-    is in front of the person.
+    ``inset_px`` around them inside the silhouette are the person's too, and so are limbs that such a mask misses.
+    Ignored are: pixels of other people and unassigned foreground, which may hide the person; a seam of ``edge_px`` on
+    either side of the outline, whose colours are mixed with the background and would leave a halo; and pixels deeper
+    than ``occluder_px`` inside the silhouette that the mask calls background, because furniture is in front of the
+    person.
     """
     person = labels == label
     if inset_px > 0:
@@ -158,7 +156,7 @@ def classify_pixels(
 
 
 def silhouette(pixels: Float[np.ndarray, "V 2"], hw: tuple[int, int]) -> Bool[np.ndarray, "H W"]:
-    """Whether the body's silhouette, from its projected vertices (V, 2; NaN behind the camera) with closed gaps.
+    """The body's silhouette, from its projected vertices (NaN behind the camera) with closed gaps.
 
     Drawing all triangles of a dense body costs 20 ms a picture, this 0.3 ms; it differs by a pixel at the outline,
     which is not used here. Vertices are at most 3 % of a person's height apart.
@@ -184,10 +182,9 @@ def person_crops(
     margin_px: int,
     smallest_px: int,
 ) -> Iterator[TrainingCrop]:
-    """One camera's training crops of one person: frames in which the body is valid and has at least ``smallest_px``
-    pixels.
+    """One camera's training crops of a person: frames in which the body is valid and has ``smallest_px`` pixels.
 
-    ``vertices_m``, a frame, is the fitted body over time; pictures and labels are the camera's frames in order.
+    ``vertices_m`` is the fitted body over time; pictures and labels are the camera's frames in order.
     """
     for frame, (rgb, label_map, body_m) in enumerate(zip(pictures, labels, vertices_m)):
         if frame >= len(valid) or not valid[frame]:
@@ -208,9 +205,8 @@ def person_crops(
 def mask_inset_px(looks: Iterable[TrainingCrop], label: int) -> int:
     """How far the masks' outlines are inside the fitted body's, whole pixels; 0 below ``_MIN_INSET_PX`` and outside.
 
-    The median over outline pixels of the signed distance, then over crops: furniture and other people in front bend
-    parts of the outline in a few crops, masks that are too small bend all of it. Pixels at the picture's border do not
-    count.
+    The median over outline pixels of the signed distance, then over crops: occluders bend parts of the outline in a few
+    crops, masks that are too small bend all of it. Pixels at the picture's border do not count.
     """
     insets = []
     for look in looks:

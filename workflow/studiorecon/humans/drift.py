@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures whether a person's colour changes over time, apart from the pose, so that a temporal network pays
-(evaluation §3, effect 2).
+"""Measures whether a person's colour changes over time, apart from the pose, so that a temporal network pays.
 
-Photo minus render is tracked at every Gaussian over the clip. Noise and a jittering pose change its sign from frame to
-frame; folding cloth and changing light keep it. A Gaussian with a large and lasting residual drifts.
+Photo minus render is tracked at every Gaussian over the clip (evaluation §3, effect 2). Noise and a jittering pose
+change its sign from frame to frame; folding cloth and changing light keep it. A Gaussian with a large and lasting
+residual drifts.
 """
 
 from __future__ import annotations
@@ -51,8 +51,7 @@ def track_brightness(
 ) -> Float[np.ndarray, "N M"]:
     """Float64 brightness of photo minus render at every Gaussian, mean of the cameras that show it, NaN for none.
 
-    Columns are the ``moments`` of the clip. ``draw`` renders a crop, in 0..1; ``means_m`` and ``normals`` (N, 3) are
-    canonical.
+    Columns are the ``moments`` of the clip. ``draw`` renders a crop, in 0..1; positions and normals are canonical.
     """
     columns = {int(frame): column for column, frame in enumerate(moments(len(motion.local))) if frame >= 0}
     sums = np.zeros((len(means_m), max(columns.values(), default=-1) + 1))
@@ -79,10 +78,7 @@ def track_brightness(
 
 
 def moments(frames: int) -> Integer[np.ndarray, " M"]:
-    """Tracked frames, in order: all of a clip of up to 240, else ten runs of 24 from its start to its end.
-
-    A -1 between two runs is a frame without data.
-    """
+    """Tracked frames: all of a clip of up to 240, else ten runs of 24 with a -1 between them, which has no data."""
     if frames <= _MOMENTS:
         return np.arange(frames)
     starts = evenly_spread(frames - _RUN + 1, _MOMENTS // _RUN)
@@ -95,10 +91,8 @@ def drifting_share(residual: Float[np.ndarray, "N T"]) -> Estimate:
 
     Noise is half the mean square of successive differences, which contains everything short-lived: the camera's noise
     and the jitter of the pose. Memory is the lag-1 autocorrelation, above 0.3. A variation of less than two grey levels
-    of 255 counts as none. Points need twelve frames with a successor; NaN is not seen.
-
-    Raises:
-        ValueError: ``residual`` is not.
+    of 255 counts as none. Points need twelve frames with a successor; NaN is not seen. Raises ValueError for another
+    shape.
     """
     require("residual", residual, ("N", "T"))
     pairs = np.isfinite(residual[:, 1:]) & np.isfinite(residual[:, :-1])

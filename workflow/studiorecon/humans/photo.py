@@ -21,8 +21,7 @@ _STEP = 5
 
 
 def best_photo(masks: Sequence[Path], label: int) -> tuple[int, int]:
-    """(camera index, frame) in which the person covers most pixels without touching the border or another person's
-    mask.
+    """(camera index, frame) in which the person covers most pixels and touches neither border nor other masks.
 
     Raises UserError when there is no such frame.
     """

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``humans.proxy``: the body itself as a canonical person with a chequered texture, to replace a person. On request
-only.
+"""``humans.proxy``: the body itself as a canonical person with a chequered texture, only on request.
 
 It has the person's build without their appearance: for films that must not show them, and to show the motion only.
 """

@@ -34,12 +34,7 @@ _STORED = {
 
 
 class RefinedMotion:
-    """Local joint rotations and pelvis positions of T frames, with Adam's state per frame.
-
-    Attributes:
-        local: (T, 24, 3, 3) rotations relative to the parent; joint 0's is in the world.
-        trans_m: (T, 3) pelvis positions.
-    """
+    """Local joint rotations (joint 0's in the world) and pelvis positions of T frames, with Adam's state per frame."""
 
     def __init__(
         self,
@@ -87,10 +82,8 @@ class RefinedMotion:
     def gradient(
         self, frame: int, force: Float[np.ndarray, "24 3"], torque: Float[np.ndarray, "24 3"]
     ) -> Float[np.ndarray, "25 3"]:
-        """Gradient by the turn of every joint in its parent's axes and, last, by the pelvis position.
-
-        ``force``, ``torque`` per bone as in ``body.avatar.posing.bone_wrenches``.
-        """
+        """Gradient by the turn of every joint in its parent's axes and, last, by the pelvis position
+        (``bone_wrenches``)."""
         world, joints = (whole[0] for whole in self._posed(frame))
         total_force, total_torque = self._subtree @ force, self._subtree @ torque
         in_world = total_torque - np.cross(joints, total_force)
@@ -112,8 +105,7 @@ class RefinedMotion:
         return gradient
 
     def step(self, frame: int, gradient: Float[np.ndarray, "25 3"], rate: float) -> None:
-        """Do one step of Adam on one frame: ``rate`` radians per joint, metres for the pelvis; other frames do not move
-        (O04)."""
+        """Do one step of Adam on one frame: ``rate`` radians per joint, metres for the pelvis; others stay (O04)."""
         gradient = np.where(np.isfinite(gradient), gradient, 0.0)
         gradient[self._held] = 0.0
         self._steps[frame] += 1
@@ -128,8 +120,7 @@ class RefinedMotion:
 
 @numba.njit(cache=True)
 def _down_the_tree(local, rest_joints_m, parents, root_m, world, joints):
-    """``body.skinning.forward_kinematics`` of one frame: a loop over joints in Python takes longer than posing all
-    Gaussians."""
+    """``body.skinning.forward_kinematics`` of one frame: in Python it takes longer than posing all Gaussians."""
     for joint in range(len(local)):
         parent = parents[joint]
         for r in range(3):

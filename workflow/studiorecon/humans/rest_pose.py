@@ -85,8 +85,7 @@ def initial_colours(
 
 
 def supported_degree(settings: Settings, motion: RefinedMotion, crops: Sequence[Crop]) -> int:
-    """``sh_degree``, or with ``limit_sh_to_views`` at most the degree that the turning body's viewing directions
-    support (G15)."""
+    """``sh_degree``, or at most the degree that the turning body's viewing directions support (G15)."""
     looks = [motion.local[c.frame, 0].T @ (c.camera.centre_m - motion.trans_m[c.frame]) for c in crops]
     return (
         min(settings.sh_degree, degree_supported(np.array(looks))) if settings.limit_sh_to_views else settings.sh_degree
@@ -102,7 +101,7 @@ class RestPose:
         samples: positions of the Gaussians on it.
         posing, motion, grid: skinning, fitted motion, and the paper's voxel grid of weights (None: the surface's own).
         start: the Gaussians, coloured by the photos.
-        seen: (N,) bool, a camera saw the Gaussian.
+        seen: a camera saw the Gaussian.
     """
 
     vertices_m: Float[np.ndarray, "V 3"]

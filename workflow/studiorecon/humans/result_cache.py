@@ -28,8 +28,7 @@ STANDS = "the existing result is kept"
 
 
 def cache_key(settings: Any, crops: Sequence[Crop], inputs: Sequence[Path], code: str, *more: object) -> str:
-    """Hex digest of everything a person's training depends on: as ``splatting.train.checkpoint.fingerprint``, with
-    every crop's pixels."""
+    """Hex digest of everything a person's training depends on: inputs, settings, code and every crop's pixels."""
     digest = hashlib.sha256(fingerprint(settings, inputs, code, *more).encode())
     for crop in crops:
         camera = dataclasses.asdict(crop.camera)
@@ -40,10 +39,8 @@ def cache_key(settings: Any, crops: Sequence[Crop], inputs: Sequence[Path], code
 
 
 def is_up_to_date(mark: str, gaussians: Path, avatar: Path, working: Path) -> bool:
-    """Whether the last result in the folder ``working`` was trained from the inputs of ``mark``; if so, restore it.
-
-    The restored files get the current time.
-    """
+    """Whether the last result in ``working`` was trained from the inputs of ``mark``; if so, restore it with a new
+    date."""
     kept = [_cached_path(path, working) for path in (gaussians, avatar)]
     if read_cache_key(*kept) != mark:
         return False

@@ -44,8 +44,7 @@ def whole_mask(seen: Landmarks, wh: tuple[int, int]) -> Float[np.ndarray, "h w"]
 
 
 def segment_person(picture: Integer[np.ndarray, "H W 3"], sure: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
-    """Whether the person in ``picture`` (H, W, 3 uint8) by colours, where ``sure`` in [0, 1] is undecided; one
-    region."""
+    """The person in ``picture`` by colours, where ``sure`` in [0, 1] is undecided; one region."""
     height, width = sure.shape
     scale = min(1.0, _CUT_PX / max(height, width))
     small = (max(1, round(width * scale)), max(1, round(height * scale)))

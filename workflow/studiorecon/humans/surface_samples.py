@@ -19,13 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SurfaceSamples:
-    """Points spread over a body mesh.
+    """Points spread over a body mesh in the canonical pose; ``spacing_m`` is the root of the area per point.
 
-    Attributes:
-        points_m: (N, 3) float64, canonical pose.
-        normals: outward unit normals.
-        weights: skinning weights, mixed from the face's corners.
-        spacing_m: root of the area per point.
+    Normals are outward and of unit length, skinning weights are mixed from the face's corners.
     """
 
     points_m: Float[np.ndarray, "N 3"]
@@ -43,8 +39,7 @@ def sample_surface(
 ) -> SurfaceSamples:
     """``count`` points over the mesh, evenly by area: one in every ``count``-th of the area in face order, jittered.
 
-    Successive faces of a body mesh are neighbours, so equal steps along the summed area leave neither clumps nor gaps;
-    independent draws would.
+    Successive faces of a body mesh are neighbours, so equal steps along the summed area leave neither clumps nor gaps.
     """
     vertex_normals, crosses = _vertex_normals(vertices_m, faces)
     areas = np.linalg.norm(crosses, axis=1) / 2
@@ -107,8 +102,7 @@ def gaussians_on(samples: SurfaceSamples, sh_degree: int) -> Gaussians:
 
 
 def neighbours(samples: SurfaceSamples, count: int) -> Integer[np.ndarray, "N K"]:
-    """(N, count) indices of the nearest samples whose normals agree, so that a palm is no neighbour of the thigh next
-    to it.
+    """Indices of the nearest samples whose normals agree, so that a palm is no neighbour of the thigh next to it.
 
     Samples with fewer agreeing neighbours repeat themselves.
     """
@@ -121,8 +115,7 @@ def neighbours(samples: SurfaceSamples, count: int) -> Integer[np.ndarray, "N K"
 
 
 def mirror_indices(samples: SurfaceSamples, within_m: float) -> Integer[np.ndarray, " N"]:
-    """Index of the sample nearest to each sample's mirror image (the canonical body's x is left–right), −1 beyond
-    ``within_m``."""
+    """Index of the sample nearest to each sample's mirror image (x is left–right), −1 beyond ``within_m``."""
     distance, index = scipy.spatial.cKDTree(samples.points_m).query(samples.points_m * [-1, 1, 1])
     return np.where(distance <= within_m, index, -1)
 
@@ -134,8 +127,7 @@ def fill_unseen(
     twin: Integer[np.ndarray, " N"],
     passes: int = 400,
 ) -> Float[np.ndarray, "N C"]:
-    """``values`` with the unseen rows filled: from the body's other side where that was seen, else from seen
-    neighbours.
+    """``values`` with unseen rows filled: from the body's other side where seen, else from seen neighbours.
 
     Neighbours are averaged repeatedly over ``near`` (the discrete Laplace equation with seen rows fixed), starting from
     the mean of all seen rows. Rows stay unchanged when nothing was seen.

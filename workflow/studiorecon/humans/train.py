@@ -62,8 +62,7 @@ _POSE_FPS = 30.0
 def recolour_unseen(
     trained: Gaussians, seen: Bool[np.ndarray, " N"], near: Integer[np.ndarray, "N K"], twin: Integer[np.ndarray, " N"]
 ) -> Gaussians:
-    """The trained Gaussians with the unseen ones' colours from their surroundings on the body; they were trained on
-    silhouettes only."""
+    """The trained Gaussians, with colours from their surroundings for those trained on silhouettes only."""
     sh = np.where(seen[:, None, None], trained.sh, 0)
     sh[:, 0] = fill_unseen(trained.sh[:, 0], seen, near, twin)
     return replace(trained, sh=sh)
@@ -71,8 +70,7 @@ def recolour_unseen(
 
 @dataclass(frozen=True)
 class Sources:
-    """What a person is trained on: films and masks of the training cameras, the person's fit and its body model;
-    pictures are divided by the gains and the light of ``exposure``, if any."""
+    """What a person is trained on: films and masks, the fit and its body model, gains and light (``exposure``)."""
 
     model: Path
     manifest: Path
@@ -102,9 +100,9 @@ def run(
 ) -> None:
     """Train one person and write the avatar.
 
-    Files stay if nothing near the person has changed since (``result_cache``). A killed run resumes
-    at its checkpoint. ``working`` is a folder of its own: the checkpoint, preview pictures, and the last result;
-    ``lpips`` holds the weights of the perceptual term.
+    Files stay if nothing near the person has changed since (``result_cache``). A killed run resumes at its checkpoint.
+    ``working`` is a folder of its own: the checkpoint, preview pictures, and the last result; ``lpips`` holds the
+    weights of the perceptual term.
     """
     device = resolve(device)
     fitted, body_model = _fitted(sources.fit, sources.body)
@@ -261,8 +259,7 @@ def _avatar(
 
 
 def _appearance(settings: Settings, rest: RestPose, fitted: Person, crops: Sequence[Crop]) -> Appearance | None:
-    """The temporal network in its box around the body, and the measure that decides its use; None when it is switched
-    off."""
+    """The temporal network in its box around the body, and the measure that decides its use; None when switched off."""
     if settings.temporal.use == "never":
         return None
     reach = settings.grid_margin * np.ptp(rest.vertices_m, axis=0).max()

@@ -42,8 +42,8 @@ _GREY = np.full(3, 0.5)
 
 @dataclass(frozen=True)
 class Losses:
-    """Weights of the terms of a person's loss (``splatting/train/terms``); ``surface`` ties the Gaussians to the body,
-    ``pose`` the poses to their neighbours in time."""
+    """Weights of a person's terms; ``surface`` ties Gaussians to the body, ``pose`` poses to their neighbours in
+    time."""
 
     l1: float = 0.8
     ssim: float = 0.2
@@ -109,7 +109,8 @@ class Growing:
     """When Gaussians are added to a person.
 
     Attributes:
-        until: last step that densifies; every: steps between densifications; prune_opacity: fainter are removed.
+        until, every: last step that densifies; steps between densifications.
+        prune_opacity: fainter ones are removed.
         gradient: mean screen gradient, in half widths of the crop, above which a Gaussian is cloned or split.
         scale: share of the body's height above which one is split rather than cloned.
     """
@@ -164,11 +165,8 @@ class PersonInTraining:
     Gaussians start on the surface, because a person's pixels come from there. Their number is constant unless
     ``growing`` is set; new ones are carried by the bones of the one they come from. The pose moves from iteration
     ``pose_from`` on when its rate is above 0. With a ``grid`` the weights are sampled at every step at the Gaussians'
-    current positions (Eq. 6; the weights' own gradient is ignored).
-
-    Attributes:
-        adam: counts the gradients that it refused.
-        source: (N,) the initial Gaussian that each descends from.
+    current positions (Eq. 6; the weights' own gradient is ignored). ``source`` is the initial Gaussian that each
+    descends from.
     """
 
     def __init__(

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 
 def gaussian_blur(image: Num[np.ndarray, "H W ..."], size_px: int, sigma_px: float) -> Float[np.ndarray, "H W ..."]:
-    """``image``, float32, blurred with a ``size_px`` × ``size_px`` Gaussian.
+    """``image``, float32, blurred with a ``size_px`` × ``size_px`` Gaussian; borders are replicated.
 
-    Borders are replicated: with zeros outside a constant 1 would fall to 0.60 at edges and 0.36 in corners (E05). The
-    paper names the kernel, 11, and no sigma; 2.0 is the reading U05. Raises ValueError for an even or non-positive
-    size, or an array that is no image.
+    With zeros outside a constant 1 would fall to 0.60 at edges and 0.36 in corners (E05). The paper names the kernel,
+    11, and no sigma; 2.0 is the reading U05. Raises ValueError for an even or non-positive size, or an array that is no
+    image.
     """
     require("image", image, ("H", "W", ...))
     if size_px < 1 or size_px % 2 == 0:

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 
 def channel_max(picture: Num[np.ndarray, "*P C"]) -> Num[np.ndarray, "*P"]:
-    """(...) the greatest channel of every pixel of a picture (..., C): bit for bit ``picture.max(axis=-1)``."""
+    """The greatest channel of every pixel of a picture: bit for bit ``picture.max(axis=-1)``."""
     return reduce(np.maximum, np.moveaxis(picture, -1, 0))
 
 
 def channel_sum(picture: Num[np.ndarray, "*P C"]) -> Num[np.ndarray, "*P"]:
-    """(...) the sum of the channels of every pixel of a picture (..., C), in the picture's own type.
+    """The sum of the channels of every pixel of a picture, in its own type, which must hold it.
 
-    The type must hold the sum. For floats and up to seven channels it is ``picture.sum(axis=-1)``, bit for bit.
+    For floats and up to seven channels it is ``picture.sum(axis=-1)``, bit for bit.
     """
     return reduce(np.add, np.moveaxis(picture, -1, 0))

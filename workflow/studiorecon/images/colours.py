@@ -54,8 +54,7 @@ def _add_products(factor, red, green, blue, total):
 def squared_error_after_map(
     first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"], by: Num[np.ndarray, "4 3"]
 ) -> np.int64:
-    """Σ over pixels and channels of the squared difference of levels after ``by`` is applied to ``first``'s colours;
-    clamped, rounded."""
+    """Σ over pixels and channels of the squared difference of levels after ``by``, clamped and rounded."""
     total = np.int64(0)
     for y in range(first.shape[0]):
         for x in range(first.shape[1]):
@@ -68,8 +67,7 @@ def squared_error_after_map(
 
 
 def colour_map(first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]) -> Num[np.ndarray, "4 3"]:
-    """Least-squares affine map from ``first``'s levels to ``second``'s; minimum norm where too few colours determine
-    it."""
+    """Least-squares affine map from ``first``'s levels to ``second``'s; minimum norm for too few colours."""
     own, both = colour_sums(first, second)
     # In units of the range: sums of at most 1 over a million pixels are well enough conditioned in float64.
     unit = np.array([255.0, 255.0, 255.0, 1.0])

@@ -19,8 +19,8 @@ def plate_difference(
 ) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """Squared difference, float32, of a picture from the plate, CIELAB units, and the remaining share of light.
 
-    Both pictures are float32 in [0, 1]. A shadow darkens all channels by one factor: the best such factor, between
-    ``shadow`` and 1, is removed first. Colour differences count ``chroma_weight`` times as much as lightness.
+    A shadow darkens all channels by one factor: the best such factor, between ``shadow`` and 1, is removed first.
+    Colour differences count ``chroma_weight`` times as much as lightness.
     """
     left = np.clip(channel_sum(rgb * plate_rgb) / np.maximum(channel_sum(plate_rgb * plate_rgb), 1e-4), shadow, 1.0)
     lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2Lab) - cv2.cvtColor(plate_rgb * left[..., None], cv2.COLOR_RGB2Lab)

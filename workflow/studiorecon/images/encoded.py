@@ -17,14 +17,12 @@ if TYPE_CHECKING:
 
 
 def png(picture: Shaped[np.ndarray, "H W ..."]) -> bytes:
-    """(H, W), (H, W, 3) RGB or (H, W, 4) RGBA picture, uint8 or uint16, as a PNG file. Raises ValueError for other
-    arrays."""
+    """Grey, RGB or RGBA picture, uint8 or uint16, as a PNG file. Raises ValueError for other arrays."""
     return _encoded(".png", picture, [])
 
 
 def jpeg(picture: Shaped[np.ndarray, "H W ..."], quality: int) -> bytes:
-    """(H, W) or (H, W, 3) RGB uint8 picture as a JPEG file of ``quality`` 0 to 100. Raises ValueError for other
-    arrays."""
+    """Grey or RGB picture as a JPEG file of ``quality`` 0 to 100. Raises ValueError for other arrays."""
     return _encoded(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
 
 

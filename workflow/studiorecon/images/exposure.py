@@ -47,11 +47,10 @@ def compare(
 
 
 def solve_gains(cameras: int, overlaps: Sequence[Overlap]) -> Num[np.ndarray, "V 3"]:
-    """Every camera's factors, geometric mean 1, that fit the overlaps in least squares; 1 for a camera without
-    overlaps.
+    """Every camera's factors, geometric mean 1, that fit the overlaps in least squares; 1 without overlaps.
 
-    Divide a photo by its factors to match the others. Cameras without a chain of overlaps between them keep their own
-    group's mean (minimum-norm solution). Raises ValueError for a ratio that is not three finite numbers.
+    Divide a photo by its factors to match the others. Without a chain of overlaps between them, each group of cameras
+    has its own mean (minimum-norm solution). Raises ValueError for a ratio that is not three finite numbers.
     """
     for overlap in overlaps:
         require(f"log_ratio of cameras {overlap.first} and {overlap.second}", overlap.log_ratio, (3,), finite=True)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ꟻLIP: the difference that a viewer sees when two pictures alternate (Andersson et al., HPG 2020), by its authors'
-package.
+"""ꟻLIP: the difference a viewer sees when two pictures alternate (Andersson et al., HPG 2020), by its authors' package.
 
 A perceptual distance without weights; not comparable with LPIPS. The package has no wheel for every Python; where it
 does not load there is no number.
@@ -34,9 +33,9 @@ def available() -> bool:
 def flip(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"]) -> float | None:
     """Mean LDR-ꟻLIP of two sRGB pictures, uint8 or float in [0, 1], 0 = the same; None under 11 pixels a side.
 
-    At 67 pixels per degree, the package's default: a 4K screen at 0.7 m. The mean is computed here, in float64: the
-    package's own depends on its threads. 0.2 s at 480×270. Raises ValueError for pictures of two sizes, ImportError
-    where the package does not load.
+    At 67 pixels per degree: a 4K screen at 0.7 m. The mean is computed here, in float64: the package's own depends on
+    its threads. 0.2 s at 480×270. Raises ValueError for pictures of two sizes, ImportError where the package does not
+    load.
     """
     require("truth", truth, ("H", "W", 3), require("prediction", prediction, ("H", "W", 3)))
     if min(truth.shape[:2]) < SMALLEST_PX:

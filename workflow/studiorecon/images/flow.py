@@ -73,9 +73,8 @@ def dis_flow(
 def consistent(flow: Num[np.ndarray, "H W 2"], reverse_flow: Num[np.ndarray, "H W 2"]) -> Bool[np.ndarray, "H W"]:
     """Pixels whose flow leads back, inside the picture, within a motion-dependent tolerance.
 
-    |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5, the rule of Sundaram et al. 2010 that video-consistency measures use. It
-    detects uncovered background, where colours may agree by chance (E10). Non-finite flow is inconsistent (E13). Raises
-    ValueError for flows of two sizes.
+    |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5 (Sundaram et al. 2010). It detects uncovered background, where colours
+    may agree by chance (E10). Non-finite flow is inconsistent (E13). Raises ValueError for flows of two sizes.
     """
     require("reverse_flow", reverse_flow, ("H", "W", 2), require("flow", flow, ("H", "W", 2)))
     return forward_backward_consistent(np.ascontiguousarray(flow), np.ascontiguousarray(reverse_flow))

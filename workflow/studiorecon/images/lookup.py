@@ -26,9 +26,9 @@ def find_visible_pixels(
 ) -> tuple[Bool[np.ndarray, "H W"], Float[np.ndarray, "H W 2"], Float[np.ndarray, "H W"]]:
     """Per pixel of a view: whether a source sees its surface, at which pixel, and cos^power of the angle, float32.
 
-    ``depth_m`` is the view's z-depth with 0 or NaN for unknown; ``ray_from_pixel`` maps (x, y, 1) at pixel centres +0.5
-    to the world direction of one metre of depth. Seen: the source's depth at the nearest pixel differs by at most
-    ``tolerance`` of the distance.
+    ``depth_m`` has 0 or NaN for unknown; ``ray_from_pixel`` maps (x, y, 1) at pixel centres +0.5 to the world direction
+    of one metre of depth. Seen: the source's depth at the nearest pixel differs by at most ``tolerance`` of the
+    distance.
     """
     height, width = depth_m.shape
     rows, columns = source_depth_m.shape

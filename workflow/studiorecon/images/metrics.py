@@ -37,8 +37,7 @@ def levels(picture: Num[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W 3"]:
 
 
 def error_map(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W"]:
-    """Int32: Σ over channels of squared differences of 8-bit levels, the input of ``psnr_from_error_map``. 4 ms at
-    1280×704.
+    """Int32: Σ over channels of squared differences of 8-bit levels. 4 ms at 1280×704.
 
     Raises ValueError for pictures that are not of one size.
     """
@@ -49,8 +48,8 @@ def error_map(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 
 def psnr_from_error_map(errors: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"] | None = None) -> float | None:
     """Peak signal-to-noise ratio in dB with range 1 of an ``error_map``, over the pixels of ``mask`` when given.
 
-    10 log10(1/MSE), capped at 100 dB. The mean divides by the masked pixels, not by the picture: at 5 % coverage that
-    is the difference between 18 and 31 dB. None below 256 masked pixels. Raises ValueError for a mask of another size.
+    10 log10(1/MSE), capped at 100 dB. The mean divides by the masked pixels: at 5 % coverage that is the difference
+    between 18 and 31 dB. None below 256 masked pixels. Raises ValueError for a mask of another size.
     """
     sizes = require("errors", errors, ("H", "W"))
     if mask is not None:
@@ -69,17 +68,18 @@ def decibels(mean_square: float) -> float:
 def psnr(
     prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"] | None = None
 ) -> float | None:
-    """``psnr_from_error_map`` the ``error_map`` of two pictures. Raises ValueError for pictures or a mask of two
-    sizes."""
+    """``psnr_from_error_map`` of the ``error_map`` of two pictures.
+
+    Raises ValueError for pictures or masks of two sizes.
+    """
     return psnr_from_error_map(error_map(prediction, truth), mask)
 
 
 def colour_corrected_psnr(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"]) -> float | None:
     """PSNR after the affine map of colours (3×3 and an offset) that brings the prediction closest to the truth.
 
-    It shows how much of an error is exposure and white balance; report it with the plain value, never instead of it
-    (evaluation 1.6). The fit is linear least squares over all pixels; a picture of too few colours to fit falls back to
-    the minimum-norm map. Raises ValueError for pictures of two sizes.
+    It shows how much of an error is exposure and white balance; report it with the plain value (evaluation 1.6). Linear
+    least squares over all pixels, minimum norm for too few colours. Raises ValueError for pictures of two sizes.
     """
     require("truth", truth, ("H", "W", 3), require("prediction", prediction, ("H", "W", 3)))
     shown, wanted = np.ascontiguousarray(levels(prediction)), np.ascontiguousarray(levels(truth))
@@ -94,7 +94,7 @@ def ssim_map(
 ) -> Num[np.ndarray, "H W"]:
     """Structural similarity, mean over channels, with zeros outside the picture: 11×11 Gaussian, sigma 1.5, range 1.
 
-    Population covariance; variances are clamped at 0 and the map at 1, which rounding breaks on flat pictures ( I01).
+    Population covariance; variances are clamped at 0 and the map at 1, which rounding breaks on flat pictures (I01).
     Raises ValueError for pictures of two sizes.
     """
     require("truth", truth, ("H", "W", "C"), require("prediction", prediction, ("H", "W", "C")))
@@ -104,8 +104,7 @@ def ssim_map(
 def whole_windows(mask: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     """Pixels whose 11×11 window is inside the picture and inside ``mask``, eroded by 5 pixels.
 
-    Errors outside the mask cannot reach such windows (I08), so they need no normalising by the mask's share (I10).
-    Raises ValueError for a mask that is no picture.
+    Errors outside the mask cannot reach such windows (I08, I10). Raises ValueError for a mask that is no picture.
     """
     require("mask", mask, ("H", "W"))
     inside = np.zeros(mask.shape, bool)
@@ -145,8 +144,7 @@ def change_maps(
     backward: Num[np.ndarray, "H W 2"],
     valid: Bool[np.ndarray, "H W"],
 ) -> tuple[Num[np.ndarray, "H W"], Num[np.ndarray, "H W"]]:
-    """Absolute and squared change of ``current`` against ``previous`` moved by the backward flow; NaN outside
-    ``valid``.
+    """Absolute and squared change of ``current`` against ``previous`` moved by the backward flow; NaN if invalid.
 
     O_t − warp(O_{t−1}, F_{t→t−1}), mean over channels, range 1. The flow, pixels, is that of the *true* video. Raises
     ValueError for pictures, a flow or a mask of another size.
@@ -159,7 +157,7 @@ def change_maps(
 
 
 def mean_inside(values: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"]) -> float | None:
-    """Mean of a map over a mask (H, W) bool; None below 256 pixels. Raises ValueError for a mask of another size."""
+    """Mean of a map over a mask; None below 256 pixels. Raises ValueError for a mask of another size."""
     require("mask", mask, ("H", "W"), require("values", values, ("H", "W")))
     total, count = masked_sum(values, mask)
     return total / count if count >= SMALLEST_MASK_PX else None

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Colours of people in pictures and films, one each, safe for colour-blind readers (Okabe and Ito), and grey for no
-person."""
+"""Colours of people in pictures and films, safe for colour-blind readers (Okabe and Ito), and grey for nobody."""
 
 from __future__ import annotations
 

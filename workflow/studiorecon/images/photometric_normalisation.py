@@ -25,10 +25,10 @@ STEADY = 0.02
 
 
 def light_factors(frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray, "T H W"]) -> Float[np.ndarray, "T 3"]:
-    """Brightness of each picture (uint8) over the clip's median, per channel; 1 where too few pixels are usable.
+    """Brightness of each uint8 picture over the clip's median, per channel; 1 where too few pixels are usable.
 
-    Only pixels ``free`` of people count. A gain of light is treated as a gain of grey levels, which is nearly true for
-    a camera's curve. Medians over pixels and over time ignore moving objects. Raises ValueError if the shapes do not
+    Only pixels ``free`` of people count. A gain of light is treated as a gain of grey levels, nearly true for a
+    camera's curve. Medians over pixels and over time ignore moving objects. Raises ValueError if the shapes do not
     match.
     """
     require("free", free, ("T", "H", "W"), require("frames", frames, ("T", "H", "W", 3)))
@@ -56,7 +56,7 @@ def light_factors(frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray,
 def normalise_light(
     frames: Integer[np.ndarray, "T H W 3"], factors: Num[np.ndarray, "T 3"]
 ) -> Integer[np.ndarray, "T H W 3"]:
-    """Pictures (T, H, W, 3) uint8 divided by their ``factors``; the same array where all are 1."""
+    """Pictures divided by their ``factors``; the same array where all are 1."""
     if np.abs(np.log(factors)).max(initial=0.0) <= STEADY:
         return frames
     even = np.empty_like(frames)

@@ -22,10 +22,9 @@ _CLEAR_SHARE = 0.9
 
 
 def noise_levels(frames: Num[np.ndarray, "T H W 3"]) -> float:
-    """Standard deviation of the noise in grey levels of frames (T, H, W, 3) uint8, from successive differences.
+    """Standard deviation of the noise of frames in grey levels, from successive differences; at least 0.3 (rounding).
 
-    Half the pixels must be at rest between successive frames. Never below the 0.3 levels that rounding alone makes.
-    Raises ValueError for other shapes.
+    Half the pixels must be at rest between successive frames. Raises ValueError for other shapes.
     """
     require("frames", frames, ("T", "H", "W", 3))
     if len(frames) < 2:
@@ -41,17 +40,12 @@ def noise_levels(frames: Num[np.ndarray, "T H W 3"]) -> float:
 def temporal_modes(
     frames: Num[np.ndarray, "T H W 3"], free: Bool[np.ndarray, "T H W"], agree_levels: float
 ) -> tuple[Float[np.ndarray, "H W 3"], Integer[np.ndarray, "H W"], Integer[np.ndarray, "H W"]]:
-    """The colour most pictures agree on at every pixel, among those in which the pixel is ``free``.
+    """The colour most pictures agree on where the pixel is ``free``, how many agree, and how many on the best other
+    one.
 
-    Args:
-        frames: uint8; all of one static camera.
-        free: False where something may be in front of the background.
-        agree_levels: colours whose every channel differs by at most this are the same surface.
-
-    Returns:
-        Mean of the agreeing colours, float32, 0..255 (0 where never free); how many agree; how many agree on the best
-        colour that is clearly another one. Costs at most T² comparisons per pixel. Raises ValueError if the shapes do
-        not match or frames are not uint8.
+    Colours whose every channel differs by at most ``agree_levels`` are the same surface. The colour is the mean of the
+    agreeing ones, float32, 0..255 (0 where never free). Costs at most T² comparisons per pixel. Raises ValueError if
+    the shapes do not match or frames are not uint8.
     """
     require("free", free, ("T", "H", "W"), require("frames", frames, ("T", "H", "W", 3)))
     if frames.dtype != np.uint8:
@@ -127,7 +121,7 @@ def _same(a, b, tolerance):
 
 
 def write_plate(path: Path, rgb: Num[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H W"]) -> None:
-    """Write a clean plate: (H, W, 3) uint8 RGB as RGBA PNG, alpha 255 where ``measured``, else a transparent black.
+    """Write a clean plate as RGBA PNG, alpha 255 where ``measured``, else a transparent black.
 
     Raises ValueError for a mask of another size.
     """

@@ -45,10 +45,7 @@ def signed_distance_px(region: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H 
 
 
 def without_islands(region: Bool[np.ndarray, "H W"], least_px: float) -> Bool[np.ndarray, "H W"]:
-    """``region`` without its connected parts of fewer than ``least_px`` pixels.
-
-    Raises ValueError for an array that is no picture.
-    """
+    """``region`` without connected parts of fewer than ``least_px`` pixels. Raises ValueError for no picture."""
     require("region", region, ("H", "W"))
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
     if count <= 1:
@@ -59,10 +56,7 @@ def without_islands(region: Bool[np.ndarray, "H W"], least_px: float) -> Bool[np
 
 
 def without_holes(region: Bool[np.ndarray, "H W"], largest_px: float) -> Bool[np.ndarray, "H W"]:
-    """``region`` with enclosed gaps of up to ``largest_px`` pixels filled.
-
-    Raises ValueError for an array that is no picture.
-    """
+    """``region`` with enclosed gaps of up to ``largest_px`` pixels filled. Raises ValueError for no picture."""
     require("region", region, ("H", "W"))
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(
         (~region.astype(bool)).astype(np.uint8), connectivity=4

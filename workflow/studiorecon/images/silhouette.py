@@ -20,9 +20,9 @@ def mesh_depth(
 ) -> Float[np.ndarray, "H W"]:
     """Float32 z-depth in metres of the nearest triangle at every pixel centre, 0 where there is none.
 
-    ``vertices_m`` in the world, ``faces``. Triangles with a corner nearer than ``near_m``, or a corner that is not
-    finite, are left out: a person who walks through the camera has no silhouette. About 2 ms for 27,000 triangles.
-    Raises ValueError for other shapes, or a face with an index out of range.
+    Triangles with a corner nearer than ``near_m``, or one that is not finite, are left out: a person who walks through
+    the camera has no silhouette. About 2 ms for 27,000 triangles. Raises ValueError for other shapes, or a face with an
+    index out of range.
     """
     require("vertices_m", vertices_m, ("V", 3))
     require("faces", faces, ("F", 3))
@@ -70,10 +70,8 @@ def _fill(pixels, inverse, faces, nearest):
 
 
 def front_person(depths_m: Num[np.ndarray, "K H W"]) -> Integer[np.ndarray, "H W"]:
-    """K + 1 where person k of depths (0 = absent) is in front, 0 without a person.
-
-    Ties go to the first. Raises ValueError for another shape.
-    """
+    """K + 1 where person k of depths (0 = absent) is in front, the first of equals. Raises ValueError for other
+    shapes."""
     require("depths_m", depths_m, ("K", "H", "W"))
     if not len(depths_m):
         return np.zeros(depths_m.shape[1:], np.uint8)

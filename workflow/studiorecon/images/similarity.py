@@ -35,10 +35,10 @@ def window() -> Float[np.ndarray, " 11"]:
 def similarity_map(
     first: Num[np.ndarray, "H W C"], second: Num[np.ndarray, "H W C"], dtype: type = np.float64
 ) -> Num[np.ndarray, "H W"]:
-    """SSIM, mean over channels, of two (H, W, 3) uint8 pictures with zeros outside: 11×11 Gaussian of sigma 1.5.
+    """SSIM, mean over channels, of two uint8 pictures with zeros outside: 11×11 Gaussian of sigma 1.5.
 
-    ``dtype`` float32 takes two thirds of the time and moves a mean by up to about 1e-6 (``benchmarks/report.py``
-    measures both). Raises ValueError for pictures of two sizes: the compiled loops would read beyond the smaller one.
+    ``dtype`` float32 takes two thirds of the time and moves a mean by up to about 1e-6 (``benchmarks/report.py``).
+    Raises ValueError for pictures of two sizes: the compiled loops would read beyond the smaller one.
     """
     require("second", second, ("H", "W", "C"), require("first", first, ("H", "W", "C")))
     kernel: np.ndarray = window().astype(dtype)

@@ -29,8 +29,8 @@ def resample(picture: Num[np.ndarray, "H W ..."], hw: tuple[int, int]) -> Float[
 
 
 def corner_shares(count: int, size: int) -> Float[np.ndarray, "size count"]:
-    """Float32 share of each of ``count`` nodes in each of ``size`` pixels, linear between nodes, the outermost nodes on
-    the outermost pixels' centres (torch's ``align_corners``)."""
+    """Float32 share of ``count`` nodes in each of ``size`` pixels, linear, corners aligned (torch's
+    ``align_corners``)."""
     place = np.linspace(0, count - 1, size)[:, None]
     return np.maximum(1 - np.abs(place - np.arange(count)), 0).astype(np.float32)
 
@@ -102,11 +102,7 @@ def pad_to_multiple(picture: Shaped[np.ndarray, "H W ..."], multiple: int) -> Sh
 
 
 def as_float(picture: Num[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
-    """RGB, float32 in [0, 1], of a uint8 or float picture.
-
-    Raises:
-        ValueError: it is no colour picture.
-    """
+    """RGB, float32 in [0, 1], of a uint8 or float picture. Raises ValueError if it is no colour picture."""
     if picture.ndim != 3 or picture.shape[2] != 3 or not picture.size:
         raise ValueError(f"picture has shape {picture.shape}, expected (H, W, 3)")
     if picture.dtype == np.uint8:

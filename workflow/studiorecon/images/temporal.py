@@ -59,10 +59,10 @@ def change(
     flow: Num[np.ndarray, "H W 2"],
     valid: Bool[np.ndarray, "H W"],
 ) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
-    """Absolute and squared difference, mean over channels, of ``current`` and ``previous``, uint8, warped by ``flow``.
+    """Absolute and squared difference, mean over channels, of ``current`` and ``previous`` warped by ``flow``.
 
-    In units of the range (levels / 255). The previous picture is read bilinearly at p + flow(p), which must be inside
-    where ``valid``. NaN outside ``valid``.
+    In units of the range (levels / 255), NaN outside ``valid``. The previous picture is read bilinearly at p + flow(p),
+    which must be inside where ``valid``.
     """
     height, width, _ = current.shape
     absolute, square = np.empty((height, width)), np.empty((height, width))

@@ -62,9 +62,9 @@ class Scale:
 def fill_by_texture(
     rgb: Float[np.ndarray, "H W 3"], known: Bool[np.ndarray, "H W"], scale: Scale, rng: np.random.Generator
 ) -> Float[np.ndarray, "H W 3"]:
-    """(H, W, 3) in [0, 1] with pixels that are not ``known`` continued like the others.
+    """Picture in [0, 1] with pixels that are not ``known`` continued like the others, or with the light only.
 
-    Where no shift reaches, they have the light only. Raises ValueError for other shapes, and where no pixel is known.
+    Raises ValueError for other shapes, and where no pixel is known.
     """
     hw = require("known", known, ("H", "W"))
     require("rgb", rgb, ("H", "W", 3), hw)

@@ -76,10 +76,10 @@ def source(
 def transfer_residual(
     camera: Camera, depth_m: Num[np.ndarray, "H W"], sources: Sequence[ResidualSource], transfer: Transfer
 ) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"]]:
-    """Residual that the sources predict for a view, and cover in 0..1: how well a source sees each pixel.
+    """Residual that the sources predict for a view (cover-weighted mean), and cover in 0..1.
 
     Cover is 0 where no source sees the pixel's surface; it falls with the angle between the viewing rays and towards
-    the borders of the seen area. The residual is the cover-weighted mean over sources.
+    the borders of the seen area.
     """
     view = np.ascontiguousarray(depth_m, np.float32)
     world_from_view = camera.world_from_camera[:3, :3] @ np.linalg.inv(camera.intrinsics)
@@ -108,9 +108,9 @@ def best_strength(
 ) -> tuple[float, float]:
     """Share of the carried-over residual that is worth adding (0..1), and the share of pixels that it was measured on.
 
-    Each pair is a training camera's own residual and the one that the *other* training cameras predict for it. The
-    least-squares factor between them, weighted by cover, is the strength that lowers the error most on views that took
-    no part in the prediction.
+    Each pair is the residual of a training camera and the one that the *other* cameras predict for it. The
+    least-squares factor between them, weighted by cover, lowers the error most on views that took no part in the
+    prediction.
     """
     with_actual = with_itself = covered = pixels = 0.0
     for (residual, cover), own in zip(predicted, actual, strict=True):

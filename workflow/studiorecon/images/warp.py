@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads an image at fractional pixels: the one place for the pixel-centre convention, so that an identity warp is
-exact.
+"""Reads an image at fractional pixels: the one place for the pixel-centre convention; an identity warp is exact.
 
 Pixel coordinates have their centres at +0.5; OpenCV's ``remap`` puts them at whole numbers, and this is the only module
 that subtracts the half pixel. Values interpolated across the border or across invalid pixels are marked in ``valid``.
@@ -32,9 +31,9 @@ def sample(
 ) -> tuple[Shaped[np.ndarray, "h w ..."], Bool[np.ndarray, "h w"]]:
     """Values of an image at pixel coordinates, and which of them are valid.
 
-    A coordinate is valid when it is finite and within the outermost pixel centres (``nearest``: within the image).
-    Otherwise the value is that of the nearest border pixel, or of the corner for a coordinate that is not finite (E06,
-    E13: zero padding or an unmasked NaN would enter every later mean). Raises ValueError for other shapes.
+    Valid are finite coordinates within the outermost pixel centres (``nearest``: within the image). Others have the
+    value of the nearest border pixel, or of the corner if not finite (E06, E13: zero padding or an unmasked NaN would
+    enter every later mean). Raises ValueError for other shapes.
     """
     require("image", image, ("H", "W", ...))
     require("pixels", pixels, ("h", "w", 2))
@@ -50,10 +49,7 @@ def sample(
 def nearest_pixels(
     pixels: Num[np.ndarray, "h w 2"], hw: tuple[int, ...]
 ) -> tuple[Integer[np.ndarray, "h w"], Integer[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """Rows and columns that ``sample(…, "nearest")`` reads in a picture of size ``hw``, and which are valid.
-
-    For many pictures that are read at the same coordinates.
-    """
+    """Rows and columns that ``sample(…, "nearest")`` reads in a picture of size ``hw``, and which are valid."""
     height, width = hw
     column, row, inside = _pulled_inside(pixels, hw, 0.0)
     columns = np.minimum(np.floor(column).astype(np.intp), width - 1)
@@ -64,7 +60,7 @@ def nearest_pixels(
 def _pulled_inside(
     pixels: np.ndarray, hw: tuple[int, ...], margin_px: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Columns and rows (h, w), and where they are finite and at least ``margin_px`` within the picture's edge.
+    """Columns and rows, and where they are finite and at least ``margin_px`` within the picture's edge.
 
     Coordinates beyond the image are clamped to its edge before float32: 1e30 would overflow remap's fixed point.
     """
@@ -107,8 +103,7 @@ def warp(
 
 @numba.njit(cache=True, nogil=True)
 def _displaced(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Column and row (H, W) float32 that ``remap`` reads for p + flow(p), and (H, W) bool where they are inside as in
-    ``sample``."""
+    """Column and row, float32, that ``remap`` reads for p + flow(p), and where they are inside as in ``sample``."""
     height, width = flow.shape[:2]
     x, y = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     inside = np.empty((height, width), np.bool_)

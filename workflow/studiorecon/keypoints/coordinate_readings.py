@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Possible meanings of a recorded keypoint's two numbers: pixels or shares of the film, or of another, mirrored or
-turned picture."""
+"""Possible meanings of a recorded keypoint's numbers: pixels or shares of the film or another picture, mirrored,
+turned."""
 
 from __future__ import annotations
 
@@ -45,8 +45,7 @@ def affine(scale_x: float, scale_y: float, x: float = 0.0, y: float = 0.0) -> Fl
 
 
 def shares(wh: tuple[int, int], centre: float) -> list[Reading]:
-    """Readings as shares of the picture's sides: programs divide their pixels, to which ``centre`` is added to reach
-    centres at +0.5."""
+    """Readings as shares of the picture's sides; ``centre`` is added to pixels to reach centres at +0.5."""
     w, h = wh
     longer = max(wh)
     return [
@@ -57,9 +56,9 @@ def shares(wh: tuple[int, int], centre: float) -> list[Reading]:
 
 
 def sizes(wh: tuple[int, int], centre: float, stored_wh: tuple[int, int] | None = None) -> list[Reading]:
-    """Readings in pixels of the same picture at other sizes, stretched or letterboxed ones included.
+    """Readings in pixels of the same picture at other sizes, stretched or letterboxed, or of ``stored_wh``.
 
-    Pixels of ``stored_wh``, which are not square, are one of them. ``centre`` is added to reach pixel centres at +0.5.
+    ``centre`` is added to reach pixel centres at +0.5.
     """
     w, h = wh
     found = []

@@ -37,8 +37,7 @@ class TrackGraph:
     """M tracks and their pairwise distances.
 
     Attributes:
-        view: index of the camera.
-        track: track id in that camera.
+        view, track: index of the camera, and track id in it.
         distance_m: symmetric, NaN where the two share too little (also within one camera).
         moments: number of frames in which both are seen; on the diagonal, in which the track is.
     """
@@ -52,8 +51,7 @@ class TrackGraph:
 def stable_indices(layout: str) -> list[int]:
     """Indices of the stable keypoints in a layout; -1 for missing ones. Raises KeyError for an unknown layout.
 
-    A body's joints replace missing detector points. No detector's hip is SMPL's (M07), but all cameras of a capture
-    have the same one, and identities do not depend on centimetres.
+    A body's joints replace missing detector points: their difference (M07) is the same in all cameras.
     """
     names = LAYOUTS[layout].keypoints
     at = {name: index for index, name in enumerate(names)}
@@ -100,8 +98,7 @@ def ray_distances(
 
 
 def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera]) -> TrackGraph:
-    """The graph of all tracks of detections with one common order of keypoints; a pair must share four of them in a
-    frame."""
+    """The graph of all tracks of detections with one order of keypoints; a pair shares four of them in a frame."""
     nodes = [(v, int(t)) for v, d in enumerate(detections) for t in np.unique(d.track)]
     node_of = {node: i for i, node in enumerate(nodes)}
     count = len(nodes)
@@ -138,8 +135,8 @@ def track_groups(
     An affinity counts in proportion to the frames in which both are seen (``moments``), so that false detections in
     single frames do not outvote a person who is always present. The gate comes before the choice (A03): a group holds
     no two nodes further apart than it and no two of one camera that are seen together, and every member has a measured
-    neighbour. Nodes without one are left out. A permutation of the nodes permutes the groups up to ties, which go to
-    the lower node. Raises ValueError for other shapes.
+    neighbour. A permutation of the nodes permutes the groups up to ties, which go to the lower node. Raises ValueError
+    for other shapes.
     """
     sizes = require("distance_m", distance_m, ("M", "M"))
     require("view", view, ("M",), sizes)
@@ -182,7 +179,7 @@ def _same_frame(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.n
 def median_over_shared(
     values: Num[np.ndarray, "P K"], present: Bool[np.ndarray, "P K"], least: int
 ) -> Num[np.ndarray, " P"]:
-    """Median over the present values of, NaN with fewer than ``least``; inf counts as large.
+    """Median over the values that are ``present``, NaN with fewer than ``least``; inf counts as large.
 
     Raises ValueError if the shapes differ.
     """

@@ -41,8 +41,7 @@ _MIN = 6
 def read_deeplabcut(path: Path) -> dict[int, list[Float[np.ndarray, "K 3"]]]:
     """Frame → keypoints of all people in it, in the order of the smallest layout that has the most parts.
 
-    Raises UserError with the line for a table of another kind, a cell that is no number, and names that are not a
-    person's.
+    Raises UserError with the line for another table, a cell that is no number, and names that are no person's.
     """
     names, columns, rows = _table(path)
     people = list(dict.fromkeys(individual for individual, _, _ in columns))

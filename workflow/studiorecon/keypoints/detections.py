@@ -35,8 +35,7 @@ class Settings(DetectionLimits):
     """How recorded keypoints are read, and when two detections are the same person.
 
     Attributes:
-        keypoint_centres: coordinate of the first pixel's centre in the files; detectors count from 0, this project
-            from 0.5.
+        keypoint_centres: coordinate of the first pixel's centre in the files; most detectors count from 0.
     """
 
     keypoint_pixels: Literal["auto", "video", "calibration"] = setting(
@@ -87,8 +86,7 @@ def detections_from_recorded(
 
 
 def detections_from_detector(found: RawDetections, lens: Lens, footage: Footage, settings: Settings) -> Detections:
-    """Detections of the detector's output ``found``, whose pixels and frames are always those of the footage; smoothed
-    over time."""
+    """Detections of the detector's output ``found``, in pixels and frames of the footage, smoothed over time."""
     rows = np.flatnonzero(
         (found.frame >= footage.first_source_frame) & (found.frame < footage.first_source_frame + footage.frames)
     )
@@ -109,8 +107,7 @@ def track_detections(given: Detections, settings: Settings, fps: float) -> Detec
 
 
 def to_pinhole(seen: Detections, lens: Lens, wh: tuple[int, int]) -> tuple[Camera, Detections]:
-    """The pinhole camera of the video's size, and the detections in its pixels; points outside of the lens's field are
-    dropped."""
+    """The pinhole camera of the video's size, and the detections in its pixels, within the lens's field."""
     affine = calibration_from_video_pixels(lens, wh)
     intrinsics = np.diag([lens.intrinsics[0, 0] / affine[0, 0], lens.intrinsics[1, 1] / affine[1, 1], 1.0])
     intrinsics[:2, 2] = (lens.intrinsics[:2, 2] - affine[:, 2]) / np.diag(affine)

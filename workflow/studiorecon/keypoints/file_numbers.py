@@ -14,8 +14,7 @@ MAX_NUMBER = 2**63 - 1
 
 
 def number_names(names: Sequence[str], where: str) -> list[int]:
-    """The number of each of ``names`` (different ones, without suffixes), from the group of digits that counts
-    pictures.
+    """The number of each of ``names`` (without suffixes), from the group of digits that counts pictures.
 
     That group differs in every name; of several, the one that grows most evenly, and of these the last. A single name
     has the digits before ``_keypoints``, or its last ones. Raises UserError naming ``where`` and the names: without

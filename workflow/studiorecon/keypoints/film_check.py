@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks recorded keypoints against their film: the reading that fits best, messages about it, or why none is
-usable."""
+"""Checks recorded keypoints against their film: the reading that fits best, or why none is usable."""
 
 from __future__ import annotations
 
@@ -62,8 +61,8 @@ class Film:
     """The film that keypoints are compared with.
 
     Attributes:
-        camera: name; wh, frames: of its film; motion: in it, None where it cannot be measured.
-        map: from recorded pixels, centres at +0.5, to the film's; centre: offset to add to reach +0.5.
+        motion: in it, None where it cannot be measured.
+        map, centre: from recorded pixels, centres at +0.5, to the film's; offset to add to reach +0.5.
         stored_wh: size with pixels as stored, None where they are square.
     """
 
@@ -105,8 +104,8 @@ Others = Callable[[], Mapping[str, RecordedKeypoints]]
 def check_against_film(recorded: RecordedKeypoints, numbers: Numberings, film: Film, others: Others) -> Verdict:
     """The verdict on ``recorded`` from its film.
 
-    ``others`` returns the other cameras' keypoints by name, in frames of their own films; it is called only where
-    nothing else explains this one.
+    ``others`` returns the other cameras' keypoints by name, in frames of their own films, if nothing else explains
+    these.
     """
     usual = numbers.possible[0]
     if not len(recorded.frame):
@@ -178,8 +177,7 @@ class _Judge:
         return tried[index] if top.enough and top.over(tried[0].score) > _NUMBER_SIGMAS else tried[0]
 
     def numbering(self, numbers: Numberings, plain: Sequence[Reading]) -> tuple[Numbering | None, str]:
-        """The numbering that fits the film, and a sentence where there was a choice; None and the reason where there is
-        none."""
+        """The numbering that fits the film, and a sentence where there was a choice; else None and the reason."""
         camera, first = self.film.camera, numbers.possible[0]
         tried = [self.best(plain, one) for one in numbers.possible]
         index, top = best(enumerate(h.score for h in tried))
@@ -346,8 +344,7 @@ def _points(keypoints: Num[np.ndarray, "D K 3"]) -> Float[np.ndarray, "N 2"]:
 
 
 def _in_film_pixels(recorded: RecordedKeypoints, reading: Reading, as_read: Reading) -> RecordedKeypoints:
-    """``recorded`` with its coordinates converted so that ``as_read`` gives the same pixels as ``detections``
-    before."""
+    """``recorded`` with converted coordinates: ``as_read`` gives the pixels that ``detections`` gave before."""
     if reading is as_read:
         return recorded
     inverse = np.linalg.inv(np.vstack([as_read.film_from_recorded, [0, 0, 1.0]]))[:2]

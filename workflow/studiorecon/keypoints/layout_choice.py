@@ -31,8 +31,8 @@ _CLEAR = 1.25
 def choose_layout(keypoints: Num[np.ndarray, "D K 3"], given: str, where: str) -> tuple[str, str | None]:
     """Name of the layout of detections, and a sentence when the limbs decided it or contradict the ``given`` one.
 
-    Under the wrong order limbs run across the whole body, so the layout with the shorter limbs is right; the ratio of
-    the two must be clear. Raises UserError for an unknown name, a count that does not fit, and an unclear choice.
+    Under the wrong order limbs run across the whole body, so the layout with clearly shorter limbs is right. Raises
+    UserError for an unknown name, a count that does not fit, and an unclear choice.
     """
     count = keypoints.shape[1]
     if given != "auto":

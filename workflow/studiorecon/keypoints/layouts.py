@@ -142,14 +142,7 @@ _SMPL_PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 1
 
 @dataclass(frozen=True)
 class Layout:
-    """One order of keypoints.
-
-    Attributes:
-        name: key in ``LAYOUTS``.
-        keypoints: names in file order.
-        pairs: (left, right) indices.
-        edges: index pairs to draw as limbs and to measure as bones.
-    """
+    """One order of keypoints: (left, right) ``pairs``, and ``edges`` to draw as limbs and to measure as bones."""
 
     name: str
     keypoints: tuple[str, ...]

@@ -33,7 +33,7 @@ def is_mediapipe(content: Any) -> bool:
 
 
 def read_mediapipe(content: Any, picture_wh: tuple[int, int], path: Path) -> dict[int, list[Float[np.ndarray, "33 3"]]]:
-    """Frame → (33, 3) x, y in pixels of a picture of ``picture_wh``, and visibility, of all people in it.
+    """Frame → x, y in pixels of a picture of ``picture_wh``, and visibility, of all people in it.
 
     An entry's ``frame`` counts where it has one, else its index. Raises UserError naming file and frame.
     """

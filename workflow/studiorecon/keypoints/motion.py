@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motion in a film: where its pictures differ from their usual state; small and fast, blind to people who do not
-move."""
+"""Motion in a film: where pictures differ from their usual state; small, fast, blind to people who do not move."""
 
 from __future__ import annotations
 
@@ -27,12 +26,9 @@ _REACH_PX = 4.0
 
 @dataclass(frozen=True)
 class Motion:
-    """Pixels that differ from usual in some frames of a film.
+    """Pixels of a film of size ``wh`` that differ from usual in some frames.
 
-    Attributes:
-        frame: (S,) int, ascending, the frames.
-        near: (S, h, w) 1 where a picture differs from usual, falling to 0 within a few pixels.
-        wh: size of the film.
+    ``near`` is 1 where a picture differs, falling to 0 within a few pixels.
     """
 
     frame: Integer[np.ndarray, " S"]

@@ -75,11 +75,7 @@ def _sigmas(values: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Movers:
-    """N keypoints of people who move, one per row.
-
-    Attributes:
-        person: index of each one's detection; points: as recorded.
-    """
+    """N keypoints, as recorded, of people who move, one per row; ``person``: index of each one's detection."""
 
     person: Integer[np.ndarray, " N"]
     points: Float[np.ndarray, "N 2"]

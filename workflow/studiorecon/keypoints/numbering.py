@@ -43,10 +43,9 @@ class Numbering:
 
 @dataclass(frozen=True)
 class Numberings:
-    """The possible numberings of a film's keypoints, the likeliest first.
+    """The possible numberings of a film's keypoints, the likeliest first; ``certain``: the length leaves only that.
 
-    ``certain``: whether the film's length leaves only that one; ``believed``: whether it may be used, with a sentence,
-    where the pictures do not decide.
+    ``believed``: whether it may be used, with a sentence, where the pictures do not decide.
     """
 
     possible: tuple[Numbering, ...]
@@ -57,11 +56,9 @@ class Numberings:
 def numberings(
     pictures: Integer[np.ndarray, " P"], frames: int, fps: float, given: int | None, counted: bool
 ) -> Numberings:
-    """The ways in which ``pictures`` (numbers, ascending) may count the ``frames`` of a film of ``fps`` frames per
-    second.
+    """The ways in which ``pictures`` (numbers, ascending) may count a film's ``frames``.
 
-    ``given``: the number of the film's first frame by the configuration; ``counted``: whether the format counts frames
-    from 0.
+    ``given``: the number of the film's first frame by the configuration; ``counted``: the format counts frames from 0.
     """
     if not len(pictures):
         return Numberings((_counted(pictures, given or 0),), True)

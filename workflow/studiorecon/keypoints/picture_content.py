@@ -35,8 +35,8 @@ def is_picture(content: Any) -> bool:
 def people_in(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]], str]:
     """Keypoints (x, y, score) of all people in one picture, and the program that writes this format.
 
-    ``content`` is a mapping with a list of people, or MMPose's bare list, nested or not. Entries that are null or
-    empty, or have null keypoints, are left out. Raises UserError that begins with ``where``.
+    ``content`` is a mapping with a list of people, or MMPose's bare list, nested or not. Null or empty entries, and
+    ones with null keypoints, are left out. Raises UserError that begins with ``where``.
     """
     key = next((key for key in _LISTS if isinstance(content, Mapping) and key in content), None)
     if key is None and not isinstance(content, list):
@@ -63,10 +63,7 @@ def people_in(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]],
 
 
 def _points(given: Any, person: Mapping[Any, Any], where: str) -> np.ndarray:
-    """(K, 3) of one person: triples in one row or in rows of three, or pairs with separate ``keypoint_scores``.
-
-    Scores are NaN where there are none.
-    """
+    """Keypoints of one person: triples, flat or in rows, or pairs with ``keypoint_scores``; NaN without scores."""
     points = numbers(given, f"{where}: keypoints", finite=False)
     points = points[0] if points.ndim == 3 and len(points) == 1 else points
     if points.ndim == 2 and points.shape[1] == 2:

@@ -52,11 +52,10 @@ _MAX_PLACE = 1e6
 
 
 def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> RecordedKeypoints:
-    """All people of one camera; ``path`` is one of ``FORMATS``, ``picture_wh`` the size to which MediaPipe's shares
-    refer.
+    """All people of one camera; ``path`` is one of ``FORMATS``, ``picture_wh`` the size of MediaPipe's shares.
 
-    Raises UserError naming the file, and the frame where there is one: for an unknown format or broken content, when
-    people do not all have the same number of keypoints, and for more than ``MAX_PEOPLE_PER_PICTURE`` in one picture.
+    Raises UserError naming the file, and the frame: for an unknown format or broken content, people of different
+    numbers of keypoints, and more than ``MAX_PEOPLE_PER_PICTURE`` in one picture.
     """
     if path.is_dir():
         found = _folder(path)
@@ -102,8 +101,7 @@ def _checked(found: Pictures, path: Path) -> RecordedKeypoints:
 
 
 def _usable(keypoints: Num[np.ndarray, "D K 3"], path: Path) -> Float[np.ndarray, "D K 3"]:
-    """``keypoints`` with those marked missing that are nowhere, or of which nobody says how sure they are; what cannot
-    be meant so is said.
+    """``keypoints``, with those that have no position, or no score where others have, marked missing and reported.
 
     A file without any score has seen everything that it holds. Gaps are what has neither place nor score.
     """
@@ -142,8 +140,7 @@ def _folder(path: Path) -> Pictures:
 
 
 def _neutral(path: Path) -> Pictures:
-    """The arrays ``keypoints (T, P, K, 2|3)``, or of one person (T, K, 2|3), and ``scores`` when there are two
-    columns."""
+    """The arrays ``keypoints`` (T, P, K, 2|3), or of one person (T, K, 2|3), and ``scores`` for two columns."""
     data = read_npz(path)
     if "keypoints" not in data:
         raise UserError(f"{path} has no array named keypoints (frames, people, keypoints, 2 or 3)")

@@ -21,10 +21,7 @@ _MARGIN = 2
 
 
 def part_used(footage: Footage, clocks: Clocks | None) -> Footage:
-    """The part of a camera's footage that needs keypoints: the used frames, and a margin if they must be resampled.
-
-    Its frames are consecutive ones of the footage, from ``first_source_frame`` on.
-    """
+    """The used frames of a camera's footage, and a margin if they must be resampled: consecutive source frames."""
     if clocks is None:
         return footage
     first, count = used_range(clocks, footage.camera)
@@ -50,7 +47,7 @@ def at_working_frames(seen: Detections, footage: Footage, clocks: Clocks | None)
 
 
 def at_working_moments(seen: Detections, clocks: Clocks, height_px: float) -> Detections:
-    """``seen`` at the times of the working frames; its pictures are up to half a frame off.
+    """``seen`` at the times of the working frames, from pictures up to half a frame off.
 
     Each keypoint is moved along its track, as in ``resample_keypoints``.
     """
@@ -84,10 +81,10 @@ def correct_rolling_shutter(seen: Detections, readout_s: float, height_px: float
 def resample_keypoints(seen: Detections, clocks: Clocks, height_px: float) -> Detections:
     """``seen`` (numbered by the frames of the footage) at the working frames, in the order of time.
 
-    A working frame has the detections of the picture that is nearest to it. Each keypoint is moved along its track to
-    the frame's time: by a cubic through two samples on either side, by a line where one of the outer two is missing,
-    and not at all next to a gap. With a readout, every keypoint's time is that of its row of ``height_px``. Monocular
-    bodies are those of the nearest picture.
+    A working frame has the detections of the nearest picture. Each keypoint is moved along its track to the frame's
+    time: by a cubic through two samples on either side, by a line where one of the outer two is missing, and not at all
+    next to a gap. With a readout, every keypoint's time is that of its row of ``height_px``. Monocular bodies are not
+    moved.
     """
     clock, position = clocks.of(seen.camera), clocks.positions(seen.camera)
     used = clocks.source_frames(seen.camera)
@@ -126,8 +123,7 @@ def _resampled(
     height_px: float,
     fps: float,
 ) -> np.ndarray:
-    """(W, K, 3) keypoints of one track at times ``wanted`` (W,) from ``samples`` (D, K, 3) at ``times`` (D,), all in
-    working frames."""
+    """Keypoints of one track at times ``wanted`` from ``samples`` at ``times``, all in working frames."""
     found, farthest = nearest.copy(), max(_FARTHEST_S * fps, _NEXT_FRAMES)
     for k in range(samples.shape[1]):
         there = np.flatnonzero((samples[:, k, 2] > 0) & np.isfinite(samples[:, k, :2]).all(-1))
@@ -144,10 +140,7 @@ def _resampled(
 def _interpolated(
     points: np.ndarray, when: np.ndarray, nearest: np.ndarray, wanted: np.ndarray, farthest: float
 ) -> np.ndarray:
-    """(W, 2) points at times ``wanted``, from ``points`` (D, 2) at times ``when`` (D,).
-
-    They are ``nearest`` where no two points at most ``farthest`` apart enclose the time.
-    """
+    """Points at times ``wanted``; the ``nearest`` where no two points at most ``farthest`` apart enclose the time."""
     last = len(when) - 1
     after = np.searchsorted(when, wanted)
     exact = np.isclose(when[np.minimum(after, last)], wanted, rtol=0, atol=1e-6)

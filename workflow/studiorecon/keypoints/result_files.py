@@ -28,7 +28,7 @@ class Pictures:
 
     Attributes:
         program: the program whose format it is.
-        people: number of a picture → (K, 3) keypoints of all people in it; may be empty.
+        people: number of a picture → keypoints of all people in it; may be empty.
         counted: whether the format counts frames from 0.
     """
 

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Smooths keypoints over time: a network sees every picture separately, so its landmarks jitter more than bodies move
-in 1/60 s."""
+"""Smooths keypoints over time: a network sees every picture separately, so its landmarks jitter."""
 
 from __future__ import annotations
 
@@ -19,8 +18,8 @@ _REACH = 3.0
 def smooth_keypoints(seen: Detections, fps: float) -> Detections:
     """``seen`` with every keypoint on a straight line through its track's neighbouring times.
 
-    The line is fitted with weights that fall with time and rise with confidence, so people who walk are not delayed,
-    also at the ends of a track. Confidences are unchanged.
+    The line's weights fall with time and rise with confidence, so people who walk are not delayed, also at the ends of
+    a track. Confidences are unchanged.
     """
     reach = int(_REACH * _SIGMA_S * fps + 1e-9)
     if not reach:

@@ -26,18 +26,16 @@ _TOO_NEAR = 0.2
 
 @dataclass(frozen=True)
 class TrackingLimits:
-    """When two detections of one camera are the same person. Lengths are shares of the person's box diagonal, times are
-    seconds.
+    """When two detections of one camera are the same person; lengths are shares of the person's box diagonal.
 
     Attributes:
         place_share, speed_share_s: largest median keypoint distance of a detection from its track's last or predicted
             position: so much at once, and so much more per second since the track was last seen.
-        shape_share: the same at once when the two are aligned: a person's outline changes little in a moment, a false
-            detection has another outline.
+        shape_share: the same at once when the two are aligned: false detections have other outlines.
         gap_s: time without a detection after which a track ends.
         duplicate_share: two detections of one frame closer than this are one person detected twice.
-        clear_ratio: the second best continuation of a track must be this many times further away, else it ends. Two
-            short tracks are joined again by the other cameras; one that jumped to another person is never split.
+        clear_ratio: the second best continuation of a track must be this many times further away, else it ends: other
+            cameras join two short tracks again, but never split one that jumped to another person.
     """
 
     place_share: float = 0.12
@@ -106,11 +104,7 @@ def drop_duplicates(
 
 
 def match(cost: Num[np.ndarray, "A B"], limit: float) -> list[tuple[int, int]]:
-    """Pairs of the cheapest assignment whose cost is below ``limit``.
-
-    Inadmissible and non-finite pairs get a high cost before the assignment and are dropped after it (A01, A02, A03,
-    A13).
-    """
+    """Pairs of the cheapest assignment whose cost is below ``limit``; others are excluded before it (A01–A03, A13)."""
     if 0 in cost.shape:
         return []
     admissible = np.isfinite(cost) & (cost < limit)
@@ -162,10 +156,7 @@ def tracks(
 def _strangeness(
     before: np.ndarray, ahead: np.ndarray, now: np.ndarray, elapsed_s: np.ndarray, limits: TrackingLimits
 ) -> np.ndarray:
-    """(A, B) distance of detections ``now`` (B, K, 3) from tracks, as a share of the gate.
-
-    Tracks are at their last positions ``before`` or the predicted ones ``ahead``, whichever is nearer.
-    """
+    """Distance of detections from tracks at their last or predicted positions, as a share of the gate."""
     strayed = np.minimum(distance_shares(before, now), distance_shares(ahead, now))
     changed = np.minimum(shape_shares(before, now), shape_shares(ahead, now))
     alike = changed < limits.shape_share + _RESHAPED_S * elapsed_s
@@ -173,7 +164,7 @@ def _strangeness(
 
 
 def _gone_on(frame: np.ndarray, keypoints: np.ndarray, seen: Sequence[int], t: int, fps: float) -> np.ndarray:
-    """(K, 3) keypoints of a track at frame ``t``, extrapolated at the speed of a line through its last moments.
+    """Keypoints of a track at frame ``t``, extrapolated at the speed of a line through its last moments.
 
     None is extrapolated further than ``_REMEMBERED_S``, because a keypoint swings back after a while.
     """

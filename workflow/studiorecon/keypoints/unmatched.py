@@ -24,8 +24,7 @@ _MIN_UNSEEN = 0.25
 def without_motion(
     camera: str, height_share: Num[np.ndarray, "D K"], keypoints: Num[np.ndarray, "D K 3"], walking_share: float
 ) -> list[str]:
-    """A warning where tall people walk, for a film in which nothing moves; ``height_share``: y over the picture's
-    height."""
+    """A warning where tall people walk in a film without motion; ``height_share``: y over the picture's height."""
     there = (keypoints[..., 2] > 0) & (keypoints[..., :2] != 0).any(-1) & np.isfinite(height_share)
     shown = np.where(there, height_share, np.nan)[there.any(-1)]
     if not len(shown) or walking_share < _MIN_WALKING:
@@ -39,8 +38,7 @@ def without_motion(
 
 
 def without_people(camera: str, motion: Motion, frame: Integer[np.ndarray, " D"]) -> list[str]:
-    """A warning where the detections, in frames ``frame`` of the film, leave out many frames that move as the others
-    do."""
+    """A warning where detections leave out many frames that move as the others do."""
     somebody = np.isin(motion.frame, frame)
     moves = (motion.near == 1).mean(axis=(1, 2))
     if (~somebody).mean() < _MIN_UNSEEN or np.median(moves[~somebody]) < 0.5 * np.median(moves[somebody]):

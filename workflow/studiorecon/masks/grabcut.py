@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GrabCut where there is no clean plate: colour models of the body's inside and of its surroundings decide the other
-pixels."""
+"""GrabCut where there is no clean plate: colours of the body's inside and of its surroundings decide the rest."""
 
 from __future__ import annotations
 
@@ -24,12 +23,8 @@ _SURROUNDINGS_PX = 31
 
 @dataclass(frozen=True)
 class CutSettings:
-    """Settings of GrabCut.
-
-    Attributes:
-        sure: log-odds beyond which a pixel seeds the colours of person or background.
-        weight: log-odds of the cut.
-    """
+    """Settings of GrabCut; ``sure`` are the log-odds beyond which a pixel seeds colours, ``weight`` those of the
+    cut."""
 
     rounds: int = setting(2, "Rounds of colour learning and graph cut; 0 = none.", minimum=0, maximum=50)
     sure: float = 1.5
@@ -44,8 +39,8 @@ def cut_unknown(
 ) -> Float[np.ndarray, "H W"]:
     """Float32 ``evidence`` with GrabCut's result added at ``unknown`` pixels, otherwise unchanged.
 
-    ``rgb`` uint8; ``evidence`` log-odds, −inf where no person can be. Without enough seeds of both kinds the evidence
-    is unchanged. Costs ~0.1 µs per pixel and round, on a box around the candidates.
+    ``evidence``: log-odds, −inf where no person can be, unchanged without enough seeds of both kinds. Costs ~0.1 µs per
+    pixel and round, on a box around the candidates.
     """
     candidates = unknown & np.isfinite(evidence)
     if settings.rounds <= 0 or not candidates.any():

@@ -94,8 +94,8 @@ def person_evidence(
 ) -> tuple[Float[np.ndarray, "K H W"], Float[np.ndarray, "K H W"]]:
     """Log-odds from each body's depth picture (0 = absent), and its signed distance in metres.
 
-    A body that was filled in between measured frames (not ``valid``) is never evidence for a person, and its sigma is
-    doubled.
+    A body that was filled in between measured frames (not ``valid``) is never evidence for a person, with doubled
+    sigma.
     """
     evidence, distance = np.full(depths_m.shape, -np.inf, np.float32), np.full(depths_m.shape, -np.inf, np.float32)
     for k, depth_m in enumerate(depths_m):
@@ -121,10 +121,8 @@ def segment_frame(
     settings: Settings,
     network: Float[np.ndarray, "H W"] | None = None,
 ) -> Integer[np.ndarray, "H W"]:
-    """Labels of a picture (H, W, 3) uint8; ``difference`` is its ``colour_difference`` to the plate.
-
-    ``network``: (H, W) log-odds of the detector's masks, if there are any.
-    """
+    """Labels of a picture; ``difference`` is its ``colour_difference`` to the plate, ``network`` the masks'
+    log-odds."""
     seen = difference_evidence(difference, plate, settings.difference)
     bodies, distance_m = person_evidence(depths_m, camera, valid, settings.outline)
     labels = np.zeros(seen.shape, np.uint8)
@@ -166,11 +164,7 @@ def edge_aware_average(
 class Film:
     """The frames of a camera, read again at every pass: a minute of them does not fit into memory.
 
-    Attributes:
-        video: the file.
-        camera: its name in ``brightness``.
-        count: number of frames.
-        brightness: factors to divide out of every frame.
+    ``brightness`` has the factors, by ``camera``, to divide out of every frame.
     """
 
     video: Path
@@ -187,7 +181,7 @@ class Film:
 
 @dataclass(frozen=True)
 class Bodies:
-    """Depth (K, H, W) of the fitted bodies of every frame, drawn again at every pass."""
+    """Depth of the fitted bodies of every frame, drawn again at every pass."""
 
     people: Sequence[Person]
     body: BodyModel
@@ -211,7 +205,7 @@ def segment(
     things: Sequence[RigidObject] = (),
     seen: DetectorMasks | None = None,
 ) -> Iterator[Integer[np.ndarray, "H W"]]:
-    """Labels of every frame (T, H, W, 3) uint8; pixels of ``things`` are unassigned; ``seen``: the detector's masks."""
+    """Labels of every frame; pixels of ``things`` are unassigned; ``seen``: the detector's masks."""
     plate = Plate(plate_rgb, measured, np.zeros(measured.shape, np.float32))
     chosen = evenly_spread(len(frames), _UNREST_FRAMES)
     free = []

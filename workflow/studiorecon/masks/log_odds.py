@@ -43,12 +43,9 @@ class DifferenceSettings:
 
 @dataclass(frozen=True)
 class Plate:
-    """A clean plate prepared for comparison.
+    """A clean plate prepared for comparison: float32 in [0, 1], where it is measured, and its ``unrest``.
 
-    Attributes:
-        rgb: (H, W, 3) float32 in [0, 1].
-        measured: (H, W) bool.
-        unrest: (H, W) float32 difference of its pixels without people (noise, compression at edges).
+    That is the difference of its pixels without people (noise, compression at edges).
     """
 
     rgb: Float[np.ndarray, "H W 3"]
@@ -62,7 +59,7 @@ def colour_difference(
     """Float32 difference between a picture and the plate, both float32 in [0, 1], in CIELAB units.
 
     A shadow darkens all channels by one factor. The best such factor, no darker than ``settings.shadow``, is removed
-    first and counts only by ``shadow_weight``; the rest cannot be a shadow.
+    first and counts only by ``shadow_weight``.
     """
     squared, left = plate_difference(rgb, plate_rgb, chroma_weight=settings.chroma_weight, shadow=settings.shadow)
     return np.sqrt(squared + np.square(settings.shadow_weight * 100 * (1 - left)))
@@ -75,7 +72,7 @@ def difference_evidence(
 
     An outline is where the difference has fallen to a share ``edge`` of its value just inside: optics and chroma
     subsampling spread a person's colour one or two pixels beyond it. Positive evidence is a pixel's own. Negative
-    evidence needs a whole neighbourhood that matches the plate: then the room is visible there, even at a fitted body
+    evidence needs a whole neighbourhood that matches the plate: there the room is visible, even at a fitted body
     (behind furniture), while a single matching pixel inside a shirt is chance.
     """
     # Unrest is noise; a larger difference than a person needs is an object that left, not noise.
@@ -96,10 +93,7 @@ def difference_evidence(
 def temporal_difference(
     differences: Float[np.ndarray, "T H W"], free: Bool[np.ndarray, "T H W"]
 ) -> Float[np.ndarray, "H W"]:
-    """Float32 80th percentile of differences over the pictures in which a pixel is ``free``.
-
-    Pixels that are never free get the median of the others.
-    """
+    """Float32 80th percentile of differences over the pictures in which a pixel is ``free``, else their median."""
     sorted_differences = np.sort(np.where(free, differences, np.inf), axis=0)
     count = free.sum(axis=0)
     rank = np.clip(np.ceil(0.8 * count).astype(int) - 1, 0, None)
@@ -112,10 +106,10 @@ def temporal_difference(
 def body_evidence(
     signed_distance_m: Float[np.ndarray, " ..."], sigma_m: float, gate_m: float, inside: float, outside: float
 ) -> Float[np.ndarray, " ..."]:
-    """(...) float32 log-odds from the signed distance to a fitted body's outline, metres at the body's depth.
+    """Float32 log-odds from the signed distance to a fitted body's outline, metres at the body's depth.
 
     One per ``sigma_m``, the typical error of outline and clothes, at most ``inside`` and at least −``outside``; −inf
-    beyond ``gate_m``, where whatever differs is not this person.
+    beyond ``gate_m``.
     """
     evidence = np.clip(signed_distance_m / sigma_m, -outside, inside)
     return np.where(signed_distance_m < -gate_m, -np.inf, evidence).astype(np.float32)

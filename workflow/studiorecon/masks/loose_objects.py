@@ -28,8 +28,8 @@ def subtract_objects(
 ) -> Integer[np.ndarray, "H W"]:
     """Labels of one frame with the objects' pixels unassigned.
 
-    ``depths_m`` are the bodies' z-depths, 0 = absent. An object in front of a body hides it, whatever the label.
-    Outside of all bodies it takes pixels labelled as a person; a body in front of the object keeps its pixels.
+    An object in front of a body (z-depth, 0 = absent) hides it, whatever the label. Outside of all bodies it takes
+    pixels labelled as a person; a body in front of the object keeps its pixels.
     """
     labels = labels.copy()
     front = np.where(depths_m > 0, depths_m, np.inf).min(axis=0, initial=np.inf)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One camera's person masks, as in ``labelling``. Given masks are used unchanged; only their identities are matched to
-the fitted people."""
+"""One camera's person masks, as in ``labelling``; given masks are only matched to the fitted people."""
 
 from __future__ import annotations
 
@@ -37,10 +36,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Numbers:
-    """A network's numbers of every frame (H, W), read again at every pass.
-
-    Reading raises UserError for a film of another size or number of frames.
-    """
+    """A network's numbers of every frame, read again at every pass; raises UserError for a film of other size or
+    length."""
 
     film: Path
     count: int
@@ -74,12 +71,12 @@ class FilmFiles:
 
 @dataclass(frozen=True)
 class HintFiles:
-    """What helps to tell people from the plate.
+    """Evidence that separates people from the plate.
 
     Attributes:
-        objects: things (none or one path) whose pixels are nobody's.
-        brightness: what frames are divided by before they are compared with the plate, if any.
-        seen: nothing, or three files, which bring the detector's own masks: the detector's, the camera's detections,
+        objects: objects (none or one path), whose pixels belong to no person.
+        brightness: factors to divide out of frames before they are compared with the plate, if any.
+        seen: nothing, or three files for the detector's own masks: the detector's, the camera's detections,
             identities.tsv.
     """
 
@@ -101,8 +98,7 @@ def run(
 ) -> None:
     """Masks of ``camera`` for the fitted people, ``fits``.
 
-    ``given`` (none or one path) are masks that the user brings, which are kept as they are; ``tracks`` (none or one) is
-    a network's film of numbers.
+    ``given`` (none or one path) are the user's masks, which stay as they are; ``tracks`` a network's film of numbers.
     """
     own = next((c for c in read_model(film.model.parent) if c.name == camera), None)
     if own is None:

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Matches a network's numbers to fitted people: each to the body that it covers most. One person may have several
-numbers in turn."""
+"""Matches a network's numbers to fitted people: each to the body that it covers most, several to one person."""
 
 from __future__ import annotations
 
@@ -22,11 +21,9 @@ MIN_SHARE = 0.3
 def assign_people(
     labels: Iterable[Integer[np.ndarray, "H W"]], depths_m: Iterable[Float[np.ndarray, "K H W"]], people: int
 ) -> tuple[Iterator[Integer[np.ndarray, "H W"]], str]:
-    """(H, W) uint8 masks with this project's labels from a network's numbers, frame by frame, and a sentence on the
-    match.
+    """Uint8 masks with this project's labels from a network's numbers, frame by frame, and a sentence on the match.
 
-    ``labels`` are read twice. ``depths_m``: (K, H, W) depth of the fitted bodies, frame by frame. Numbers that match no
-    person are 255.
+    ``labels`` are read twice. Numbers that match no person are 255.
     """
     overlap = overlaps(labels, depths_m, people)
     sizes = overlap.sum(axis=1)
@@ -47,8 +44,7 @@ def assign_people(
 def overlaps(
     labels: Iterable[Integer[np.ndarray, "H W"]], depths_m: Iterable[Float[np.ndarray, "K H W"]], people: int
 ) -> Integer[np.ndarray, "256 1+people"]:
-    """(256, 1 + people) pixels per number over all frames: outside of all bodies, and on the body of each person in
-    front.
+    """Pixels per number over all frames: outside of all bodies, and on the body of each person in front.
 
     Raises ValueError when there are not as many ``labels`` as ``depths_m``.
     """

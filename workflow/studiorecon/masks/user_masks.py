@@ -39,9 +39,8 @@ class UserMasks:
     """Masks that the user provides, frame by frame in working pixels, read again at every pass.
 
     Attributes:
-        path: video or folder.
         chosen: indices of the frames in use among its pictures, ascending.
-        columns, rows: (H, W) pixel of the picture at each working pixel.
+        columns, rows: pixel of the picture at each working pixel.
         exact: its values are labels; else greys to threshold.
     """
 
@@ -52,7 +51,7 @@ class UserMasks:
     exact: bool
 
     def __iter__(self) -> Iterator[Integer[np.ndarray, "H W"]]:
-        """Yields (H, W) uint8 labels of every frame."""
+        """Yields the labels of every frame."""
         wanted = iter(self.chosen)
         at = next(wanted, None)
         for number, picture in enumerate(mask_pictures(self.path)):
@@ -65,8 +64,8 @@ class UserMasks:
 def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> UserMasks:
     """The masks of a camera, sampled at the nearest source pixel.
 
-    They must have the size of the source frames (or their shape: then they are scaled), and cover the frames in
-    use: either exactly those, or the whole source. Raises UserError naming the path and the remedy.
+    They must have the size of the source frames, or its shape, and cover the frames in use: either exactly those, or
+    the whole source. Raises UserError naming the path and the remedy.
     """
     about = read_footage(footage)
     lens = find_lens(calibration, about.camera)
@@ -94,11 +93,11 @@ def label_given_masks(
     gate_m: float,
     camera: Camera,
 ) -> tuple[Iterator[Integer[np.ndarray, "H W"]], str]:
-    """(H, W) uint8 masks with this project's labels, frame by frame, and a sentence on how they were matched.
+    """Uint8 masks with this project's labels, frame by frame, and a sentence on how they were matched.
 
-    ``labels`` are read twice. A single value only marks people: each pixel goes to the fitted body in front or nearest,
-    within ``gate_m``. Several values are identities: each goes to the person it covers most, over all frames (one to
-    one). ``depths_m``: (K, H, W) of the bodies, frame by frame, read twice as well.
+    ``labels`` and ``depths_m`` are read twice. A single value only marks people: each pixel goes to the fitted body in
+    front or nearest, within ``gate_m``. Several values are identities: each goes to the person it covers most, one to
+    one.
     """
     from scipy.optimize import linear_sum_assignment  # half a second to import, only needed for given masks
 

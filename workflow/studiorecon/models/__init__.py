@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Upstream networks: their requirements, their licences, and the code that runs them. None is used unless a setting
-names it.
+"""Upstream networks: requirements, licences, and the code that runs them. None is used unless a setting names it.
 
 ``load("flow", "raft", weights, device)`` takes a kind and a name, and returns an object that satisfies the kind's
 Protocol. To be read in this order:

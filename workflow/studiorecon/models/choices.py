@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Types of the settings that may name a network: Literals of the stage's own values and of the networks of
-that kind.
-"""
+"""Types of the settings that may name a network: Literals of the stage's own values and of those networks."""
 
 from __future__ import annotations
 

@@ -96,9 +96,9 @@ def definition(containerfile: str) -> str:
 
 
 def build(chosen: str, image: ContainerImage, root: Path, folder: Path) -> str:
-    """Build one image from ``root``/envs/NAME with engine ``chosen``, and return its address or file.
+    """Address or file of an image built from ``root``/envs/NAME with engine ``chosen``; raises UserError if it fails.
 
-    Apptainer's file goes into ``folder``, completely or not at all. Raises UserError when the engine fails.
+    Apptainer's file goes into ``folder``, completely or not at all.
     """
     containerfile = root / "envs" / image.name / "Containerfile"
     if not containerfile.is_file():
@@ -130,7 +130,7 @@ def _call(command: list[str], root: Path, image: ContainerImage) -> str:
 
 
 def run(images: list[str], root: Place, folder: Place) -> None:
-    """Build ``images`` (``NAME=ADDRESS:VERSION``) from their folders in ``root``/envs; apptainer's files go into
+    """Build ``images`` (``NAME=ADDRESS:VERSION``) from their folders in ``root``/envs; apptainer's go into
     ``folder``."""
     chosen = engine()
     say(f"images are built by {chosen}")

@@ -28,11 +28,8 @@ class Reconstruction:
 
     Attributes:
         cameras: at the size the network worked on; the first one is the world's origin.
-        depths: per camera (H, W) float32, 0 = unknown.
-        confidences: per camera (H, W) float32 in [0, 1].
-        focal_residuals_px: per camera, median distance between a pixel and the projection of its own point with the
-            fitted focal length.
-        metric: whether the unit is a metre, approximately.
+        depths, confidences: float32; 0 = unknown, and in [0, 1].
+        focal_residuals_px: median distance of a pixel from the projection of its point by the fitted focal length.
     """
 
     cameras: Sequence[Camera]
@@ -48,9 +45,10 @@ class Bodies:
 
     Attributes:
         tracks: identity of each within its camera, 0-based.
-        shapes: (P, 10). ``poses_rad``: (P, 24, 3) axis-angles, the root first. ``translations_m``: (P, 3), SMPL's own,
-            which is not the pelvis. ``pelvises_m``: (P, 3) pelvis joint.
-        joints_px: pixels, centres at +0.5. ``confidences``: (P,) in [0, 1].
+        poses_rad: axis-angles, the root first.
+        translations_m: SMPL's own, which is not the pelvis.
+        joints_px: pixels, centres at +0.5.
+        confidences: in [0, 1].
     """
 
     tracks: Integer[np.ndarray, " P"]
@@ -67,7 +65,6 @@ class Moment:
     """Facts about one picture besides its colours.
 
     Attributes:
-        camera: the picture's camera.
         frame: (fractional) frame of the capture it shows.
         depth_m: rendered depth, 0 = unknown.
         injected: share of the input that comes from earlier outputs, which were already enhanced.
@@ -81,12 +78,8 @@ class Moment:
 
 @dataclass(frozen=True)
 class KeyFrame:
-    """A photo that is warped into a generated film.
-
-    Attributes:
-        camera: at the network's size.
-        rgb: colours in [0, 1]. ``depth_m``: (H, W) z-depth, 0 = unknown. ``usable``: (H, W) valid pixels.
-    """
+    """A photo that is warped into a generated film: ``camera`` at the network's size, colours in [0, 1], valid
+    pixels."""
 
     camera: Camera
     rgb: Float[np.ndarray, "H W 3"]
@@ -106,8 +99,7 @@ class MonocularDepth(Protocol):
     """Estimates depth of one picture: MoGe; or its inverse, up to scale and shift (kind "inverse depth")."""
 
     def depth(self, picture: Integer[np.ndarray, "H W 3"], focal_px: float | None) -> Float[np.ndarray, "H W"]:
-        """Float32 depth (or inverse depth) of a uint8 picture, 0 = unknown; ``focal_px``: horizontal, when it is
-        known."""
+        """Float32 depth (or inverse depth) of a uint8 picture, 0 = unknown; ``focal_px``: horizontal, if known."""
         ...
 
 
@@ -127,8 +119,7 @@ class BodyEstimator(Protocol):
 
     @staticmethod
     def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[tuple[int, Bodies]]:
-        """(frame, bodies) from a file of the network's own arrays, called ``where`` in messages; raises UserError for
-        missing arrays."""
+        """(frame, bodies) from a file of the network's arrays, called ``where``; raises UserError for missing ones."""
         ...
 
     def bodies(
@@ -153,8 +144,7 @@ class ViewSynthesizer(Protocol):
 
     @staticmethod
     def request(key_frames: Sequence[KeyFrame], path: Sequence[Camera]) -> dict[str, Shaped[np.ndarray, " ..."]]:
-        """The request for a film along ``path`` from photos, all of size ``hw``; raises UserError for a path that it
-        cannot follow."""
+        """The request for a film along ``path`` from photos; raises UserError for a path that it cannot follow."""
         ...
 
     @staticmethod
@@ -164,8 +154,7 @@ class ViewSynthesizer(Protocol):
 
     @staticmethod
     def evidence(request: dict[str, Shaped[np.ndarray, " ..."]]) -> str:
-        """The result of re-rendering a checked request, in a sentence; raises UserError when it is not worth a GPU
-        hour."""
+        """The result of re-rendering a checked request, in a sentence; raises UserError when it is not worth a GPU."""
         ...
 
     def views(self, request: dict[str, Shaped[np.ndarray, " ..."]]) -> Iterator[Integer[np.ndarray, "t H W 3"]]:
@@ -174,8 +163,7 @@ class ViewSynthesizer(Protocol):
 
 
 class Enhancer(Protocol):
-    """Improves a rendered picture with a real photo for reference: Difix3D+, Fixer, and the embedded residual
-    transfer."""
+    """Improves a rendered picture with a real photo for reference: Difix3D+, Fixer, embedded residual transfer."""
 
     def enhance(
         self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
@@ -190,8 +178,7 @@ class Flow(Protocol):
     def flow(
         self, first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]
     ) -> Float[np.ndarray, "H W 2"]:
-        """Float32 flow from the first to the second uint8 picture: p of the first shows the same as p + flow(p) of the
-        second."""
+        """Float32 flow from the first to the second uint8 picture: p of the first shows the same as p + flow(p)."""
         ...
 
 
@@ -211,6 +198,5 @@ class CanonicalAvatar(Protocol):
     """Makes a person's Gaussians in a rest pose from one photo: LHM."""
 
     def avatar(self, photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"]) -> Gaussians:
-        """Gaussians in the body's rest pose and axes (x left, y up, z forward), from a uint8 photo and the mask of the
-        person."""
+        """Gaussians in the body's rest pose and axes (x left, y up, z forward), from a uint8 photo and a mask."""
         ...

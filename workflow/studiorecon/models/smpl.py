@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``models.smpl``: converts SMPL's own pickle to an .npz of plain arrays, which every step reads, without chumpy or
-smplx.
+"""``models.smpl``: converts SMPL's own pickle to an .npz of plain arrays, without chumpy or smplx.
 
 The pickle of SMPL v1.1.0 holds chumpy arrays, whose package no longer imports, and 300 shape directions, of which the
 first ten are kept. Reading it runs none of its code except numpy's and scipy's constructors.

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``models.weights``: lists the files of every selected network and their state, and fetches and verifies them on
-request.
+"""``models.weights``: lists the files of every selected network, and fetches and verifies them on request.
 
 It is the only step that may access the network.
 """

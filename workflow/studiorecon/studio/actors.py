@@ -27,13 +27,7 @@ _FEET = (7, 8, 10, 11)
 
 @dataclass(frozen=True)
 class Actor:
-    """One person at all moments of one clock.
-
-    Attributes:
-        number: 0-based; masks hold number + 1.
-        betas: (10,); poses: (T, 72); trans_m: (T, 3).
-        texture: their clothes.
-    """
+    """One person at all moments of one clock; ``number`` is 0-based, masks hold number + 1; ``texture``: clothes."""
 
     number: int
     betas: Float[np.ndarray, " 10"]

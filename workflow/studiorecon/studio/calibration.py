@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A calibration file in any of the formats that the pipeline reads, as a user would have it.
 
-Files of OpenCV's family count pixels from 0 at the first pixel's centre, so their principal point is half a pixel
-smaller than ours; COLMAP's and nerfstudio's count from the pixel's corner as we do.
+Files of OpenCV's family count pixels from 0 at the first pixel's centre; COLMAP's and nerfstudio's from its corner.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ _MARK = ".synthetic-studio"
 
 
 def run(description: Path, dataset: Place, truth: Written, body: Path | None = None, processes: int = 2) -> None:
-    """Film the described play: videos, calibration, keypoints and capture.yaml into ``dataset``, exact truth into
+    """Film the described play: videos, calibration, keypoints and capture.yaml into ``dataset``, and exact
     ``truth``."""
     described = read_description(description)
     body = body or RESOURCES / "body.npz"

@@ -139,8 +139,7 @@ class Description:
 
 
 def read_description(path: Path) -> Description:
-    """The description in ``path`` over the defaults; raises UserError naming the file, the key and the allowed
-    values."""
+    """The description in ``path`` over the defaults; raises UserError with the file, the key and the allowed values."""
     defaults = _mapping(DEFAULTS)
     merged = _merge(defaults, _mapping(path), path, "")
     try:

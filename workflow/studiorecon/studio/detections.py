@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""2D keypoints like a detector's: projected body points with occlusion, noise, drop-outs, phantoms and shuffled
-order."""
+"""2D keypoints like a detector's: projected body points with occlusion, noise, drop-outs, phantoms, any order."""
 
 from __future__ import annotations
 
@@ -29,7 +28,7 @@ def detect(
     options: DetectionOptions,
     rng: np.random.Generator,
 ) -> list[Float[np.ndarray, "K 3"]]:
-    """Detections of people in one camera and frame: (K, 3) pixels (centres at +0.5) and confidence each, 0 = missing.
+    """Detections of people in one camera and frame: pixels (centres at +0.5) and confidence each, 0 = missing.
 
     ``points_m`` are all people's keypoints, ``tracer`` holds the room and then, from index ``first_actor``, the people.
     Visible points get a confidence near 0.9, points behind the own body near 0.55. Points behind other people or

@@ -29,10 +29,10 @@ class Backdrop:
     """The empty room through one lens, ray by ray: S rays per pixel, N = H·W pixels.
 
     Attributes:
-        lens: the lens; ``solids``: the room.
-        rays: (S, N, 3) float32 world directions, one metre of z-depth long.
-        depth_m: z-depth of the room; ``colour``: (S, N, 3) float32 radiance.
-        solid: index of the visible solid; ``mean`` (N, 3): radiance of the pixels.
+        lens, solids: the lens; the room.
+        rays: world directions, one metre of z-depth long.
+        depth_m, colour: z-depth and radiance of the room.
+        solid, mean: index of the visible solid; radiance of the pixels.
         lamps: one set of lamp points per ray of a pixel.
     """
 
@@ -82,9 +82,9 @@ def render_frame(
     soles_m: Float[np.ndarray, "P 4 3"],
     effects: Effects,
 ) -> Float[np.ndarray, "H W 3"]:
-    """Radiance of one frame with the ``moving`` solids in the room.
+    """Radiance of one frame with the ``moving`` solids in the room at ``touched_pixels``.
 
-    ``tracer`` holds room and moving solids, the room first; ``touched`` are the pixels of ``touched_pixels``.
+    ``tracer`` holds room and moving solids, the room first.
     """
     height, width = scene.lens.wh[1], scene.lens.wh[0]
     picture = scene.mean.copy()
@@ -128,10 +128,9 @@ def render_frame(
 
 
 def touched_pixels(lens: Lens, moving: Sequence[Mesh]) -> Bool[np.ndarray, " N"]:
-    """Whether all pixels that the solids can cover, and a few around them.
+    """All pixels that the solids can cover, and a few around them.
 
-    Vertices are marked and grown by the longest edge in pixels: no point of a triangle is farther from a vertex than
-    that.
+    Vertices are marked and grown by the longest edge in pixels: no point of a triangle is farther from a vertex.
     """
     import cv2
 
@@ -158,8 +157,7 @@ def touched_pixels(lens: Lens, moving: Sequence[Mesh]) -> Bool[np.ndarray, " N"]
 def project(
     lens: Lens, points_m: Float[np.ndarray, "... 3"]
 ) -> tuple[Float[np.ndarray, "... 2"], Float[np.ndarray, " ..."]]:
-    """Pixels of world points through a lens with its distortion, and their z-depth; far off-screen behind the
-    camera."""
+    """Pixels of world points through a lens with distortion, and their z-depth; far off-screen behind the camera."""
     in_camera = points_m @ lens.camera_from_world[:3, :3].T + lens.camera_from_world[:3, 3]
     depth = in_camera[..., 2]
     normalised = in_camera[..., :2] / np.where(depth > _NEAR_M, depth, 1.0)[..., None]

@@ -117,8 +117,7 @@ def reach_knee(
 ) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3"]]:
     """Knee positions and hinge axes (to the body's left) for hips and ankles; the knee bends ``forward``.
 
-    Law of cosines; a target out of reach stretches the leg towards it. ``forward`` is and need not be a right angle
-    off.
+    Law of cosines; a target out of reach stretches the leg towards it. ``forward`` need not be a right angle off.
     """
     span = ankle_m - hip_m
     distance = np.linalg.norm(span, axis=1)

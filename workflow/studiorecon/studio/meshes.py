@@ -22,15 +22,12 @@ class Mesh:
     """One painted mesh.
 
     Attributes:
-        name: for messages and tests.
         vertices_m: world.
-        faces: (F, 3) int.
         texture: paint, evaluated in the solid's own frame.
         world_from_solid: rigid.
         emission: radiance that it emits (the lamps), 0 otherwise.
         mirror: share of a mirror in its surface (the glossy floor).
-        texture_vertices: vertices in the texture's frame, for solids that bend; None = rigid, by
-            ``world_from_solid``.
+        texture_vertices: in the texture's frame, for solids that bend; None = rigid, by ``world_from_solid``.
         vertex_normals: unit normals to interpolate; None = flat faces.
     """
 

@@ -33,7 +33,7 @@ class MotionPart:
         path: their walk; a path of length 0 is a place to stand.
         stride_m, cadence_hz: length of two steps, and how many of those a second.
         clock: position in the stride at the start of the clip.
-        waves_s: start times of the right hand's waves; ``squats_s``: start times of squats.
+        waves_s, squats_s: start times of the right hand's waves, and of squats.
     """
 
     path: Path

@@ -21,8 +21,8 @@ _FIRST_AZIMUTH_DEG = 45.0
 def cameras(description: Description) -> list[Camera]:
     """All cameras as ideal pinholes, in the order of ``description.names``.
 
-    Training cameras are evenly spaced (90° apart for four in a ring) up to a seeded jitter, at seeded heights; held-out
-    ones are exactly halfway between even positions, at the middle height.
+    Training cameras are evenly spaced up to a seeded jitter, at seeded heights; held-out ones are exactly halfway
+    between even positions, at the middle height.
     """
     rig = description.cameras
     rng = np.random.default_rng([description.seed, 11])
@@ -98,8 +98,7 @@ def sync_offsets_frames(description: Description) -> dict[str, float]:
 
 
 def directions(lens: Lens, supersampling: int) -> Float[np.ndarray, "S N 3"]:
-    """(S, H·W, 3) world directions of the S = n² rays of every pixel, one metre of z-depth long; S = 1 is the pixel's
-    centre."""
+    """World directions of the S = n² rays of every pixel, one metre of z-depth long; S = 1 is the pixel's centre."""
     width, height = lens.wh
     steps = (np.arange(supersampling) + 0.5) / supersampling
     columns, rows = np.meshgrid(np.arange(width), np.arange(height))

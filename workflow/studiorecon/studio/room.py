@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The static room: 8.4 × 7.2 × 3 m, painted walls, furniture along them, a table, a pillar and two lamps. Floor z =
-0."""
+"""The static room: 8.4 × 7.2 × 3 m, painted walls, furniture, a table, a pillar and two lamps; floor z = 0."""
 
 from __future__ import annotations
 

@@ -19,13 +19,7 @@ _GAMMA = 2.2
 
 @dataclass(frozen=True)
 class Sensor:
-    """One camera's electronics.
-
-    Attributes:
-        gains: factor on the picture's red, green and blue.
-        noise_levels: standard deviation in grey levels.
-        seed: of the noise.
-    """
+    """One camera's electronics: ``gains`` on red, green and blue, and seeded noise in grey levels."""
 
     gains: tuple[float, float, float]
     noise_levels: float

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Films a capture: cameras of one clock see the same people at the same moments, posed and added to the ray caster
-once.
+"""Films a capture: cameras of one clock see the same people at the same moments, posed for all of them once.
 
 Takes, cameras that are filmed together, are distributed over processes. Each camera traces the empty room once and then
 the moving solids.

@@ -26,7 +26,7 @@ _TO_THE_TARGET = 0.999  # shadow rays end at this share of their way, so that th
 
 @dataclass(frozen=True)
 class Hits:
-    """Hits of (N,) rays, in the ray caster's single precision.
+    """Hits of N rays, in the ray caster's single precision.
 
     Attributes:
         distance: in lengths of the ray's direction; inf for no hit.
@@ -53,8 +53,7 @@ class Hits:
 
 
 class Tracer:
-    """Solids in a ray-casting structure that is built once; one thread casts, because cameras run in parallel
-    instead."""
+    """Solids in a ray-casting structure that is built once; one thread casts, because cameras run in parallel."""
 
     def __init__(self, solids: Sequence[Mesh]) -> None:
         self._scene = EmbreeScene(robust=True)
@@ -86,8 +85,7 @@ class Tracer:
 def lamp_points(subset: int, subsets: int) -> Float[np.ndarray, "M 4"]:
     """Points on the lamps and their strength, for one of ``subsets`` rays of a pixel: together they cover both lamps.
 
-    A low-discrepancy sequence (the plastic number's), so that a subset is spread as well and a pixel's penumbra is
-    smooth.
+    A low-discrepancy sequence (the plastic number's) makes a pixel's penumbra smooth.
     """
     per_lamp = max(2, POINTS_PER_LAMP // subsets)
     k = np.arange(subset * per_lamp, (subset + 1) * per_lamp)
@@ -126,8 +124,7 @@ def lamp_gain(
 
 
 def ambient_light(points_m: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
-    """Light reflected by the room: brighter on upward surfaces, darker in its edges and corners (closed form, no
-    rays)."""
+    """Light reflected by the room: brighter on upward surfaces, darker in edges and corners (closed form, no rays)."""
     light = _AMBIENT * (1 + 0.22 * normals[:, 2])
     for axis, half in ((0, HALF_X_M), (1, HALF_Y_M)):
         gap = np.minimum(half - points_m[:, axis], half + points_m[:, axis])
@@ -145,8 +142,7 @@ def _rays(origins_m: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np
 
 @dataclass(frozen=True)
 class TracedSurface:
-    """The surfaces at the rays' hits: points (N, 3), unit normals (N, 3) towards the ray's side, albedo (N, 3),
-    emission and mirror (N,)."""
+    """Surfaces at the rays' hits: points, unit normals towards the ray's side, albedo, emission and mirror."""
 
     points_m: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
@@ -158,8 +154,7 @@ class TracedSurface:
 def surfaces(
     solids: Sequence[Mesh], hits: Hits, origins_m: Float[np.ndarray, "... 3"], directions: Float[np.ndarray, "N 3"]
 ) -> TracedSurface:
-    """Surfaces at the hits, all of which must have hit a solid; evaluated solid by solid, so that each paints its
-    points at once."""
+    """Surfaces at the hits, all of which must have hit a solid; evaluated solid by solid."""
     points = origins_m + directions * hits.distance[:, None]
     normals = hits.normal.astype(points.dtype)
     albedo = np.zeros_like(points)
@@ -193,8 +188,7 @@ def radiance(
     lamps: Float[np.ndarray, "M 4"],
     bounces: int = 1,
 ) -> Float[np.ndarray, "N 3"]:
-    """Light that returns along the rays: diffuse under the lamps and the room's reflected light, plus one mirror
-    bounce."""
+    """Light along the rays: diffuse under the lamps and the room's reflected light, plus one mirror bounce."""
     surface = surfaces(solids, hits, origins_m, directions)
     light = lamp_light(surface.points_m, surface.normals, lamps, tracer) + ambient_light(
         surface.points_m, surface.normals

@@ -28,11 +28,10 @@ class TruthFrames:
     """Collects the truth of one camera frame by frame.
 
     Attributes:
-        room_depth_m: (H, W) float32 z-depth of the empty room.
-        masks: per frame (H, W) uint8: 0 room, k + 1 person k, 255 props.
-        depths: per frame (H, W) uint16 millimetres, when configured.
-        flows: per frame (H, W, 2) float16 motion to the next frame in pixels, NaN where the point leaves the picture's
-            side of the camera, when configured.
+        room_depth_m: float32 z-depth of the empty room.
+        masks: uint8: 0 room, k + 1 person k, 255 props.
+        depths: uint16 millimetres, when configured.
+        flows: float16 motion to the next frame in pixels, NaN behind the camera, when configured.
     """
 
     def __init__(self, lens: Lens, solids: list[Mesh], options: TruthOptions) -> None:

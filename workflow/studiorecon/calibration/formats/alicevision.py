@@ -106,8 +106,7 @@ def _camera(name: str, pose: dict[str, Any], lens: dict[str, Any], version: tupl
 
 
 def _focal_px(lens: dict[str, Any], width: int, version: tuple[int, ...]) -> tuple[float, float]:
-    """Focal lengths along x and y; ``pixelRatio`` is fx / fy until version 1.2.5 and height over width of a pixel
-    since."""
+    """Focal lengths along x and y; ``pixelRatio`` is fx / fy until version 1.2.5, a pixel's height over width since."""
     if version < (1, 2, 2):
         both = np.broadcast_to(np.array(lens["pxFocalLength"], dtype=np.float64), 2)
         return float(both[0]), float(both[1])

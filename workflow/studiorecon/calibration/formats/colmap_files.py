@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""COLMAP models of users, text or binary, with distortion: ``cameras`` + ``images``, and ``rigs`` + ``frames`` where
-the model has them."""
+"""COLMAP models of users, text or binary, with distortion: ``cameras``, ``images``, and ``rigs``, ``frames``."""
 
 from __future__ import annotations
 

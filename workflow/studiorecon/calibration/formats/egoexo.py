@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ego-Exo4D's ``gopro_calibs.csv``: camera-to-world quaternions and translations in metres, OpenCV or fisheye
-intrinsics."""
+"""Ego-Exo4D's ``gopro_calibs.csv``: camera-to-world quaternions and metres, OpenCV or fisheye intrinsics."""
 
 from __future__ import annotations
 

@@ -32,8 +32,7 @@ def recognises(files: list[Path]) -> bool:
 def read(files: list[Path]) -> Reading:
     """The static cameras in metres; the glasses' own cameras, which move, are left out.
 
-    With X_colmap = S X_metric and S = [cR0 | t0], x = R1 X_colmap + t1 becomes R1 R0 X + (R1 t0 + t1) / c: multiplying
-    alone would leave a scaled rotation.
+    With X_colmap = S X_metric and S = [cR0 | t0], x = R1 X_colmap + t1 becomes R1 R0 X + (R1 t0 + t1) / c.
     """
     similarity_file = next(f for f in files if f.suffix in _SUFFIXES)
     model = [f for f in files if f.suffix not in _SUFFIXES]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""LLFF's ``poses_bounds.npy`` (Neural 3D Video): camera-to-world with axes down, right, back; one row per camera, no
+"""LLFF's ``poses_bounds.npy`` (Neural 3D Video): camera-to-world, axes down, right, back; a row per camera, no
 names."""
 
 from __future__ import annotations

@@ -28,10 +28,8 @@ def recognises(files: list[Path]) -> bool:
 
 
 def read(files: list[Path]) -> Reading:
-    """The cameras with a position and a standard lens, by serial number (``C11764``).
-
-    Raises UserError for the binary ``*.cal`` of older Motives.
-    """
+    """The cameras with a position and a standard lens, by serial number (``C11764``); raises UserError for
+    ``*.cal``."""
     path = files[0]
     if path.suffix.lower() == ".cal":
         raise UserError(

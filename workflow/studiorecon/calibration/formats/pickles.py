@@ -28,8 +28,7 @@ _NUMBERS = re.compile(r"b1|[iu][1248]|f[248]")
 def read_pickle(path: Path) -> Any:
     """Dictionaries, lists, numbers and arrays of a ``.pkl``, or of a ``.npy`` that holds one object.
 
-    Raises UserError when the file is cut short or requests anything but numpy arrays, because a pickle can run any
-    program.
+    Raises UserError when the file is cut short or requests anything but numpy arrays: a pickle can run any program.
     """
     data = read_bytes(path)
     stream = io.BytesIO(data)
@@ -125,8 +124,7 @@ class _ArraysOnly(pickle.Unpickler):
 
 
 def _made(value: Any, seen: dict[int, Any]) -> Any:
-    """``value`` with arrays instead of placeholders; repeated objects are built once (a small file can name one list a
-    billion times)."""
+    """``value`` with arrays for placeholders; repeated objects are built once (a file can name one a billion times)."""
     if id(value) in seen:
         return seen[id(value)]
     if isinstance(value, _Array):

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interface of a calibration format and its reader's result; merges many pictures of a static camera into one
-entry."""
+"""The interface of a calibration format; merges many pictures of a static camera into one entry."""
 
 from __future__ import annotations
 

@@ -22,8 +22,7 @@ def recognises(files: list[Path]) -> bool:
 def read(files: list[Path]) -> Reading:
     """One camera per picture folder, or per index in the lists where there are no file names.
 
-    MonoFusion stores camera-to-world under the name ``w2c`` (see its source); a ``camera_convention`` in the file
-    decides.
+    MonoFusion stores camera-to-world under the name ``w2c`` (see its source); a ``camera_convention`` decides.
     """
     path = files[0]
     content = as_mapping(read_json(path), str(path), "{k: […], w2c: […]}")

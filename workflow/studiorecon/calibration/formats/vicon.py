@@ -93,7 +93,7 @@ def _camera(name: str, element: Element, frame: Element, where: str, notes: list
 def _opencv_lens(
     wh: tuple[int, int], focal: float, principal: np.ndarray, centre: np.ndarray, terms: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """(8,) OpenCV coefficients of Vicon's lens by least squares over the sensor, and the largest difference in pixels.
+    """OpenCV coefficients of Vicon's lens by least squares over the sensor, and the largest difference in pixels.
 
     They map ``ideal`` to the filmed p; the difference is inf where the lens folds.
     """

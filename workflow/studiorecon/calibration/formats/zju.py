@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ZJU-MoCap's ``annots.npy``: lists ``cams`` of K, D, R, T (millimetres, world-to-camera) and ``ims``, whose folders
-name them."""
+"""ZJU-MoCap's ``annots.npy``: lists ``cams`` of K, D, R, T (millimetres, world-to-camera) and ``ims``."""
 
 from __future__ import annotations
 

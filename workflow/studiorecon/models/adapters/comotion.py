@@ -78,10 +78,7 @@ _FIELDS = {"id": (), "pose": (72,), "betas": (10,), "trans": (3,), "pred_3d": (J
 def preprocess(
     frame: Integer[np.ndarray, "H W 3"], intrinsics: Num[np.ndarray, "3 3"]
 ) -> tuple[Integer[np.ndarray, "3 H W"], Float[np.ndarray, "2 3"]]:
-    """(3, H, W) uint8 RGB and float32 intrinsics.
-
-    Upstream's default principal point is W/2, so pixel centres are at +0.5 as here.
-    """
+    """Uint8 RGB and float32 intrinsics; upstream's default principal point is W/2, so centres are at +0.5 as here."""
     if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
         raise ValueError(f"frame is {frame.dtype} of shape {frame.shape}, expected uint8 (H, W, 3)")
     return np.ascontiguousarray(frame.transpose(2, 0, 1)), np.asarray(intrinsics, dtype=np.float32)[:2]
@@ -92,8 +89,8 @@ def postprocess(
 ) -> Bodies:
     """The bodies of one frame from the state of all track slots; slots with id 0 are empty.
 
-    ``detected_px`` and ``logits`` are the frame's detections: a track has the confidence of the detection that it
-    overlaps. Raises UserError for fields of another shape or non-finite values.
+    A track has the confidence (``logits``) of the detection in ``detected_px`` that it overlaps. Raises UserError for
+    fields of another shape or non-finite values.
     """
     for name, shape in _FIELDS.items():
         if name not in tracks or tracks[name].shape[1:] != shape:
@@ -127,8 +124,7 @@ def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[t
     """(frame, bodies) from arrays with one row per person and frame; ``where`` names them in messages.
 
     Needed: id, frame_idx, pose (72), betas (10), trans (3), pred_2d (27, 2) in working pixels, pred_3d (27, 3); conf
-    (logits) is optional. CoMotion's own demo does not write the points, so it must be extended. Raises UserError for
-    missing arrays.
+    (logits) is optional. CoMotion's own demo does not write the points. Raises UserError for missing arrays.
     """
     missing = [key for key in _STORED if key not in rows]
     if missing:
@@ -164,8 +160,7 @@ class _Arrays:
 
 
 class Comotion:
-    """Detector and tracker, loaded once; satisfies ``BodyEstimator``. Weights: ``comotion/`` and ``smpl/`` below
-    ``weights``.
+    """Detector and tracker, loaded once; satisfies ``BodyEstimator``. Weights: ``comotion/`` and ``smpl/``.
 
     Upstream searches its own package (``comotion_demo/data``) for its files: links there must point to the weights
     folder.

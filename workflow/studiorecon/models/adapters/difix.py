@@ -113,8 +113,7 @@ def postprocess(
 
 
 class Difix:
-    """The pipeline ``difix_ref``, loaded once; satisfies ``Enhancer``. Weights: ``difix/difix_ref/`` below
-    ``weights``."""
+    """The pipeline ``difix_ref``, loaded once; satisfies ``Enhancer``. Weights: ``difix/difix_ref/``."""
 
     def __init__(self, card: Card, weights: Path, where: str, seed: int) -> None:
         folder = staged_weights(card, weights) / "difix/difix_ref"
@@ -133,8 +132,7 @@ class Difix:
     def enhance(
         self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
     ) -> Float[np.ndarray, "H W 3"]:
-        """The repaired picture; see ``models.protocols.Enhancer``. The camera and the depth of ``moment`` are not
-        used."""
+        """The repaired picture; see ``models.protocols.Enhancer``. Camera and depth of ``moment`` are not used."""
         return postprocess(denoised(self._pipeline, *preprocess(image, reference), self._seed, self._device), image)
 
 

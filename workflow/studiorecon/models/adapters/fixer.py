@@ -55,8 +55,7 @@ _LOWER = "set enhance.enhancer to residual"
 
 
 def preprocess(image: Num[np.ndarray, "H W 3"]) -> tuple[Float[np.ndarray, "1 3 576 1024"], tuple[int, int]]:
-    """(1, 3, 576, 1024) float32 in [-1, 1] of a picture scaled to fit and padded by its border; and its size (h, w)
-    there."""
+    """Float32 in [-1, 1] of a picture scaled to fit and padded by its border, and its size (h, w) there."""
     picture = as_float(image)
     scale = min(side / own for side, own in zip(HW, picture.shape[:2]))
     taken = tuple(min(round(own * scale), side) for side, own in zip(HW, picture.shape[:2]))

@@ -92,8 +92,7 @@ _LOWER = "set views.gen3c.offload to true, or views.synthesizer to warp"
 
 
 def depth_scale(depths: Sequence[Float[np.ndarray, "H W"]]) -> float:
-    """Factor that brings the median of all known depths into [1, 10], 1 when it is there; raises UserError when no
-    depth is known."""
+    """Factor that brings the median of all known depths into [1, 10], or 1; raises UserError without known depth."""
     known = np.concatenate([d[np.isfinite(d) & (d > 0)].ravel() for d in depths])
     if not len(known):
         raise UserError(
@@ -108,7 +107,7 @@ def depth_scale(depths: Sequence[Float[np.ndarray, "H W"]]) -> float:
 
 
 def order(key_frames: Sequence[KeyFrame], start: Camera) -> list[int]:
-    """Indices of the key frames, starting with the one at the path's start, which alone seeds the film.
+    """Indices of the key frames, first the one at the path's start, which alone seeds the film.
 
     Raises UserError when the path starts at none.
     """
@@ -176,8 +175,7 @@ def _pose(camera: Camera, scale: float) -> np.ndarray:
 
 
 def postprocess(film: Integer[np.ndarray, "T 704 1280 3"], frames: int) -> Integer[np.ndarray, "T 704 1280 3"]:
-    """The film (T, 704, 1280, 3) uint8 after checks; raises UserError for another size, or a film without any
-    content."""
+    """The film, unchanged, after checks; raises UserError for another size, or a film without any content."""
     if film.dtype != np.uint8 or film.shape != (frames, *HW, 3):
         raise UserError(
             f"GEN3C returned {film.dtype} of shape {film.shape}, expected uint8 of "
@@ -291,8 +289,8 @@ def warp_cache(selector: Any, request: dict[str, Shaped[np.ndarray, " ..."]], wh
 def chunks(
     generate: Any, cache: Any, request: dict[str, Shaped[np.ndarray, " ..."]], where: Any
 ) -> Iterator[Shaped[np.ndarray, " ..."]]:
-    """The chunks of upstream's ``generate``: the first is seeded with key frame 0, each further one with the frame
-    before it."""
+    """The chunks of upstream's ``generate``: the first is seeded with key frame 0, each other with the frame before
+    it."""
     import torch
 
     poses, lenses = (

@@ -40,9 +40,8 @@ class Evidence:
 
     Attributes:
         own_error_levels: mean colour difference of key frame 0 rendered into its own camera, levels of 255.
-        depth_agreement: for the key frame with the worst agreement, the median relative difference between its depth
-            warped into other pictures (or theirs into its) and those pictures' own depth; NaN where no two can be
-            compared.
+        depth_agreement: worst key frame's median relative difference between its depth warped into other pictures (or
+            theirs into its) and those pictures' own depth; NaN where no two can be compared.
         shared: share of key-frame pixels on which two key frames could be compared at all.
         coverage: share of the path's pixels that some key frame shows, at the frames of ``frames``.
         frames: rendered frames of the path.
@@ -101,10 +100,7 @@ def splat(
 def coverage(
     request: dict[str, Shaped[np.ndarray, " ..."]], frames: Integer[np.ndarray, " T"]
 ) -> Iterator[Bool[np.ndarray, "H W"]]:
-    """(H, W) bool per frame of the path: pixels that some key frame shows.
-
-    Takes about a second per key frame and frame at full size.
-    """
+    """Which pixels some key frame shows, per frame of the path; a second per key frame and frame at full size."""
     for frame in frames:
         target = request["Ks_all"][frame], request["w2cs_all"][frame]
         yield np.any([_carried(request, i, target)[1] > 0 for i in range(len(request["K_key_frames"]))], axis=0)
@@ -116,8 +112,7 @@ def _carried(request: dict[str, np.ndarray], index: int, target: tuple) -> tuple
 
 
 def check_form(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
-    """Raises UserError for a request that GEN3C would misread: missing arrays, sizes, ranges, lengths, a wrong start,
-    no rotations."""
+    """Raises UserError for a request that GEN3C would misread: arrays, sizes, ranges, lengths, start, rotations."""
     missing = [name for name in _FIELDS if name not in request]
     if missing:
         raise UserError(f"the GEN3C request lacks {', '.join(missing)}")
@@ -156,7 +151,7 @@ def check_form(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
 
 
 def evidence(request: dict[str, Shaped[np.ndarray, " ..."]], samples: int = 5) -> Evidence:
-    """The measures of a well-formed request: its cache rendered into its key frames, and into ``samples`` frames of the
+    """The measures of a well-formed request: its cache rendered into its key frames and ``samples`` frames of the
     path."""
     images, depth, mask = (request[f"{n}_key_frames"] for n in ("images", "depth", "mask"))
     targets = list(zip(request["K_key_frames"], request["w2cs_key_frames"]))
@@ -183,8 +178,7 @@ def evidence(request: dict[str, Shaped[np.ndarray, " ..."]], samples: int = 5) -
 
 
 def check_evidence(found: Evidence, most_error: float = 2.0, most_gap: float = 0.1, least: float = 0.05) -> None:
-    """Raises UserError when key frame 0 does not reproduce itself, key frames contradict each other, or the path leaves
-    them."""
+    """Raises UserError when key frames do not reproduce themselves, contradict each other, or miss the path."""
     if not found.own_error_levels <= most_error:
         raise UserError(
             "key frame 0 of the GEN3C request differs from itself by "

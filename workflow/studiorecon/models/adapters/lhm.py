@@ -85,7 +85,7 @@ _HEIGHTS_M = (1.2, 2.3)
 
 
 def preprocess(photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"]) -> Integer[np.ndarray, "h w 3"]:
-    """Picture of the person alone on white, h ≥ 1.25 w, from a uint8 photo and the person's mask bool.
+    """Picture of the person alone on white, h ≥ 1.25 w, from a uint8 photo and the person's mask.
 
     Raises UserError for a person who is cut off by the picture's border, lies or bends, or is too small.
     """
@@ -121,8 +121,7 @@ def preprocess(photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"
 def postprocess(read: Gaussians) -> Gaussians:
     """The Gaussians of LHM's file in our order of harmonics; raises UserError unless they form a standing person.
 
-    LHM writes higher harmonics coefficient by coefficient, the common layout channel by channel; with colours alone
-    both are equal.
+    LHM writes higher harmonics coefficient by coefficient, the common layout channel by channel.
     """
     values = (read.means_m, read.quaternions, read.log_scales, read.logit_opacities, read.sh)
     bad = np.any([~np.isfinite(v).reshape(read.count, -1).all(axis=1) for v in values], axis=0)
@@ -149,10 +148,7 @@ def postprocess(read: Gaussians) -> Gaussians:
 
 
 class Lhm:
-    """Upstream's program; satisfies ``CanonicalAvatar``.
-
-    Weights: ``lhm/`` below ``weights``, linked as ``pretrained_models`` of the checkout.
-    """
+    """Upstream's program; satisfies ``CanonicalAvatar``. Weights: ``lhm/``, ``pretrained_models`` of the checkout."""
 
     def __init__(self, card: Card, weights: Path, where: str) -> None:
         # Upstream creates this folder, but weights that are mounted into an image may be read-only.
@@ -202,10 +198,7 @@ def command_for(picture: Path, out: Path) -> list[str]:
 
 
 def made(command: list[str], checkout: Path, out: Path) -> Path:
-    """The one .ply that a finished command wrote.
-
-    Without one (upstream skips photos that it rejects) raises UserError with the command's last line.
-    """
+    """The one .ply that a finished command wrote; raises UserError, with the command's last line, without one."""
     import subprocess
 
     environment: dict[str, Any] = {

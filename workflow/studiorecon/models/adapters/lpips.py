@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""LPIPS v0.1 on VGG16 or AlexNet (Zhang et al., CVPR 2018), as a distance with a gradient; the user supplies the
-weights.
+"""LPIPS v0.1 on VGG16 or AlexNet (Zhang et al., CVPR 2018), as a distance with a gradient, with the user's weights.
 
 Two pictures pass the convolutions of the network; at five depths the features are normalised per pixel, and their
 squared difference is weighted per channel by a linear head and averaged over the picture. Training calls it
@@ -100,10 +99,7 @@ class Convolution:
 
 @dataclass(frozen=True)
 class Trunk:
-    """Convolutions by depth, each followed by max(0, x), the pooling before each depth, and the files' names.
-
-    A pooling is (size, stride), None for none.
-    """
+    """Convolutions by depth, the pooling (size, stride) or None before each, and the files' names."""
 
     stages: tuple[tuple[Convolution, ...], ...]
     pools: tuple[tuple[int, int] | None, ...]
@@ -133,8 +129,7 @@ NORM_EPSILON = 1e-10
 
 
 class Lpips:
-    """The distance, from state dicts named as torchvision's networks (``features.N.weight``) and LPIPS' heads
-    (``linN.model.1.weight``).
+    """The distance, from state dicts named as torchvision's networks and LPIPS' heads (``linN.model.1.weight``).
 
     It uses the weights' device and dtype. Raises KeyError for a missing entry and ValueError for one of a wrong shape.
     """
@@ -159,10 +154,7 @@ class Lpips:
             self._heads.append(head.reshape(1, before, 1, 1))
 
     def distance(self, rendered: Any, target: Any) -> Any:
-        """The distance of two tensors (1, 3, h, w) in [0, 1] on the weights' device, sides at least 16.
-
-        They are first rescaled to [−1, 1] (U12).
-        """
+        """The distance of two tensors in [0, 1], (1, 3, h, w), sides at least 16, rescaled to [−1, 1] (U12)."""
         total = 0.0
         for ours, theirs, head in zip(self._features(2 * rendered - 1), self._features(2 * target - 1), self._heads):
             total = total + (head * (normalised(ours) - normalised(theirs)) ** 2).sum(dim=1).mean()
@@ -181,10 +173,8 @@ class Lpips:
         return taken
 
     def measured(self, prediction: Integer[np.ndarray, "H W 3"], truth: Integer[np.ndarray, "H W 3"]) -> float | None:
-        """LPIPS of two (H, W, 3) uint8 pictures, without a gradient; None when a side is under 64 pixels.
-
-        Raises ValueError when they differ in size.
-        """
+        """LPIPS of two uint8 pictures; None when a side is under 64 pixels. Raises ValueError when they differ in
+        size."""
         import torch
 
         require("truth", truth, ("H", "W", 3), require("prediction", prediction, ("H", "W", 3)))
@@ -212,18 +202,16 @@ class Lpips:
 
 
 def normalised(features: Any) -> Any:
-    """(1, C, h, w) features over their length per pixel; epsilon is inside the root, whose slope at 0 is infinite
-    (I06)."""
+    """Features over their length per pixel; epsilon is inside the root, whose slope at 0 is infinite (I06)."""
     return features / (features.square().sum(dim=1, keepdim=True) + NORM_EPSILON).sqrt()
 
 
 def read_lpips(
     folder: Path, threads: int, net: Net = "vgg", without: str = "leave LPIPS out", device: str = "cpu"
 ) -> Lpips:
-    """The network from torchvision's state dict and LPIPS v0.1's heads in ``folder``, on a torch ``device``.
+    """The network from torchvision's state dict and LPIPS v0.1's heads in ``folder`` (``TRUNKS``), on ``device``.
 
-    ``TRUNKS`` has the files' names. Raises UserError with the missing or unusable file; ``without`` says how to
-    continue without LPIPS.
+    Raises UserError with the missing or unusable file; ``without`` says how to continue without LPIPS.
     """
     paths = [folder / name for name in (TRUNKS[net].features_file, TRUNKS[net].heads_file)]
     for path in paths:

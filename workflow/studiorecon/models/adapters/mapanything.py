@@ -87,8 +87,8 @@ class MapAnything:
 def encoder_from(checkout: Path) -> Iterator[None]:
     """Context in which ``torch.hub.load`` builds from ``checkout`` and without weights.
 
-    Upstream's encoder requests DINOv2's newest code and weights from torch's hub; the staged file then overwrites the
-    weights. A run must not fetch either.
+    Upstream's encoder requests DINOv2's newest code and weights, which the staged file then overwrites. A run must not
+    fetch either.
     """
     import torch
 

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MoGe-2 and MoGe-3 (Wang et al. 2025): depth of one picture, approximately in metres, with an independent scale per
-picture.
+"""MoGe-2 and MoGe-3 (Wang et al. 2025): depth of one picture, roughly in metres, of an independent scale.
 
 Outside its mask upstream returns +inf. It takes a known focal length as the horizontal field of view in degrees, and
 assumes a centred principal point and square pixels.

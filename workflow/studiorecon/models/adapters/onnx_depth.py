@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth networks in ONNX, on a CPU and without torch: MoGe-2 (Wang et al. 2025), Depth Anything V2 (Yang et al. 2024),
-and a user's own.
+"""Depth networks in ONNX, on a CPU: MoGe-2 (Wang et al. 2025), Depth Anything V2 (Yang et al. 2024), a user's own.
 
 MoGe's export answers with points in an affine frame, a mask and a metric scale; the shift of z that makes the points
 project to their pixels is fitted here, as upstream does outside its network. Depth Anything answers with inverse depth
@@ -102,10 +101,7 @@ CARDS = (
 
 
 class DepthNetwork:
-    """A depth network in ONNX of any of these forms, opened once; ``title`` names it in messages.
-
-    Raises UserError for a file that is no such network.
-    """
+    """A depth network in ONNX of any of these forms, opened once; raises UserError for another file."""
 
     def __init__(self, path: Path, title: str) -> None:
         self._path, self._title = path, title

@@ -119,10 +119,10 @@ class Inset:
 
 
 def preprocess(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> tuple[Float[np.ndarray, "N 3 h w"], list[Inset]]:
-    """(N, 3, h, w) float32 RGB in [0, 1], sides multiples of 14, and the position of each picture in it.
+    """Float32 RGB in [0, 1], sides multiples of 14, and the position of each picture in it.
 
     Pictures keep their aspect ratio and are padded by their border, equally on both sides: networks assume the
-    principal point in the middle of the frame, which thus stays the middle of the picture.
+    principal point in the middle of the frame.
     """
     shapes = np.array([p.shape[:2] for p in pictures], dtype=np.float64)
     aspect = float(np.exp(np.mean(np.log(shapes[:, 1] / shapes[:, 0]))))
@@ -147,7 +147,7 @@ def probability(logits: Num[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
 
 
 def edges(depth: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
-    """Whether the depth of one of eight neighbours differs by more than ``EDGE`` of this depth.
+    """Pixels whose depth differs from that of one of eight neighbours by more than ``EDGE`` of it.
 
     Upstream's newer rule also needs a jump of the normal; this one drops more of floors seen at a grazing angle.
     """
@@ -157,10 +157,9 @@ def edges(depth: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
 
 
 def focal(points: Float[np.ndarray, "h w 3"], weight: Num[np.ndarray, "h w"]) -> tuple[float, float]:
-    """Focal length in pixels that projects camera-frame points to their own pixels, principal point in the middle.
+    """Focal length, px, that projects camera-frame points to their pixels by weighted least squares, and the residual.
 
-    Weighted least squares over both axes. Also returns the median distance in pixels between a point's pixel and its
-    projection.
+    The principal point is in the middle; the residual is the median distance of a pixel and its point's projection.
     """
     height, width = weight.shape
     u = (np.arange(width) + 0.5 - width / 2)[None].repeat(height, 0)[weight > 0]

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RAFT (Teed & Deng 2020) from torchvision: pictures at suitable sizes, the network, and flow at the pictures' own
-size.
-"""
+"""RAFT (Teed & Deng 2020) from torchvision: pictures at suitable sizes, and flow at the pictures' own size."""
 
 from __future__ import annotations
 
@@ -60,7 +58,7 @@ class Fitted:
 def preprocess(
     first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]
 ) -> tuple[Float[np.ndarray, "2 3 h w"], Fitted]:
-    """(2, 3, h, w) float32 in [-1, 1] for the network from two uint8 RGB pictures, and the padding to undo.
+    """Float32 in [-1, 1] for the network from two uint8 RGB pictures, and the padding to undo.
 
     Pictures under 128 px a side are enlarged by an integer factor, by repeating pixels; then borders are repeated on
     both sides up to multiples of 8, as the authors do. Raises ValueError for pictures that differ in shape, are not
@@ -96,8 +94,7 @@ def postprocess(flow: Float[np.ndarray, "2 h w"], fitted: Fitted) -> Float[np.nd
 
 
 class Raft:
-    """``raft_large``, loaded once; satisfies ``Flow``. Weights: ``raft/raft_large_C_T_SKHT_V2.pth`` below
-    ``weights``."""
+    """``raft_large``, loaded once; satisfies ``Flow``. Weights: ``raft/raft_large_C_T_SKHT_V2.pth``."""
 
     def __init__(self, card: Card, weights: Path, where: str) -> None:
         file = staged_weights(card, weights) / card.weights[0].path

@@ -94,7 +94,7 @@ def postprocess(
     masks: Shaped[np.ndarray, "P h w"],
     hw: tuple[int, int],
 ) -> Integer[np.ndarray, "H W"]:
-    """Int64: 0 = nobody, else 1 + the network's id; where masks overlap the more confident one is in front.
+    """0 = nobody, else 1 + the network's id; where masks overlap the more confident one is in front.
 
     Raises UserError for another size.
     """
@@ -109,8 +109,7 @@ def postprocess(
 
 
 def match_labels(known: Integer[np.ndarray, "H W"], again: Integer[np.ndarray, "H W"]) -> dict[int, int]:
-    """label in ``again`` → label in ``known`` for people of one frame in two chunks, best agreement first, one to
-    one."""
+    """Label in ``again`` → label in ``known`` for people of one frame in two chunks, best agreement first."""
     pairs = []
     for new in np.unique(again[again > 0]):
         for old in np.unique(known[(again == new) & (known > 0)]):
@@ -124,8 +123,7 @@ def match_labels(known: Integer[np.ndarray, "H W"], again: Integer[np.ndarray, "
 
 
 def joined(chunks: Iterable[list[Integer[np.ndarray, "H W"]]]) -> Iterator[Integer[np.ndarray, "H W"]]:
-    """Uint16 per frame of the clip from label maps of chunks that share a frame: 0 = nobody, else the person's number
-    from 1."""
+    """Uint16 per frame from label maps of chunks that share a frame: 0 = nobody, else the person's number from 1."""
     last, numbered = None, 0
     for chunk in chunks:
         names = match_labels(last, chunk[0]) if last is not None else {}
@@ -186,10 +184,7 @@ def tracked(
 def labelled(
     network: Any, processor: Any, session: Any, count: int, hw: tuple[int, int], torch: Any
 ) -> list[Integer[np.ndarray, "H W"]]:
-    """Label maps of a session's ``count`` frames, in order.
-
-    The network may report them late, and frames without people not at all.
-    """
+    """Label maps of a session's ``count`` frames in order; the network may report them late, or not without people."""
     labels = [np.zeros(hw, np.int64) for _ in range(count)]
     with torch.inference_mode():
         for output in network.propagate_in_video_iterator(session, start_frame_idx=0):

@@ -44,7 +44,7 @@ class WeightFile:
 
     Attributes:
         path: below the weights folder.
-        source: its origin, in words; ``repository`` of a hub as owner/name, empty for a file from no hub.
+        source, repository: its origin, in words; owner/name of a hub, empty for a file from no hub.
         remote: its name there: path in the repository, ``module:Enum.MEMBER`` of torchvision, ``package:path``, or the
             file's name, in the archive where ``mirrors`` have one.
         mirrors: hosts and paths of the same bytes, tried in order.
@@ -55,8 +55,8 @@ class WeightFile:
         revision: of the hub's repository, as a commit, because ``main`` changes.
         gated: whether access must be requested, or an account registered.
         md5, sha256: as published, or as recorded by people who fetched this revision, the latter possibly its first
-            digits only (torchvision's file names hold eight); empty = unknown. Then the hub's own checksum for that
-            revision counts when it is fetched, and the fetched file's from then on.
+            digits only (torchvision's file names hold eight). Empty: the hub's own checksum for that revision counts
+            when it is fetched, and the fetched file's from then on.
     """
 
     path: str
@@ -74,8 +74,7 @@ class WeightFile:
 
 @dataclass(frozen=True)
 class Runtime:
-    """Runtime of a network: entry of envs/images.yaml, Python, torch (empty: none), upstream's further pins, the pinned
-    commit or release.
+    """Runtime of a network: entry of envs/images.yaml, Python, torch ("" for none), further pins, commit or release.
 
     Pins of different models exclude each other, hence one image each.
     """

@@ -65,10 +65,7 @@ def code_in(folder: Path, files: Iterable[WeightFile]) -> list[WeightFile]:
 
 
 def verify(folder: Path, file: WeightFile, pins: dict[str, Any]) -> dict[str, Any]:
-    """The pin of an existing file; computes the hash when the file is new or was modified.
-
-    Raises UserError when the hash differs.
-    """
+    """The pin of a file, hashed if it is new or modified; raises UserError when the hash differs."""
     path = folder / file.path
     about = path.stat()
     pin = pins.get(file.path)

@@ -24,7 +24,7 @@ _PATIENCE_S = 60.0
 
 
 def fetch(file: WeightFile, folder: Path) -> str:
-    """Put one file into ``folder``; returns the SHA-256 that its publisher states, or "".
+    """The SHA-256 that its publisher states, or "", of a file that is put into ``folder``.
 
     Raises UserError with the steps for a person to take.
     """
@@ -141,8 +141,7 @@ def _from_package(file: WeightFile, target: Path) -> str:
 
 
 def from_mirrors(file: WeightFile, target: Path) -> str:
-    """Fetch a file, or the archive that contains it, from the first mirror that answers; an interrupted download is
-    resumed.
+    """Fetch a file, or the archive with it, from the first mirror that answers; interrupted downloads are resumed.
 
     The checksum on the card verifies it, whatever its origin.
     """

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 
 def staged_weights(card: Card, folder: Path) -> Path:
-    """The weights folder, if every file of the ``card`` is in it and verified; otherwise raises UserError with the
-    first wrong file.
+    """The weights folder, if every file of the ``card`` is in it and verified; raises UserError with the first wrong
+    one.
 
     A file is hashed only when it has changed since the last check; a file added by hand is compared with its published
     checksum and then pinned. Also confines this process (``sandbox``).
@@ -88,8 +88,7 @@ def attribute(card: Card, module: Any, wanted: str) -> Any:
 
 @contextmanager
 def arrays_alone(card: Card) -> Iterator[None]:
-    """Context for upstream's loading: a checkpoint with more than arrays, which is refused (``sandbox``), gives a
-    UserError."""
+    """Context for upstream's loading: a checkpoint with more than arrays (``sandbox``) gives a UserError."""
     try:
         yield
     except pickle.UnpicklingError as error:
@@ -103,8 +102,8 @@ def device(card: Card, wanted: str, lower: str, needed: float | None = None) -> 
     """The torch device to run a network on, after a check of its free memory; ``wanted``: "auto", "cuda" or "cpu".
 
     "auto" takes a GPU, and the CPU only for networks that need none. Raises UserError when there is no such GPU, or
-    less memory is free than the model needs; ``lower`` names a setting that would help. ``needed``: gigabytes, where it
-    differs from the card's.
+    less memory is free than the model needs; ``lower`` names a setting that would help. ``needed``: gigabytes, if not
+    the card's.
     """
     import torch
 

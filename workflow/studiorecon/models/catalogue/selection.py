@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The upstream networks that a configuration selects, the steps that run them, and whether their licences are
-allowed.
-"""
+"""The networks that a configuration selects, the steps that run them, and whether their licences are allowed."""
 
 from __future__ import annotations
 
@@ -17,12 +15,7 @@ from studiorecon.scene.replacement_photos import is_photo
 
 @dataclass(frozen=True)
 class Choice:
-    """A setting whose value may name a network.
-
-    Attributes:
-        kinds: of the networks it may name. ``before`` and ``after``: its other values, in the order of messages.
-        steps: the steps that run the network.
-    """
+    """A setting whose value may name a network of ``kinds``, or a value in ``before`` and ``after``, for ``steps``."""
 
     kinds: tuple[Kind, ...]
     steps: tuple[str, ...]
@@ -70,8 +63,7 @@ _PERCEPTUAL = ("background.training.lpips.weight", "humans.losses.lpips.weight")
 
 
 def select_networks(config: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """(setting, model) for every setting of a whole configuration that selects an upstream network, in the order data
-    flows."""
+    """(setting, model) for every setting that selects an upstream network, in the order data flows."""
     found = [(where, str(value)) for where in (POINTS, *CHOICES) if (value := at(config, where)) in MODELS]
     found += [(where, "lpips") for where in _PERCEPTUAL if (at(config, where) or 0) > 0]
     if (net := at(config, _MEASURED)) in _NETS:
@@ -87,10 +79,7 @@ def select_networks(config: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def adapter_modules(step: str, config: Mapping[str, Any]) -> list[str]:
-    """Modules below ``studiorecon`` of the adapters that ``"stage.step"`` runs under this configuration.
-
-    Adapters are loaded by name, so no import of the step leads to them.
-    """
+    """Modules of the adapters that ``"stage.step"`` runs under this configuration, by name and without import."""
     if step == "report.page":  # shows every card
         return sorted({adapter_module(name) for _, name in select_networks(config)})
     names = [str(at(config, where)) for where, choice in CHOICES.items() if step in choice.steps]
@@ -112,8 +101,7 @@ def at(config: Mapping[str, Any], where: str) -> Any:
 
 
 def check_licences(config: Mapping[str, Any]) -> None:
-    """Raises UserError with an alternative when ``licences`` is "commercial" and a selected network forbids that
-    use."""
+    """Raises UserError with an alternative when ``licences`` is "commercial" and a network forbids that use."""
     if config.get("licences") != "commercial":
         return
     for where, name in select_networks(config):
@@ -128,8 +116,7 @@ def check_licences(config: Mapping[str, Any]) -> None:
 
 
 def licence_rows(config: Mapping[str, Any]) -> list[dict[str, str]]:
-    """For every selected network: its settings, its title, licences of code and weights, commercial use, condition,
-    alternative."""
+    """For every selected network: settings, title, licences of code and weights, commercial use, alternative."""
     rows = []
     for where, name in select_networks(config):
         entry = MODELS[name]
