@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from studiorecon.calibration.choose import choose_lenses
@@ -19,9 +20,10 @@ from studiorecon.geometry.crop_hypotheses import without_bars
 from studiorecon.geometry.distortion import distort
 from studiorecon.geometry.lens import calibration_from_video
 from studiorecon.keypoints.detections import to_pinhole
+from studiorecon.keypoints.motion import SMALL_PX, Motion, measure_motion
 from studiorecon.keypoints.numbering import numberings
 from studiorecon.keypoints.readers import read_keypoints
-from studiorecon.scene.camera import Camera
+from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.people import Detections
 
 from tests.made.cameras import detect, walk
@@ -80,26 +82,54 @@ def _placed_at(seen: Detections, scale: float, offset: tuple[float, float]) -> D
     return replace(seen, keypoints=seen.keypoints * [scale, scale, 1] + [*offset, 0])
 
 
-@pytest.mark.parametrize("undistorted", [False, True])
-def test_people_show_that_films_were_already_undistorted(undistorted):
+WIDE = np.array([-0.35, 0.12, 0, 0, 0, 0, 0, 0])
+
+
+@pytest.mark.parametrize("with_films", [False, True])
+@pytest.mark.parametrize("straight_keypoints", [False, True])
+@pytest.mark.parametrize("straight_films", [False, True])
+def test_people_and_motion_show_what_was_already_undistorted(straight_keypoints, straight_films, with_films):
     cameras, names = rig(("a", "b", "c", "d")), list("abcd")
-    distortion = np.array([-0.35, 0.12, 0, 0, 0, 0, 0, 0])
-    raw = [RawCamera(c.name, c.wh, c.intrinsics, "opencv", distortion, c.camera_from_world) for c in cameras]
+    raw = [RawCamera(c.name, c.wh, c.intrinsics, "opencv", WIDE, c.camera_from_world) for c in cameras]
     # A lens bends most near the edges, so these people walk there.
-    wide = [walk([-1.6, -1.0, 0], [0.05, 0.02, 0], 24), walk([1.4, 1.3, 0], [0.01, -0.08, 0], 24, 2.0)]
-    seen = detect(cameras, wide, 0.5, np.random.default_rng(0))
-    if not undistorted:
-        seen = [_bent(d, c, distortion) for d, c in zip(seen, cameras)]
+    walkers = [walk([-1.6, -1.0, 0], [0.05, 0.02, 0], 24), walk([1.4, 1.3, 0], [0.01, -0.08, 0], 24, 2.0)]
+    straight = detect(cameras, walkers, 0.5, np.random.default_rng(0))
+    bent = [_bent(d, c, WIDE) for d, c in zip(straight, cameras)]
+    seen = straight if straight_keypoints else bent
+    filmed = straight if straight_films else bent
+    motions = {c.name: _motion_of(d, c.wh) for c, d in zip(cameras, filmed)} if with_films else {}
 
-    def lenses(**how):
+    def found(**how):
         options = Settings(unit="m", up="z", **how)
-        return choose_lenses(Reading("t", tuple(raw), "m", ()), "x", names, [c.wh for c in cameras], seen, {}, options)
+        reading_ = Reading("t", tuple(raw), "m", ())
+        return choose_lenses(reading_, "x", names, [c.wh for c in cameras], seen, {}, options, motions=lambda: motions)
 
-    found = lenses()
-    assert all((lens.distortion == 0).all() == undistorted for lens in found.lenses)
-    assert any("already undistorted" in note for note in found.notes) == undistorted
+    chosen = found()
+    # Without a film of their own, keypoints are taken for the film's.
+    films_are_straight = straight_films if with_films else straight_keypoints
+    for lens, camera, own in zip(chosen.lenses, cameras, seen):
+        assert (lens.distortion == 0).all() == films_are_straight
+        assert (lens.of_keypoints.distortion == 0).all() == straight_keypoints
+        same = to_pinhole(own, lens, camera.wh)[1].keypoints
+        np.testing.assert_allclose(same, to_pinhole(own, lens.of_keypoints, camera.wh)[1].keypoints)
+        read = Lens.from_json(json.loads(json.dumps(lens.as_json(), default=list)))
+        np.testing.assert_array_equal(read.of_keypoints.distortion, lens.of_keypoints.distortion)
+    assert any("already undistorted" in note for note in chosen.notes) == (straight_keypoints or films_are_straight)
     # The remedy in that sentence.
-    assert all((lens.distortion == distortion).all() for lens in lenses(lens="opencv").lenses)
+    assert all((lens.of_keypoints.distortion == WIDE).all() for lens in found(lens="opencv").lenses)
+
+
+def _motion_of(seen: Detections, wh: tuple[int, int]) -> Motion:
+    """The motion of a film in which lines between people's joints move."""
+    frames = np.unique(seen.frame)
+    scale = SMALL_PX / max(wh)
+    pictures = np.full((len(frames), round(wh[1] * scale), round(wh[0] * scale), 3), 90, np.uint8)
+    for picture, frame in zip(pictures, frames):
+        for body in seen.keypoints[seen.frame == frame]:
+            joints = (body[body[:, 2] > 0, :2] * scale).round().astype(int)
+            for joint in joints.tolist():
+                cv2.circle(picture, joint, 3, (220, 220, 220), -1)
+    return measure_motion(frames.tolist(), list(pictures), wh)
 
 
 def _bent(seen: Detections, camera: Camera, distortion: np.ndarray) -> Detections:

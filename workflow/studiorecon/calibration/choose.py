@@ -8,7 +8,7 @@ evidence the usual reading is used, with a message.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -18,10 +18,11 @@ import numpy as np
 
 from studiorecon.calibration.files import LengthUnit, paired_lenses, possible_pairings
 from studiorecon.calibration.files import Settings as Settings
-from studiorecon.calibration.film_places import choose_places, possible_places, without_second_undistortion
+from studiorecon.calibration.film_places import choose_places, possible_places
 from studiorecon.calibration.formats.reading import Reading
 from studiorecon.calibration.names import Pairing, mismatch_error
 from studiorecon.calibration.people_evidence import agreement, best_candidate, is_in_metres
+from studiorecon.calibration.second_undistortion import without_second_undistortion
 from studiorecon.footage.frames import glimpses
 from studiorecon.footage.source import open_source
 from studiorecon.geometry.crop_hypotheses import (
@@ -30,6 +31,7 @@ from studiorecon.geometry.crop_hypotheses import (
     without_bars,
 )
 from studiorecon.geometry.lens import same_shape, unseen_share
+from studiorecon.keypoints.motion import Motion, motion_in
 from studiorecon.progress import say
 from studiorecon.scene import step_files
 from studiorecon.scene.camera import Lens
@@ -67,13 +69,14 @@ def choose_lenses(
     stored: Sequence[tuple[int, int]] = (),
     areas: Mapping[str, Float[np.ndarray, " 4"]] = MappingProxyType({}),
     recorded: Collection[str] = (),
+    motions: Callable[[], Mapping[str, Motion]] = dict,
 ) -> Choice:
     """The lenses of ``cameras`` by names, sizes and ``people`` (by frames of the films).
 
     Their films have ``sizes`` as shown and ``stored`` ones where those differ; ``areas`` are their parts (left, top,
     right, bottom) inside of black bars, for films of another shape. ``recorded`` cameras have keypoints from files,
-    which may be in pixels of the calibration. Raises UserError for names that neither match nor are decided by people,
-    and for sizes of other shapes.
+    which may be in pixels of the calibration, or undistorted; ``motions`` returns the motion in their films. Raises
+    UserError for names that neither match nor are decided by people, and for sizes of other shapes.
     """
 
     def read(pairing: Pairing, unit: LengthUnit = settings.unit) -> tuple[list[Lens], list[str], bool]:
@@ -116,7 +119,7 @@ def choose_lenses(
         )
     lenses, placed = choose_places(places(lenses), sizes, people)
     if settings.lens == "as_read" and not settings.radial:
-        lenses, undistorted = without_second_undistortion(lenses, sizes, people)
+        lenses, undistorted = without_second_undistortion(lenses, sizes, people, motions)
         placed += undistorted
     return Choice(lenses, notes + placed, floor_known)
 
@@ -155,8 +158,14 @@ def run(
         for camera, film in zip(cameras, films, strict=True)
         if not any(0 in wh or same_shape(wh, film.wh) or same_shape(wh, film.stored_wh) for wh in known)
     }
+
+    def motions() -> Mapping[str, Motion]:
+        given = [(c, f, d.frame) for c, f, d in zip(cameras, films, people, strict=True) if c in recorded]
+        found = {c: motion_in(film, int(at.min()), int(at.max())) for c, film, at in given if len(at)}
+        return {camera: motion for camera, motion in found.items() if motion is not None}
+
     choice = choose_lenses(
-        reading, content["source"], cameras, sizes, people, maps, settings, stored, areas, set(recorded)
+        reading, content["source"], cameras, sizes, people, maps, settings, stored, areas, set(recorded), motions
     )
     doubts = []
     for lens, wh in zip(choice.lenses, sizes, strict=True):

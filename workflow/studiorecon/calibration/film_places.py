@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.calibration.people_evidence import NOISE_SHARE, agreement, best_candidate
+from studiorecon.calibration.people_evidence import agreement, best_candidate
 from studiorecon.geometry.crop_hypotheses import CropHypothesis, crop_hypotheses, inside_bars
-from studiorecon.keypoints.detections import to_pinhole
-from studiorecon.rig.lens_model import as_model
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.people import Detections
 
@@ -65,41 +63,3 @@ def choose_places(
     remedy = "" if shown else "; if that is wrong, give it in capture.yaml: pixel_maps"
     notes = [f"camera {p.lens.name}: {p.how} ({why}){remedy}" for p in ways[index] if p.how]
     return [p.lens for p in ways[index]], notes
-
-
-def without_second_undistortion(
-    lenses: Sequence[Lens], sizes: Sequence[tuple[int, int]], people: Sequence[Detections]
-) -> tuple[list[Lens], list[str]]:
-    """The lenses without their distortion where people show that the films are already undistorted; and a sentence.
-
-    A wrong model of the lens must not look like that: people must also rule out the other model.
-    """
-    straight = [replace(lens, distortion=np.zeros_like(lens.distortion)) for lens in lenses]
-    if not _bends(lenses, straight, sizes, people):
-        return list(lenses), []
-    other = [as_model(lens, "fisheye" if lens.model == "opencv" else "opencv") for lens in lenses]
-    index, shown = best_candidate([lenses, straight, other], lambda way: agreement(way, sizes, people))
-    if not shown or index != 1:
-        return list(lenses), []
-    model = ", ".join(sorted({lens.model for lens in lenses}))
-    return straight, [
-        "people show that the films are already undistorted: the calibration's lens distortion is not removed again; "
-        f"if that is wrong, set calibration.lens to {model}"
-    ]
-
-
-def _bends(
-    lenses: Sequence[Lens],
-    straight: Sequence[Lens],
-    sizes: Sequence[tuple[int, int]],
-    people: Sequence[Detections],
-) -> bool:
-    """Whether distortion moves people's joints by more than a detector's error in the median of some camera."""
-    for lens, without, wh, seen in zip(lenses, straight, sizes, people, strict=True):
-        if not len(seen.frame) or not lens.distortion.any():
-            continue
-        one, two = (to_pinhole(seen, each, wh)[1].keypoints[..., :2] for each in (lens, without))
-        moved = np.linalg.norm(one - two, axis=-1)
-        if np.isfinite(moved).any() and np.nanmedian(moved) > NOISE_SHARE * max(wh):
-            return True
-    return False

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.footage.frames import glimpses, stills
 from studiorecon.footage.source import FootageSource, open_source
 from studiorecon.geometry.lens import lens_with_pixel_map
 from studiorecon.keypoints.coordinate_readings import affine
@@ -21,7 +20,7 @@ from studiorecon.keypoints.detections import Settings, detections_from_detector,
 from studiorecon.keypoints.film_check import BORNE_OUT, Film, check_against_film
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.motion import Motion, measure_motion, small
+from studiorecon.keypoints.motion import motion_in
 from studiorecon.keypoints.numbering import numberings
 from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.progress import say, warn
@@ -35,10 +34,6 @@ from studiorecon.signature import Written
 
 # The layout of an empty recording: nothing reads its points.
 _NOBODYS = "body_25"
-# Number of pictures compared with keypoints: a few dozen show where people move.
-_PICTURES = 64
-# Longest film in frames that is decoded from the start (1 to 2 s); longer ones are seeked.
-_FRAMES_READ = 600
 
 
 def run(
@@ -179,16 +174,3 @@ def _as_filmed(camera: str, filmed: FootageSource, frames: int, pixel_map: str) 
     return lens, Footage(
         camera, False, wh, intrinsics.tolist(), filmed.fps, frames, 0, filmed.path.name, "", wh, 0, 0.0, []
     )
-
-
-def motion_in(source: FootageSource, first: int, last: int) -> Motion | None:
-    """Motion in sampled frames from ``first`` to ``last``; None, with a warning, if the film cannot be read."""
-    first, last = min(max(first, 0), source.frames - 1), min(max(last, 0), source.frames - 1)
-    wanted = np.unique(np.linspace(first, max(last, first), _PICTURES).round().astype(int)).tolist()
-    look = stills if last <= _FRAMES_READ else glimpses
-    try:
-        pictures = [small(picture) for picture in look(source, wanted)]
-    except UserError as refusal:
-        warn(f"{refusal}; its keypoints are not compared with it")
-        return None
-    return measure_motion(wanted[: len(pictures)], pictures, source.wh) if len(pictures) > 2 else None

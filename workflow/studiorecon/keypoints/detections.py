@@ -78,7 +78,7 @@ def detections_from_recorded(
     frame = recorded.frame - footage.first_source_frame
     inside = (frame >= 0) & (frame < footage.frames)
     frame = frame[inside]
-    keypoints = to_working_pixels(recorded.keypoints[inside], lens, footage, settings)
+    keypoints = to_working_pixels(recorded.keypoints[inside], lens.of_keypoints, footage, settings)
     layout = recorded.layout
     return track_detections(
         Detections(footage.camera, layout, frame, np.zeros_like(frame), keypoints), settings, footage.fps
@@ -108,7 +108,7 @@ def track_detections(given: Detections, settings: Settings, fps: float) -> Detec
 
 def to_pinhole(seen: Detections, lens: Lens, wh: tuple[int, int]) -> tuple[Camera, Detections]:
     """The pinhole camera of the video's size, and the detections in its pixels, within the lens's field."""
-    affine = calibration_from_video_pixels(lens, wh)
+    affine, lens = calibration_from_video_pixels(lens, wh), lens.of_keypoints
     intrinsics = np.diag([lens.intrinsics[0, 0] / affine[0, 0], lens.intrinsics[1, 1] / affine[1, 1], 1.0])
     intrinsics[:2, 2] = (lens.intrinsics[:2, 2] - affine[:, 2]) / np.diag(affine)
     present = seen.keypoints[..., 2] > 0

@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from studiorecon.errors import UserError
+from studiorecon.footage.frames import glimpses, stills
+from studiorecon.footage.source import FootageSource
 from studiorecon.geometry.statistics import SIGMA_OF_MAD
+from studiorecon.progress import warn
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
@@ -19,6 +23,10 @@ SMALL_PX = 320
 """Longer side of the pictures that are compared: a wrist of somebody who fills half the picture has 4 pixels."""
 # A pixel differs by at least so many noise deviations, and so many of 255 levels (compression noise).
 _SIGMAS, _MIN_LEVELS = 6.0, 12.0
+# Number of pictures compared with keypoints: a few dozen show where people move.
+_PICTURES = 64
+# Longest film in frames that is decoded from the start (1 to 2 s); longer ones are seeked.
+_FRAMES_READ = 600
 # Distance in pixels at which a keypoint no longer counts as on motion; nearer ones count in part. Detectors err by a
 # percent.
 _REACH_PX = 4.0
@@ -82,3 +90,16 @@ def measure_motion(
         for one in differs
     ]
     return Motion(np.asarray(frame, dtype=np.int64), np.stack(near), wh)
+
+
+def motion_in(source: FootageSource, first: int, last: int) -> Motion | None:
+    """Motion in sampled frames from ``first`` to ``last``; None, with a warning, if the film cannot be read."""
+    first, last = min(max(first, 0), source.frames - 1), min(max(last, 0), source.frames - 1)
+    wanted = np.unique(np.linspace(first, max(last, first), _PICTURES).round().astype(int)).tolist()
+    look = stills if last <= _FRAMES_READ else glimpses
+    try:
+        pictures = [small(picture) for picture in look(source, wanted)]
+    except UserError as refusal:
+        warn(f"{refusal}; its keypoints are not compared with it")
+        return None
+    return measure_motion(wanted[: len(pictures)], pictures, source.wh) if len(pictures) > 2 else None

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,6 +28,7 @@ LENS: dict[str, Schema] = CAMERA | {
     "calibration_from_video": real("2 3"),
     "placed": OptionalField(text()),
     "keypoints_calibrated": OptionalField(flag()),
+    "keypoint_distortion": OptionalField(real("...")),
 }
 """The schema of ``as_json`` of a camera and of a lens."""
 
@@ -167,6 +168,8 @@ class Lens:
         placed: how that map was determined, in words; "" where capture.yaml gives one other than the identity, and
             where there is none.
         keypoints_calibrated: whether recorded keypoints are in pixels of the calibration, not of the video.
+        keypoint_distortion: coefficients of recorded keypoints where only they, or only the video, were undistorted;
+            empty where they are the video's.
     """
 
     name: str
@@ -178,6 +181,12 @@ class Lens:
     calibration_from_video: Num[np.ndarray, "2 3"]
     placed: str = ""
     keypoints_calibrated: bool = False
+    keypoint_distortion: Num[np.ndarray, " C"] = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def of_keypoints(self) -> Lens:
+        """The lens of recorded keypoints."""
+        return replace(self, distortion=self.keypoint_distortion) if len(self.keypoint_distortion) else self
 
     @property
     def has_place(self) -> bool:
@@ -195,6 +204,7 @@ class Lens:
             "calibration_from_video": self.calibration_from_video,
             "placed": self.placed,
             "keypoints_calibrated": self.keypoints_calibrated,
+            "keypoint_distortion": self.keypoint_distortion,
         }
 
     @staticmethod
@@ -209,4 +219,5 @@ class Lens:
             calibration_from_video=np.asarray(value["calibration_from_video"], dtype=np.float64),
             placed=str(value.get("placed", "")),
             keypoints_calibrated=bool(value.get("keypoints_calibrated", False)),
+            keypoint_distortion=np.asarray(value.get("keypoint_distortion", []), dtype=np.float64).reshape(-1),
         )
