@@ -49,8 +49,12 @@ def run(
     total = count or max(footage.frames - start, 0)
     moments = sorted({start + round(k * max(total - 1, 0) / (_COMPARED - 1)) for k in range(_COMPARED)})
     network, worth = detector.detector(), detector.worth()
-    shown = [moments[k] for k in busiest(stills(footage, moments), _SHOW_UP)]
-    turns = quarter_turns(network, glimpses(footage, shown))
+    shown = moments
+    if len(moments) > _SHOW_UP:
+        shown = [moments[k] for k in busiest(stills(footage, moments), _SHOW_UP)]
+    turns, seen_there = quarter_turns(network, glimpses(footage, shown))
+    # Nobody is looked for twice in one picture.
+    first = seen_there[0] if shown[:1] == [start] else None
     if turns:
         say(f"camera {camera}: its pictures are turned by {90 * turns}° counter-clockwise, so that people are upright")
     linear, offset = np.split(film_from_turned(footage.wh, turns), [2], axis=1)
@@ -58,7 +62,7 @@ def run(
     width, height = footage.wh
     wh = (height, width) if turns % 2 else (width, height)
     rows, frames = [], 0
-    for frame, seen in enumerate(detect_people(pictures, network, footage.fps), start):
+    for frame, seen in enumerate(detect_people(pictures, network, footage.fps, first), start):
         frames += 1
         for person in seen:
             keypoints = keypoints_with_confidence(person, wh, worth)

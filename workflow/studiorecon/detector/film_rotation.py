@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from studiorecon.detector.blazepose import Landmarks
 from studiorecon.detector.frame_detection import Detector, landmark_confidence
 
 if TYPE_CHECKING:
@@ -29,15 +30,21 @@ _GLANCE_WH = 160, 160
 _CLEARER = 2.0
 
 
-def quarter_turns(detector: Detector, pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> int:
-    """Counter-clockwise quarter turns, 0 to 3, with which ``detector`` sees people upright in ``pictures``; 0 where no
-    other number is clearly better."""
-    shown = [sum(_upright(detector, picture) for picture in pictures)]
+def quarter_turns(
+    detector: Detector, pictures: Sequence[Integer[np.ndarray, "H W 3"]]
+) -> tuple[int, list[list[Landmarks]]]:
+    """(counter-clockwise quarter turns, 0 to 3, with which ``detector`` sees people upright in ``pictures``, who is in
+    each picture turned so); 0 where no other number is clearly better."""
+    seen = [[detector.detect_new_people(picture) for picture in pictures]]
+    shown = [_upright(seen[0])]
     if shown[0] >= _TRUSTED * len(pictures):
-        return 0
-    shown += [sum(_upright(detector, rotate_picture(picture, turns)) for picture in pictures) for turns in (1, 2, 3)]
+        return 0, seen[0]
+    for turns in (1, 2, 3):
+        seen.append([detector.detect_new_people(rotate_picture(picture, turns)) for picture in pictures])
+        shown.append(_upright(seen[turns]))
     best = int(np.argmax(shown))
-    return best if shown[best] > _CLEARER * shown[0] else 0
+    best = best if shown[best] > _CLEARER * shown[0] else 0
+    return best, seen[best]
 
 
 def busiest(pictures: Iterable[Integer[np.ndarray, "H W 3"]], count: int) -> list[int]:
@@ -62,7 +69,7 @@ def film_from_turned(wh: tuple[int, int], turns: int) -> Float[np.ndarray, "2 3"
     return np.column_stack([linear, middle - linear @ (middle[::-1] if turns % 2 else middle)])
 
 
-def _upright(detector: Detector, picture: np.ndarray) -> float:
-    """How clearly people are seen upright in a picture, summed."""
-    seen = detector.detect_new_people(picture)
-    return sum(landmark_confidence(one) for one in seen if abs(one.next_region.turn_rad) < _UPRIGHT_RAD)
+def _upright(seen: Sequence[Sequence[Landmarks]]) -> float:
+    """How clearly people are seen upright in all pictures, summed."""
+    people = [one for picture in seen for one in picture]
+    return sum(landmark_confidence(one) for one in people if abs(one.next_region.turn_rad) < _UPRIGHT_RAD)

@@ -69,9 +69,12 @@ def follow(
 
 
 def detect_people(
-    pictures: Iterable[Integer[np.ndarray, "H W 3"]], detector: Detector, fps: float
+    pictures: Iterable[Integer[np.ndarray, "H W 3"]],
+    detector: Detector,
+    fps: float,
+    first: list[Landmarks] | None = None,
 ) -> Iterator[list[Landmarks]]:
-    """Everybody in each of the pictures, in order."""
+    """Everybody in each of the pictures, in order; ``first``: who is in the first one, where that is known."""
     network, stride = detector.placer, max(1, round(fps / _PLACED_FPS))
     placed_fps = fps / stride
     walkers: list[Walker] = []
@@ -90,10 +93,10 @@ def detect_people(
         if not looks:
             continue
         known = [w.seen for w in walkers]
-        new = detector.detect_new_people(picture, known)
+        new = detector.detect_new_people(picture, known) if number or first is None else first
         if number >= closely_at:
             small = detector.detect_new_people(picture, [*known, *new], closely=True)
-            new += small
+            new = [*new, *small]
             # Where there are people whom only a close look finds, more will come.
             closely_at = number + (1 if small else max(1, round(_CLOSE_LOOK_S * fps)))
         found = [Walker(seen, np.zeros(2), people + k) for k, seen in enumerate(new)]
