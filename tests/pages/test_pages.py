@@ -23,7 +23,10 @@ def doctors_page(name: str) -> str:
     report = {
         "verdict": "good",
         "notes": [f"{name} was not used"],
-        "sync": {"sentences": [f"{name} was started first"]},
+        "sync": {
+            "sentences": [f"{name} was started first"],
+            "lags_frames": {name: {"frames": 3.0, "low": 2.0, "high": 4.0}},
+        },
         "advice": [f"look at {name}"],
         "shown_frame": None,
         "people": 1,
@@ -32,7 +35,6 @@ def doctors_page(name: str) -> str:
         "margin": {name: 1.0},
         "without_keypoints": [],
         "px_per_camera": {name: 1.0},
-        "lags_frames": {name: {"valid": True, "frames": 3.0, "low": 2.0, "high": 4.0}},
         "outlier_camera": None,
         "lengths": None,
         "edges": None,

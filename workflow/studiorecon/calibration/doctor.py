@@ -35,7 +35,7 @@ from studiorecon.rig.hypotheses import LENS_READINGS
 from studiorecon.rig.lens_model import LensReading, as_model
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera, Lens
-from studiorecon.scene.clocks import Clocks, read_clocks, read_sync_sentences
+from studiorecon.scene.clocks import ClockFinding, Clocks, read_clock_findings, read_clocks
 from studiorecon.scene.files import write_json, write_text
 from studiorecon.scene.keypoint_verdict import read_keypoint_verdict
 from studiorecon.scene.people import Detections, read_detections
@@ -97,6 +97,22 @@ def first_frame(common: Clocks, camera: str) -> float:
     return float(np.interp(0.0, position, np.arange(len(position))))
 
 
+def lags_frames(found: Sequence[ClockFinding], used: Clocks) -> dict[str, dict[str, float]]:
+    """How many frames of its own people are late in each camera by the clocks in use (``frames``), against the median
+    camera, and the 95 % interval (``low``, ``high``), at least half a frame to either side."""
+    late_s = {
+        one.camera: (used.of(one.camera).offset_s - one.people_s[0], one.people_s[1]) for one in found if one.people_s
+    }
+    usual_s = float(np.quantile([late for late, _ in late_s.values()], 0.5, method="lower")) if late_s else 0.0
+    lags = {}
+    for camera, (seconds, half_s) in late_s.items():
+        fps = used.of(camera).fps
+        # Shutters of synchronised cameras differ by up to half a frame, and only whole frames can be cut.
+        frames, half = (seconds - usual_s) * fps, max(half_s * fps, 0.5)
+        lags[camera] = {"frames": frames, "low": frames - half, "high": frames + half}
+    return lags
+
+
 def empty_detections(camera: str) -> Detections:
     """The empty detections of a camera without keypoints."""
     return Detections(camera, "coco17", np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 17, 3)))
@@ -151,7 +167,9 @@ def run(
     readings = {
         name: read(model) for name, model in LENS_READINGS.items() if any(lenses[c].model != model for c in cameras)
     }
-    described = {"sentences": read_sync_sentences(sync), "refusal": filmed.refusal}
+    found = read_clock_findings(sync)
+    lags = lags_frames([one for one in found if one.camera in cameras], common)
+    described = {"sentences": [one.sentence for one in found], "refusal": filmed.refusal, "lags_frames": lags}
     # Cameras that filmed people, or all: the room in held-out pictures is not used.
     asked = [c in seen or not seen for c in cameras]
     rooms = _rooms(sources, pinholes, [lenses[c] for c in cameras], moments, asked)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import ASCENDING, Anything, ListOf, MappingOf, frame_rate, real, seconds, text, whole
+from studiorecon.scene.schema import ASCENDING, ListOf, MappingOf, frame_rate, real, seconds, text, whole
 from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
@@ -29,6 +29,17 @@ _CLOCK = {
     "readout_s": seconds(low=-1, high=1),
 }
 _CLOCKS = {"fps": _FPS, "start_s": seconds(), "frames": whole(low=0), "refusal": text(), "cameras": ListOf(_CLOCK)}
+_ESTIMATE = {"method": text(), "offset_s": seconds(), "half_s": seconds(low=0, gaps=True), "drift_ppm": real(unit="ppm")}
+_FINDING = {
+    **_ESTIMATE,
+    "camera": text(),
+    "kind": text("reference", "in step", "found", "undetermined"),
+    "reason": text(),
+    "sentence": text(),
+    "proposals": ListOf({**_ESTIMATE, "half_s": seconds(low=0), "drift_half_ppm": real(low=0, unit="ppm", gaps=True)}),
+    "without": MappingOf(text()),
+}
+_FINDINGS = {"sync": text(), "given": MappingOf(real(unit="frames")), "cameras": ListOf(_FINDING)}
 
 
 @dataclass(frozen=True)
@@ -103,6 +114,21 @@ class Clocks:
         return self.positions(camera)[self.source_frames(camera)] - np.arange(self.frames)
 
 
+@dataclass(frozen=True)
+class ClockFinding:
+    """What ``clocks.offsets`` measured of one camera.
+
+    Attributes:
+        camera, sentence: its name, and all estimates in words.
+        people_s: by people, seconds of its first frame after the reference's and half of the 95 % interval; None
+            without an estimate.
+    """
+
+    camera: str
+    sentence: str
+    people_s: tuple[float, float] | None
+
+
 def write_clocks(path: Path, clocks: Clocks) -> None:
     write_json(path, asdict(clocks))
 
@@ -112,10 +138,17 @@ def read_clocks(path: Path) -> Clocks:
     return read(path, _CLOCKS, _clocks)
 
 
-def read_sync_sentences(path: Path) -> list[str]:
-    """A sentence on every camera's clock, from ``clocks/sync.json``; raises UserError as ``step_files.read`` does."""
-    schema = {"sync": text(), "given": Anything(), "cameras": ListOf(MappingOf(Anything()))}
-    return read(path, schema, lambda value: [str(camera["sentence"]) for camera in value["cameras"]])
+def read_clock_findings(path: Path) -> list[ClockFinding]:
+    """The findings on every camera's clock; raises UserError as ``step_files.read`` does."""
+    return read(path, _FINDINGS, lambda value: [_finding(one) for one in value["cameras"]])
+
+
+def _finding(value: dict[str, Any]) -> ClockFinding:
+    from_people = [p for p in value["proposals"] if p["method"] in ("people", "all cameras")]
+    best = min(from_people, key=lambda p: p["half_s"], default=None)
+    is_reference = value["kind"] == "reference"
+    people_s = (0.0, 0.0) if is_reference else (best["offset_s"], best["half_s"]) if best else None
+    return ClockFinding(value["camera"], value["sentence"], people_s)
 
 
 def _clocks(value: dict[str, Any]) -> Clocks:

@@ -228,19 +228,19 @@ def _unclear(report: dict[str, Any]) -> list[str]:
 
 
 def _clocks(report: dict[str, Any]) -> list[str]:
-    late = {c: lag for c, lag in report["lags_frames"].items() if lag["valid"] and not lag["low"] <= 0 <= lag["high"]}
+    lags = report["sync"]["lags_frames"]
+    late = {c: lag for c, lag in lags.items() if not lag["low"] <= 0 <= lag["high"]}
     if not late:
         return []
-    starts = {
-        c: about["first_frame"] + (late[c]["frames"] if c in late else 0.0) for c, about in report["footage"].items()
-    }
+    starts = {c: about["first_frame"] + lags.get(c, {"frames": 0.0})["frames"]
+              for c, about in report["footage"].items()}  # fmt: skip
     least = min(starts.values())
     listed = ", ".join(f'"{c}": {start - least:.4g}' for c, start in starts.items())
     described = [
         f"camera {c} is {lag['frames']:+.1f} frames late ({lag['low']:+.1f} to {lag['high']:+.1f})"
         for c, lag in late.items()
     ]
-    return [f"by people's rays {'; '.join(described)}; if so, write starts: {{{listed}}} into capture.yaml"]
+    return [f"by people's motion {'; '.join(described)}; if so, write starts: {{{listed}}} into capture.yaml"]
 
 
 def _footage(report: dict[str, Any]) -> list[str]:

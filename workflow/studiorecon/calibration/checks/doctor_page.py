@@ -41,8 +41,8 @@ src="{{ sheet }}"></p>
 {% endfor %}
 </table></div>
 <p class="soft">Margin: how many times better this camera fits the people as read than with the best other convention of
-its pose; {{ clear }} or more is clear. Lag: the camera's remaining time offset from the others,
-with its interval.</p>
+its pose; {{ clear }} or more is clear. Lag: the camera's remaining time offset from the others by people,
+with its 95 % interval.</p>
 <h2>Possible conventions of the calibration</h2>
 <div class="scroll"><table>
 <tr><th>reading</th><th>agreement of people's rays, 0 to 1</th><th>px off</th><th>to use it</th></tr>
@@ -111,7 +111,7 @@ def _camera(report: dict[str, Any], camera: str) -> list[tuple[str, bool]]:
         f"{a['burnt']:.1%}",
     )
     px = _number(report["px_per_camera"][camera], ".1f")
-    lag = _lag(report["lags_frames"].get(camera))
+    lag = _lag(report["sync"]["lags_frames"].get(camera))
     return [(camera, False), (px, False), (shown, unclear), lag, *((cell, False) for cell in plain)]
 
 
@@ -139,6 +139,6 @@ def _number(value: float | None, form: str) -> str:
 
 def _lag(lag: dict[str, Any] | None) -> tuple[str, bool]:
     """A camera's lag in words, and whether it is wrong."""
-    if lag is None or not lag["valid"]:
+    if lag is None:
         return "undetermined", False
     return f"{lag['frames']:+.1f} ({lag['low']:+.1f} to {lag['high']:+.1f})", not lag["low"] <= 0 <= lag["high"]

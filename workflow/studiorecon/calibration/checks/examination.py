@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.arrays import evenly_spread
-from studiorecon.calibration.checks import clocks, sanity
+from studiorecon.calibration.checks import sanity
 from studiorecon.calibration.checks import coverage as health
 from studiorecon.calibration.checks.advice import verdict
 from studiorecon.calibration.checks.edges import compare_edges
@@ -31,9 +31,6 @@ from studiorecon.scene.people import Detections
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_LAG_FRAMES = 6
-# Frames of a long take on which the clocks are compared: enough for any lag, and a second of work.
-_CLOCK_FRAMES = 200
 _NOBODY_REACH_M = 2.0
 Readings = Mapping[str, tuple[Sequence[Camera], Sequence[Detections]]]
 
@@ -57,8 +54,8 @@ def examine(
     """The report (written to doctor.json) and the triangulated points (N, 3) of the frame with most of them.
 
     ``detections`` of cameras without keypoints are empty. ``lens_readings``: by the names of
-    ``hypotheses.LENS_READINGS``. ``sync``: ``sentences`` about clocks, and the ``refusal`` that the footage will raise,
-    or "". ``keypoints``: sentences from their comparison with the films, ``refused`` and ``notes``. ``rooms``: without
+    ``hypotheses.LENS_READINGS``. ``sync``: ``sentences`` about clocks, the ``refusal`` that the footage will raise, or
+    "", and ``lags_frames`` by which people lag in a camera. ``keypoints``: sentences from their comparison with the films, ``refused`` and ``notes``. ``rooms``: without
     people, None where it was not computed.
     """
     names = [c.name for c in cameras]
@@ -101,8 +98,7 @@ def examine(
         "edges": compare_edges(cameras, refined, fit.seen, rooms, settings.limits, settings.bundle),
         "px_per_camera": dict(zip(names, fit.each_px)),
         "shown_frame": shown,
-        "lags_frames": _lags(cameras, detections, frames, settings.gate_m) if people else {},
-        "sync": dict(sync or {"sentences": [], "refusal": ""}),
+        "sync": dict(sync or {"sentences": [], "refusal": "", "lags_frames": {}}),
         "keypoints": {key: list((keypoints or {}).get(key, [])) for key in ("refused", "notes")},
         "footage": {a["camera"]: dict(a) for a in about},
         "facts": sanity.camera_facts(cameras),
@@ -166,17 +162,6 @@ def _lens_models(readings: Readings, chosen: np.ndarray, few: np.ndarray, settin
     ]
 
 
-def _lags(
-    cameras: Sequence[Camera], detections: Sequence[Detections], frames: int, gate_m: float
-) -> dict[str, dict[str, Any]]:
-    half = min(frames, _CLOCK_FRAMES) // 2
-    window = [replace_frames(d, frames // 2 - half, frames // 2 + half + 1) for d in detections]
-    return {
-        lag.camera: {"frames": lag.frames, "low": lag.low, "high": lag.high, "valid": lag.valid}
-        for lag in clocks.lags(window, cameras, _LAG_FRAMES, gate_m)
-    }
-
-
 def _wrong_lengths(
     cameras: Sequence[Camera], detections: Sequence[Detections], seen: Observations, few: np.ndarray, settings: Settings
 ) -> str | None:
@@ -200,12 +185,6 @@ def _median_px(
     seen, _ = make_observations(detections, cameras, frames, settings.gate_m)
     px = error_medians(cameras, seen, settings.limits)[0] if len(seen.frame) else float("nan")
     return px if np.isfinite(px) else None
-
-
-def replace_frames(seen: Detections, first: int, stop: int) -> Detections:
-    """The detections in frames ``first`` … ``stop`` - 1."""
-    inside = (seen.frame >= first) & (seen.frame < stop)
-    return replace(seen, frame=seen.frame[inside], track=seen.track[inside], keypoints=seen.keypoints[inside])
 
 
 def _best_frame(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[int | None, np.ndarray]:
