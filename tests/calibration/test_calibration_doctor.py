@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import yaml
 from studiorecon.calibration import doctor
-from studiorecon.calibration.checks import doctor_page
 from studiorecon.calibration.checks import coverage as health
+from studiorecon.calibration.checks import doctor_page
 from studiorecon.calibration.checks.advice import verdict
 from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry.bundle import move_camera
@@ -124,9 +124,7 @@ def started(advice: str) -> dict[str, float]:
 )
 def test_what_people_say_against_the_clocks_in_use_is_named_with_all_starts(good, frames, late):
     used = Clocks(30.0, 0.1, FRAMES, tuple(Clock(f"c{k}", 30.0, 99, offset_s=0.1 * k) for k in range(4)))
-    found = [
-        ClockFinding(f"c{k}", "", None if f is None else (0.1 * k - f / 30, 0.01)) for k, f in enumerate(frames)
-    ]
+    found = [ClockFinding(f"c{k}", "", None if f is None else (0.1 * k - f / 30, 0.01)) for k, f in enumerate(frames)]
     report = copy.deepcopy(good)
     report["sync"]["lags_frames"] = doctor.lags_frames(found, used)
     advice = verdict(report, 100.0)[1]

@@ -14,6 +14,7 @@ from studiorecon.keypoints import motion
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.numbering import numberings
+from studiorecon.keypoints.unmatched import without_record
 from studiorecon.scene.keypoint_verdict import read_keypoint_verdict
 from studiorecon.scene.recorded_keypoints import read_recorded
 
@@ -98,6 +99,22 @@ def test_frames_whose_people_are_missing_are_named(takes: list[Take], part: slic
     missing = ~np.isin(own.recorded.frame, np.arange(72)[part])
     found = verdict(own, own.recorded.only(~missing), takes[1])
     assert ("hold nobody in" in " ".join(found.notes)) == (np.unique(own.recorded.frame[missing]).size > 18)
+
+
+@pytest.mark.parametrize(
+    ("recorded", "named"),
+    [
+        (np.arange(36, 72), "frames 0–35 of its film's 72"),
+        (np.arange(40), "frames 40–71 of"),
+        (np.r_[0:20, 45:72], "frames 20–44 of"),
+        (np.r_[16:20, 36:40, 56:57], "frames 0–15, 20–35, 40–55 and 1 more"),
+        (np.r_[0:30, 44:72], ""),
+        (np.arange(0, 72, 5), ""),
+    ],
+)
+def test_frames_without_a_record_are_named_where_no_track_bridges_them(recorded: np.ndarray, named: str) -> None:
+    said = " ".join(without_record("a", recorded, 72, 14.5))
+    assert (named in said) if named else not said
 
 
 def test_an_empty_room_is_no_fault(takes: list[Take]) -> None:

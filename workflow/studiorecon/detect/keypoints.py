@@ -18,11 +18,11 @@ from studiorecon.geometry.lens import lens_with_pixel_map
 from studiorecon.keypoints.coordinate_readings import affine
 from studiorecon.keypoints.detections import Settings, detections_from_detector, detections_from_recorded
 from studiorecon.keypoints.film_check import BORNE_OUT, Film, check_against_film
-from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.motion import motion_in
 from studiorecon.keypoints.numbering import numberings
 from studiorecon.keypoints.readers import read_keypoints
+from studiorecon.keypoints.unmatched import without_record
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage
@@ -102,16 +102,14 @@ def _compared(
     if not len(given.frame):
         warn(f"{path} ({given.program}) holds no person: camera {camera} only shows the room")
         return _none(given.program, layout), []
-    chosen, note = choose_layout(given.keypoints, layout, path)
-    if note:
-        (say if layout == "auto" else warn)(note)
     numbers = numberings(given.pictures, filmed.frames, filmed.fps, first_frame, given.counted)
     shown = np.concatenate([one.frame_of[np.isin(given.pictures, given.frame)] for one in numbers.possible])
     motion = motion_in(filmed, int(shown.min()), int(shown.max()))
     mapped = json.loads(pixel_map) if settings.keypoint_pixels != "video" else []
     scale, x, y = mapped or (1.0, 0.0, 0.0)
     centre = 0.5 - settings.keypoint_centres
-    film = Film(camera, filmed.wh, filmed.frames, motion, affine(scale, scale, x, y), centre, filmed.stored_wh)
+    map_ = affine(scale, scale, x, y)
+    film = Film(camera, filmed.wh, filmed.frames, motion, map_, centre, filmed.stored_wh, layout, path)
 
     def theirs() -> Mapping[str, RecordedKeypoints]:
         found = {}
@@ -121,12 +119,14 @@ def _compared(
             found[name] = one.renumbered(usual.frame_of, filmed.frames)
         return found
 
-    verdict = check_against_film(replace(given, layout=chosen), numbers, film, theirs)
-    for sentence in [*verdict.notes, *filter(None, [verdict.refusal])]:
+    verdict = check_against_film(given, numbers, film, theirs)
+    gap_frames = settings.tracking.gap_s * filmed.fps
+    notes = [*verdict.notes, *without_record(camera, verdict.recorded.pictures, filmed.frames, gap_frames)]
+    for sentence in [*notes, *filter(None, [verdict.refusal])]:
         warn(sentence)
     if verdict.lift is not None and verdict.lift > BORNE_OUT and not verdict.refusal:
         say(f"camera {camera}: its keypoints agree with the motion in its film ({verdict.lift:.2f} of 1)")
-    return replace(verdict.recorded, refusal=verdict.refusal), list(verdict.notes)
+    return replace(verdict.recorded, refusal=verdict.refusal), notes
 
 
 def _of_chapters(paths: Sequence[Path], filmed: FootageSource, first_frame: int | None) -> RecordedKeypoints:

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.keypoints.coordinate_readings import Reading, affine, apply_reading, shares, sizes, turned
+from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.motion import Motion
 from studiorecon.keypoints.motion_agreement import Movers, Score, best, is_frozen, is_upside_down, movers, score
@@ -64,6 +65,7 @@ class Film:
         motion: in it, None where it cannot be measured.
         map, centre: from recorded pixels, centres at +0.5, to the film's; offset to add to reach +0.5.
         stored_wh: size with pixels as stored, None where they are square.
+        layout: of the keypoints by the configuration; path: of their file, for messages.
     """
 
     camera: str
@@ -73,6 +75,8 @@ class Film:
     map: Float[np.ndarray, "2 3"]
     centre: float
     stored_wh: tuple[int, int] | None = None
+    layout: str = "auto"
+    path: str = ""
 
     def sizes(self) -> list[Reading]:
         """Readings in pixels of the film's picture at other sizes."""
@@ -102,7 +106,7 @@ Others = Callable[[], Mapping[str, RecordedKeypoints]]
 
 
 def check_against_film(recorded: RecordedKeypoints, numbers: Numberings, film: Film, others: Others) -> Verdict:
-    """The verdict on ``recorded`` from its film.
+    """The verdict on ``recorded`` from its film; raises UserError where no layout fits.
 
     ``others`` returns the other cameras' keypoints by name, in frames of their own films, if nothing else explains
     these.
@@ -136,8 +140,12 @@ def check_against_film(recorded: RecordedKeypoints, numbers: Numberings, film: F
         said.append(judge.shifted(chosen))
     if not refusal:
         said += judge.unmatched(chosen)
+    moved = _in_film_pixels(recorded, chosen.reading, as_read)
+    # Limbs are compared in the film's pixels: shares of a wide picture stretch them.
+    layout, of_limbs = choose_layout(moved.keypoints, film.layout, film.path or f"keypoints of camera {film.camera}")
+    said += [of_limbs] if of_limbs else []
     if not refusal and not (chosen.score.enough and chosen.score.lift > _LIFT):
-        said += _of_heads(recorded, film.camera)
+        said += _of_heads(recorded, LAYOUTS[layout].keypoints, film.camera)
     refusal = refusal or _outside(recorded.keypoints, chosen.reading, film)
     frame_of = chosen.numbering.frame_of - chosen.shift
     if (
@@ -149,9 +157,8 @@ def check_against_film(recorded: RecordedKeypoints, numbers: Numberings, film: F
             f"is in one of its film's {film.frames} frames; write the number of its first frame into capture.yaml: "
             f"keypoint_first_frame: {{{film.camera}: {recorded.frame[0]}}}"
         )
-    moved = _in_film_pixels(recorded, chosen.reading, as_read)
     lift = chosen.score.lift if chosen.score.enough else None
-    return Verdict(moved.renumbered(frame_of, film.frames), tuple(said), refusal, lift)
+    return Verdict(replace(moved, layout=layout).renumbered(frame_of, film.frames), tuple(said), refusal, lift)
 
 
 @dataclass(frozen=True)
@@ -293,9 +300,8 @@ class _Judge:
             return without_motion(camera, shown[..., 1] / self.film.wh[1], seen.keypoints, share)
         if not (now.score.enough and now.score.lift > _LIFT):
             return []
-        return without_people(
-            camera, motion, now.numbering.frame_of[np.searchsorted(seen.pictures, seen.frame)] - now.shift
-        )
+        recorded = now.numbering.frame_of - now.shift
+        return without_people(camera, motion, recorded[np.searchsorted(seen.pictures, seen.frame)], recorded)
 
     def evidence(self, right: _Hypothesis, now: _Hypothesis | None = None) -> str:
         """The film's evidence, in brackets."""
@@ -351,15 +357,12 @@ def _in_film_pixels(recorded: RecordedKeypoints, reading: Reading, as_read: Read
     missing = (recorded.keypoints[..., :2] == 0).all(-1) | ~(recorded.keypoints[..., 2] > 0)
     points = apply_reading(inverse, apply_reading(reading.film_from_recorded, recorded.keypoints[..., :2]))
     points = np.where(missing[..., None], recorded.keypoints[..., :2], points)
-    moved = np.concatenate([points, recorded.keypoints[..., 2:]], axis=-1)
-    return RecordedKeypoints(
-        recorded.program, recorded.pictures, recorded.frame, moved, recorded.counted, recorded.layout
-    )
+    return replace(recorded, keypoints=np.concatenate([points, recorded.keypoints[..., 2:]], axis=-1))
 
 
-def _of_heads(recorded: RecordedKeypoints, camera: str) -> list[str]:
+def _of_heads(recorded: RecordedKeypoints, names: Sequence[str], camera: str) -> list[str]:
     """A warning that everybody is upside down, where the film does not show whether they are."""
-    lower = is_upside_down(recorded.keypoints, LAYOUTS[recorded.layout].keypoints if recorded.layout else ())
+    lower = is_upside_down(recorded.keypoints, names)
     if len(lower) < 10 or lower.mean() < _UPSIDE_DOWN:
         return []
     return [

@@ -29,35 +29,40 @@ _CLEAR = 1.25
 
 
 def choose_layout(keypoints: Num[np.ndarray, "D K 3"], given: str, where: str) -> tuple[str, str | None]:
-    """Name of the layout of detections, and a sentence when the limbs decided it or contradict the ``given`` one.
+    """Name of the layout of detections in the film's pixels, and a sentence when the limbs decided it or contradict the
+    ``given`` one.
 
     Under the wrong order limbs run across the whole body, so the layout with clearly shorter limbs is right. Raises
     UserError for an unknown name, a count that does not fit, and an unclear choice.
     """
-    count = keypoints.shape[1]
-    if given != "auto":
-        if given not in LAYOUTS:
-            raise UserError(
-                f"{where}: keypoint_layout {given!r} is unknown; known layouts are {', '.join(sorted(LAYOUTS))}"
-            )
-        if len(LAYOUTS[given].keypoints) != count:
-            raise UserError(
-                f"{where}: has {count} keypoints per person, but keypoint_layout {given} "
-                f"has {len(LAYOUTS[given].keypoints)}"
-            )
-        return given, _contradicted(keypoints, given)
+    count, auto = keypoints.shape[1], given == "auto"
+    if not auto and given not in LAYOUTS:
+        raise UserError(
+            f"{where}: keypoint_layout {given!r} is unknown; known layouts are {', '.join(sorted(LAYOUTS))}"
+        )
+    if not auto and len(LAYOUTS[given].keypoints) != count:
+        raise UserError(
+            f"{where}: has {count} keypoints per person, but keypoint_layout {given} "
+            f"has {len(LAYOUTS[given].keypoints)}"
+        )
     candidates = BY_COUNT.get(count, ())
     if not candidates:
         listed = ", ".join(f"{name} ({len(LAYOUTS[name].keypoints)})" for name in sorted(LAYOUTS))
         raise UserError(f"{where}: no layout has {count} keypoints; write them in the order of one of {listed}")
     if len(candidates) == 1:
         return candidates[0], None
-    usual = USUAL.get(count)
-    asked = keypoints[(keypoints[..., 2] > 0).all(-1)] if usual else keypoints
+    usual = USUAL.get(count) if auto else given
+    # Layouts have different limbs: where one is expected, only whole bodies show that another fits.
+    seen = keypoints[..., 2] > 0
+    asked = keypoints[(seen if auto else seen[:, seen.any(0)]).all(-1)] if usual else keypoints
     lengths = {name: _limb_length(asked, LAYOUTS[name].keypoints) for name in candidates}
-    short, long, *_ = sorted(candidates, key=lambda name: lengths[name])
+    short, *rest = sorted(candidates, key=lambda name: lengths[name])
+    long = rest[0] if auto else given
     ratio = lengths[long] / max(lengths[short], 1e-9)
     clear = bool(np.isfinite(ratio) and ratio > _CLEAR)
+    if not auto:
+        wrong = f"keypoint_layout is {given}, but limbs are {ratio:.1f} times shorter under {short}: see which one the "
+        return given, f"{wrong}detector wrote" if clear else None
     if usual and (not clear or short == usual):
         return usual, None
     if not clear:
@@ -68,19 +73,6 @@ def choose_layout(keypoints: Num[np.ndarray, "D K 3"], given: str, where: str) -
     return (
         short,
         f"{count} keypoints were read as {short}: its limbs are {ratio:.1f} times shorter than those of {long}",
-    )
-
-
-def _contradicted(keypoints: Num[np.ndarray, "D K 3"], given: str) -> str | None:
-    """A sentence where limbs are clearly shorter under another layout than the ``given`` one."""
-    lengths = {name: _limb_length(keypoints, LAYOUTS[name].keypoints) for name in BY_COUNT[keypoints.shape[1]]}
-    short = min(lengths, key=lambda name: lengths[name])
-    ratio = lengths[given] / max(lengths[short], 1e-9)
-    if not (np.isfinite(ratio) and ratio > _CLEAR):
-        return None
-    return (
-        f"keypoint_layout is {given}, but limbs are {ratio:.1f} times shorter under {short}: see which one the "
-        "detector wrote"
     )
 
 

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Warns of people who walk through a film in which nothing moves, and of moving films without people."""
+"""Warns of people who walk through a film in which nothing moves, of moving films without people, and of frames without
+a record."""
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,13 +39,31 @@ def without_motion(
     ]
 
 
-def without_people(camera: str, motion: Motion, frame: Integer[np.ndarray, " D"]) -> list[str]:
-    """A warning where detections leave out many frames that move as the others do."""
-    somebody = np.isin(motion.frame, frame)
-    moves = (motion.near == 1).mean(axis=(1, 2))
+def without_people(
+    camera: str, motion: Motion, frame: Integer[np.ndarray, " D"], recorded: Integer[np.ndarray, " P"]
+) -> list[str]:
+    """A warning where detections leave out many of the ``recorded`` frames that move as the others do."""
+    known = np.isin(motion.frame, recorded)
+    somebody = np.isin(motion.frame, frame)[known]
+    moves = (motion.near == 1).mean(axis=(1, 2))[known]
     if (~somebody).mean() < _MIN_UNSEEN or np.median(moves[~somebody]) < 0.5 * np.median(moves[somebody]):
         return []
     return [
         f"the keypoints of camera {camera} hold nobody in {(~somebody).mean():.0%} of its film's frames, in which as "
         "much moves as in the others: see whether some of them are missing"
+    ]
+
+
+def without_record(camera: str, recorded: Integer[np.ndarray, " P"], frames: int, gap_frames: float) -> list[str]:
+    """A warning that names the frames of a film of ``frames`` without a record, where more than ``gap_frames`` follow
+    each other: no track bridges them."""
+    known = np.concatenate([[-1], recorded, [frames]])
+    gaps = [(a + 1, b - 1) for a, b in pairwise(known.tolist()) if b - a - 1 > gap_frames]
+    if not gaps:
+        return []
+    listed = ", ".join(f"{first}–{last}" for first, last in gaps[:3])
+    more = f" and {len(gaps) - 3} more stretches" if len(gaps) > 3 else ""
+    return [
+        f"the keypoints of camera {camera} have no entry for frames {listed}{more} of its film's {frames}: see whether "
+        "a part of them is missing"
     ]

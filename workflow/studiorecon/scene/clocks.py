@@ -29,14 +29,15 @@ _CLOCK = {
     "readout_s": seconds(low=-1, high=1),
 }
 _CLOCKS = {"fps": _FPS, "start_s": seconds(), "frames": whole(low=0), "refusal": text(), "cameras": ListOf(_CLOCK)}
-_ESTIMATE = {"method": text(), "offset_s": seconds(), "half_s": seconds(low=0, gaps=True), "drift_ppm": real(unit="ppm")}
+_ESTIMATE = {"method": text(), "offset_s": seconds(), "half_s": seconds(low=0), "drift_ppm": real(unit="ppm")}
 _FINDING = {
     **_ESTIMATE,
+    "half_s": seconds(low=0, gaps=True),
     "camera": text(),
     "kind": text("reference", "in step", "found", "undetermined"),
     "reason": text(),
     "sentence": text(),
-    "proposals": ListOf({**_ESTIMATE, "half_s": seconds(low=0), "drift_half_ppm": real(low=0, unit="ppm", gaps=True)}),
+    "proposals": ListOf({**_ESTIMATE, "drift_half_ppm": real(low=0, unit="ppm", gaps=True)}),
     "without": MappingOf(text()),
 }
 _FINDINGS = {"sync": text(), "given": MappingOf(real(unit="frames")), "cameras": ListOf(_FINDING)}

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.arrays import evenly_spread
-from studiorecon.calibration.checks import sanity
 from studiorecon.calibration.checks import coverage as health
+from studiorecon.calibration.checks import sanity
 from studiorecon.calibration.checks.advice import verdict
 from studiorecon.calibration.checks.edges import compare_edges
 from studiorecon.calibration.checks.refined import refined_on_people
@@ -55,8 +55,8 @@ def examine(
 
     ``detections`` of cameras without keypoints are empty. ``lens_readings``: by the names of
     ``hypotheses.LENS_READINGS``. ``sync``: ``sentences`` about clocks, the ``refusal`` that the footage will raise, or
-    "", and ``lags_frames`` by which people lag in a camera. ``keypoints``: sentences from their comparison with the films, ``refused`` and ``notes``. ``rooms``: without
-    people, None where it was not computed.
+    "", and ``lags_frames`` by which people lag in a camera. ``keypoints``: sentences from their comparison with the
+    films, ``refused`` and ``notes``. ``rooms``: without people, None where it was not computed.
     """
     names = [c.name for c in cameras]
     frames = min(int(a["frames"]) for a in about)
