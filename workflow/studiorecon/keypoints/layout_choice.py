@@ -52,14 +52,13 @@ def choose_layout(keypoints: Num[np.ndarray, "D K 3"], given: str, where: str) -
     if len(candidates) == 1:
         return candidates[0], None
     usual = USUAL.get(count) if auto else given
-    # Layouts have different limbs: where one is expected, only whole bodies show that another fits.
-    seen = keypoints[..., 2] > 0
-    asked = keypoints[(seen if auto else seen[:, seen.any(0)]).all(-1)] if usual else keypoints
-    lengths = {name: _limb_length(asked, LAYOUTS[name].keypoints) for name in candidates}
-    short, *rest = sorted(candidates, key=lambda name: lengths[name])
+    asked = keypoints[(keypoints[..., 2] > 0).all(-1)] if auto and usual else keypoints
+    limbs = {name: _limbs(asked, LAYOUTS[name].keypoints) for name in candidates}
+    short, *rest = sorted(candidates, key=lambda name: limbs[name][0])
     long = rest[0] if auto else given
-    ratio = lengths[long] / max(lengths[short], 1e-9)
-    clear = bool(np.isfinite(ratio) and ratio > _CLEAR)
+    ratio = limbs[long][0] / max(limbs[short][0], 1e-9)
+    # Bodies of which parts are missing have shorter limbs by chance in the layout that loses more of them.
+    clear = bool(np.isfinite(ratio) and ratio > _CLEAR and limbs[short][1] >= limbs[long][1])
     if not auto:
         wrong = f"keypoint_layout is {given}, but limbs are {ratio:.1f} times shorter under {short}: see which one the "
         return given, f"{wrong}detector wrote" if clear else None
@@ -76,8 +75,9 @@ def choose_layout(keypoints: Num[np.ndarray, "D K 3"], given: str, where: str) -
     )
 
 
-def _limb_length(keypoints: np.ndarray, names: tuple[str, ...]) -> float:
-    """Median over detections of their mean limb length in pixels; inf when the layout has none of the limbs.
+def _limbs(keypoints: np.ndarray, names: tuple[str, ...]) -> tuple[float, float]:
+    """Median over detections of their mean limb length in pixels, and the share of the layout's limbs that is present;
+    inf and 0 without any.
 
     The mean within one person, because the wrong order leaves some limbs short and makes others as long as the body.
     """
@@ -88,4 +88,4 @@ def _limb_length(keypoints: np.ndarray, names: tuple[str, ...]) -> float:
     lengths = np.where(present, np.linalg.norm(first[..., :2] - second[..., :2], axis=-1), 0.0)
     seen = present.any(-1)
     means = lengths[seen].sum(-1) / present[seen].sum(-1)
-    return float(np.median(means)) if len(means) else np.inf
+    return (float(np.median(means)), float(present.mean())) if len(means) else (np.inf, 0.0)
