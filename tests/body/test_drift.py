@@ -35,14 +35,3 @@ def test_whole_frames_are_the_networks_and_others_lie_between(points: int | None
     assert np.abs(high - low).max() > 0.01
     for beyond, last in ((-3.0, 0.0), (99.0, FRAMES - 1.0)):
         np.testing.assert_array_equal(drift.residuals(beyond)[0], drift.residuals(last)[0])
-
-
-def test_a_frame_is_asked_once_however_often_it_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    places = np.random.default_rng(0).uniform(-1, 1, (300, 3)).astype(np.float32)
-    network, asked = taught(places, ControlPoints.on(places, 40)), []
-    answer = network.at_points
-    monkeypatch.setattr(network, "at_points", lambda frame: asked.append(frame) or answer(frame))
-    drift = Drift(network, places)
-    for frame in (*np.linspace(0, FRAMES - 1, 50), *np.linspace(FRAMES - 1, 0, 31)):
-        drift.residuals(float(frame))
-    assert sorted(asked) == list(range(FRAMES))

@@ -319,23 +319,6 @@ def test_body_that_faces_away_is_turned(body: BodyModel, turned_deg: float, upsi
         assert joint_error_mm(body, fit, poses, np.zeros(10), trans).max() < 0.1
 
 
-def test_missing_points_leave_the_others_alone(body: BodyModel) -> None:
-    poses, trans = moderate(8)
-    points = body.keypoints(NAMES, poses, np.zeros(10), trans)
-    points[:, NAMES.index("left_wrist")] = np.nan
-    points[3, :5] = np.nan
-    fit = solve(body, points, SETTINGS)
-    assert fit.valid.all()
-    assert np.isfinite(fit.rotations).all()
-    assert np.isnan(fit.residual_m[:, NAMES.index("left_wrist")]).all()
-    known = [j for j, n in enumerate(JOINT_NAMES) if not n.startswith(("left_wrist", "left_hand", "left_elbow"))]
-    assert joint_error_mm(body, fit, poses, np.zeros(10), trans)[:, known].mean() < 15
-    assert (
-        fit.joint_sigma_m[:, JOINT_NAMES.index("left_wrist")]
-        > 2 * fit.joint_sigma_m[:, JOINT_NAMES.index("right_wrist")]
-    ).all()
-
-
 # The last two: around the least cost alone, deviations claimed 24° and 38° for bodies that were turned round by 166°
 # and 100°.
 @pytest.mark.parametrize(
@@ -361,24 +344,6 @@ def test_with_few_points_parts_are_right_or_marked(body: BodyModel, kept: int, s
     assert (wrong < np.maximum(15, 2.5 * stated)).mean() > 0.995
     trunk = [JOINT_NAMES.index(p) for p in ("pelvis", "spine1", "spine2", "spine3")]
     assert (wrong < np.maximum(15, 3 * stated))[:, trunk].all()
-
-
-@pytest.mark.parametrize("share", [1.0, 0.3, 0.1], ids="M06-surface-{}".format)
-def test_a_tenth_of_the_surface_leaves_no_part_wild(body: BodyModel, share: float) -> None:
-    # The table's own case: 2 cm of noise on surface points. Parts fitted one by one were up to 14 / 30 / 136° wrong.
-    rng = np.random.default_rng(2)
-    poses, trans = moderate(12, 4)
-    points = body.keypoints(NAMES, poses, np.zeros(10), trans) + rng.normal(0, 0.005, (12, 25, 3))
-    surface = skin(body, poses, np.zeros(10), trans, int(1000 * share))
-    surface = replace(
-        surface, points_m=surface.points_m + rng.normal(0, 0.02, surface.points_m.shape), sigma_m=surface.sigma_m + 0.02
-    )
-    fit = solve(body, points, SETTINGS, 0.005, surface=surface)
-    wrong, stated = part_error_deg(body, fit, poses), np.rad2deg(fit.part_sigma_rad)
-    assert (wrong < np.maximum(15, 3 * stated)).all()
-    # Which is no empty promise: most of the trunk is known, and so marked.
-    assert (stated[:, [0, 1, 2, 9]] < 10).mean() > 0.9
-    assert wrong[stated < 5].max(initial=0) < 15
 
 
 @pytest.mark.parametrize("points_on", ["too few", "a line", "none"], ids="M06-{}".format)

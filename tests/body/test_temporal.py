@@ -6,7 +6,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from studiorecon.body.avatar.temporal import LAYERS, SKIP, WIDTH, TemporalNetwork
-from studiorecon.splatting.train.optimiser import Adam
 
 LOW, HIGH = np.array([-0.9, -0.3, -1.0]), np.array([0.9, 0.3, 1.0])
 
@@ -59,27 +58,6 @@ def test_gradients_are_the_slopes(frame: float) -> None:
         assert found[at] == pytest.approx((above - below) / (2 * step), rel=1e-6, abs=1e-6)
 
 
-def test_it_learns_a_shade_that_wanders_over_time() -> None:
-    rng = np.random.default_rng(2)
-    made = network(rng, width=32)
-    points = rng.uniform(LOW, HIGH, (400, 3))
-    adam = Adam({"network": made.flat}, (0.9, 0.999), 1e-15)
-
-    def shade(frame: int) -> np.ndarray:
-        return 0.3 * np.sin(2 * np.pi * frame / 30 + 2 * points[:, :1]) * np.array([1.0, 0.5, 0.0])
-
-    def error(frame: int) -> float:
-        return float(np.abs(made.residuals(points, frame)[0] - shade(frame)).mean())
-
-    before = np.mean([error(f) for f in range(30)])
-    for _ in range(600):
-        frame = int(rng.integers(30))
-        colour, logit = made.residuals(points, frame)
-        slope = made.gradient(2 * (colour - shade(frame)) / len(points), 2 * logit / len(points))
-        adam.step({"network": slope}, {"network": 1e-3})
-    assert np.mean([error(f) for f in range(30)]) < 0.2 * before
-
-
 def test_it_survives_its_file_and_a_poisoned_gaussian() -> None:
     rng = np.random.default_rng(3)
     made = network(rng, width=16)
@@ -96,12 +74,3 @@ def test_it_survives_its_file_and_a_poisoned_gaussian() -> None:
     assert np.isfinite(made.gradient(by_colour, np.zeros(20))).all()
     with pytest.raises(ValueError, match=r"means_m has shape \(20,\)"):
         made.residuals(points[:, 0], 0)
-
-
-def test_beyond_the_clip_it_shows_the_last_frame() -> None:
-    rng = np.random.default_rng(4)
-    made = network(rng, width=8)
-    made.matrices()[-1][0][...] = 1
-    points = rng.uniform(LOW, HIGH, (5, 3))
-    np.testing.assert_array_equal(made.residuals(points, 40)[0], made.residuals(points, 29)[0])
-    np.testing.assert_array_equal(made.residuals(points, -3)[0], made.residuals(points, 0)[0])

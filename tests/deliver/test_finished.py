@@ -15,7 +15,7 @@ from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.path import PathStep, write_path
 
-from tests.made.scene import FPS, FRAMES, render_options, replace_gaussians, write_scene
+from tests.made.scene import FPS, render_options, replace_gaussians, write_scene
 from tests.made.steps import call
 
 TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
@@ -27,16 +27,6 @@ def files(tmp_path: Path, root: Path) -> dict:
     write_path(tmp_path / "render/orbit.json", [PathStep(cameras[0], 1.5, "00")], FPS)
     given = render_options(tmp_path, "orbit", people=2)
     return {name: given[name] for name in TAKEN} | {"paths": [tmp_path / "render/orbit.json"]}
-
-
-def test_everything_of_the_scene_is_there(files: dict) -> None:
-    scene = call(read_finished, **files)
-    assert scene.capture.frames == FRAMES
-    assert [camera.name for camera in scene.cameras] == ["cam0", "cam1", "cam2", "cam3"]
-    assert scene.room.count == len(scene.provenance)
-    assert [person.person for person in scene.people] == ["p0", "p1"]
-    assert scene.paths["orbit"][0].frame == 1.5
-    assert not scene.things
 
 
 def test_the_marks_of_another_room_are_refused(files: dict) -> None:

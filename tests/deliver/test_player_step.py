@@ -61,13 +61,3 @@ def test_exposures_and_shadows_come_along(files: dict, tmp_path: Path, capsys: p
     text = files["page"].read_text(encoding="utf-8")
     assert text.count('"exposure":') == 1
     assert '"shade":' in text
-
-
-def test_the_player_s_scripts_stay_small() -> None:
-    lines = {
-        part.stem: [line for line in map(str.strip, part.read_text("utf-8").splitlines()) if line and line[:2] != "//"]
-        for part in PARTS
-        if part.suffix == ".js"
-    }
-    assert max(map(len, lines.values())) <= 250
-    assert sum(map(len, lines.values())) <= 1100

@@ -21,8 +21,6 @@ import numpy as np
 import pytest
 import scipy
 from scipy.spatial.transform import Rotation
-from studiorecon.body.avatar.avatar_files import read_avatar
-from studiorecon.body.model import BodyModel
 from studiorecon.deliver import scene_glb
 from studiorecon.deliver.finished import read_finished
 from studiorecon.deliver.gltf import Buffer, write_document
@@ -33,7 +31,7 @@ from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.splatting.rigid_object import RigidObject
 
 from tests.made.browser import pixels, software_gl
-from tests.made.scene import FPS, FRAMES, render_options, write_scene
+from tests.made.scene import FRAMES, render_options, write_scene
 from tests.made.steps import call
 
 TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
@@ -41,37 +39,6 @@ _VALIDATE = """
 const validator = require("gltf-validator");
 validator.validateBytes(new Uint8Array(require("fs").readFileSync(process.argv[1])), {maxIssues: 50})
   .then((report) => console.log(JSON.stringify(report)));
-"""
-_LOAD = """
-import {readFileSync} from "fs";
-import {pathToFileURL} from "url";
-const from = (path) => import(pathToFileURL(`${process.env.NODE_PATH}/three/${path}`).href);
-globalThis.self = globalThis;
-const THREE = await from("build/three.module.js");
-const {GLTFLoader} = await from("examples/jsm/loaders/GLTFLoader.js");
-const bytes = readFileSync(process.argv[2]);
-const held = bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.byteLength);
-const gltf = await new GLTFLoader().parseAsync(held, "");
-const mixer = new THREE.AnimationMixer(gltf.scene);
-gltf.animations.forEach((clip) => mixer.clipAction(clip).play());
-mixer.setTime(Number(process.argv[3]));
-gltf.scene.updateMatrixWorld(true);
-const told = {cameras: gltf.cameras.map((camera) => camera.parent ? camera.name || camera.parent.name : camera.name),
-  points: [], bodies: []};
-gltf.scene.traverse((one) => {
-  if (one.isPoints) {
-    const places = one.geometry.attributes.position;
-    told.points.push(new THREE.Vector3().fromBufferAttribute(places, 7).applyMatrix4(one.matrixWorld).toArray());
-  }
-  if (one.isSkinnedMesh) {
-    const places = [];
-    for (let k = 0; k < one.geometry.attributes.position.count; k += 500) {
-      places.push(one.getVertexPosition(k, new THREE.Vector3()).applyMatrix4(one.matrixWorld).toArray());
-    }
-    told.bodies.push(places);
-  }
-});
-console.log(JSON.stringify(told));
 """
 
 # The page loads the engine and the scene from its folder; ``shown`` draws some pictures of the room alone with one of
@@ -220,26 +187,6 @@ def test_khronos_finds_nothing_wrong(tmp_path: Path, root: Path, people: int) ->
     serious = [one for one in messages if one["severity"] < 2 and not unknown_attribute(one)]
     assert not serious
     assert len(messages) < 50, "beyond, the validator says no more"
-
-
-@pytest.mark.slow
-def test_three_loads_it_and_moves_the_bodies_as_they_moved(tmp_path: Path, root: Path) -> None:
-    environment = node("three")
-    cameras = write_scene(tmp_path, root, people=2, filmed=False)["training"]
-    given = options(tmp_path, 2)
-    with_a_thing(tmp_path, given)
-    (tmp_path / "load.mjs").write_text(_LOAD)
-    frame = 3
-    command = ["node", str(tmp_path / "load.mjs"), str(given["glb"]), str(frame / FPS)]
-    told = json.loads(subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout)
-    assert len(told["cameras"]) == len(cameras)
-    model, room = BodyModel.load(given["body"]), read_ply(given["background"])
-    assert told["points"][0] == pytest.approx(y_up(room.means_m[7]), abs=1e-5)
-    assert told["points"][1] == pytest.approx(y_up(room.means_m[7] + [frame / (FRAMES - 1), 0, 1]), abs=1e-5)
-    for k, places in enumerate(told["bodies"]):
-        person = read_avatar(given["gaussians"][k], given["avatars"][k], model)
-        expected = y_up(model.vertices(person.poses, person.betas, person.trans)[frame])[::500]
-        assert np.abs(np.array(places) - expected).max() < 0.004, "four bones per vertex instead of all"
 
 
 @pytest.mark.slow

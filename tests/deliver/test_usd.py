@@ -121,17 +121,6 @@ def test_a_thing_is_where_it_is_and_hidden_where_nobody_knows(tmp_path: Path, ro
     assert tuple(imageable.GetLocalTransformation(2).ExtractTranslation()) == (1, 2, 4)
 
 
-@pytest.mark.usefixtures("loads")
-@pytest.mark.parametrize("people", [0, 7])
-def test_an_empty_room_and_a_crowd(tmp_path: Path, root: Path, people: int) -> None:
-    from pxr import Usd
-
-    write_scene(tmp_path, root, people=people, filmed=False)
-    call(usd.run, **options(tmp_path, people))
-    stage = Usd.Stage.Open(str(tmp_path / "deliver/scene.usdc"))
-    assert sum(prim.GetTypeName() == "SkelRoot" for prim in stage.Traverse()) == people
-
-
 def test_without_usd_core_it_says_which_extra_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pxr", None)
     with pytest.raises(UserError, match=r"scene\.usdc is written by usd-core.*extra usd.*other files do not"):

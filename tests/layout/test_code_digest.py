@@ -53,11 +53,6 @@ def test_an_edit_in_an_imported_foundation_is_seen(copy: Path) -> None:
     assert code.digest("capture.manifest") != before
 
 
-def test_an_unknown_step_is_an_error() -> None:
-    with pytest.raises(FileNotFoundError):
-        code.digest("capture.nothing")
-
-
 def test_sources_are_parsed_once_and_remembered_by_what_they_hold(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = code.digest("capture.manifest")
     edit(copy / "capture" / "manifest.py", "\nEXTRA = 1\n")

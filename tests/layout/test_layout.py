@@ -310,14 +310,6 @@ def folders_named(text: str, known: frozenset[str] = frozenset()) -> set[str]:
     return found
 
 
-def test_what_a_rule_asks_is_seen_through_everything_it_names() -> None:
-    assert folders_named("model=MODEL,") == {"cameras"}
-    assert folders_named("given=files.given_plate,") == set()
-    assert folders_named("people=files.people_for_furniture,") == {"people"}
-    assert folders_named("light=files.room_light,") == {"people", "survey", "render"}
-    assert folders_named("seen=files.detector_masks,") == {"people", "tracks"}
-
-
 @pytest.mark.parametrize("stage", STAGES)
 def test_no_rule_takes_an_input_of_a_later_stage(stage: str) -> None:
     text = (ROOT / f"workflow/rules/{stage}.smk").read_text()

@@ -75,12 +75,3 @@ def test_every_exception_is_still_needed() -> None:
         assert word in names_used(PACKAGE.joinpath(*module.split(".")).with_suffix(".py")), (
             f"{module} no longer uses {word}"
         )
-
-
-def test_no_public_function_inverts_a_rotation_by_solving() -> None:
-    """A rotation's inverse is its transpose, which is exact; a solver's is not (row C01)."""
-    for path in MODULES:
-        for node in ast.walk(tree(path)):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "inv":
-                argument = ast.unparse(node.args[0])
-                assert "rotation" not in argument, f"{name_of(path)} inverts {argument}; use its transpose"

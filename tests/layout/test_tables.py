@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import ast
-import re
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -80,15 +79,6 @@ def test_a_reading_names_its_setting_with_the_default_and_its_place(reading: tab
         assert default_of(config, key) == yaml.safe_load(value), f"{reading.id}: {key} is not {value} in config.yaml"
 
 
-@pytest.mark.parametrize("reading", [r for r in table.readings() if r.settings], ids=lambda r: r.id)
-def test_the_configuration_names_the_reading_beside_its_setting(reading: table.Reading) -> None:
-    """The U-number stands in the comment above or beside at least one of its settings."""
-    lines = (table.ROOT / "config/config.yaml").read_text(encoding="utf-8").splitlines()
-    keys = {part.partition("=")[0].split(".")[-1] for part in table.pairs(reading.settings)}
-    named = {number for key in keys for comment in comments_of(lines, key) for number in named_in(comment)}
-    assert reading.id in named, f"{reading.id} is in no comment of {keys}"
-
-
 @pytest.mark.parametrize("reading", [r for r in table.readings() if r.literal], ids=lambda r: r.id)
 def test_the_paper_s_letter_can_be_chosen(reading: table.Reading) -> None:
     """Every setting of the letter is one that the configuration has, and together they are a configuration that is
@@ -110,45 +100,9 @@ def test_the_paper_s_letter_can_be_chosen(reading: table.Reading) -> None:
     }
 
 
-def test_every_reading_that_the_configuration_names_is_listed_with_its_setting() -> None:
-    text = (table.ROOT / "config/config.yaml").read_text(encoding="utf-8")
-    named = {number for line in text.splitlines() for number in named_in(line.partition("#")[2])}
-    with_settings = {reading.id for reading in table.readings() if reading.settings}
-    assert not named - with_settings, (
-        f"{sorted(named - with_settings)} stand in config.yaml, but have no setting in readings.tsv"
-    )
-
-
-def named_in(comment: str) -> set[str]:
-    """The readings that a comment names: U10, U11 and U12 for ``U10-U12`` and for ``U10 to U12``."""
-    ranges = re.findall(r"\bU(\d\d)(?:(?:-| to )U(\d\d))?\b", comment)
-    return {f"U{n:02d}" for first, last in ranges for n in range(int(first), int(last or first) + 1)}
-
-
 def default_of(config: dict[str, Any], key: str) -> Any:
     value: Any = config
     for part in key.split("."):
         assert part in value, f"config.yaml has no {key}"
         value = value[part]
     return value
-
-
-def comments_of(lines: list[str], key: str) -> list[str]:
-    """The comments beside every line that sets ``key``, together with the block of comments and settings it stands
-    in."""
-    found = []
-    for number, line in enumerate(lines):
-        if not line.strip().startswith(f"{key}:"):
-            continue
-        block, above = [line.partition("#")[2]], number - 1
-        # A comment may cover the few settings right below it.
-        while above >= 0 and number - above <= 6 and not lines[above].strip().endswith(":"):
-            block.append(lines[above].partition("#")[2])
-            above -= 1
-        # The header's own comment stands above it, over any number of lines.
-        above -= 1
-        while above >= 0 and lines[above].strip().startswith("#"):
-            block.append(lines[above].partition("#")[2])
-            above -= 1
-        found.append("\n".join(block))
-    return found

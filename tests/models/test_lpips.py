@@ -10,10 +10,7 @@ import pytest
 from studiorecon.errors import UserError
 from studiorecon.models.adapters.lpips import TRUNKS, Lpips, Net, normalised, read_lpips
 from studiorecon.splatting.train.perceptual import PerceptualSettings, perceptual, perceptual_of_tensors
-from studiorecon.splatting.train.targets import Target
-from studiorecon.splatting.train.terms import LpipsTerm, TensorView
 
-from tests.made.cameras import look_at
 from tests.made.vgg import random_weights
 
 VGG = TRUNKS["vgg"]
@@ -121,25 +118,6 @@ def test_tensors_on_a_device_give_what_pictures_on_the_cpu_do(settings: Perceptu
     found.backward()
     assert found.item() == pytest.approx(loss, rel=1e-5)
     np.testing.assert_allclose(moved.grad.numpy().transpose(1, 2, 0), gradient, atol=1e-5 * np.abs(gradient).max())
-
-
-def test_a_device_that_trains_sends_nothing_to_the_cpu() -> None:
-    """Tensors of the meta device have no values to send: what asks for one raises."""
-    import torch
-
-    weights = ({name: value.to("meta") for name, value in part.items()} for part in random_weights(torch.float32))
-    view = TensorView(
-        Target(look_at("c", np.array([4.0, 0, 1]), [0, 0, 1]).resized((40, 32)), np.zeros((32, 40, 3), np.float32)),
-        0,
-        np.random.default_rng(0),
-        *(torch.zeros(shape, device="meta", requires_grad=True) for shape in ((32, 40, 3), (32, 40))),
-        torch.zeros((3, 32, 40), device="meta"),
-        torch.zeros((32, 40), device="meta"),
-        "view",
-    )
-    loss = LpipsTerm(WHOLE, Lpips(*weights), True).on_cuda(view)
-    loss.backward()
-    assert view.rgb.grad.device.type == "meta"
 
 
 def test_a_crop_is_all_that_moves_and_rare_steps_weigh_more() -> None:

@@ -14,21 +14,19 @@ import tomllib
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.parametrize("kind", ["wheel", "sdist"])
-def test_the_same_tree_gives_the_same_bytes(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_same_tree_gives_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from hatchling.builders.sdist import SdistBuilder
     from hatchling.builders.wheel import WheelBuilder
 
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
-    builder = WheelBuilder if kind == "wheel" else SdistBuilder
-    built = []
     for folder in ("first", "second"):
-        (path,) = builder(str(ROOT)).build(directory=str(tmp_path / folder), versions=["standard"])
-        built.append(Path(path))
-        time.sleep(2.1)  # an archive counts in two seconds
+        for builder in (WheelBuilder, SdistBuilder):
+            list(builder(str(ROOT)).build(directory=str(tmp_path / folder), versions=["standard"]))
+        time.sleep(2.1 if folder == "first" else 0.0)  # an archive counts in two seconds
         os.utime(ROOT / "README.md")
-    assert built[0].name == built[1].name
-    assert built[0].read_bytes() == built[1].read_bytes()
+    first, second = ({p.name: p.read_bytes() for p in (tmp_path / folder).iterdir()} for folder in ("first", "second"))
+    assert len(first) == 2
+    assert first == second
 
 
 def test_the_version_has_its_changes() -> None:

@@ -47,7 +47,7 @@ def verdict(folder: Path, said: str) -> None:
     write_decisions(folder / "survey/decisions.json", [decided])
 
 
-@pytest.mark.parametrize("people", [0, 1, 7])
+@pytest.mark.parametrize("people", [0, 2])
 def test_a_scene_is_read_whole(tmp_path: Path, root: Path, people: int) -> None:
     scene = studiorecon.load(str(results(tmp_path, root, people)))
     assert (scene.name, scene.capture.fps, scene.capture.frames) == ("made", FPS, FRAMES)

@@ -73,8 +73,3 @@ def test_a_step_says_once_what_it_reads(tmp_path: Path, monkeypatch: pytest.Monk
     with pytest.raises(pytest.fail.Exception):
         step_settings.read_by("people.fit")
     step_settings._known.cache_clear()
-
-
-def test_an_unknown_step_is_an_error() -> None:
-    with pytest.raises(FileNotFoundError):
-        step_settings.read_by("people.nothing")

@@ -225,10 +225,6 @@ def test_the_pace_is_probed_once_and_then_remembered(tmp_path: Path, monkeypatch
     assert pace_here(held, remembered) == pytest.approx(0.2)
 
 
-def test_the_probe_takes_a_moment_of_real_work() -> None:
-    assert 0.005 < price_list.probe_s() < 10
-
-
 def test_a_studio_is_planned_from_its_description_and_made_first(configured: Callable[..., dict], home: Path) -> None:
     config = configured(dataset="resources/studio/demo.yaml")
     footage = measure_footage(make_plan(config, home), 30.0)

@@ -10,16 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import Phase, example, given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from studiorecon.body.fitting import fit as fitting
 from studiorecon.body.fitting import prior
 from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.configuration import settings as settings_module
-from studiorecon.depth import box as box_step
-from studiorecon.depth.layout.votes import Votes
-from studiorecon.depth.stereo.planes import hypotheses, rig_centre
-from studiorecon.depth.stereo.plates import Picture
 from studiorecon.geometry import rotations
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.keypoints.layouts import LAYOUTS
@@ -29,10 +25,9 @@ from studiorecon.people.association.grouping import group_tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
-from tests.made import room as made_room
-from tests.made.cameras import detect, look_at, ring, walk
+from tests.made.cameras import detect, ring, walk
 from tests.made.fitting_limits import SETTINGS
-from tests.properties.moved_worlds import World, level_worlds, rigid_worlds
+from tests.properties.moved_worlds import World, rigid_worlds
 
 # A fit or a grouping takes a tenth of a second or more: three examples, and none is looked for that is smaller.
 RARE = settings(max_examples=3, deadline=None, derandomize=True, phases=[Phase.generate])
@@ -115,12 +110,6 @@ def three_people(seed: int, cameras: list[Camera]) -> list[Detections]:
     return detect(cameras, people, 1.0, rng)
 
 
-def places(groups: list[Group]) -> list[np.ndarray]:
-    """Where every group stands in the first frame, in the order of x."""
-    found = [np.nanmedian(g.points_m[0], axis=0) for g in groups]
-    return sorted(found, key=lambda p: p[0])
-
-
 @RARE
 @given(st.integers(0, 50), st.permutations(range(4)), rigid_worlds())
 def test_people_are_grouped_alike_in_any_order_of_cameras_and_tracks(
@@ -143,62 +132,3 @@ def test_people_are_grouped_alike_in_any_order_of_cameras_and_tracks(
         np.testing.assert_allclose(
             group.points_m, world.points(by_members[frozenset(group.members)].points_m), atol=2e-6
         )
-
-
-@RARE
-@given(st.integers(0, 50), st.integers(0, 4))
-def test_a_camera_that_sees_nobody_changes_no_group(options: Association, seed: int, place: int) -> None:
-    cameras = ring(4)
-    found = three_people(seed, cameras)
-    here = grouped(found, cameras, options)
-    nobody = replace(found[0], camera="blind", **{n: getattr(found[0], n)[:0] for n in ("frame", "track", "keypoints")})
-    blind = look_at("blind", np.array([1.0, -5.0, 2.5]), [0, 0, 1])
-    there = grouped([*found[:place], nobody, *found[place:]], [*cameras[:place], blind, *cameras[place:]], options)
-    shifted = {frozenset((v + (v >= place), t) for v, t in g.members) for g in here}
-    assert {frozenset(g.members) for g in there} == shifted
-    for one, other in zip(places(here), places(there)):
-        np.testing.assert_allclose(other, one, atol=1e-9)
-
-
-@RARE
-@given(level_worlds())
-@example(World(rotations.exp(np.array([0.0, 0.0, -0.4237])), np.array([14.6, 4.5, 0.0])))
-def test_the_fitted_room_turns_with_its_world(default_settings: Callable[..., dict], world: World) -> None:
-    """The plates stay what they are when cameras and room turn and shift together; the walls that are found follow."""
-    section = default_settings("depth", sweep_width=96, wall_step_m=0.1, reach_m=5.0, furniture_m=0.5)
-    options = settings_module.load(box_step.Settings, section, "depth")
-    room = made_room.made_room(table=False)
-    cameras = made_room.ring(3, wh=(96, 54))
-    shots = [made_room.photograph(room, camera) for camera in cameras]
-    here = fitted_room(cameras, shots, 0.35, options)
-    yaw = float(np.arctan2(world.rotation[1, 0], world.rotation[0, 0]))
-    moved = fitted_room([world.camera(c) for c in cameras], shots, 0.35 + yaw, options)
-    assert (moved.fitted == here.fitted).all()
-    assert here.fitted[:5].sum() >= 3
-    assert (moved.yaw_rad - yaw) == pytest.approx(here.yaw_rad, abs=1e-6)
-    along = moved.axes @ world.shift
-    np.testing.assert_allclose(moved.low_m - along, here.low_m, atol=1e-5)
-    np.testing.assert_allclose(moved.high_m - along, here.high_m, atol=1e-5)
-
-
-def fitted_room(
-    cameras: list[Camera], shots: list[tuple[np.ndarray, np.ndarray]], yaw_rad: float, options: box_step.Settings
-):
-    """The room box from votes that say for every pixel which plane of the catalogue is nearest to its true depth."""
-    pictures = [Picture(c, rgb, np.ones(c.hw, bool)) for c, (rgb, _) in zip(cameras, shots)]
-    planes = hypotheses(
-        rig_centre(cameras),
-        yaw_rad,
-        0.0,
-        horizontal_step_m=0.1,
-        wall_step_m=0.1,
-        furniture_m=0.5,
-        ceiling_m=(2.4, 3.4),
-        reach_m=5.0,
-    )
-    chosen = []
-    for picture, (_, depth_m) in zip(pictures, shots):
-        off = np.stack([np.abs(picture.depth(plane, 0.3, 14.0) - depth_m) for plane in planes], axis=-1)
-        chosen.append(off.argmin(axis=-1))
-    confident = [np.ones(c.hw, bool) for c in cameras]
-    return box_step.fit_room_box(pictures, Votes(planes, chosen, confident), yaw_rad, 0.0, options)

@@ -18,7 +18,7 @@ from studiorecon.footage.streams import writing
 from studiorecon.footage.video import read_frame, read_stack, write_lossless
 from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.render import shot as render_shot
-from studiorecon.render.composite import Composite, blocked, millimetres, provenance_classes, truth_levels
+from studiorecon.render.composite import Composite, millimetres, provenance_classes
 from studiorecon.render.composite_renderer import CompositeRenderer
 from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.orbit import Orbit, azimuths, orbit_steps
@@ -116,11 +116,6 @@ def test_cameras_of_different_sizes_share_a_film_with_their_picture_at_the_top_l
     np.testing.assert_array_equal(steps[-1].camera.project(point)[0], narrow.project(point)[0])
 
 
-def test_one_camera_cannot_be_orbited() -> None:
-    with pytest.raises(UserError, match="at least two"):
-        orbit_steps(ORBIT, "orbit", ring([0], "cam"), subjects(np.zeros(3)), WH, np.ones(24))
-
-
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [
@@ -179,15 +174,6 @@ def test_the_same_inputs_give_the_same_bytes(scene: Path, settings: render_shot.
     assert contents[0] == contents[1]
 
 
-def test_an_empty_room_is_rendered_without_people_files(
-    tmp_path: Path, root: Path, settings: render_shot.Settings
-) -> None:
-    write_scene(tmp_path, root, people=0, filmed=False)
-    options = render_options(tmp_path, "train", people=0)
-    call(render_shot.run, settings, **{**options, "heldout_model": None, "body": None})
-    assert len(read_path(options["path"])[0]) == 4 * FRAMES
-
-
 @pytest.mark.parametrize(("shot", "sentence"), [("dolly", "no shot 'dolly'"), ("spiral", "kind 'spiral'")])
 def test_unknown_shots_are_refused(scene: Path, settings: render_shot.Settings, shot: str, sentence: str) -> None:
     with pytest.raises(UserError, match=sentence):
@@ -212,17 +198,6 @@ def flat(points: np.ndarray, rgb: np.ndarray) -> Gaussians:
         np.full(count, 6.0),
         sh_from_rgb(rgb)[:, None],
     )
-
-
-def test_the_truth_map_follows_what_is_in_front() -> None:
-    """An invented wall behind a measured ball: each pixel belongs to the surface that makes its colour; nothing is
-    invented."""
-    camera = ring([0], "cam")[0]
-    gaussians = flat(np.array([[0.0, 0, 1.0], [-1.5, 0, 1.0]]), np.full((2, 3), 0.5))
-    scene = Composite(gaussians, np.array([0, 2], np.uint8), [])
-    truth = truth_levels(CompositeRenderer(scene, 0.2).draw(camera, 0.0, (0, 0, 0))[1])
-    assert truth[WH[1] // 2, WH[0] // 2] == 255
-    assert truth[0, 0] == 0
 
 
 def test_nothing_reconstructed_shows_the_background_colour_and_counts_as_invented() -> None:
@@ -274,12 +249,6 @@ def test_a_picture_does_not_depend_on_those_drawn_before_it(root: Path) -> None:
 def test_depth_in_millimetres_keeps_unknown_and_saturates() -> None:
     depth = np.array([[0.0, 1.2345, 70.0, np.nan, np.inf]])
     assert millimetres(depth).tolist() == [[0, 1234, 65535, 0, 65535]]
-
-
-def test_a_wall_blocks_and_a_floater_does_not() -> None:
-    wall = np.stack(np.meshgrid([3.0], np.arange(-1, 1, 0.05), np.arange(0, 2, 0.05)), axis=-1).reshape(-1, 3)
-    gaussians = flat(np.concatenate([wall, [[0.0, 0, 1]]]), np.full((len(wall) + 1, 3), 0.5))
-    assert blocked(np.array([[2.9, 0, 1], [2.0, 0, 1], [0.05, 0, 1]]), gaussians, 0.3).tolist() == [True, False, False]
 
 
 def test_an_orbit_through_a_wall_is_shrunk_until_it_is_clear(scene: Path, settings: render_shot.Settings) -> None:

@@ -5,17 +5,13 @@ rest of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.body.avatar.avatar_files import Avatar, read_avatar, write_avatar
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.model import BodyModel
-from studiorecon.configuration import settings as settings_module
-from studiorecon.footage.video import read_stack
-from studiorecon.render import shot as render_shot
 from studiorecon.render.composite import Composite
 from studiorecon.render.composite_renderer import CompositeRenderer
 from studiorecon.render.room_light import Lamps, Light
@@ -23,8 +19,7 @@ from studiorecon.render.shading import shading
 from studiorecon.render.statistics import nearby_obstacles
 from studiorecon.scene.path import PathStep
 
-from tests.made.scene import FRAMES, avatar, render_options, ring, room, write_scene
-from tests.made.steps import call
+from tests.made.scene import FRAMES, avatar, ring, room
 
 # Present from frame 2 to frame 3.
 THERE = np.array([False, False, True, True, False, False])
@@ -99,37 +94,3 @@ def test_a_camera_may_stand_where_they_will_be(person: Avatar) -> None:
     near.camera_from_world[:3, 3] = -near.camera_from_world[:3, :3] @ always.joints_m(0.0)[15]
     assert nearby_obstacles([PathStep(near, 0.0, "00"), PathStep(near, 2.0, "00")], scene, 0.3)[0] == ""
     assert nearby_obstacles([PathStep(near, 0.0, "00")], replace(scene, people=[always]), 0.3) == ["p0"]
-
-
-def test_films_and_cameras_that_follow_them(
-    tmp_path: Path, root: Path, body: BodyModel, default_settings: Callable, capsys: pytest.CaptureFixture
-) -> None:
-    """The step: pictures, depth and truth; and a camera follows the whole path, including the interpolated part."""
-    write_scene(tmp_path, root, people=1, filmed=False)
-    section = default_settings("render")
-    section["shots"] = {
-        "heldout": {"kind": "heldout"},
-        "after": {"kind": "follow", "person": "p0", "frames": FRAMES},
-    }
-    settings = settings_module.load(render_shot.Settings, section, "render")
-    kinds = ("video", "depth", "truth")
-
-    def films(name: str, shot: str, people: int) -> dict[str, np.ndarray]:
-        options = render_options(tmp_path, shot, people)
-        options |= {key: tmp_path / name / options[key].name for key in (*kinds, "path", "ledger")}
-        call(render_shot.run, settings, **options)
-        return {kind: read_stack(options[kind]) for kind in kinds}
-
-    files = tmp_path / "humans/p0.ply", tmp_path / "humans/p0.npz"
-    as_ever, empty = films("always", "heldout", 1), films("empty", "heldout", 0)
-    assert "away" not in capsys.readouterr().out
-    write_avatar(*files, replace(read_avatar(*files, body), present=THERE))
-    found = films("now and then", "heldout", 1)
-    assert "shot heldout shows p0 in 4 pictures; in 8 p0 is away" in capsys.readouterr().out
-    for kind in kinds:
-        there = np.tile(THERE, 2)
-        np.testing.assert_array_equal(found[kind][there], as_ever[kind][there])
-        np.testing.assert_array_equal(found[kind][~there], empty[kind][~there])
-        assert (as_ever[kind] != empty[kind]).any(axis=tuple(range(1, as_ever[kind].ndim))).all()
-    followed = films("follows", "after", 1)["video"]
-    assert len(followed) == FRAMES

@@ -89,12 +89,6 @@ def test_swapping_twice_changes_nothing(people: list[Avatar]) -> None:
         same(one, other)
 
 
-def test_nothing_of_a_replaced_person_counts_as_measured(people: list[Avatar]) -> None:
-    swapped = replace_people(people, {"p1": "p0"}, "swap")
-    assert (swapped[1].provenance == 2).all()
-    assert swapped[0] is people[0]
-
-
 def test_colours_that_drift_over_another_time_take_their_mean(people: list[Avatar]) -> None:
     rng = np.random.default_rng(0)
     start = TemporalNetwork.start(np.array([-1.0, -1.0, -1.0]), np.ones(3) * 2, people[0].frames, rng, 8, 2)

@@ -78,11 +78,6 @@ def test_a_gap_is_no_switch() -> None:
     assert identity_switches(frame, view, np.zeros(5, int), np.array([1, -1, 1, 2, 2])) == 1
 
 
-def test_arrays_of_different_length_are_named() -> None:
-    with pytest.raises(ValueError, match=r"\(2,\)"):
-        association_accuracy(np.zeros(2), np.zeros(3), np.zeros(2), np.zeros(2))
-
-
 def test_the_order_of_detections_does_not_matter() -> None:
     rng = np.random.default_rng(0)
     truth, given = rng.integers(-1, 3, 60), rng.integers(-1, 3, 60)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from studiorecon import __main__ as command
 from studiorecon.body.model import BodyModel
-from studiorecon.body.person_files import read_person, write_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
@@ -24,13 +23,13 @@ from studiorecon.report.metrics import films
 from studiorecon.report.metrics.bodies import align_by_similarity, compare_bodies, match
 from studiorecon.report.metrics.estimated import EstimatedFiles, estimated_regions
 from studiorecon.report.metrics.measures import Flicker, measure_sequence, summary
-from studiorecon.report.metrics.truth import TrueView, regions, true_joints
+from studiorecon.report.metrics.truth import TrueView, regions
 from studiorecon.report.sections import paper
 from studiorecon.report.sections import tables as sections
 from studiorecon.report.sections.cost import cost, read_benchmark
 from studiorecon.report.sections.pictures import depth_picture, difference, mask_picture, truth_picture
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.files import read_json, read_table, write_json
+from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.path import PathStep, write_path
 from studiorecon.scene.people import Person
 
@@ -387,48 +386,6 @@ def test_a_network_that_saw_the_held_out_cameras_is_declared(
     assert "pi3 estimated the cameras from the first picture of every camera, held-out ones included" in told["pi3"]
 
 
-def test_without_held_out_cameras_nothing_is_scored_and_the_reason_is_told(
-    reported: Path, default_settings: Callable, tmp_path: Path
-) -> None:
-    write_json(tmp_path / "unused.json", {})
-    for name in ("cameras", "images"):
-        (tmp_path / f"{name}.txt").write_text("# none\n")
-    call(
-        evaluate.run,
-        settings_module.load(evaluate.Settings, default_settings("report"), "report"),
-        manifest=reported / "capture/manifest.json",
-        model=reported / "cameras/images.txt",
-        heldout_model=tmp_path / "images.txt",
-        poses=poses_of_nobody(tmp_path),
-        truth_maps=[],
-        metrics=tmp_path / "metrics.json",
-    )
-    values = read_json(tmp_path / "metrics.json")["pictures"]["raw"]["psnr"]
-    assert values["value"] is None
-    assert "held out" in values["reason"]
-
-
-def test_bodies_are_scored_from_the_files(tmp_path: Path) -> None:
-    joints = walking(np.random.default_rng(0))
-    for folder, shift in (("truth/bodies", 0.0), ("people", 0.02)):
-        person = Person(
-            "p0",
-            "any",
-            30.0,
-            np.zeros((20, 72)),
-            np.zeros((20, 3)),
-            np.zeros(10),
-            joints + np.array([shift, 0, 0]),
-            np.ones(20, bool),
-            np.zeros((20, 24)),
-            True,
-        )
-        write_person(tmp_path / folder / "p0.npz", person)
-    result = evaluate.score_bodies([read_person(tmp_path / "people/p0.npz")], true_joints(tmp_path / "truth"))
-    assert result["mpjpe_world_mm"] == pytest.approx(20)
-    assert evaluate.score_bodies([], None)["reason"]
-
-
 def write_folders(folder: Path, shift: int = 10, frames: int = 30, cameras: str = "ab") -> None:
     """``truth`` and ``renders`` of moving noise, the renders brighter by ``shift`` levels and a little noisy, and
     ``masks`` of a block."""
@@ -598,21 +555,6 @@ def test_without_held_out_cameras_the_training_cameras_are_compared_apart(
     assert metrics["pictures"]["raw"]["psnr"]["value"] is None
 
 
-def test_a_run_measures_lpips_when_it_is_told_to(
-    tmp_path: Path, weights: Path, root: Path, default_settings: Callable
-) -> None:
-    def with_lpips(stage: str) -> dict:
-        return default_settings(stage, **({"lpips": "alex"} if stage == "report" else {}))
-
-    scene = report_scene(tmp_path / "scene", root, with_lpips, weights)
-    metrics = read_json(scene / "report/metrics.json")
-    raw, enhanced = (metrics["pictures"][version]["lpips"]["value"] for version in ("raw", "enhanced"))
-    assert raw > enhanced == 0, "the enhanced film is the photos themselves"
-    _, rows = paper.table(metrics, {}, root / "resources/paper/results.tsv")
-    assert {row[0]: row for row in rows}["LPIPS ↓"][1:3] == [f"{raw:.3f}", "0.000"]
-    assert f"{raw:.4f}" in (scene / "report/index.html").read_text()
-
-
 def test_the_papers_rows_stand_beside_the_runs_and_are_marked(reported: Path, root: Path) -> None:
     recognised = {"raw": {"pck_0.05": 0.75}}
     header, rows = paper.table(
@@ -624,16 +566,3 @@ def test_the_papers_rows_stand_beside_the_runs_and_are_marked(reported: Path, ro
     assert by_measure["LPIPS ↓"][1:3] == [MISSING, MISSING]
     assert by_measure["PCK@0.05 ↑"][1:3] == ["0.750", MISSING]
     assert "Compared with the paper" in (reported / "report/index.html").read_text()
-
-
-def test_the_papers_means_are_the_means_of_its_scenes(root: Path) -> None:
-    lines = read_table(root / "resources/paper/results.tsv", paper.COLUMNS)
-    for method, measures in paper.paper_rows(root / "resources/paper/results.tsv").items():
-        for name in ("psnr", "ssim", "lpips"):
-            each = [
-                float(x["value"])
-                for x in lines
-                if x["table"] in ("tab:360", "tab:180") and (x["method"], x["measure"]) == (method, name)
-            ]
-            assert len(each) == 8
-            assert measures[name][0] == pytest.approx(np.mean(each), abs=0.0051 if name == "psnr" else 0.0011)

@@ -4,25 +4,17 @@ against the CPU's kernels."""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
-from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.model import BodyModel
-from studiorecon.configuration import settings as settings_module
-from studiorecon.humans import train, training
 from studiorecon.render import composite_renderer as render_canvas
 from studiorecon.render.composite import Composite
 from studiorecon.render.composite_renderer import CompositeRenderer
 from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
 
 from tests.made.gsplat_stand_in import rasterization
-from tests.made.humans import WH, Made, body, made, score
+from tests.made.humans import body, made
 from tests.made.scene import avatar, ring, room
-from tests.made.steps import call
 
 __all__ = ["body", "made"]
 
@@ -54,26 +46,3 @@ def test_a_film_s_pictures_and_layers(body: BodyModel, monkeypatch: pytest.Monke
     assert np.abs(found_layers.mattes - wanted_layers.mattes).mean() < 1e-5
     normals = [layers.rendering.normals for layers in (found_layers, wanted_layers)]
     assert np.abs(normals[0] - normals[1])[wanted_layers.rendering.alpha > 0.5].mean() < 1e-3
-
-
-def test_a_person_learns_the_same(
-    made: Made, body: BodyModel, default_settings: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    section = copy.deepcopy(default_settings("humans", iterations=8, gaussians=120))
-    section["temporal"]["use"] = "never"
-    settings = settings_module.load(train.Settings, section, "humans")
-    for name, rasteriser in (("cpu", training.rasteriser_on), ("gsplat", gsplat)):
-        folder = tmp_path / name
-        folder.mkdir()
-        monkeypatch.setattr(training, "rasteriser_on", rasteriser)
-        written = {"gaussians": folder / "p3.ply", "avatar": folder / "p3.npz", "working": folder / "working"}
-        call(train.run, settings, **made.options, **written)
-    by_cpu, by_gsplat = (
-        read_avatar(tmp_path / name / "p3.ply", tmp_path / name / "p3.npz", body) for name in ("cpu", "gsplat")
-    )
-    apart_m = np.linalg.norm(by_cpu.gaussians.means_m - by_gsplat.gaussians.means_m, axis=1)
-    assert np.median(apart_m) < 1e-4
-    between = ring([45, 200], "view", wh=WH)
-    assert score(made, body, tmp_path / "gsplat", between) == pytest.approx(
-        score(made, body, tmp_path / "cpu", between), abs=0.05
-    )

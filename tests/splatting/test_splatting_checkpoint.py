@@ -5,7 +5,6 @@ sentence."""
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -59,7 +58,7 @@ def same(a: TrainedGaussians, b: TrainedGaussians) -> None:
 
 
 @pytest.mark.parametrize("changes", [pytest.param(v, id=k) for k, v in VARIANTS.items()])
-@pytest.mark.parametrize("after", [2, 14, 27])
+@pytest.mark.parametrize("after", [2, 14])
 def test_a_run_taken_up_ends_with_the_same_bytes(
     lesson: tuple[Gaussians, list[Target]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, changes: dict, after: int
 ) -> None:
@@ -160,12 +159,3 @@ def test_feedback_says_how_it_goes_and_paints_it(
     wanted, shown = np.split(cv2.imread(str(pictures[-1])).astype(float), 2, axis=1)
     early = np.split(cv2.imread(str(pictures[0])).astype(float), 2, axis=1)[1]
     assert np.abs(shown - wanted).mean() < np.abs(early - wanted).mean()
-
-
-def test_checkpoints_do_not_change_the_result(lesson: tuple[Gaussians, list[Target]], tmp_path: Path) -> None:
-    begin, targets = lesson
-    settings = replace(SETTINGS, iterations=20)
-    make: Callable[..., TrainedGaussians] = lambda **more: train(  # noqa: E731
-        begin, targets, settings, np.random.default_rng(0), extent_m=1.0, threads=1, **more
-    )
-    same(make(), make(checkpoint=Checkpoint(tmp_path / "state.npz", "mark", ALWAYS), previews=tmp_path / "previews"))

@@ -13,7 +13,7 @@ from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.cpu.rasterise import Rasteriser, Rendering
 from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
 
-from tests.made.gaussians import camera, from_values, hard, rasterise, room
+from tests.made.gaussians import camera, from_values, rasterise, room
 from tests.made.gsplat_stand_in import rasterization
 from tests.made.splatting_gradients import BACKGROUND, FIELDS, NEAR_M, SCENES, Pictures, reference
 
@@ -124,20 +124,6 @@ def test_screen_gradient_is_the_gradient_by_the_projected_centre() -> None:
             losses.append(float((moved.rgb * by).sum(dtype=np.float64)))
         slopes.append((losses[1] - losses[0]) / (2 * step))
     assert found == pytest.approx(np.hypot(*slopes), rel=6e-2)
-
-
-@pytest.mark.parametrize("threads", [1, 2, 3])
-def test_the_same_thread_count_repeats_bit_for_bit(threads: int) -> None:
-    gaussians, view = hard(900, 7), camera(160, 90)
-    by = np.random.default_rng(1).normal(size=(*view.hw, 3)).astype(np.float32)
-    results = []
-    for _ in range(2):
-        rasteriser = Rasteriser(near_m=NEAR_M, threads=threads)
-        rendering = rasteriser.forward(gaussians, view)
-        gradients = rasteriser.backward(by)
-        results.append([rendering.rgb, rendering.depth_m] + [getattr(gradients, name) for name in FIELDS])
-    for first, second in zip(*results, strict=True):
-        assert first.tobytes() == second.tobytes()
 
 
 def test_the_image_does_not_depend_on_threads_or_on_the_order_of_gaussians() -> None:
