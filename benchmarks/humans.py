@@ -34,20 +34,16 @@ from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person, write_person
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.video import read_frames, write_lossless
 from studiorecon.geometry import rotations
 from studiorecon.humans import train
-from studiorecon.humans.crop_reader import read_crops
 from studiorecon.people import fit
 from studiorecon.scene.gaussians import concatenate
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.people import Detections, Person, read_detections, read_people, write_detections
 from studiorecon.splatting.cpu.rasterise import Rasteriser
-from studiorecon.splatting.train.schedule import TrainingSettings
 
-from benchmarks.free_people import FreePerson, free_person
-from tests.defaults import default_settings, loaded
+from tests.defaults import loaded
 
 ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results" / "humans.json"
@@ -115,10 +111,7 @@ ROWS: dict[str, dict[str, Any]] = {
     "bodies turned by 5 degrees, poses as fitted": {"body": turned(5.0), "rates": {"pose_rad": 0.0}},
     "harmonics of degree 0": {"sh_degree": 0},
     "the paper's weight grid": {"skinning": "grid"},
-    "no body, frame by frame from the masks' hull": {"free": "hull"},
-    "no body, frame by frame from anywhere": {"free": "anywhere"},
 }
-FREE_STEPS = 600
 
 
 def trained(scene: Path, person: str, changes: dict[str, Any], folder: Path) -> tuple[Path, Path, float]:
@@ -180,26 +173,7 @@ def refitted(scene: Path, person: str, change: Callable[[Detections, int], Detec
     return path
 
 
-def freed(scene: Path, person: str, start: str) -> tuple[FreePerson, float]:
-    """The person without a body, and the processor seconds that took."""
-    cameras, settings, body = read_model(scene / "cameras"), loaded(train.Settings), BodyModel.load(BODY)
-    fitted = read_person(scene / f"people/{person}.npz")
-    videos, masks = ([scene / f"{kind}/{camera.name}.mkv" for camera in cameras] for kind in ("capture", "masks"))
-    label = read_people(scene / "people/people.tsv").index(person) + 1
-    crops = read_crops(
-        settings, cameras, videos, masks, fitted, body, label, len(fitted.valid), Path(tempfile.gettempdir())
-    )
-    changes = {"iterations": FREE_STEPS, "checkpoint_every_s": 0.0}
-    steps = settings_module.load(
-        TrainingSettings, default_settings("background", training=changes)["training"], "background"
-    )
-    begin = time.process_time()
-    frames = range(0, len(fitted.valid), STEP)
-    found = free_person(crops, fitted.trans, frames, steps, settings.gaussians, start == "hull", settings.seed)
-    return found, time.process_time() - begin
-
-
-def held_out_db(scene: Path, truth: Path, person: str, avatar: Avatar | FreePerson) -> tuple[list[float], list[float]]:
+def held_out_db(scene: Path, truth: Path, person: str, avatar: Avatar) -> tuple[list[float], list[float]]:
     """PSNR of the person's pixels, and of whole frames, in every ``STEP``-th frame of every held-out camera that shows
     60 of them."""
     rasteriser = Rasteriser(near_m=0.05, threads=1)
@@ -239,11 +213,8 @@ def main() -> None:
         scores, frames, seconds = [], [], 0.0
         for person in options.people:
             with tempfile.TemporaryDirectory() as folder:
-                if ROWS[name].get("free"):
-                    avatar, spent = freed(options.scene, person, ROWS[name]["free"])
-                else:
-                    ply, npz, spent = trained(options.scene, person, ROWS[name], Path(folder))
-                    avatar = read_avatar(ply, npz, BodyModel.load(BODY))
+                ply, npz, spent = trained(options.scene, person, ROWS[name], Path(folder))
+                avatar = read_avatar(ply, npz, BodyModel.load(BODY))
                 own, whole = held_out_db(options.scene, options.truth, person, avatar)
                 scores, frames, seconds = scores + own, frames + whole, seconds + spent
         means = {"person_db": np.mean(scores), "worst_person_db": np.min(scores), "frame_db": np.mean(frames)}

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Milliseconds of our rasteriser beside its peers, and seconds of a whole training; writes results/splats.json.
+"""Milliseconds of our rasteriser, and seconds of a whole training; writes results/splats.json.
 
-    python -m benchmarks.splats [--threads 2] [--gsplat DIR] [--iterations 7000]
+    python -m benchmarks.splats [--threads 2] [--iterations 7000]
 
-DIR is gsplat 1.5.3's unpacked wheel (pip download --no-deps gsplat==1.5.3; python -m zipfile -e …). Peers and ours
-take turns in one process; each figure is the minimum of its rounds, because other processes can only add to it.
-Ratios are of processor time on one thread, which a busy machine hardly changes. A training is wall time.
+Calls take turns in one process; each figure is the minimum of its rounds, because other processes can only add to it.
+A training is wall time.
 """
 
 from __future__ import annotations
@@ -30,7 +29,6 @@ from studiorecon.splatting.train.blocked_set import BlockedSet
 from studiorecon.splatting.train.targets import DrawOrder, Target
 from studiorecon.splatting.train.terms import active_terms
 
-from benchmarks import peers
 from tests.made.gaussians import camera, camera_on_ring, room
 from tests.made.splatting_settings import SETTINGS
 from tests.made.training import one_step
@@ -51,11 +49,11 @@ def min_ms(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, flo
     return ms
 
 
-def against_peers(gsplat: Path | None, rounds: int) -> dict[str, float]:
-    """50,000 Gaussians at 320×176 on one thread: milliseconds of ours and of every peer, and the ratios."""
+def on_one_thread(rounds: int) -> dict[str, float]:
+    """Milliseconds of 50,000 Gaussians at 320×176 on one thread."""
     scene, view = room(50_000, 0), camera(320, 176)
-    scene = scene.take(morton_order(scene.means_m))
-    blocked, by = block(scene), np.random.default_rng(0).normal(size=(5, *view.hw)).astype(np.float32)
+    blocked = block(scene.take(morton_order(scene.means_m)))
+    by = np.random.default_rng(0).normal(size=(5, *view.hw)).astype(np.float32)
     ours = Rasteriser(near_m=0.01, threads=1)
 
     def both() -> None:
@@ -64,27 +62,8 @@ def against_peers(gsplat: Path | None, rounds: int) -> dict[str, float]:
 
     with ours.own_threads():
         both()
-        calls: dict[str, Callable[[], object]] = {
-            "forward": lambda: ours.draw(blocked, view, (0, 0, 0)),
-            "forward + backward": both,
-        }
-        if gsplat:
-            import torch
-
-            torch.set_num_threads(1)
-            theirs = peers.gsplat_reference(gsplat, scene, view, ours, by)
-            calls["gsplat's torch reference, forward + backward"] = lambda: theirs(True)
-        for call in calls.values():
-            call()
-        ms = min_ms(calls, rounds)
-    ratios: dict[str, float] = {}
-    if gsplat:
-        picture = float(np.abs(theirs(False) - ours.planes[:3].transpose(1, 2, 0)).mean())
-        ratios["times gsplat's torch reference"] = (
-            ms["gsplat's torch reference, forward + backward"] / ms["forward + backward"]
-        )
-        ratios["mean difference of gsplat's picture from ours"] = picture
-    return {f"{name}, ms": value for name, value in ms.items()} | ratios
+        ms = min_ms({"forward": lambda: ours.draw(blocked, view, (0, 0, 0)), "forward + backward": both}, rounds)
+    return {f"{name}, ms": value for name, value in ms.items()}
 
 
 def by_size(threads: int) -> dict[str, float]:
@@ -142,14 +121,13 @@ def training(count: int, width: int, height: int, threads: int, iterations: int)
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--gsplat", type=Path, help="gsplat's unpacked wheel")
     parser.add_argument("--iterations", type=int, default=7000, help="steps of the whole training")
     parser.add_argument("--rounds", type=int, default=20)
     options = parser.parse_args()
     figures = {
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, numba {numba.__version__}",
         "load": os.getloadavg()[0],
-        "one_thread": against_peers(options.gsplat, options.rounds),
+        "one_thread": on_one_thread(options.rounds),
         "by_size": by_size(options.threads),
         "training": training(*SIZES[1], options.threads, options.iterations),
     }
