@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from studiorecon.geometry.camera_path import (
-    arc_path,
     axis_miss_rad,
     azimuths_rad,
     clearance_share,
@@ -129,12 +128,3 @@ def test_open_arcs_do_not_fly_through_their_gap() -> None:
     assert order == [0, 2, 1]
     assert gap == pytest.approx(np.radians(250))
     assert order_around(cameras, TARGET, closed=True)[0] == [0, 2, 1]
-
-
-def test_arc_of_a_camera_to_itself_stays() -> None:
-    camera = at(30)
-    assert arc_path(camera.centre_m, camera.centre_m, np.linspace(0, 1, 5), TARGET) == pytest.approx(
-        np.tile(camera.centre_m, (5, 1))
-    )
-    views, _ = way(camera, camera)
-    assert np.abs(views[7].camera_from_world - camera.camera_from_world).max() < 1e-9

@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
-from studiorecon import geometry
 from studiorecon.errors import UserError
 from studiorecon.geometry.distortion import distort, fold_radius, undistort
 from studiorecon.geometry.lens import video_from_working, working_from_video, working_view, working_wh
@@ -56,26 +54,10 @@ def test_without_distortion_every_finite_point_is_its_own(k1: float) -> None:
     assert undistort(np.array([np.inf, 0.0]), "opencv", np.array([k1]))[1].tolist() is False
 
 
-def test_a_lens_without_distortion_asks_no_solver(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its import takes longer than most steps that read footage take to start."""
-    monkeypatch.delattr(geometry, "distortion_kernels", raising=False)
-    monkeypatch.setitem(sys.modules, "studiorecon.geometry.distortion_kernels", None)
-    with pytest.raises(ImportError):
-        undistort(np.zeros(2), "opencv", np.array([0.1]))
-    assert undistort(np.ones(2), "opencv", np.zeros(5))[1]
-
-
 def test_fisheye_knows_that_a_right_angle_has_no_pinhole_ray():
     assert fold_radius("fisheye", np.zeros(4)) == pytest.approx(np.pi / 2, abs=1e-5)
     _, valid = undistort(np.array([[1.2, 0.0], [1.6, 0.0]]), "fisheye", np.zeros(4))
     assert valid.tolist() == [True, False]
-
-
-def test_a_pinhole_of_the_same_size_is_left_untouched():
-    view = working_view(PINHOLE, (640, 480), (640, 480))
-    picture = np.random.default_rng(0).integers(0, 255, (480, 640, 3), dtype=np.uint8)
-    assert np.abs(view.intrinsics - PINHOLE.intrinsics).max() < 1e-9
-    assert np.array_equal(view.picture(picture), picture)
 
 
 def test_a_smaller_working_picture_is_a_pure_scaling_and_does_not_alias():

@@ -6,7 +6,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation, Slerp
 from studiorecon.geometry import rotations
 from studiorecon.geometry.triangulation import triangulate
 
@@ -47,10 +46,3 @@ def test_projection_and_triangulation_are_colmaps() -> None:
             *(np.append(r[n], 1.0) / np.hypot(1, np.linalg.norm(r[n])) for r in rays),
         )
         assert np.linalg.norm(found.points_m[n] - theirs) < 1e-9
-
-
-def test_slerp_is_scipys() -> None:
-    pair = Rotation.random(2, random_state=3)
-    shares = np.linspace(0, 1, 33)
-    theirs = Slerp([0, 1], pair)(shares).as_matrix()
-    np.testing.assert_allclose(rotations.slerp(*pair.as_matrix(), shares), theirs, atol=1e-12)

@@ -129,18 +129,3 @@ def test_one_scale_for_the_scene_and_every_persons_own_ratio_beside_it() -> None
     found = solve(joints)
     assert found.world_per_metre == pytest.approx(0.5, rel=0.04)
     assert found.per_person[2] / found.per_person[0] == pytest.approx(1.08, rel=1e-6)
-
-
-def test_turning_the_scene_changes_nothing_and_scaling_it_scales() -> None:
-    joints = made(1.0, noise_m=0.02)
-    turned = 7.0 * joints @ exp(np.array([0.3, -1.0, 0.7])).T + [100.0, 5, -8]
-    assert solve(turned).world_per_metre == pytest.approx(7 * solve(joints).world_per_metre, rel=1e-9)
-
-
-def test_a_hundredth_of_broken_joints_changes_little() -> None:
-    joints = made(1.0, frames=200, noise_m=0.01)
-    broken = joints.copy()
-    where = np.random.default_rng(0).random(joints.shape[:3]) < 0.01
-    for bad in (np.nan, np.inf, 0.0):
-        broken[where] = bad
-        assert solve(broken).world_per_metre == pytest.approx(solve(joints).world_per_metre, rel=0.01)

@@ -179,21 +179,6 @@ def test_what_is_smoothed_follows_the_settings() -> None:
         Smoothing(HALF_S, 1 / 30, "rotations").smooth_body(local, trans[:29], 30.0)
 
 
-def test_no_smoothing_changes_nothing() -> None:
-    rng = np.random.default_rng(0)
-    values = rng.normal(size=(20, 4))
-    np.testing.assert_array_equal(smoothing.smooth_vectors(values, 1.0, 0.0), values)
-    turns = rotations.exp(rng.normal(size=(20, 5, 3)))
-    np.testing.assert_allclose(smoothing.smooth_rotations(turns, 1.0, 0.0), turns, atol=1e-14)
-
-
-def test_time_reversal_commutes() -> None:
-    values = np.random.default_rng(1).normal(size=(30, 3))
-    np.testing.assert_allclose(
-        smoothing.smooth_vectors(values[::-1], 0.5, 1)[::-1], smoothing.smooth_vectors(values, 0.5, 1), atol=1e-14
-    )
-
-
 @pytest.mark.parametrize("fps", [15.0, 60.0, 120.0])
 def test_smoothing_keeps_its_length_in_seconds(fps: float) -> None:
     reference = Smoothing(1 / (30 * np.log(2)), 1 / 30, "rotations")

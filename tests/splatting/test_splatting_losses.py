@@ -6,7 +6,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from studiorecon.splatting.train.perceptual import PerceptualSettings
-from studiorecon.splatting.train.photometric import Photometric
 from studiorecon.splatting.train.schedule import TrainingSettings
 from studiorecon.splatting.train.targets import Target
 from studiorecon.splatting.train.terms import Density, L1AndSsim, LpipsTerm, TensorView, active_terms
@@ -58,21 +57,6 @@ def test_photometric_loss_agrees_with_autograd(hw: tuple[int, int], l1: float, s
     expected, by_rendered = autograd_photometric(rendered, target, weight, l1, ssim)
     assert loss == pytest.approx(expected, abs=1e-6)
     assert np.linalg.norm(gradient - by_rendered) < 2e-6 * np.linalg.norm(by_rendered)
-
-
-def test_statistics_computed_at_use_equal_kept_ones() -> None:
-    rendered, target, weight = pair((40, 53), 5)
-    planes = np.zeros((5, 40, 53), np.float32)
-    planes[:3] = rendered.transpose(2, 0, 1)
-    loss = Photometric((40, 53), 0.7, 0.3)
-    gradients = [np.zeros_like(planes) for _ in range(2)]
-    terms = [
-        loss.evaluate(planes, loss.prepare(target, weight, keep), gradients[i]) for i, keep in enumerate((True, False))
-    ]
-    assert terms[0] == terms[1]
-    np.testing.assert_array_equal(*gradients)
-    used = weight > 0
-    assert terms[0].psnr_db == pytest.approx(-10 * np.log10(((rendered - target)[used] ** 2).mean()), abs=1e-3)
 
 
 def test_the_papers_density_counts_masked_pixels_like_all_others() -> None:

@@ -70,23 +70,6 @@ def test_a_depth_network_of_ones_own_is_planned_and_a_missing_one_refused(
     assert {"depth_network": 1, "depth_refine": 3}.items() <= on(house, dataset).plan(*settings).items()
 
 
-def test_the_papers_networks_are_one_preset() -> None:
-    preset = yaml.safe_load((ROOT / "config/presets/networks.yaml").read_text())
-    assert [name for _, name in select_networks(preset)] == [
-        "pi3",
-        "comotion",
-        "sam3",
-        "moge",
-        "gen3c",
-        "difix",
-        "raft",
-        "lpips",
-        "lpips",
-        "lpips_alex",
-        "smpl",
-    ]
-
-
 def test_what_may_not_be_used_or_is_not_there_is_named_before_anything_runs(
     house: House, dataset: Path, tmp_path: Path
 ) -> None:

@@ -66,48 +66,21 @@ def test_jobs_ask_for_the_memory_that_the_preset_needs(jobs: dict[str, str]) -> 
     assert asked["background_half"] == ROOM_MB + round(724 * 1280 * 720 * 16 / 1e6)
 
 
-def test_new_views_start_beside_people(jobs: dict[str, str]) -> None:
-    """Depth and cameras of the first moment are all that GEN3C takes; people only matter to what is trained on."""
-    inputs = re.search(r"input: (.*)", jobs["views_request"]).group(1)
-    assert "capture/front.mkv" in inputs
-    assert not re.search(r"people|masks/|npz", inputs)
-
-
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        (
-            {"calibration": {"source": "people"}, "depth": {"reference": "planes"}},
-            "set calibration.source to one",
-        ),
+        ({"calibration": {"source": "people"}, "depth": {"reference": "planes"}}, "set calibration.source to one"),
         ({"depth": {"source": "pi3"}}, "needs the depth of every frame"),
         ({"detect": {"source": "auto"}}, "the built-in detector is used"),
-    ],
-    ids=["first moment", "every frame", "second look"],
-)
-def test_lifting_by_depth_is_refused_without_what_it_reads(
-    house: House, videos: Path, changed: dict, said: str
-) -> None:
-    refused = House(house.folder, str(videos)).snakemake(
-        "--dry-run", "--configfile", *PRESETS, house.overlay(**changed), check=False
-    )
-    assert refused.returncode != 0
-    assert "people.association.position is scene" in refused.stdout
-    assert said in refused.stdout
-
-
-@pytest.mark.parametrize(
-    ("changed", "said"),
-    [
         (
             {"calibration": {"source": "people"}, "people": {"association": {"position": "rays"}}},
             "depth.reference is calibration",
         ),
         ({"masks": {"source": "embedded"}}, "views.people is network"),
     ],
-    ids=["depth", "people in views"],
+    ids=["first moment", "every frame", "second look", "depth", "people in views"],
 )
-def test_a_letter_that_lacks_its_network_is_refused(house: House, videos: Path, changed: dict, said: str) -> None:
+def test_a_setting_that_lacks_what_it_reads_is_refused(house: House, videos: Path, changed: dict, said: str) -> None:
     refused = House(house.folder, str(videos)).snakemake(
         "--dry-run", "--configfile", *PRESETS, house.overlay(**changed), check=False
     )

@@ -82,14 +82,7 @@ def test_a_network_that_is_fetched_is_an_input_once_it_is_there(house: House, da
     assert "rtmpose-m-halpe26-256x192.onnx: 0.056 GB; free to fetch; SHA-256 26f3a19e" in listed
 
 
-@pytest.mark.parametrize(
-    ("remove", "words"),
-    [
-        ("keypoints", "has no 2D keypoints"),
-        ("keypoints/back", "camera back"),
-        ("videos", "neither videos"),
-    ],
-)
+@pytest.mark.parametrize(("remove", "words"), [("keypoints/back", "camera back"), ("videos", "neither videos")])
 def test_what_is_missing_is_named_before_anything_runs(house: House, dataset: Path, remove: str, words: str) -> None:
     (dataset / remove).rename(dataset / ".hidden")
     files_only = "--configfile", on(house, dataset).overlay(detect={"source": "keypoints"})
@@ -139,24 +132,6 @@ def test_a_captures_calibration_is_judged_on_request(house: House, dataset: Path
     assert not [rule for rule in asked if rule.split("_")[0] in ("depth", "background", "humans", "render")]
 
 
-def test_views_between_cameras_wait_for_the_survey_unless_it_is_forced(house: House, dataset: Path) -> None:
-    known = {"exposure": "off", "view_dependent_colour": "off", "closed_path": "on"}
-    there = on(house, dataset)
-    target = f"results/{dataset.name}/background/scene.ply"
-    plans = {
-        verdict: there.plan(
-            target,
-            "--configfile",
-            there.overlay(survey={"force": known | ({"view_synthesis": verdict} if verdict else {})}),
-        )
-        for verdict in ("", "on", "off")
-    }
-    assert plans["on"]["views_synthesize"] == 3
-    assert "views_synthesize" not in plans["off"] | plans[""]
-    assert plans[""]["survey_decide"] == 1
-    assert "survey_decide" not in plans["off"] | plans["on"], "nothing is asked that is known"
-
-
 def test_films_are_taken_apart_into_exr_when_asked(house: House, dataset: Path) -> None:
     there = on(house, dataset)
     plan = there.plan("--configfile", there.overlay(render={"exr": True}))
@@ -168,10 +143,6 @@ def test_workflow_also_runs_from_another_directory(tmp_path: Path) -> None:
     (tmp_path / "elsewhere").mkdir()
     plan = made.plan("--directory", str(tmp_path / "elsewhere"))
     assert plan["studio_capture"] == 1
-
-
-def test_the_default_dataset_is_the_demo() -> None:
-    assert "dataset: resources/studio/demo.yaml" in (ROOT / "config/config.yaml").read_text()
 
 
 def test_a_first_look_makes_one_film_and_measures_nothing(house: House, dataset: Path) -> None:
