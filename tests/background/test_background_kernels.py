@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from numba.core.registry import CPUDispatcher
 from studiorecon.background import kernels
 from studiorecon.configuration.settings import load
@@ -25,6 +26,7 @@ def compiled() -> set[tuple[str, str]]:
     return {(kernel.py_func.__qualname__, str(types)) for kernel in shared for types in kernel.signatures}
 
 
+@pytest.mark.slow
 def test_a_person_is_trained_with_the_kernels_that_were_compiled_ahead(
     made: Made,
     default_settings: Callable[..., dict],

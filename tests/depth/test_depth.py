@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from studiorecon.configuration.settings import load
@@ -16,9 +15,7 @@ from studiorecon.depth import box as walls
 from studiorecon.depth import given, refine, sweep
 from studiorecon.depth import room as room_box
 from studiorecon.depth.layout.box import most_voted_offsets
-from studiorecon.depth.layout.primitive_fitting import contains_any
 from studiorecon.depth.layout.primitives import read_primitives
-from studiorecon.depth.layout.visibility import with_distance
 from studiorecon.depth.layout.votes import Votes
 from studiorecon.depth.layout.yaw import matched_yaw
 from studiorecon.depth.stereo.matching import plane_depth
@@ -27,7 +24,6 @@ from studiorecon.depth.stereo.plates import Picture
 from studiorecon.depth.sweep_settings import DefaultConfidence
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
-from studiorecon.geometry.camera_path import with_pose
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox, read_room, write_room
 
@@ -151,25 +147,6 @@ def test_confidence_tells_measured_from_default(
         assert (a[74:86, 24:36] <= 0.2).all()
 
 
-def test_same_inputs_same_bytes(furnished: tuple[Found, list[np.ndarray], Path], default_settings: Callable) -> None:
-    folder = furnished[2]
-    section = default_settings("depth", **THIN)
-    plates = [folder / "capture" / f"cam{k}.plate.png" for k in (1, 2, 3, 4)]
-    again = folder / "again.exr"
-    refine.run(
-        load(refine.Settings, section, "depth"),
-        "cam2",
-        folder / "cameras/images.txt",
-        plates,
-        folder / "passes.npz",
-        folder / "room.json",
-        folder / "primitives.json",
-        [],
-        again,
-    )
-    assert again.read_bytes() == (folder / "cam2.exr").read_bytes()
-
-
 def test_open_air_has_no_walls_and_says_so(
     tmp_path: Path, default_settings: Callable, capsys: pytest.CaptureFixture
 ) -> None:
@@ -274,38 +251,6 @@ def test_given_depth_is_fitted_and_cleaned(tmp_path: Path, default_settings: Cal
 
 # Coarser still: nothing is measured to the centimetre where cameras are blind.
 COARSE = THIN | {"sweep_width": 96, "refine_width": 96, "wall_step_m": 0.16, "candidates": 8, "passes": 1}
-
-
-def test_a_camera_inside_furniture_and_a_plate_never_measured_rest_on_the_default(
-    tmp_path: Path, default_settings: Callable
-) -> None:
-    room, cameras = made_room(), ring()
-    # The fourth camera stands in the cupboard and sees black; the third one's plate was never free of people.
-    inside = np.array([-0.4, 0.7, 0.4]) @ room.room_box.axes
-    cameras[3] = with_pose(cameras[3], cameras[3].rotation_camera_from_world.T, inside)
-    pictures = [photograph(room, camera)[0] for camera in cameras]
-    pictures[3][:] = 0.01
-    plates = write_capture(tmp_path, cameras, pictures)
-    never = cv2.imread(str(plates[2]), cv2.IMREAD_UNCHANGED)
-    never[..., 3] = 0
-    cv2.imwrite(str(plates[2]), never)
-    found = estimate(
-        tmp_path, cameras, plates, default_settings("depth", **COARSE | {"primitives": 1, "primitives_width": 96})
-    )
-    for depth_m, confidence in zip(found.depth_m, found.confidence):
-        assert np.isfinite(depth_m).all()
-        assert np.isfinite(confidence).all()
-    assert all(
-        np.isfinite(value).all()
-        for value in (found.room_box.low_m, found.room_box.high_m, *found.room_box.gains.values())
-    )
-    # What was never measured is undetermined; black matches nothing, so all it shows is hardly more.
-    assert (found.confidence[2] <= 0.2).all()
-    assert np.median(found.confidence[3]) <= 0.25
-    # The others still measure what they share.
-    assert any((c > 0.5).mean() > 0.05 for c in found.confidence[:2])
-    primitives = [primitive.numbers for primitive in read_primitives(tmp_path / "primitives.json")]
-    assert not primitives or not contains_any(np.stack(primitives), with_distance(inside[None], 0.0)).any()
 
 
 def test_plates_never_measured_at_all_are_undetermined(tmp_path: Path, default_settings: Callable) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+import pytest
 from numba.core.registry import CPUDispatcher
 from studiorecon.configuration.settings import load
 from studiorecon.depth import box, kernels, room, sweep
@@ -37,6 +38,7 @@ def compiled_by_the_fit_alone(folder: Path, section: dict, seen: dict, files: di
     return compiled() - before
 
 
+@pytest.mark.slow
 def test_the_room_is_fitted_with_the_kernels_that_were_compiled_ahead(
     default_settings: Callable[..., dict], tmp_path: Path
 ) -> None:

@@ -18,7 +18,7 @@ from studiorecon.depth.layout.primitive_fitting import fit_primitives
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.geometry import rotations
 from studiorecon.geometry.camera_path import with_pose
-from studiorecon.scene.room import Platform, RoomBox, read_room, write_room
+from studiorecon.scene.room import Platform, RoomBox, read_room
 
 from tests.made.room import Room, made_room, photograph, ring, write_capture
 
@@ -142,19 +142,6 @@ def test_platform_is_the_first_of_the_furniture_and_whole(on_a_platform: list[Pi
 def _at_width(picture: Picture, width: int) -> Picture:
     camera = picture.camera.resized((width, round(width * WH[1] / WH[0])))
     return Picture(camera, photograph(raised(), camera)[0], np.ones(camera.hw, bool))
-
-
-def test_room_file_keeps_the_platform(tmp_path: Path) -> None:
-    for platform in (None, Platform(np.array([-0.9, -0.7]), np.array([0.9, 0.7]), 0.02)):
-        write_room(tmp_path / "room.json", replace(made_room().room_box, platform=platform))
-        read = read_room(tmp_path / "room.json")
-        if platform is None:
-            assert read.platform is None
-            assert read.standing_m == 0.0
-        else:
-            assert read.platform is not None
-            assert read.standing_m == read.platform.top_m == 0.02
-            assert np.array_equal([read.platform.low_m, read.platform.high_m], [platform.low_m, platform.high_m])
 
 
 def test_room_stands_on_the_lower_floor(

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,14 +40,6 @@ def test_the_film_turns_back_where_nobody_filmed() -> None:
     assert all(min(np.linalg.norm(c.centre_m - own.centre_m) for c in way) < 1e-9 for own in two)
     steps = [np.linalg.norm(a.centre_m - b.centre_m) for a, b in zip(way, [*way[1:], way[0]])]
     assert max(steps) < 1.01 * min(steps), "there and back without a jump or a stop, and again from the start"
-
-
-def test_pictures_of_all_cameras_have_one_size_and_lens() -> None:
-    upright, *others = ring(4, wh=(54, 96))
-    mixed = [upright, *(replace(c, wh=wide.wh, intrinsics=wide.intrinsics) for c, wide in zip(others, ring(4)[1:]))]
-    way = preview.preview_path(mixed)
-    assert {c.wh for c in way} == {upright.wh}
-    assert all(np.allclose(c.intrinsics, way[0].intrinsics) for c in way)
 
 
 def test_one_camera_stays_where_it_is() -> None:

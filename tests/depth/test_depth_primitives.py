@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from studiorecon.depth.layout import visibility
 from studiorecon.depth.layout.primitive_fitting import contains_any, fit_primitives, is_allowed
-from studiorecon.depth.layout.primitives import Primitive, in_front, read_primitives, write_primitives
+from studiorecon.depth.layout.primitives import Primitive, in_front
 from studiorecon.depth.layout.primitives_picture import sheet
 from studiorecon.depth.layout.proposals import leg_candidates
 from studiorecon.depth.layout.visibility import free_ray_points, joint_places, with_distance
-from studiorecon.depth.stereo.kernels import draw, invert_visibility
+from studiorecon.depth.stereo.kernels import draw
 from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.camera import Camera
@@ -89,12 +89,6 @@ def test_a_primitive_stands_before_what_is_behind_it_and_before_the_unknown() ->
         assert depth_m.dtype == np.float32
 
 
-def test_primitives_are_written_and_read(tmp_path: Path) -> None:
-    write_primitives(tmp_path / "primitives.json", [BOX, POST])
-    assert read_primitives(tmp_path / "primitives.json") == [BOX, POST]
-    assert Primitive.from_numbers(POST.numbers, POST.evidence) == POST
-
-
 def test_the_true_primitive_is_worth_most_and_gains_are_what_adding_brings() -> None:
     room = made_room()
     seen = PhotoCostVolume.by_room_box(looks(room), room.room_box, 5, 1.5)
@@ -132,41 +126,6 @@ def test_what_reaches_behind_a_camera_is_drawn_where_rays_meet_it() -> None:
         assert np.array_equal(surface[k % 4] >= 10, expected > 0.1)
         cut += bool(((expected > 0.1) & (expected < 0.4)).any())
     assert cut > 5, "some pass right before a camera"
-
-
-def test_every_pixel_knows_which_pixels_it_judges() -> None:
-    room = made_room()
-    seen = PhotoCostVolume.by_room_box(looks(room), room.room_box, 5, 1.5)
-    seen.add(cupboard(room).numbers)
-    views, height, width = seen.known.shape
-    begin, judged = invert_visibility(seen.known, seen.depth, seen.pair, seen.at, seen.z)
-    told = {
-        (other, flat, int(place))
-        for other in range(views)
-        for flat in range(height * width)
-        for place in judged[other, begin[other, flat] : begin[other, flat + 1]]
-    }
-    apart = np.take(seen.depth.reshape(views, -1), seen.at.clip(0), axis=1)
-    expected = set()
-    for view, other in np.ndindex(views, views):
-        nearest = apart[other, view, other]
-        hidden = nearest < seen.z[view, other] * 0.97 - 0.03
-        for y, x in np.argwhere(seen.known[view] & (seen.pair[view, other] >= 0) & ~hidden):
-            expected.add((other, int(seen.at[view, other, y, x]), int((view * height + y) * width + x)))
-    assert told == expected
-    assert len(expected) > 1000
-
-
-def test_what_is_shown_is_counted_in_every_view() -> None:
-    room = made_room(table=False)
-    seen = PhotoCostVolume.by_room_box(looks(room), room.room_box, 5, 1.5)
-    seen.add(cupboard(made_room()).numbers)
-    expected = [
-        np.count_nonzero((depth_m > 0) & (depth_m < seen.depth[v]))
-        for v, depth_m in enumerate(BOX.depth(picture.camera) for picture in looks(room))
-    ]
-    assert seen.shown(BOX.numbers).tolist() == expected
-    assert len(set(expected)) > 1
 
 
 def test_what_only_hides_a_floor_in_the_wrong_place_is_contradicted() -> None:
@@ -244,15 +203,6 @@ def test_nothing_that_stands_on_the_floor_has_legs() -> None:
         "it stands nearly on the floor"
     )
     assert not len(leg_candidates(np.array([1, 0.3, -0.2, 0.0, 0.8, 0.8, 0.7, 0.75]), 0.0)), "a cylinder"
-
-
-def test_what_is_contradicted_is_not_put_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Though the cupboard is there: everything is refused, and the search ends."""
-    room = made_room()
-    pictures = looks(room, 64)
-    assert len(put_up(pictures, room.room_box, least_gain=400.0)) == 1
-    monkeypatch.setattr(PhotoCostVolume, "contradicted", lambda self, primitive: True)
-    assert put_up(pictures, room.room_box, least_gain=400.0) == []
 
 
 def test_an_empty_room_stays_empty() -> None:

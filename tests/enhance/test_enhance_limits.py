@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
@@ -48,17 +47,6 @@ def test_the_literal_form_is_available_and_darkens_as_computed(trust: float, dar
     found = fixed_point(0.6, trust, replace(PAPER, form="literal"))
     assert found == pytest.approx(0.6 * (1 - 0.3) / (1 - 0.3 * trust), abs=1e-5)
     assert 153 - 255 * found == pytest.approx(darker_levels, abs=0.06)
-
-
-def recursion(renders: list[np.ndarray], injection: Injection) -> list[np.ndarray]:
-    """What an identity enhancer makes of a film in which nothing moves."""
-    history: list[np.ndarray] = []
-    outputs = []
-    for render in renders:
-        trust = [confidence(render, past, np.ones(SHAPE[:2], bool), injection) for past in history]
-        history = [inject(render, history, trust, injection)[0], *history][: injection.history]
-        outputs.append(history[0])
-    return outputs
 
 
 @pytest.mark.parametrize("existing", [0, 1, 2, 3], ids=lambda k: f"E03-{k}")
@@ -250,10 +238,3 @@ def test_e14_brightness_that_feedback_adds_is_in_the_warning(
         brightness = gain * (1 + strength * (brightness - 1))
     warning = "".join(capsys.readouterr())
     assert (f"{brightness - gain:.1%} brighter" in warning) == (brightness - gain > 2 / 255)
-
-
-def test_the_blur_is_opencvs_with_replicated_borders() -> None:
-    picture = np.random.default_rng(0).random((30, 40)).astype(np.float32)
-    padded = np.pad(picture, 5, mode="edge")
-    expected = cv2.GaussianBlur(padded, (11, 11), 2.0)[5:-5, 5:-5]
-    np.testing.assert_allclose(gaussian_blur(picture, 11, 2.0), expected, atol=1e-6)
