@@ -52,12 +52,6 @@ def test_the_full_path_beats_four_photos_from_views_between_them(
     assert set(np.unique(marks)) == {MEASURED, INFERRED, INVENTED}
 
 
-def test_the_same_inputs_give_the_same_bytes(settings: Callable, capture: dict, tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        run(settings(iterations=20), capture, tmp_path / name)
-    assert (tmp_path / "a/scene.ply").read_bytes() == (tmp_path / "b/scene.ply").read_bytes()
-
-
 def test_exposure_factors_are_divided_out(
     settings: Callable, capture: dict, cameras: list[Camera], tmp_path: Path
 ) -> None:
@@ -135,20 +129,6 @@ def test_what_several_photos_show_is_started_from_the_one_that_shows_it_finest()
     assert not finest([near, far], [near_m, far_m], [known, known])[0][:28].any()
 
 
-def test_beside_another_photo_nothing_counts_as_seen_in_it() -> None:
-    one, _ = ring([0, 0], "c", radius_m=1.9, wh=WH)
-    _, depth_m = look(one)
-    # The other one sees the same a little finer, half a pixel further right: its first column is not in it.
-    intrinsics = one.intrinsics.copy()
-    intrinsics[0, 0] *= 1.001
-    intrinsics[0, 2] = one.intrinsics[0, 2] - 0.6
-    other = replace(one, intrinsics=intrinsics)
-    known = np.ones(one.hw, bool)
-    own, _ = finest([one, other], [depth_m, depth_m], [known, known])
-    assert own[1:-1, 0].all(), "no photo but its own shows the first column"
-    assert own[1:-1, 2:-2].mean() < 0.1
-
-
 def test_unknown_depth_seeds_nothing(cameras: list[Camera]) -> None:
     rgb, depth_m = look(cameras[0])
     depth_m[:28] = 0
@@ -189,24 +169,6 @@ def test_a_wall_that_nobody_sees_looks_like_the_walls_that_somebody_does(cameras
     for own in unseen:
         heights = own.points_m[..., 2].clip(seen_m.min(), seen_m.max())
         np.testing.assert_allclose(own.rgb, np.repeat(0.2 + 0.2 * heights[..., None], 3, axis=-1), atol=0.1)
-
-
-def test_far_from_what_is_seen_of_it_a_wall_looks_like_walls(cameras: list[Camera]) -> None:
-    """What stands before it once does not stand along all of it."""
-    wide = RoomBox(0.0, np.array([-12.0, -3, 0]), np.array([12.0, 3, 3]), np.ones(6, bool), np.ones(6))
-    camera = cameras[0]
-    depth_m, _ = wide.intersect(*camera.rays())
-    stripes = np.where(np.arange(camera.wh[0]) // 6 % 2, 0.2, 0.8)[None, :, None]
-    plate = np.broadcast_to(stripes, (*camera.hw, 3)).astype(np.float32)
-    known = np.ones(camera.hw, bool)
-    painted = room.paint(wide.rectangles, [camera], [plate], [known], [depth_m.astype(np.float32)], 0.1)
-    partly = [p for p in painted if p.face.name.startswith("v") and 0.02 < p.seen.mean() < 0.5]
-    assert partly
-    for own in partly:
-        reach_m = np.abs(own.points_m[..., 0] - np.median(own.points_m[own.seen][:, 0]))
-        far = reach_m > np.abs(own.points_m[own.seen][:, 0] - np.median(own.points_m[own.seen][:, 0])).max() + 5
-        assert far.any()
-        assert own.rgb[far].std(0).max() < 0.3 * own.rgb[own.seen].std(0).max()
 
 
 def test_the_grid_of_a_far_away_room_box_stays_within_its_limit() -> None:

@@ -76,11 +76,6 @@ def test_without_dilation_people_are_baked_into_the_room(
     assert values[21] > values[1] + 3
 
 
-def test_nobody_is_masked_where_there_are_no_people(cameras: list[Camera], filmed: dict[str, list[Path]]) -> None:
-    found = preparation.mask_people(photos_of(cameras), filmed["videos"], [], 21, NONE)
-    assert all(photo.known.all() for photo in found)
-
-
 def test_a_picture_of_people_alone_and_a_missing_video_are_refused(
     cameras: list[Camera], filmed: dict[str, list[Path]], tmp_path: Path
 ) -> None:

@@ -5,7 +5,7 @@ and that what the network paints is learned."""
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +39,12 @@ class Painter:
         return np.clip(image + np.float32([0.3, 0, 0]), 0, 1)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def halved(
-    settings: Callable[..., train.Settings],
-    capture: dict,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> dict[str, Any]:
+    settings: Callable[..., train.Settings], capture: dict, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[dict[str, Any]]:
     """The first half and its views as the stand-in repairs them."""
+    tmp_path = tmp_path_factory.mktemp("halved")
     # The loss is absolute: what most pictures say is learned, so these are shown more often than the photos.
     own = settings(refinement={"views": VIEWS}, views_share=0.9)
     capture = capture | {"views": [], "supports": []}
@@ -54,7 +52,8 @@ def halved(
     files = {name: tmp_path / file for name, file in out.items()}
     call(half.run, own, **capture, **files, working=tmp_path / "working")
     painter = Painter()
-    monkeypatch.setattr(refined, "load", lambda *_, **__: painter)
+    patch = pytest.MonkeyPatch()
+    patch.setattr(refined, "load", lambda *_, **__: painter)
     refined.run(
         "difix",
         json.dumps({"history": 0}),
@@ -69,7 +68,8 @@ def halved(
         tmp_path / "refined.mkv",
     )
     given = [files["half"], files["provenance"], files["renders_path"], tmp_path / "refined.mkv"]
-    return {"settings": own, "capture": capture, "given": given, "painter": painter, "files": files}
+    yield {"settings": own, "capture": capture, "given": given, "painter": painter, "files": files}
+    patch.undo()
 
 
 def test_views_are_those_of_the_room_half_way_and_photos_the_nearest(halved: dict[str, Any]) -> None:

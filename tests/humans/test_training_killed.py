@@ -91,14 +91,3 @@ def test_a_killed_person_ends_with_the_same_bytes(default_settings: Callable, ma
     section["temporal"] |= {"use": "always", "start": 2, "width": 8, "points": 0}
     section["densify"] |= {"use": "gradient", "every": 5, "until": 30, "gradient": 1e-6}
     killed_and_taken_up("humans.train", section, made.options, {"gaussians": "p3.ply", "avatar": "p3.npz"}, tmp_path)
-
-
-def test_lpips_without_weights_names_the_file(default_settings: Callable, made: Made, tmp_path: Path) -> None:
-    section = copy.deepcopy(default_settings("humans"))
-    section["losses"]["lpips"] |= {"weight": 0.1}
-    outputs = {name: tmp_path / name for name in ("gaussians", "avatar", "working")} | {"lpips": tmp_path}
-    words = command("humans.train", section, made.options, outputs, tmp_path / "log")
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert done.returncode == 1
-    assert re.search(r"needs .*vgg16\.pth, which is missing", done.stderr)
-    assert "Traceback" not in done.stderr

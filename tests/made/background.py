@@ -49,7 +49,7 @@ def cameras() -> list[Camera]:
     return ring([0, 90, 180, 270], "cam", wh=WH)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def settings(default_settings: Callable) -> Callable[..., train.Settings]:
     def made(iterations: int = 250, **replaced: object) -> train.Settings:
         section = default_settings("background", **replaced)
