@@ -17,9 +17,3 @@ def test_numpys_own_reductions_to_the_bit(shape: tuple[int, ...], kind: type) ->
         picture.flat[0], picture.flat[-1] = np.nan, -np.inf
     assert channel_sum(picture).tobytes() == picture.sum(axis=-1).tobytes()
     assert channel_max(picture).tobytes() == picture.max(axis=-1).tobytes()
-
-
-def test_whole_numbers_keep_their_type() -> None:
-    picture = np.random.default_rng(1).integers(-300, 300, (9, 8, 3), dtype=np.int16)
-    assert channel_max(picture).dtype == np.int16
-    np.testing.assert_array_equal(channel_max(picture), picture.max(axis=-1))

@@ -16,7 +16,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.video import read_stack, write_lossless
 from studiorecon.images.palette import UNASSIGNED
 from studiorecon.images.plate import write_plate
-from studiorecon.images.regions import dilate, signed_distance_px, without_holes, without_islands
+from studiorecon.images.regions import without_holes, without_islands
 from studiorecon.images.silhouette import front_person, mesh_depth
 from studiorecon.masks import labelling
 from studiorecon.masks import segment as step
@@ -42,11 +42,6 @@ def test_known_bodies_are_cut_out_and_the_nearer_hides_the_other(scene: Scene, s
     labels = segmented(scene, settings)
     assert min(agreement(labels, scene.truth)) > 0.93
     assert not (labels == UNASSIGNED).any()
-
-
-def test_the_order_of_the_fits_is_the_order_of_the_labels(scene: Scene, settings: step.Settings) -> None:
-    swapped = segmented(scene, settings, people=scene.people[::-1])
-    np.testing.assert_array_equal(np.array([0, 2, 1], np.uint8)[swapped], segmented(scene, settings))
 
 
 def test_a_fit_that_is_three_centimetres_off_still_gives_the_picture_s_outline(
@@ -87,11 +82,6 @@ def test_what_no_body_explains_is_unassigned(scene: Scene, settings: step.Settin
     labels = segmented(scene, settings, frames=frames)
     assert (labels[2:, 22:33, 172:188] == UNASSIGNED).all()
     assert not (labels[:2] == UNASSIGNED).any()
-
-
-def test_an_empty_list_of_people_is_background(scene: Scene, settings: step.Settings) -> None:
-    empty = np.repeat(scene.plate[None], 3, axis=0)
-    assert not segmented(scene, settings, frames=empty, people=[]).any()
 
 
 class TestStep:
@@ -220,13 +210,6 @@ class TestSilhouette:
 
 
 class TestRegions:
-    def test_distances_meet_at_the_outline(self) -> None:
-        region = np.zeros((9, 20), bool)
-        region[:, 10:] = True
-        np.testing.assert_allclose(signed_distance_px(region)[4, 7:13], [-2.5, -1.5, -0.5, 0.5, 1.5, 2.5], atol=0.05)
-        assert (signed_distance_px(np.zeros((3, 3), bool)) == -np.inf).all()
-        assert (signed_distance_px(np.ones((3, 3), bool)) == np.inf).all()
-
     def test_islands_and_holes_by_size(self) -> None:
         region = np.zeros((20, 20), bool)
         region[2:12, 2:12] = True
@@ -236,20 +219,6 @@ class TestRegions:
         assert not cleaned[15, 15]
         assert cleaned[5, 5]
         assert not cleaned[7:10, 7:10].any()
-
-    def test_the_space_around_a_region_is_no_hole(self) -> None:
-        region = np.zeros((6, 6), bool)
-        region[2:4, 2:4] = True
-        np.testing.assert_array_equal(without_holes(region, 1000), region)
-
-    def test_dilation_is_centred(self) -> None:
-        region = np.zeros((41, 41), bool)
-        region[20, 20] = True
-        grown = dilate(region, 21)
-        assert grown.sum() == 21 * 21
-        assert grown[10:31, 10:31].all()
-        with pytest.raises(ValueError, match="odd"):
-            dilate(region, 20)
 
 
 def test_a_shadow_counts_less_than_paint_of_the_same_strength(settings: step.Settings) -> None:

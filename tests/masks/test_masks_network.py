@@ -47,14 +47,6 @@ def test_a_person_may_be_several_numbers_in_turn_and_strangers_stay_strangers() 
     assert "3 = p0, 5 = p1, 9 = p0; 1 overlap no fitted person" in told
 
 
-def test_without_people_everybody_is_a_stranger() -> None:
-    labels = np.zeros((2, *HW), np.uint8)
-    labels[:, 5:9, 5:9] = 1
-    masks, told = assign_people(labels, [np.zeros((0, *HW), np.float32)] * 2, 0)
-    assert set(np.unique(list(masks))) == {0, UNASSIGNED}
-    assert "none" in told
-
-
 @pytest.mark.parametrize(
     ("people", "word"), [(2, "follows 2 people"), (0, "sees no person in any frame"), (300, "only the first 254")]
 )

@@ -22,7 +22,7 @@ from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.factors import write_factors
 from studiorecon.scene.provenance import MEASURED
 from studiorecon.splatting.cpu.rasterise import Rasteriser
-from studiorecon.splatting.rigid_object import RigidObject, read_objects, write_objects
+from studiorecon.splatting.rigid_object import RigidObject, read_objects
 
 from tests.made.objects import (  # noqa: F401
     CAMERAS,
@@ -255,15 +255,6 @@ def test_the_step_divides_gains_and_light_out(settings: Settings, tmp_path: Path
     plain, faulty = made["plain"], made["faulty"]
     assert np.linalg.norm(plain.centres_m - faulty.centres_m, axis=1).max() < 0.01
     assert np.abs(plain.gaussians.sh[:, 0].mean(axis=0) - faulty.gaussians.sh[:, 0].mean(axis=0)).max() < 0.1
-
-
-def test_objects_survive_their_file(thrown: RigidObject, tmp_path: Path) -> None:
-    write_objects(tmp_path / "objects.npz", [thrown], FRAMES)
-    (again,) = read_objects(tmp_path / "objects.npz")
-    np.testing.assert_array_equal(again.centres_m, thrown.centres_m)
-    np.testing.assert_array_equal(again.posed(7.5).means_m, thrown.posed(7.5).means_m)
-    write_objects(tmp_path / "none.npz", [], FRAMES)
-    assert read_objects(tmp_path / "none.npz") == []
 
 
 def test_between_frames_a_thing_is_between_its_places(thrown: RigidObject) -> None:

@@ -17,7 +17,7 @@ from studiorecon.plates import clean as plate_step
 from studiorecon.scene.capture import write_footage
 from studiorecon.scene.people import Detections, write_detections
 
-from tests.made.footage import WH, calibrated, footage, smooth_pictures
+from tests.made.footage import calibrated, footage, smooth_pictures
 
 
 def passing_block(frames: int, background: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
@@ -34,6 +34,24 @@ def passing_block(frames: int, background: np.ndarray, noise: float) -> tuple[np
     # The one who never leaves wears one colour: to statistics alone it is background.
     pictures[:, 20:50, 70:80] = (180, 40, 60)
     return np.clip(np.rint(pictures + rng.normal(0, noise, pictures.shape)), 0, 255).astype(np.uint8), there
+
+
+def filmed(folder: Path, frames: np.ndarray, seen: Detections | None, fps: float) -> None:
+    write_lossless(folder / "a.mkv", iter(frames), fps)
+    write_footage(folder / "a.json", footage("a", len(frames)))
+    if seen:
+        write_detections(folder / "a.npz", seen)
+
+
+def plate_of(folder: Path, settings: plate_step.Settings, given: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
+    """The plate of what was filmed, and where it is measured; with one that was given."""
+    if given is not None:
+        write_plate(folder / "given.png", given, np.ones(given.shape[:2], bool))
+    plate_step.run(
+        settings, folder / "a.mkv", folder / "a.json", calibrated(folder), [*folder.glob("a.npz")],
+        [*folder.glob("given.png")], folder / "plate.png",
+    )  # fmt: skip
+    return read_plate(folder / "plate.png")
 
 
 class TestPlate:
@@ -87,72 +105,52 @@ class TestPlate:
         assert regions[3, 30, 50]  # the middle of the torso
         assert regions[3].mean() < 0.2
 
-    def test_a_camera_that_follows_the_light_leaves_no_holes(self, tmp_path: Path, default_settings) -> None:
+    def test_a_camera_that_follows_the_light_leaves_no_holes(
+        self, tmp_path: Path, settings: plate_step.Settings
+    ) -> None:
         background = (30 + 0.6 * smooth_pictures(1, seed=4)[0]).astype(np.uint8)
         frames, there = passing_block(40, background, 1.0)
         swing = 1 + 0.2 * np.sin(np.linspace(0, 2 * np.pi, 40))
         pictures = np.clip(np.rint(frames * swing[:, None, None, None]), 0, 255).astype(np.uint8)
-        write_lossless(tmp_path / "a.mkv", iter(pictures), 30)
-        write_footage(tmp_path / "a.json", footage("a", 40))
-        write_detections(tmp_path / "a.npz", boxed(there))
-        options = load(plate_step.Settings, default_settings("plates"), "plates")
-        arguments = options, tmp_path / "a.mkv", tmp_path / "a.json", calibrated(tmp_path), [tmp_path / "a.npz"]
-        plate_step.run(*arguments, [], tmp_path / "plate.png")
-        rgb, measured = read_plate(tmp_path / "plate.png")
+        filmed(tmp_path, pictures, boxed(there), 30)
+        rgb, measured = plate_of(tmp_path, settings)
         beside = np.s_[:, :68]
         assert measured[beside].mean() > 0.97
         assert np.median(np.abs(rgb * 255 - background)[beside][measured[beside]]) < 1.5
 
-    def test_a_given_plate_fills_what_the_footage_never_shows(self, tmp_path: Path, default_settings) -> None:
+    def test_a_given_plate_fills_what_the_footage_never_shows(
+        self, tmp_path: Path, settings: plate_step.Settings
+    ) -> None:
         background = smooth_pictures(1, seed=4)[0]
         frames, there = passing_block(40, background, 1.0)
-        write_lossless(tmp_path / "a.mkv", iter(frames), 30)
-        write_footage(tmp_path / "a.json", footage("a", 40))
-        write_detections(tmp_path / "a.npz", boxed(there))
+        filmed(tmp_path, frames, boxed(there), 30)
         # Darker than the footage, and somebody stood at the left when it was taken.
         given = (background * 0.9).astype(np.uint8)
         given[10:30, 5:15] = (250, 250, 0)
-        write_plate(tmp_path / "given.png", given, np.ones(given.shape[:2], bool))
-        options = load(plate_step.Settings, default_settings("plates"), "plates")
-        arguments = options, tmp_path / "a.mkv", tmp_path / "a.json", calibrated(tmp_path), [tmp_path / "a.npz"]
-        plate_step.run(*arguments, [], tmp_path / "alone.png")
-        assert not read_plate(tmp_path / "alone.png")[1][25:45, 71:79].any()
-        plate_step.run(*arguments, [tmp_path / "given.png"], tmp_path / "plate.png")
-        rgb, measured = read_plate(tmp_path / "plate.png")
+        assert not plate_of(tmp_path, settings)[1][25:45, 71:79].any()
+        rgb, measured = plate_of(tmp_path, settings, given)
         assert measured[25:45, 71:79].all()
         np.testing.assert_allclose(rgb[25:45, 71:79] * 255, background[25:45, 71:79], atol=12)
         np.testing.assert_allclose(rgb[12:18, 6:14] * 255, background[12:18, 6:14], atol=4)
 
     def test_whoever_sways_undetected_in_front_of_a_given_plate_is_not_painted_into_it(
-        self, tmp_path: Path, default_settings
+        self, tmp_path: Path, settings: plate_step.Settings
     ) -> None:
         background = smooth_pictures(1, seed=4)[0]
         pictures = np.repeat(background[None], 40, axis=0)
         for t, picture in enumerate(pictures):
             left = 60 + round(3 * np.sin(t / 4))
             picture[15:55, left : left + 18] = (20, 200, 90)
-        write_lossless(tmp_path / "a.mkv", iter(pictures), 30)
-        write_footage(tmp_path / "a.json", footage("a", 40))
+        filmed(tmp_path, pictures, None, 30)
         given = background.copy()
         given[10:30, 5:20] = (250, 250, 0)  # somebody stood there when the plate was taken
-        write_plate(tmp_path / "given.png", given, np.ones(given.shape[:2], bool))
-        options = load(plate_step.Settings, default_settings("plates"), "plates")
-        plate_step.run(
-            options,
-            tmp_path / "a.mkv",
-            tmp_path / "a.json",
-            calibrated(tmp_path),
-            [],
-            [tmp_path / "given.png"],
-            tmp_path / "plate.png",
-        )
-        rgb, measured = read_plate(tmp_path / "plate.png")
+        rgb, measured = plate_of(tmp_path, settings, given)
         assert measured[15:55, 56:82].all()
         np.testing.assert_allclose(rgb[15:55, 56:82] * 255, background[15:55, 56:82], atol=12)
         np.testing.assert_allclose(rgb[12:28, 7:18] * 255, background[12:28, 7:18], atol=4)
 
     def test_whoever_keeps_to_a_spot_and_waves_is_not_painted_into_a_given_plate(
-        self, tmp_path: Path, default_settings
+        self, tmp_path: Path, settings: plate_step.Settings
     ) -> None:
         background = smooth_pictures(1, seed=4)[0]
         pictures = np.repeat(background[None], 24, axis=0)
@@ -164,40 +162,18 @@ class TestPlate:
                 120,
             )  # an arm before the chest: it bares no wall
         pictures[:, 35:55, 10:25] = (30, 30, 160)  # a crate that was put there after the plate
-        write_lossless(tmp_path / "a.mkv", iter(pictures), 12)
-        write_footage(tmp_path / "a.json", footage("a", 24))
-        write_plate(tmp_path / "given.png", background, np.ones(background.shape[:2], bool))
-        options = load(plate_step.Settings, default_settings("plates"), "plates")
-        plate_step.run(
-            options,
-            tmp_path / "a.mkv",
-            tmp_path / "a.json",
-            calibrated(tmp_path),
-            [],
-            [tmp_path / "given.png"],
-            tmp_path / "plate.png",
-        )
-        rgb, measured = read_plate(tmp_path / "plate.png")
+        filmed(tmp_path, pictures, None, 12)
+        rgb, measured = plate_of(tmp_path, settings, background)
         assert measured[10:55, 58:80].all()
         np.testing.assert_allclose(rgb[10:55, 58:80] * 255, background[10:55, 58:80], atol=12)
         np.testing.assert_allclose(rgb[37:53, 12:23] * 255, np.broadcast_to((30, 30, 160), (16, 11, 3)), atol=4)
 
-    def test_a_plate_of_another_room_is_refused(self, tmp_path: Path, default_settings) -> None:
+    def test_a_plate_of_another_room_is_refused(self, tmp_path: Path, settings: plate_step.Settings) -> None:
         frames, _ = passing_block(20, smooth_pictures(1, seed=4)[0], 1.0)
-        write_lossless(tmp_path / "a.mkv", iter(frames), 30)
-        write_footage(tmp_path / "a.json", footage("a", 20))
-        write_plate(tmp_path / "given.png", smooth_pictures(1, seed=9)[0], np.ones(WH[::-1], bool))
-        options = load(plate_step.Settings, default_settings("plates"), "plates")
+        filmed(tmp_path, frames, None, 30)
+        given = smooth_pictures(1, seed=9)[0]
         with pytest.raises(UserError, match=r"given\.png differs from the footage of camera a by \d+ grey levels"):
-            plate_step.run(
-                options,
-                tmp_path / "a.mkv",
-                tmp_path / "a.json",
-                calibrated(tmp_path),
-                [],
-                [tmp_path / "given.png"],
-                tmp_path / "plate.png",
-            )
+            plate_of(tmp_path, settings, given)
 
 
 def boxed(there: np.ndarray) -> Detections:

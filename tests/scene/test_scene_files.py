@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from studiorecon.camera_files.colmap import quaternion_from_rotation, read_model, write_model
+from studiorecon.camera_files.colmap import read_model, write_model
 from studiorecon.errors import UserError
-from studiorecon.geometry.rotations import from_quaternion
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import complete, read_json, read_table, write_json
@@ -35,33 +34,12 @@ def test_projection_undoes_unprojection() -> None:
     np.testing.assert_allclose(back_depth, depth_m, rtol=1e-12)
 
 
-def test_points_behind_the_camera_have_no_pixels() -> None:
-    cam = camera("a", 2)
-    pixels, depth_m = cam.project(cam.centre_m - cam.forward)
-    assert np.isnan(pixels).all()
-    assert depth_m == pytest.approx(-1)
-
-
 def test_resizing_keeps_rays() -> None:
     cam = camera("a", 3)
     half = cam.resized((240, 136))
     np.testing.assert_allclose(
         half.unproject(np.array([[100.0, 50.0]]), np.ones(1)), cam.unproject(np.array([[200.0, 100.0]]), np.ones(1))
     )
-
-
-def test_rays_step_one_metre_of_depth() -> None:
-    cam = camera("a", 4)
-    origin, directions = cam.rays()
-    _, depth_m = cam.project(origin + 3 * directions)
-    np.testing.assert_allclose(depth_m, 3)
-
-
-@pytest.mark.parametrize("degrees", [0, 1e-7, 90, 179.9999, 180, 270])
-def test_quaternions_of_all_angles(degrees: float) -> None:
-    for axis in (np.array([1, 0, 0.0]), np.array([0, 1, 0.0]), np.array([0, 0, 1.0]), np.array([0.6, -0.64, 0.48])):
-        rotation = Rotation.from_rotvec(np.radians(degrees) * axis).as_matrix()
-        np.testing.assert_allclose(from_quaternion(quaternion_from_rotation(rotation)), rotation, atol=1e-14)
 
 
 def test_colmap_model_survives(tmp_path: Path) -> None:

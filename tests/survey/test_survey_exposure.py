@@ -153,13 +153,6 @@ def test_changing_light_turns_on_and_its_course_is_written(files: dict, settings
     assert artefact(files, "brightness").read_bytes() == again
 
 
-def test_the_degree_is_written_apart(files: dict, settings: step.Settings) -> None:
-    step.run(settings, **files)
-    decision = read_decisions(files["decisions"])["view_dependent_colour"]
-    assert json.loads(artefact(files, "specularity").read_text()) == {"degree": decision.detail["degree"]}
-    assert "limit_sh_to_views" in decision.obeyed_by
-
-
 def test_people_seen_by_keypoints_are_left_out(tmp_path: Path) -> None:
     """A person in white fills most of the picture: without the outline the light would seem to rise."""
     view = floor_view(ring([0], wh=(96, 72), focal_px=60.0)[0])
