@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.images import flow
+from studiorecon.images.warp import warp
 
 from tests.made.flow import textured
 
@@ -77,3 +78,18 @@ def test_pictures_that_cannot_be_compared_are_refused() -> None:
         flow.dis_flow(np.zeros((40, 40), np.uint8), np.zeros((40, 41), np.uint8), "medium")
     with pytest.raises(UserError, match="at least 24"):
         flow.dis_flow(np.zeros((40, 16), np.uint8), np.zeros((40, 16), np.uint8), "medium")
+
+
+def test_e09_the_backward_flow_brings_the_previous_picture_onto_the_current_one() -> None:
+    """Numerics E09: a forward flow used as a backward one is worse than no warp at all."""
+    previous = textured((96, 128), 5, 3.0)
+    current = np.roll(previous, (2, 6), axis=(0, 1))
+    with flow.one_thread():
+        backward, forward = flow.dis_flow(current, previous, "medium"), flow.dis_flow(previous, current, "medium")
+    inner = (slice(20, -20), slice(20, -20))
+
+    def error(field: np.ndarray) -> float:
+        moved, _ = warp(previous.astype(np.float32), field)
+        return float(np.abs(moved - current)[inner].mean())
+
+    assert error(backward) < 1.0 < error(np.zeros_like(backward)) < error(forward)
