@@ -36,8 +36,7 @@ def without_second_undistortion(
     model of the lens must not look like undistorted keypoints: people must also rule out the other model.
     """
     kept, straight = list(lenses), [replace(lens, distortion=np.zeros_like(lens.distortion)) for lens in lenses]
-    bent = [_is_bent(*each) for each in zip(lenses, straight, sizes, people, strict=True)]
-    if not any(bent):
+    if not any(_is_bent(*each) for each in zip(lenses, straight, sizes, people, strict=True)):
         return kept, []
     other = [as_model(lens, "fisheye" if lens.model == "opencv" else "opencv") for lens in lenses]
     index, shown = best_candidate([lenses, straight, other], lambda way: agreement(way, sizes, people))
@@ -45,7 +44,7 @@ def without_second_undistortion(
         return kept, []
     people_s, film_s = (straight, kept) if index == 1 else (kept, straight)
     moving = motions()
-    judges = [v for v, lens in enumerate(lenses) if bent[v] and lens.name in moving]
+    judges = [v for v, lens in enumerate(lenses) if lens.name in moving]
     same, apart = (
         _together([_on_motion(people[v], people_s[v], of[v], sizes[v], moving[lenses[v].name]) for v in judges])
         for of in (people_s, film_s)

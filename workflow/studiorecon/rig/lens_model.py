@@ -17,9 +17,11 @@ def as_model(lens: Lens, model: LensReading) -> Lens:
     """The lens with its first four coefficients read as those of ``model``: both models have four numbers."""
     if model in ("as_read", lens.model):
         return lens
-    four = np.zeros(4)
-    four[: min(4, len(lens.distortion))] = lens.distortion[:4]
-    return replace(lens, model=model, distortion=four if model == "fisheye" else np.append(four, np.zeros(4)))
+    both = [
+        np.pad(own[:4], (0, (4 if model == "fisheye" else 8) - len(own[:4]))) if len(own) else own
+        for own in (lens.distortion, lens.keypoint_distortion)
+    ]
+    return replace(lens, model=model, distortion=both[0], keypoint_distortion=both[1])
 
 
 def with_radial(lens: Lens, k1: float) -> Lens:
