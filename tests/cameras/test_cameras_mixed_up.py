@@ -187,6 +187,20 @@ def test_nobody_is_named_where_nothing_was_mixed_up(count: int, seed: int) -> No
     assert decided((cameras, detections)).report["stature_m"] == pytest.approx(1.65, abs=0.15)
 
 
+def test_near_cameras_that_mark_another_side_of_a_body_are_not_named() -> None:
+    """Seen from 1.1 m, points of a shoulder that are 8 cm apart are 6 % of the picture apart."""
+    cameras = ring(4, 1.1, 1.2)
+    person = walk(np.zeros(3), np.array([0.002, 0.001, 0]), FRAMES)
+    detections = detect(cameras, [person], 1.5, np.random.default_rng(0))
+    along = 0.08 * cameras[1].rotation_camera_from_world[0] * np.array([1.0, -1.0] * 6)[:, None]
+    (other_side,) = detect(cameras[1:2], [person + along], 1.5, np.random.default_rng(1))
+    rig = cameras, [detections[0], other_side, *detections[2:]]
+    assert find_outlier_camera(*rig, np.arange(FRAMES), 0.25, LIMITS) is None
+    named = find_outlier_camera(*with_pixels(rig, lambda p: [1280, 0] + p * [-1, 1]), np.arange(FRAMES), 0.25, LIMITS)
+    assert named is not None
+    assert "mirrored" in named.cause
+
+
 def test_a_camera_that_sees_others_than_everybody_else_is_not_named() -> None:
     """Its picture shows another corner: nobody contradicts it."""
     cameras, detections = capture()

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 # A keypoint agrees when it is within this share of the longer image side of the others' prediction: three times the
 # largest error of a calibration (``AgreementLimits.max_error_share``), since clocks and detectors add errors.
 _REACH_SHARE = 0.03
+# … or within so many metres of it: front and side views mark points of a shoulder 0.05 to 0.15 m apart, a tenth of the
+# picture at 1 m. Beyond about 3 m the share above is larger.
+_REACH_M = 0.1
 # Share of keypoints at the others' people, relative to that share among the others (their median): contradicted below
 # the first, explained from the second. With one mix-up in one camera of a studio it was 0 to 0.3, and 1.1 after
 # correction; without any, or with the focal length 25 % off, 0.8 to 1.
@@ -178,7 +181,10 @@ def _share(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> tuple[floa
     where = _projected(points_m, camera)
     with np.errstate(over="ignore"):
         apart = np.linalg.norm(seen[:, :, None] - where[:, None], axis=-1)
-    near = np.nan_to_num(apart, nan=np.inf).min(axis=2) <= _REACH_SHARE * max(camera.wh)
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        metres_px = _REACH_M * camera.focal_px[0] / camera.project(points_m)[1]
+    reach = np.fmax(_REACH_SHARE * max(camera.wh), metres_px)[:, None]
+    near = (np.nan_to_num(apart, nan=np.inf) <= reach).any(axis=2)
     return float(near[counted].mean()), int(counted.sum())
 
 
