@@ -25,7 +25,7 @@ import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.tracking import drop_duplicates, tracks
+from studiorecon.keypoints.tracking import drop_duplicates, track_ids
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import identities_from_keypoints
 from studiorecon.people.association.grouping import Compared, groups_and_returns, track_margins
@@ -39,7 +39,7 @@ from studiorecon.studio.description import RESOURCES, DetectionOptions, read_des
 from studiorecon.studio.detections import detect
 from studiorecon.studio.gait import Path as Walked
 from studiorecon.studio.performance import NEVER, MotionPart, perform
-from studiorecon.studio.room import room
+from studiorecon.studio.room import build_room
 from studiorecon.studio.tracing import Tracer
 from studiorecon.tracks import keypoints as detections
 
@@ -101,7 +101,7 @@ def crossing(frames: int = FRAMES, fps: float = 30.0) -> Take:
         )
         poses, trans_m = perform(part, troupe.body, actor.betas, times_s)
         troupe.actors[k] = replace(actor, poses=poses, trans_m=trans_m)
-    solids = room(described.seed, 0.0)
+    solids = build_room(described.seed, 0.0)
     ideal = rig.cameras(described)
     return Take(
         ideal,
@@ -137,7 +137,7 @@ def drawn(take: Take, seed: int, options: detections.Settings) -> tuple[list[Det
         keep = drop_duplicates(frame, keypoints, options.tracking)
         frame, keypoints = frame[keep], keypoints[keep]
         who = nearest(take, camera, frame, keypoints)
-        track = tracks(frame, keypoints, options.tracking, 30.0)
+        track = track_ids(frame, keypoints, options.tracking, 30.0)
         found.append(Detections(camera.name, LAYOUT, frame, track, keypoints, *bodies(take, camera, frame, who, rng)))
         owners.append(who)
     return found, owners

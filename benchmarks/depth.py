@@ -40,7 +40,7 @@ from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.room import read_room
 from studiorecon.studio.room import HALF_X_M, HALF_Y_M
 from studiorecon.views import synthesize
-from studiorecon.views.forward_warp import blend, source
+from studiorecon.views.forward_warp import blend_photos, warp_source
 
 from tests.defaults import default_settings, loaded
 from tests.made.bent_depth import bent
@@ -232,10 +232,10 @@ def carried(room: Room, depths: list[np.ndarray], gains: dict[str, np.ndarray]) 
     truth."""
     warp = loaded(synthesize.Settings)
     even = [np.clip(p / gains[c.name].astype(np.float32), 0, 1) for c, p in zip(room.cameras, room.plates)]
-    photos = [source(c, e, np.ones(c.hw, bool), d, warp.depth_jump) for c, e, d in zip(room.cameras, even, depths)]
+    photos = [warp_source(c, e, np.ones(c.hw, bool), d, warp.depth_jump) for c, e, d in zip(room.cameras, even, depths)]
     scores, sheets = [], []
     for camera, target in zip(room.views, room.targets):
-        rgb, support, _ = blend(camera, photos, warp.oversampling, warp.z_tolerance, np.radians(warp.fade_deg))
+        rgb, support, _ = blend_photos(camera, photos, warp.oversampling, warp.z_tolerance, np.radians(warp.fade_deg))
         painted = synthesize.paint_holes(rgb, support, warp.inpaint_radius)
         scores.append(-10 * np.log10(((painted / 255 - target) ** 2).mean()))
         sheets.append([painted, to_bytes(target)])

@@ -31,7 +31,7 @@ from studiorecon.body.person_files import read_person
 from studiorecon.footage.frames import decode
 from studiorecon.footage.source import open_source
 from studiorecon.footage.video import write_lossless
-from studiorecon.keypoints.tracking import drop_duplicates, tracks
+from studiorecon.keypoints.tracking import drop_duplicates, track_ids
 from studiorecon.people import associate, fit
 from studiorecon.people.association.acceptance import identities_from_keypoints
 from studiorecon.people.fitting.points import observations, triangulate_keypoints
@@ -78,7 +78,7 @@ def measured(
         kept = drop_duplicates(t, points, reading.tracking)
         t, points = t[kept], points[kept]
         owners.append(nearest(take, camera, t * every, points))
-        found.append(Detections(camera.name, LAYOUT, t, tracks(t, points, reading.tracking, fps), points))
+        found.append(Detections(camera.name, LAYOUT, t, track_ids(t, points, reading.tracking, fps), points))
     options, fitting = loaded(associate.Settings), loaded(fit.Settings)
     started = time.process_time()
     with redirect_stdout(io.StringIO()):

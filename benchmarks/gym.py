@@ -30,7 +30,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.footage.video import write_lossless
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
-from studiorecon.keypoints.tracking import drop_duplicates, tracks
+from studiorecon.keypoints.tracking import drop_duplicates, track_ids
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import identities_from_keypoints
 from studiorecon.report.metrics.identity_scores import identity_scores
@@ -229,7 +229,9 @@ def drawn(seed: int, reading: detections.Settings) -> tuple[list[Detections], li
         frame, keypoints, whose = np.array(frame), np.array(keypoints), np.array(whose)
         kept = drop_duplicates(frame, keypoints, reading.tracking)
         frame, keypoints, whose = frame[kept], keypoints[kept], whose[kept]
-        found.append(Detections(camera.name, LAYOUT, frame, tracks(frame, keypoints, reading.tracking, FPS), keypoints))
+        found.append(
+            Detections(camera.name, LAYOUT, frame, track_ids(frame, keypoints, reading.tracking, FPS), keypoints)
+        )
         owners.append(whose)
     return found, owners, seen
 

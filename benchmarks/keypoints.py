@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 from studiorecon.keypoints.coordinate_readings import affine
 from studiorecon.keypoints.film_check import Film, Verdict, check_against_film
-from studiorecon.keypoints.motion import measure_motion, small
-from studiorecon.keypoints.numbering import numberings
+from studiorecon.keypoints.motion import measure_motion, shrink_picture
+from studiorecon.keypoints.numbering import possible_numberings
 from studiorecon.scene.recorded_keypoints import RecordedKeypoints
 
 from tests.made.walkers import Take, take
@@ -108,9 +108,9 @@ def verdict(own: Take, given: RecordedKeypoints, other: Take, stored_wh: tuple[i
     """What is decided about keypoints ``given`` for the film of ``own``, stored with so many pixels."""
     frames = len(own.pictures)
     wanted = np.unique(np.linspace(0, frames - 1, 64).round().astype(int)).tolist()
-    motion = measure_motion(wanted, [small(own.pictures[t]) for t in wanted], own.wh)
+    motion = measure_motion(wanted, [shrink_picture(own.pictures[t]) for t in wanted], own.wh)
     film = Film("a", own.wh, frames, motion, affine(1, 1), 0.5, stored_wh)
-    numbers = numberings(given.pictures, frames, own.fps, None, given.counted)
+    numbers = possible_numberings(given.pictures, frames, own.fps, None, given.counted)
     return check_against_film(given, numbers, film, lambda: {"b": other.recorded})
 
 

@@ -24,9 +24,9 @@ from scipy.optimize import nnls
 from studiorecon.configuration.schema import coerce_types
 from studiorecon.home import HOME, SCHEMA
 from studiorecon.humans.result_cache import STANDS
-from studiorecon.plan.budget import UserChoices, overlay, preset
+from studiorecon.plan.budget import UserChoices, overlay_settings, read_preset
 from studiorecon.plan.make import make_plan
-from studiorecon.plan.prices import PRICES, Point, Price, PriceList, predict, probe_s, spent
+from studiorecon.plan.prices import PRICES, Point, Price, PriceList, predict, probe_s, processor_seconds
 from studiorecon.plan.workload import ON_DEMAND, Work, measure_footage, segments_with_views, workload
 from studiorecon.report.sections.cost import cost
 from studiorecon.scene.decisions import read_decisions
@@ -57,7 +57,7 @@ class Run:
 def run_of(folder: Path, scene: str, name: str, dataset: str, capture_yaml: str = "") -> Run:
     """What a finished run asked for and took."""
     defaults, schema = yaml.safe_load((HOME / "config/config.yaml").read_text()), yaml.safe_load(SCHEMA.read_text())
-    config = overlay(defaults, UserChoices({}, schema), preset("" if name == "default" else name))
+    config = overlay_settings(defaults, UserChoices({}, schema), read_preset("" if name == "default" else name))
     config = coerce_types(config | {"dataset": dataset, "capture_yaml": capture_yaml, "scene": scene}, schema)
     plan = make_plan(config, HOME)
     # What it has decided is known now.
@@ -127,7 +127,7 @@ def main() -> None:
     print(f"{'run':10} {'predicted':>10} {'spent':>8} ratio   {'predicted':>10} {'took':>8}  PSNR")
     ratios, rows = [], []
     for run in (*own, *others):
-        told, guessed = predict(run.work, made, CORES, 1.0), sum(spent(run.work, made).values())
+        told, guessed = predict(run.work, made, CORES, 1.0), sum(processor_seconds(run.work, made).values())
         real = sum(sum(run.jobs_s.get(rule, [])) for rule in run.work)
         ratios.append(run.wall_s / told.seconds if run.wall_s else real / guessed)
         rows.append(
@@ -142,7 +142,7 @@ def main() -> None:
     if options.write:
         write_json(CHECKED, {"runs": rows[len(own) :]})
         spread = [round(min(SPREAD[0], *ratios), 2), round(max(SPREAD[1], *ratios), 2)]
-        cost_of = {run.preset: sum(spent(run.work, made).values()) for run in reversed(own)}
+        cost_of = {run.preset: sum(processor_seconds(run.work, made).values()) for run in reversed(own)}
         write_json(
             PRICES,
             {

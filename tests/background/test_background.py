@@ -23,7 +23,7 @@ from studiorecon.scene.path import PathStep
 from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
 from studiorecon.scene.room import RoomBox
 from studiorecon.scene.support import support_weight
-from studiorecon.splatting.seeds import finest, random_volume, seeds_from_depth
+from studiorecon.splatting.seeds import finest_pixels, random_volume, seeds_from_depth
 
 from tests.made.background import BOX, WH, cameras, capture, look, run, settings  # noqa: F401
 from tests.made.gaussians import rasterise
@@ -118,7 +118,7 @@ def test_what_several_photos_show_is_started_from_the_one_that_shows_it_finest()
     far = replace(far, camera_from_world=back)
     (_, near_m), (_, far_m) = look(near), look(far)
     known = np.ones(near.hw, bool)
-    own, theirs = finest([near, far], [near_m, far_m], [known, known])
+    own, theirs = finest_pixels([near, far], [near_m, far_m], [known, known])
     assert own.mean() > 0.95, "all that the nearer one sees"
     there, depth_m = near.project(far.unproject(far.pixel_centres(), far_m))
     shared = (depth_m > 0) & (there > 0).all(-1) & (there < WH).all(-1)
@@ -126,7 +126,7 @@ def test_what_several_photos_show_is_started_from_the_one_that_shows_it_finest()
     assert theirs[shared].mean() < 0.05
     assert theirs[~shared].mean() > 0.9, "what it alone sees"
     known[:28] = False
-    assert not finest([near, far], [near_m, far_m], [known, known])[0][:28].any()
+    assert not finest_pixels([near, far], [near_m, far_m], [known, known])[0][:28].any()
 
 
 def test_unknown_depth_seeds_nothing(cameras: list[Camera]) -> None:

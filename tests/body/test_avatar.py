@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from studiorecon.body.avatar.avatar_files import Avatar, read_avatar, write_avatar
 from studiorecon.body.avatar.posing import Posing
-from studiorecon.body.avatar.weight_grid import strongest
+from studiorecon.body.avatar.weight_grid import strongest_weights
 from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.errors import UserError
 from studiorecon.scene.camera import Camera
@@ -41,7 +41,7 @@ def avatar(body: BodyModel) -> Avatar:
     )
     poses = rng.normal(0, 0.3, (3, 72))
     poses[:, :3] = upright_global_orientation(0.3)
-    bones, weights = strongest(body.weights[chosen], 4)
+    bones, weights = strongest_weights(body.weights[chosen], 4)
     provenance = np.where(np.arange(n) % 4, MEASURED, INFERRED).astype(np.uint8)
     trans = np.array([[0.0, 0, 0.9], [0.2, 0, 0.9], [0.4, 0.1, 0.9]])
     return Avatar(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from studiorecon.body.avatar.posing import Posing
-from studiorecon.body.avatar.weight_grid import WeightGrid, build_weight_grid, strongest
+from studiorecon.body.avatar.weight_grid import WeightGrid, build_weight_grid, strongest_weights
 from studiorecon.body.model import BodyModel
 
 IDENTITY = np.float32([1, 0, 0, 0])
@@ -106,14 +106,14 @@ def test_l06_surface_weights_keep_the_legs_apart(body: BodyModel) -> None:
 
 def test_l07_kept_weights_sum_to_one_in_single_precision(body: BodyModel) -> None:
     """Half floats leave the sum off by 3.8e-4, which moves a point 5 m from the origin by 1.9 mm."""
-    _, kept = strongest(body.weights, 4)
+    _, kept = strongest_weights(body.weights, 4)
     assert kept.dtype == np.float32
     assert np.abs(kept.astype(np.float64).sum(axis=1) - 1).max() < 1e-6
 
 
 def test_l08_the_zero_pose_is_the_identity(body: BodyModel) -> None:
     """Joint transforms without the inverse bind double every offset."""
-    bones, weights = strongest(body.weights, 4)
+    bones, weights = strongest_weights(body.weights, 4)
     rest = body.rest_vertices(np.zeros(10)).astype(np.float32)
     pelvis = body.rest_joints(np.zeros(10))[:1]
     transforms = body.joint_transforms(np.zeros((1, 72)), np.zeros(10), pelvis)[0]

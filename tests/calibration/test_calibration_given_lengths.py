@@ -23,7 +23,7 @@ from studiorecon.rig.metric_scale import GivenLengths, stature_m
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 from studiorecon.studio.description import RESOURCES, read_description
-from studiorecon.studio.performance import shape
+from studiorecon.studio.performance import random_betas
 
 from tests.defaults import loaded
 from tests.made.take import after_similarity, made_take
@@ -45,7 +45,7 @@ def take() -> tuple[list[Camera], list[Detections]]:
 def heights_m(body: BodyModel) -> list[float]:
     """The two people of the take, head to heel."""
     seed = read_description(RESOURCES / "studio/defaults.yaml").seed
-    return [float(np.ptp(body.rest_vertices(shape(seed, k))[:, 1])) for k in range(2)]
+    return [float(np.ptp(body.rest_vertices(random_betas(seed, k))[:, 1])) for k in range(2)]
 
 
 @pytest.fixture(scope="module")

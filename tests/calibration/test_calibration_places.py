@@ -14,14 +14,14 @@ from studiorecon.calibration.choose import choose_lenses
 from studiorecon.calibration.files import Settings, read_calibration
 from studiorecon.calibration.formats.reading import Reading
 from studiorecon.camera_files.raw_camera import RawCamera
-from studiorecon.footage.frames import glimpses
+from studiorecon.footage.frames import seek_frames
 from studiorecon.footage.source import open_source
-from studiorecon.geometry.crop_hypotheses import without_bars
+from studiorecon.geometry.crop_hypotheses import area_inside_bars
 from studiorecon.geometry.distortion import distort
 from studiorecon.geometry.lens import calibration_from_video
 from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.keypoints.motion import SMALL_PX, Motion, measure_motion
-from studiorecon.keypoints.numbering import numberings
+from studiorecon.keypoints.numbering import possible_numberings
 from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.rig.lens_model import as_model
 from studiorecon.scene.camera import Camera, Lens
@@ -33,11 +33,11 @@ from tests.made.readings import PEOPLE, reading, rig
 
 def test_black_bars_are_found_in_bright_and_dark_pictures():
     pictures = [np.full((60, 80, 3), level, np.uint8) for level in (5, 90, 200)]
-    assert without_bars(pictures).tolist() == [0, 0, 80, 60]
+    assert area_inside_bars(pictures).tolist() == [0, 0, 80, 60]
     for picture in pictures:
         picture[:7] = picture[54:] = 9
-    assert without_bars(pictures).tolist() == [0, 7, 80, 54]
-    assert without_bars(pictures[:1]).tolist() == [0, 0, 80, 60]
+    assert area_inside_bars(pictures).tolist() == [0, 7, 80, 54]
+    assert area_inside_bars(pictures[:1]).tolist() == [0, 0, 80, 60]
 
 
 @pytest.mark.parametrize("in_calibration", [False, True])
@@ -145,11 +145,11 @@ def test_films_of_a_real_take_that_were_scaled_and_padded_are_placed(real_data):
     """Two of four films are scaled by 0.993 between bars of 7 pixels, and the keypoints are in calibrated pixels."""
     take, names = real_data / "pose2sim_balancing", ["cam01", "cam02", "cam03", "cam04"]
     films = [open_source(take / f"single/videos/{name}.mp4", 30.0) for name in names]
-    areas = {name: without_bars(glimpses(film, [0, 50, 99])) for name, film in zip(names[:2], films)}
+    areas = {name: area_inside_bars(seek_frames(film, [0, 50, 99])) for name, film in zip(names[:2], films)}
     people = []
     for name, film in zip(names, films, strict=True):
         own = read_keypoints(take / "pose2d_body25b_single" / name, film.wh)
-        usual = numberings(own.pictures, film.frames, film.fps, None, own.counted).possible[0]
+        usual = possible_numberings(own.pictures, film.frames, film.fps, None, own.counted).possible[0]
         own = own.renumbered(usual.frame_of, film.frames)
         people.append(Detections(name, "body_25b", own.frame, np.zeros_like(own.frame), own.keypoints))
     found = choose_lenses(

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.models import containers
-from studiorecon.models.containers import ContainerImage, build, definition, engine, instructions, read_image
+from studiorecon.models.containers import ContainerImage, build_image, definition, find_engine, instructions, read_image
 
 
 def planted(folder: Path, name: str, script: str) -> None:
@@ -22,11 +22,11 @@ def planted(folder: Path, name: str, script: str) -> None:
 def test_the_first_engine_that_works_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path / "bin"))
     planted(tmp_path / "bin", "docker", "echo 27.0")
-    assert engine() == "docker"
+    assert find_engine() == "docker"
     planted(tmp_path / "bin", "podman", "echo cannot >&2; exit 1")
-    assert engine() == "docker"
+    assert find_engine() == "docker"
     planted(tmp_path / "bin", "apptainer", "echo apptainer version 1.3.0")
-    assert engine() == "apptainer"
+    assert find_engine() == "apptainer"
 
 
 def test_without_an_engine_one_sentence_says_what_each_of_them_said(
@@ -45,7 +45,7 @@ def test_without_an_engine_one_sentence_says_what_each_of_them_said(
 def test_podman_is_given_folder_tag_and_context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, root: Path) -> None:
     monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:/usr/bin:/bin")
     planted(tmp_path / "bin", "podman", f'echo "$@" >> {tmp_path}/calls; echo sha256:12')
-    said = build("podman", ContainerImage("core", "studiorecon/core", "0.1.0"), root, tmp_path)
+    said = build_image("podman", ContainerImage("core", "studiorecon/core", "0.1.0"), root, tmp_path)
     calls = (tmp_path / "calls").read_text().splitlines()
     assert calls[0] == f"build -f {root}/envs/core/Containerfile -t studiorecon/core:0.1.0 {root}"
     assert "studiorecon/core:0.1.0 in podman's store (sha256:12)" in said
@@ -58,10 +58,10 @@ def test_apptainer_makes_a_file_completely_or_not_at_all(
     core = ContainerImage("core", "studiorecon/core", "0.1.0")
     planted(tmp_path / "bin", "apptainer", 'echo half > "$3"; echo no space left; exit 1')
     with pytest.raises(UserError, match=r"image core could not be built by apptainer \(no space left\)"):
-        build("apptainer", core, root, tmp_path / "images")
+        build_image("apptainer", core, root, tmp_path / "images")
     assert not (tmp_path / "images/core-0.1.0.sif").exists()
     planted(tmp_path / "bin", "apptainer", 'cp "$4" "$3"')
-    assert "core-0.1.0.sif, which --sdm apptainer uses" in build("apptainer", core, root, tmp_path / "images")
+    assert "core-0.1.0.sif, which --sdm apptainer uses" in build_image("apptainer", core, root, tmp_path / "images")
     assert (
         (tmp_path / "images/core-0.1.0.sif")
         .read_text()

@@ -12,7 +12,7 @@ import trimesh
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.deliver import mesh
 from studiorecon.deliver.fusion import FusedSurface, FusedView, decimate, fuse, open3d, remove_vertices
-from studiorecon.deliver.room_planes import distance_m, kept_faces, planes
+from studiorecon.deliver.room_planes import build_planes, distance_m, kept_faces
 from studiorecon.errors import UserError
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
@@ -79,7 +79,7 @@ def read_back(path: Path) -> dict[str, trimesh.Trimesh]:
 
 
 def test_planes_are_exact_face_inwards_and_say_what_was_seen(tmp_path: Path, views: list[FusedView]) -> None:
-    flat = planes(ROOM, views, 0.05, 40_000)
+    flat = build_planes(ROOM, views, 0.05, 40_000)
     nothing = FusedSurface(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3)))
     mesh.write_room(tmp_path / "room.glb", flat, nothing, ["v_high", "ceiling"])
     read = read_back(tmp_path / "room.glb")

@@ -17,7 +17,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from studiorecon.body.model import BodyModel, of_size
 from studiorecon.deliver import gltf, motion_files
-from studiorecon.deliver.export import motion
+from studiorecon.deliver.export import write_motion
 from studiorecon.deliver.gltf import write_glb
 from studiorecon.errors import UserError
 from studiorecon.scene.people import Person
@@ -85,7 +85,7 @@ def test_bvh_replays_the_joints(tmp_path: Path, person: Person, body: BodyModel)
 
 def test_bvh_in_centimetres_is_the_same_motion(tmp_path: Path, person: Person, body: BodyModel) -> None:
     def lengths(unit: str) -> tuple[np.ndarray, np.ndarray]:
-        motion(tmp_path / unit, person, body, bvh_unit=unit)
+        write_motion(tmp_path / unit, person, body, bvh_unit=unit)
         lines = (tmp_path / unit / "p2.bvh").read_text().split("\n")
         at = next(k for k, line in enumerate(lines) if line.startswith("Frame Time"))
         offsets = [float(v) for line in lines[:at] if "OFFSET" in line for v in line.split()[1:]]
@@ -318,13 +318,13 @@ def test_glb_replays_the_surface(tmp_path: Path, person: Person, body: BodyModel
 
 
 def test_a_fit_of_another_body_is_not_delivered(tmp_path: Path, person: Person, body: BodyModel) -> None:
-    written = motion(tmp_path, person, body)
+    written = write_motion(tmp_path, person, body)
     endings = ["amass.npz", "bvh", "c3d", "glb", "openpose3d.json", "trc"]
     assert sorted(p.name for p in written) == [f"p2.{ending}" for ending in endings]
     assert all(p.stat().st_size > 1000 for p in written)
     other = Person(**{**vars(person), "body": "smpl_neutral"})
     with pytest.raises(UserError, match=r"p2 was fitted with the body model smpl_neutral.*use the same body file"):
-        motion(tmp_path, other, body)
+        write_motion(tmp_path, other, body)
 
 
 def test_a_motion_too_long_for_a_glb_fits_with_fewer_frames(
@@ -345,7 +345,7 @@ def test_while_somebody_is_away_formats_say_so_that_can(tmp_path: Path, person: 
     away = replace(person, present=np.arange(FRAMES) < 5, valid=person.valid & (np.arange(FRAMES) < 5))
     for name, one in (("always", person), ("away", away)):
         (tmp_path / name).mkdir()
-        motion(tmp_path / name, one, body)
+        write_motion(tmp_path / name, one, body)
     frames = json.loads((tmp_path / "away/p2.openpose3d.json").read_text())
     assert [len(frame["people"]) for frame in frames] == [1] * 5 + [0] * 2
     with np.load(tmp_path / "away/p2.amass.npz") as data:

@@ -20,7 +20,7 @@ from studiorecon.render import kinds
 from studiorecon.render.composite import Composite, truth_levels
 from studiorecon.render.composite_renderer import CompositeRenderer
 from studiorecon.render.look_at_targets import LookAtTargets
-from studiorecon.render.planning import plan
+from studiorecon.render.planning import plan_steps
 from studiorecon.scene.factors import Factors
 
 from tests.made.browser import (
@@ -251,9 +251,9 @@ def test_a_path_of_keys_is_a_film_that_validates(browser: Browser, page: Path, r
     config["render"]["shots"] = shots
     schema = yaml.safe_load((root / "workflow/schemas/config.schema.yaml").read_text())
     assert mistakes(config, schema) == []
-    assert kinds.film(shots["mine"], "mine").kind == "spline"
+    assert kinds.read_film_settings(shots["mine"], "mine").kind == "spline"
     subjects = LookAtTargets({}, {}, {}, np.zeros(3), FRAMES, scene.capture.fps)
-    steps = plan("mine", shots, 160, 0.0, scene.cameras, [], subjects, scene.room)
+    steps = plan_steps("mine", shots, 160, 0.0, scene.cameras, [], subjects, scene.room)
     at = [key["picture"] for key in shots["mine"]["keys"]]
     assert at == [0, 4, 4 + round(scene.capture.fps)], "where time stands still the camera takes a second"
     assert [steps[picture].frame for picture in at] == pytest.approx([0, 4, 4], abs=1e-6)

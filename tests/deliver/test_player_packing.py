@@ -18,7 +18,7 @@ from studiorecon.body.skinning import forward_kinematics
 from studiorecon.deliver import player, player_data
 from studiorecon.deliver.packing import Bytes, morton_order, quantise_weights
 from studiorecon.deliver.player_data import describe_scene
-from studiorecon.deliver.player_motion import moments
+from studiorecon.deliver.player_motion import motion_times
 from studiorecon.footage.video import write_lossless
 from studiorecon.geometry import rotations
 from studiorecon.scene.factors import NONE
@@ -164,7 +164,7 @@ def test_long_motion_is_told_at_fewer_moments_and_says_so(monkeypatch: pytest.Mo
     told, sentences = describe_scene(scene, Bytes(), NONE)
     assert told["moments"] == 30_000 // (2 * (24 * 8 + 12))
     assert any(f"motion is sampled at {told['moments']} moments of 600 frames" in sentence for sentence in sentences)
-    assert moments(600, 7)[[0, -1]].tolist() == [0, 599]
+    assert motion_times(600, 7)[[0, -1]].tolist() == [0, 599]
 
 
 def test_a_network_without_places_of_its_own_is_asked_at_some() -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from studiorecon.depth.depth_edges import on_edges, sharpened
+from studiorecon.depth.depth_edges import depth_edge_pixels, sharpen_depth
 from studiorecon.depth.fusion import Surface, label_with_network
 from studiorecon.depth.learned import LearnedDepth, calibrate
 from studiorecon.depth.stereo.passes import PassSettings, PlaneCosts
@@ -68,10 +68,10 @@ def test_blurred_edges_return_to_the_photos() -> None:
     rgb = np.where(depth[..., None] > 3, np.float32(0.8), np.float32(0.2)) * np.ones(3, np.float32)
     blurred = 1 / cv2.GaussianBlur(1 / depth, (0, 0), 1.0)
     assert np.abs(blurred / depth - 1).max() > 0.3
-    np.testing.assert_allclose(sharpened(blurred, rgb), depth, rtol=0.03)
+    np.testing.assert_allclose(sharpen_depth(blurred, rgb), depth, rtol=0.03)
     # A crease is no edge.
     crease = 1 / np.broadcast_to(np.maximum(0.2, np.linspace(0, 0.5, 90))[:, None], (90, 160))
-    assert not on_edges(crease.astype(np.float32))[5:-5].any()
+    assert not depth_edge_pixels(crease.astype(np.float32))[5:-5].any()
 
 
 def labelled(wall_cost: float, network_m: float, sigma: float, outliers: float) -> int:

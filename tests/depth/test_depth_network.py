@@ -13,7 +13,7 @@ import pytest
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.configuration.settings import load
 from studiorecon.depth import network
-from studiorecon.depth.estimates import estimate_of
+from studiorecon.depth.estimates import read_camera_estimate
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.images.plate import write_plate
@@ -85,7 +85,7 @@ def test_files_of_a_network_are_read_whatever_they_are(folder: Path, kind: str) 
         np.savez(path, depth=depth)
     else:
         cv2.imwrite(str(path), np.rint(depth * 1000).astype(np.uint16))
-    found = estimate_of(path, room_views(WH)[0][0])
+    found = read_camera_estimate(path, room_views(WH)[0][0])
     assert not found[:9].any()
     assert np.median(np.abs(2 * found[11:] / room_views(WH)[0][2][11:] - 1)) < 0.01
 
@@ -118,15 +118,15 @@ def test_a_file_without_depth_changed_as_advised_is_read(name: str, folder: Path
     camera, (write, content, said, mended) = room_views(WH)[0][0], REFUSED[name]
     write(folder / name, content)
     with pytest.raises(UserError, match=said):
-        estimate_of(folder / name, camera)
+        read_camera_estimate(folder / name, camera)
     mended(folder / name, DEPTH)
-    np.testing.assert_allclose(estimate_of(folder / name, camera), 2.0)
+    np.testing.assert_allclose(read_camera_estimate(folder / name, camera), 2.0)
 
 
 def test_inverse_depth_below_zero_is_named_and_depth_is_not(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for sign, warned in ((-1, True), (1, False)):
         np.save(folder / "signed.npy", sign * DEPTH)
-        estimate_of(folder / "signed.npy", room_views(WH)[0][0])
+        read_camera_estimate(folder / "signed.npy", room_views(WH)[0][0])
         assert ("write depth, not its inverse" in capsys.readouterr().out) == warned
 
 
@@ -143,6 +143,6 @@ def test_pi3s_depth_comes_at_the_pictures_size(
             return Reconstruction([small], [depth[::2, ::2]], [np.full((27, 48), 0.5, np.float32)], [0.1], False)
 
     monkeypatch.setattr(pi3, "ADAPTER", Planted)
-    ((found, sure),) = network.estimates("pi3", [camera], [(rgb * 255).astype(np.uint8)], [], tmp_path, "cpu")
+    ((found, sure),) = network.estimate_depths("pi3", [camera], [(rgb * 255).astype(np.uint8)], [], tmp_path, "cpu")
     assert found.shape == sure.shape == camera.hw
     assert np.median(np.abs(found / depth - 1)) < 0.02

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from studiorecon.depth.layout import visibility
 from studiorecon.depth.layout.primitive_fitting import contains_any, fit_primitives, is_allowed
-from studiorecon.depth.layout.primitives import Primitive, in_front
-from studiorecon.depth.layout.primitives_picture import sheet
+from studiorecon.depth.layout.primitives import Primitive, depth_with_primitives
+from studiorecon.depth.layout.primitives_picture import overview_sheet
 from studiorecon.depth.layout.proposals import leg_candidates
-from studiorecon.depth.layout.visibility import free_ray_points, joint_places, with_distance
-from studiorecon.depth.stereo.kernels import draw
+from studiorecon.depth.layout.visibility import append_distance, free_ray_points, joint_places
+from studiorecon.depth.stereo.kernels import draw_primitive
 from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.camera import Camera
@@ -74,7 +74,7 @@ def test_a_camera_inside_a_primitive_sees_the_room() -> None:
     camera = ring(1)[0]
     around = Primitive("box", tuple(camera.centre_m[:2]), 0.0, (1.0, 1.0), 0.0, 3.0, 0.0)
     assert not around.depth(camera).any()
-    depth_m, shown = in_front([around], camera, np.full(camera.hw, 2.0, np.float32))
+    depth_m, shown = depth_with_primitives([around], camera, np.full(camera.hw, 2.0, np.float32))
     assert (depth_m == 2.0).all()
     assert not shown.any()
 
@@ -83,7 +83,7 @@ def test_a_primitive_stands_before_what_is_behind_it_and_before_the_unknown() ->
     camera = ring(1)[0]
     own = BOX.depth(camera)
     for behind, seen in ((50.0, own > 0), (0.0, own > 0), (0.5, np.zeros(camera.hw, bool))):
-        depth_m, shown = in_front([BOX], camera, np.full(camera.hw, behind, np.float32))
+        depth_m, shown = depth_with_primitives([BOX], camera, np.full(camera.hw, behind, np.float32))
         assert (shown == seen).all()
         np.testing.assert_allclose(depth_m, np.where(seen, own, behind), rtol=1e-6)
         assert depth_m.dtype == np.float32
@@ -122,7 +122,7 @@ def test_what_reaches_behind_a_camera_is_drawn_where_rays_meet_it() -> None:
         numbers = np.array([k % 3 == 0, *beside, rng.uniform(0, 3), *size, low, low + rng.uniform(0.1, 1.5)])
         expected = Primitive.from_numbers(numbers, 0.0).depth(camera)
         depth_m, surface = np.full(known.shape, 50, np.float32), np.zeros(known.shape, np.int32)
-        draw(lens, pose, centre, known, depth_m, surface, numbers, 10)
+        draw_primitive(lens, pose, centre, known, depth_m, surface, numbers, 10)
         assert np.array_equal(surface[k % 4] >= 10, expected > 0.1)
         cut += bool(((expected > 0.1) & (expected < 0.4)).any())
     assert cut > 5, "some pass right before a camera"
@@ -156,7 +156,7 @@ def test_the_cupboard_is_found(furnished: tuple[Room, list[Picture], list[Primit
     bare = [room.room_box.intersect(*p.camera.rays())[0] for p in pictures]
     error = {}
     for name, primitives in (("bare", []), ("found", found)):
-        depths = [in_front(primitives, p.camera, d)[0] for p, d in zip(pictures, bare)]
+        depths = [depth_with_primitives(primitives, p.camera, d)[0] for p, d in zip(pictures, bare)]
         error[name] = np.mean([np.mean(np.abs(d - t) / t) for d, t in zip(depths, truth)])
     assert error["found"] < 0.4 * error["bare"]
 
@@ -217,8 +217,8 @@ def test_nothing_is_put_where_somebody_walked_or_a_camera_is(
     numbers = np.stack([primitive.numbers for primitive in found])
     place = np.array([*found[0].centre_m, (found[0].low_m + found[0].high_m) / 2])
     assert is_allowed(numbers, room.room_box, NOBODY)[0]
-    assert not is_allowed(numbers, room.room_box, with_distance(place[None], 0.0))[0]
-    assert not contains_any(numbers, with_distance(np.stack([p.camera.centre_m for p in pictures]), 0.0)).any()
+    assert not is_allowed(numbers, room.room_box, append_distance(place[None], 0.0))[0]
+    assert not contains_any(numbers, append_distance(np.stack([p.camera.centre_m for p in pictures]), 0.0)).any()
     joints = np.tile(place, (3, 24, 1))
     joints[1], joints[2, 0] = 9.0, np.nan
     person = Person(
@@ -320,8 +320,8 @@ def test_the_sheet_shows_every_photo_and_the_plan(furnished: tuple[Room, list[Pi
     room, pictures, found = furnished
     depths = [p.plane_depths_of_pixels(np.broadcast_to([0, 0, 1.0, 0], (*p.camera.hw, 4))) for p in pictures]
     with_them, without = (
-        sheet(pictures, room.room_box, [*found, POST], depths),
-        sheet(pictures, room.room_box, [], depths),
+        overview_sheet(pictures, room.room_box, [*found, POST], depths),
+        overview_sheet(pictures, room.room_box, [], depths),
     )
     assert with_them.shape == without.shape == (3 * 360, 2 * 640, 3)
     assert (with_them != without).any(axis=-1).mean() > 0.002

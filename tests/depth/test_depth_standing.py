@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from studiorecon.depth.layout.contact_localisation import localise_by_contact
-from studiorecon.depth.layout.primitives import Primitive, in_front
+from studiorecon.depth.layout.primitives import Primitive, depth_with_primitives
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.room import RoomBox
 
@@ -27,7 +27,7 @@ def photo(*stands: Primitive, contrast: float = 1.0, width: int = 480) -> Pictur
     fine = camera.resized((2 * camera.wh[0], 2 * camera.wh[1]))
     depth_m, face = ROOM_BOX.intersect(*fine.rays())
     rgb = 0.3 + 0.2 * texture(fine.unproject(fine.pixel_centres(), depth_m), face, 0)
-    _, shown = in_front(stands, fine, depth_m)
+    _, shown = depth_with_primitives(stands, fine, depth_m)
     rgb[shown] = (1 - contrast) * rgb[shown] + contrast * np.array([0.8, 0.75, 0.6])
     rgb = rgb.reshape(camera.hw[0], 2, camera.hw[1], 2, 3).mean(axis=(1, 3))
     noise = np.random.default_rng(0).normal(0, 0.01, rgb.shape)

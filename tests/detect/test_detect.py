@@ -17,7 +17,7 @@ from studiorecon.detector.movenet import MoveNet, Sighting
 from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.detector.tracking import Walker, detect_people
 from studiorecon.errors import UserError
-from studiorecon.footage.frames import stills
+from studiorecon.footage.frames import read_stills
 from studiorecon.footage.source import open_source
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.scene.raw_detections import RawDetections, is_detector_file, read_raw_detections, write_raw_detections
@@ -213,7 +213,7 @@ def test_found_people_survive_the_file(tmp_path: Path) -> None:
 def test_a_real_man_and_a_bystander_are_found_where_openpose_found_them(root: Path, real_data: Path) -> None:
     folder = root / "resources/detector"
     source = open_source(real_data / "pose2sim_balancing/single/videos/cam03.mp4", 30.0)
-    (picture,) = stills(source, [0])
+    (picture,) = read_stills(source, [0])
     seen = DetectorFiles([folder / name for name in FILES]).detector().detect_new_people(picture)
     assert len(seen) == 1
     names = LAYOUTS[LAYOUT].keypoints

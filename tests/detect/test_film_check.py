@@ -13,7 +13,7 @@ from studiorecon.detect import keypoints as step
 from studiorecon.keypoints import motion
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.numbering import numberings
+from studiorecon.keypoints.numbering import possible_numberings
 from studiorecon.keypoints.unmatched import without_record
 from studiorecon.scene.keypoint_verdict import read_keypoint_verdict
 from studiorecon.scene.recorded_keypoints import read_recorded
@@ -148,7 +148,7 @@ PICTURES = np.arange(48)
 def test_numbers_are_read_as_the_film_s_length_has_it(
     pictures: np.ndarray, given: int | None, frames: tuple[int, int], certain: bool
 ) -> None:
-    found = numberings(pictures.astype(np.int64), 48, 30.0, given, False)
+    found = possible_numberings(pictures.astype(np.int64), 48, 30.0, given, False)
     assert (found.possible[0].frame_of[[0, -1]].tolist(), found.certain) == (list(frames), certain)
 
 

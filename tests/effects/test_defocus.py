@@ -11,7 +11,7 @@ import pytest
 from studiorecon.scene.decisions import Decision
 from studiorecon.survey.effects import DEFOCUS
 from studiorecon.survey.effects.defocus import edge_blur_px
-from studiorecon.survey.evidence import Evidence, Material
+from studiorecon.survey.evidence import Evidence, SurveyInput
 
 from tests.made.planted import SETTINGS
 from tests.made.studio_world import scene
@@ -32,7 +32,7 @@ def tiles(seed: int, blur_px: float) -> np.ndarray:
 
 def judged(blurs_px: list[float], seed: int = 0) -> Decision:
     """The decision where the cameras' plates are tiles blurred by so much."""
-    material: Material = scene(seed)
+    material: SurveyInput = scene(seed)
     views = [
         replace(view, rgb=tiles(10 * seed + k, blur_px))
         for k, (view, blur_px) in enumerate(zip(material.views, blurs_px, strict=True))

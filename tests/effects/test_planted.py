@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from studiorecon.scene.decisions import Decision
 from studiorecon.survey.effect_decisions import decide_effects
-from studiorecon.survey.evidence import Evidence, Material
+from studiorecon.survey.evidence import Evidence, SurveyInput
 
 from tests.made.planted import ROOT, SETTINGS  # noqa: F401
 from tests.made.studio_world import OTHERWISE, PLANTED, scene
@@ -23,17 +23,17 @@ from tests.made.studio_world import OTHERWISE, PLANTED, scene
 USUAL_ON = {"people", "closed_path", "view_synthesis"}
 
 
-def decisions(material: Material) -> dict[str, Decision]:
+def decisions(material: SurveyInput) -> dict[str, Decision]:
     return {d.effect: d for d in decide_effects(Evidence(material, SETTINGS), SETTINGS.thresholds)}
 
 
 @pytest.fixture(scope="module")
-def usual() -> Material:
+def usual() -> SurveyInput:
     return scene(0)
 
 
 @pytest.fixture(scope="module")
-def base(usual: Material) -> dict[str, Decision]:
+def base(usual: SurveyInput) -> dict[str, Decision]:
     return decisions(usual)
 
 
@@ -73,7 +73,7 @@ class TestNoInformation:
         assert found["moving_shadows"].verdict == "undetermined"
         assert found["people"].verdict == "off"
 
-    def test_where_people_hide_the_room_nothing_is_said_of_light_and_things(self, usual: Material) -> None:
+    def test_where_people_hide_the_room_nothing_is_said_of_light_and_things(self, usual: SurveyInput) -> None:
         hidden = replace(usual, films=[replace(f, free=np.zeros_like(f.free)) for f in usual.films])
         found = decisions(hidden)
         assert {
@@ -84,7 +84,7 @@ class TestNoInformation:
 class TestLookalikes:
     """What resembles an effect and is none of it."""
 
-    def test_a_lamp_that_flickers_in_place_is_no_thing_that_moves(self, usual: Material) -> None:
+    def test_a_lamp_that_flickers_in_place_is_no_thing_that_moves(self, usual: SurveyInput) -> None:
         def flickers(pictures: np.ndarray) -> np.ndarray:
             lit = pictures.copy()
             lit[::2, 20:34, 30:44] = np.clip(lit[::2, 20:34, 30:44].astype(int) + 60, 0, 255)
@@ -93,7 +93,7 @@ class TestLookalikes:
         found = decisions(_filmed(usual, flickers))
         assert found["dynamic_objects"].verdict == "off"
 
-    def test_people_who_cover_half_of_the_room_do_not_change_its_light(self, usual: Material) -> None:
+    def test_people_who_cover_half_of_the_room_do_not_change_its_light(self, usual: SurveyInput) -> None:
         def covered(pictures: np.ndarray) -> np.ndarray:
             dark = pictures.copy()
             dark[10:, :, : dark.shape[2] // 2] //= 3
@@ -108,7 +108,7 @@ class TestLookalikes:
         assert {found[e].verdict for e in ("moving_cameras", "view_dependent_colour", "dynamic_objects")} == {"off"}
         assert found["moving_shadows"].verdict != "on"
 
-    def test_a_lost_keypoint_leaves_a_leg_that_is_no_thing(self, usual: Material) -> None:
+    def test_a_lost_keypoint_leaves_a_leg_that_is_no_thing(self, usual: SurveyInput) -> None:
         films = []
         for film in usual.films:
             pictures = film.pictures.copy()
@@ -152,7 +152,7 @@ def test_the_planted_size_is_what_is_measured() -> None:
     assert found["moving_cameras"].value == pytest.approx(0.8, abs=0.1)
 
 
-def _filmed(material: Material, change: Callable[[np.ndarray], np.ndarray]) -> Material:
+def _filmed(material: SurveyInput, change: Callable[[np.ndarray], np.ndarray]) -> SurveyInput:
     return replace(material, films=[replace(f, pictures=change(f.pictures)) for f in material.films])
 
 

@@ -17,7 +17,7 @@ from studiorecon.enhance.photos import Training
 from studiorecon.errors import UserError
 from studiorecon.footage.video import Playback, read_frame, read_frames_from, read_stack, write_lossless
 from studiorecon.images.metrics import psnr
-from studiorecon.images.transfer import ResidualSource, Transfer, best_strength, source, transfer_residual
+from studiorecon.images.transfer import ResidualSource, Transfer, best_strength, residual_source, transfer_residual
 from studiorecon.images.warp import sample
 from studiorecon.models.protocols import Moment
 from studiorecon.recursive.sequence import adapt_injection, enhance_sequence, loop_gain
@@ -148,7 +148,10 @@ def test_a_render_larger_than_its_photo_counts_by_its_top_left_part() -> None:
     photo, render = (rng.integers(0, 255, (*camera.hw, 3), dtype=np.uint8) for _ in range(2))
     depth_m = np.full(camera.hw, 2.0)
     larger = np.pad(render, ((0, 4), (0, 2), (0, 0))), np.pad(depth_m, ((0, 4), (0, 2)))
-    one, other = source(camera, photo, render, depth_m, TRANSFER), source(camera, photo, *larger, TRANSFER)
+    one, other = (
+        residual_source(camera, photo, render, depth_m, TRANSFER),
+        residual_source(camera, photo, *larger, TRANSFER),
+    )
     np.testing.assert_array_equal(one.residual, other.residual)
     np.testing.assert_array_equal(one.depth_m, other.depth_m)
 
@@ -189,7 +192,7 @@ def test_the_transfer_is_its_formula() -> None:
     view_depth = view_depth.copy()
     view_depth[3, 3] = np.nan
     sources = [
-        source(camera, noisy[0], 0 * photo, depth, transfer),
+        residual_source(camera, noisy[0], 0 * photo, depth, transfer),
         ResidualSource(other, np.float32(noisy[1] / 255), wall_depth(other)),
     ]
     residual, cover = transfer_residual(view, view_depth, sources, transfer)
@@ -205,7 +208,7 @@ def test_the_transfer_is_its_formula() -> None:
 def test_corrections_fade_in_towards_seams() -> None:
     camera, view, depth, view_depth, photo = one_view()
     wide = replace(TRANSFER, feather_px=12.0)
-    _, cover = transfer_residual(view, view_depth, [source(camera, photo, 0 * photo, depth, wide)], wide)
+    _, cover = transfer_residual(view, view_depth, [residual_source(camera, photo, 0 * photo, depth, wide)], wide)
     steps = np.abs(np.diff(cover, axis=1))
     assert steps.max() < 0.2, "no correction starts at full strength"
 
@@ -213,13 +216,17 @@ def test_corrections_fade_in_towards_seams() -> None:
 def test_the_recursion_ends_at_the_residual_and_not_beyond() -> None:
     """History already carries the correction; adding it again in full would end at 1 / (1 - w) times the residual."""
     camera, view, depth, view_depth, photo = one_view()
-    enhancer = ResidualTransfer(lambda frame: [source(camera, photo, 0 * photo, depth, TRANSFER)], 1.0, TRANSFER)
+    enhancer = ResidualTransfer(
+        lambda frame: [residual_source(camera, photo, 0 * photo, depth, TRANSFER)], 1.0, TRANSFER
+    )
     section = replace(PAPER, error_threshold=60.0)
     picture = np.full((*view.hw, 3), 60, np.uint8)
     steps = [PathStep(view, 0.0, "00")] * 12
     depths = [np.rint(view_depth * 1000).astype(np.uint16)] * 12
     outputs = list(enhance_sequence(steps, [picture] * 12, depths, lambda step: photo, enhancer, section, SEARCH))
-    _, cover = transfer_residual(view, depths[0] / 1000, [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER)
+    _, cover = transfer_residual(
+        view, depths[0] / 1000, [residual_source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER
+    )
     added = outputs[-1][..., 0].astype(float) - 60
     np.testing.assert_allclose(added[cover > 0.95], 51 * cover[cover > 0.95], atol=2)
 
@@ -415,7 +422,7 @@ def test_an_edited_picture_is_the_reference_of_the_whole_film(
             seen.append(reference)
             return image
 
-    monkeypatch.setattr(enhance_shot, "network", lambda *_: Looking())
+    monkeypatch.setattr(enhance_shot, "load_enhancer", lambda *_: Looking())
     cv2.imwrite(str(tmp_path / "edited.png"), np.full((80, 128, 3), (10, 20, 200), np.uint8))
     options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam")) | {
         "video": tmp_path / "a.mkv",

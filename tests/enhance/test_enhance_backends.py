@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from studiorecon.configuration import settings as settings_module
 from studiorecon.enhance import folder as enhance_folder
-from studiorecon.enhance.backends import Unchanged, network
+from studiorecon.enhance.backends import Unchanged, load_enhancer
 from studiorecon.errors import UserError
 from studiorecon.images.flow import one_thread
 from studiorecon.models.adapters.raft import postprocess, preprocess
@@ -29,11 +29,11 @@ from tests.made.flow import textured
 @pytest.mark.parametrize("name", ["raft", "difix", "fixer"])
 def test_a_network_without_weights_is_refused_by_the_file_that_is_missing(name: str, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=rf"needs {tmp_path}/{name}.*is missing"):
-        load_flow(name, "medium", tmp_path, "cpu") if name == "raft" else network(name, tmp_path, "cpu", 0)
+        load_flow(name, "medium", tmp_path, "cpu") if name == "raft" else load_enhancer(name, tmp_path, "cpu", 0)
 
 
 def test_the_embedded_back_ends_need_no_weights(tmp_path: Path) -> None:
-    assert isinstance(network("none", tmp_path / "nowhere", "cpu", 0), Unchanged)
+    assert isinstance(load_enhancer("none", tmp_path / "nowhere", "cpu", 0), Unchanged)
     search = load_flow("dis", "medium", tmp_path / "nowhere", "cpu")
     first = np.repeat(textured((96, 128), 1)[..., None], 3, axis=2)
     with one_thread():

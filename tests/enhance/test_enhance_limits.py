@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.images.blur import gaussian_blur
-from studiorecon.images.flow import consistent, dis_flow, one_thread
+from studiorecon.images.flow import dis_flow, is_flow_consistent, one_thread
 from studiorecon.images.warp import warp
 from studiorecon.models.adapters import raft
 from studiorecon.recursive.injection import Injection, confidence, history_weights, inject, whole_levels
@@ -144,12 +144,12 @@ def test_uncovered_background_gets_no_confidence(way: str) -> None:
     if way == "planted":
         backward, forward = np.zeros((96, 160, 2), np.float32), np.zeros((96, 160, 2), np.float32)
         backward[30:70, 60:100, 0], forward[30:70, 50:90, 0] = -10, 10
-        trusted = consistent(backward, forward)
+        trusted = is_flow_consistent(backward, forward)
         np.testing.assert_array_equal(trusted, ~uncovered)
     else:
         with one_thread():
             backward = dis_flow(current, previous, "medium")
-            trusted = consistent(backward, dis_flow(previous, current, "medium"))
+            trusted = is_flow_consistent(backward, dis_flow(previous, current, "medium"))
         assert trusted[36:64, 50:58].mean() < 0.05
         assert trusted[far].mean() > 0.99
     now, before = (np.repeat(p[..., None] / np.float32(255), 3, axis=2) for p in (current, previous))

@@ -12,7 +12,7 @@ import pytest
 from studiorecon.configuration import settings as settings_module
 from studiorecon.enhance import shot as enhance_shot
 from studiorecon.enhance.photos import Training
-from studiorecon.enhance.trial import decide_injection, flicker, transfer_strength
+from studiorecon.enhance.trial import decide_injection, flicker_increase, transfer_strength
 from studiorecon.footage.video import read_stack, write_lossless
 from studiorecon.geometry.statistics import NOTHING
 from studiorecon.images.transfer import Transfer
@@ -106,13 +106,13 @@ def test_flicker_that_enhancement_adds_is_told_from_what_was_there(
     tmp_path: Path, levels: float, film_noise: float, verdict: str
 ) -> None:
     steps, render, depth = film(tmp_path, 12, film_noise)
-    change = flicker(steps, render, depth, lambda _: np.zeros((*HW, 3), np.uint8), Noisy(levels), SEARCH)
+    change = flicker_increase(steps, render, depth, lambda _: np.zeros((*HW, 3), np.uint8), Noisy(levels), SEARCH)
     assert decide_injection(change, 0.2).verdict == verdict
 
 
 def test_a_film_of_two_pictures_says_nothing(tmp_path: Path) -> None:
     steps, render, depth = film(tmp_path, 2, 0.0)
-    change = flicker(steps, render, depth, lambda _: np.zeros((*HW, 3), np.uint8), Noisy(9.0), SEARCH)
+    change = flicker_increase(steps, render, depth, lambda _: np.zeros((*HW, 3), np.uint8), Noisy(9.0), SEARCH)
     assert change is NOTHING
     assert decide_injection(change, 0.2).verdict == "undetermined"
 

@@ -15,7 +15,7 @@ import pytest
 from studiorecon.errors import UserError
 from studiorecon.keypoints.readers import MAX_PEOPLE_PER_PICTURE, read_keypoints
 from studiorecon.scene.names import check_name
-from studiorecon.scene.numbered_files import gaps_named, pictures_in
+from studiorecon.scene.numbered_files import missing_numbers_text, pictures_in
 from studiorecon.scene.schema import real
 from studiorecon.scene.step_files import read
 from studiorecon.scene.user_files import read_npz
@@ -153,8 +153,8 @@ def test_numbered_pictures_come_in_the_order_of_their_numbers_and_gaps_are_named
         (tmp_path / f"{number}.png").touch()
     found = pictures_in(tmp_path)
     assert [int(p.stem) for p in found] == [*range(12), 14, 15, 20]
-    assert gaps_named(found) == "12, 13, 16 and 3 more"
-    assert gaps_named(found[:12]) == ""
+    assert missing_numbers_text(found) == "12, 13, 16 and 3 more"
+    assert missing_numbers_text(found[:12]) == ""
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -23,7 +23,7 @@ from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.footage.video import read_stack, write_lossless
 from studiorecon.humans import train
 from studiorecon.images.plate import temporal_modes
-from studiorecon.images.transfer import Transfer, source, transfer_residual
+from studiorecon.images.transfer import Transfer, residual_source, transfer_residual
 from studiorecon.masks import segment
 from studiorecon.scene.people import Person
 from studiorecon.scene.room import RoomBox
@@ -84,8 +84,8 @@ def test_a_depth_file_says_how_much_of_it_is_no_depth_and_keeps_the_rest(
 
 
 def blended(rgb: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    seen = [forward_warp.source(VIEWS[0], rgb, KNOWN, depth, 0.04)]
-    found, kept, _ = forward_warp.blend(ring(16)[1].resized((160, 88)), seen, 3, 0.02, 0.3)
+    seen = [forward_warp.warp_source(VIEWS[0], rgb, KNOWN, depth, 0.04)]
+    found, kept, _ = forward_warp.blend_photos(ring(16)[1].resized((160, 88)), seen, 3, 0.02, 0.3)
     return np.where(kept[..., None] > 0, found, np.nan)
 
 
@@ -112,7 +112,9 @@ def carried(rgb: np.ndarray, depth: np.ndarray) -> np.ndarray:
     transfer = Transfer(depth_tolerance=0.03, angle_power=4.0, feather_px=4.0, smooth_px=1.0)
     photo, render = (np.rint(255 * p).astype(np.uint8) for p in (rgb, 0.8 * rgb))
     clean = look(VIEWS[0])[1]
-    found, cover = transfer_residual(VIEWS[0], depth, [source(VIEWS[0], photo, render, clean, transfer)], transfer)
+    found, cover = transfer_residual(
+        VIEWS[0], depth, [residual_source(VIEWS[0], photo, render, clean, transfer)], transfer
+    )
     return np.where((cover > 0).reshape(*cover.shape, *[1] * (found.ndim - cover.ndim)), found, np.nan)
 
 
@@ -220,6 +222,6 @@ def test_a_person_is_trained_on_the_rest(
         call(train.run, settings, **brought, **out, working=tmp_path / name)
         scores.append(score(made, body, tmp_path / name, view_ring([45], "view", wh=VIEW_WH)))
     written = read_avatar(tmp_path / "broken/p3.ply", tmp_path / "broken/p3.npz", body)
-    assert state.finite(written.gaussians).all()
+    assert state.finite_mask(written.gaussians).all()
     np.testing.assert_array_equal(written.valid, made.person.valid & (np.arange(len(written.valid)) != 4))
     assert scores[1] > scores[0] - 1.5

@@ -10,7 +10,7 @@ import av
 import cv2
 import numpy as np
 import pytest
-from studiorecon.footage.frames import decode, glimpses, small_grey
+from studiorecon.footage.frames import decode, seek_frames, small_grey
 from studiorecon.footage.source import open_source
 
 from tests.made.footage import smooth_pictures
@@ -52,7 +52,7 @@ def test_pixels_become_square(aspect: Fraction, wide: int, suffix: str, tmp_path
     shown = [cv2.resize(picture, (wide, 64), interpolation=cv2.INTER_CUBIC) for picture in pictures]
     for found, expected in zip(decode(source, 0, 0), shown, strict=True):
         close(found, expected)
-    close(glimpses(source, [3])[0], shown[3])
+    close(seek_frames(source, [3])[0], shown[3])
     assert any("shown as" in note for note in source.notes) == (wide != 96)
 
 
@@ -128,7 +128,7 @@ def test_hdr_cameras_come_out_like_the_others(transfer: int, name: str, tmp_path
     for found, expected in zip(decode(source, 0, 0), pictures, strict=True):
         assert abs(float(found.mean()) - expected.mean()) < 8
         close(found, expected, 12)
-    close(glimpses(source, [2])[0], pictures[2], 12)
+    close(seek_frames(source, [2])[0], pictures[2], 12)
     assert any(name in note and "BT.709" in note for note in source.notes)
 
 
@@ -166,5 +166,5 @@ def test_interlaced_films_show_one_moment(tmp_path: Path) -> None:
     combs = [float(np.abs(np.diff(film[2:-2].mean(-1), axis=1)).mean()) for film in (woven.astype(int), found)]
     assert combs[1] < 0.4 * combs[0]
     assert min(float(np.abs(found[5] - field).mean()) for field in fields[10:12].astype(int)) < 6
-    close(glimpses(source, [6])[0], found[6], 3)
+    close(seek_frames(source, [6])[0], found[6], 3)
     assert any("interlaced" in note for note in source.notes)

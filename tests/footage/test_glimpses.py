@@ -11,7 +11,7 @@ import av.filter
 import numpy as np
 import pytest
 from studiorecon.footage import frames as footage
-from studiorecon.footage.frames import glimpses
+from studiorecon.footage.frames import seek_frames
 from studiorecon.footage.source import open_source
 
 FRAMES = 120
@@ -34,7 +34,7 @@ def written(path: Path, key_frames_every: int) -> Path:
 def test_the_frames_are_those_that_were_asked_for(tmp_path: Path, suffix: str, key_frames_every: int) -> None:
     source = open_source(written(tmp_path / f"a.{suffix}", key_frames_every), 30.0)
     wanted = [0, 0, 1, 37, 38, 51, 100, 119, 119, 500]
-    found = [float(picture.mean()) / 2 for picture in glimpses(source, wanted)]
+    found = [float(picture.mean()) / 2 for picture in seek_frames(source, wanted)]
     np.testing.assert_allclose(found, np.minimum(wanted, FRAMES - 1), atol=0.7)
 
 
@@ -50,7 +50,7 @@ def test_one_group_of_pictures_is_decoded_once(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(footage, "_key_frame_between", noted)
     for every, jumps in ((1000, [False] * 4), (10, [True] * 4)):
         sought.clear()
-        glimpses(open_source(written(tmp_path / f"{every}.mp4", every), 30.0), [0, 25, 50, 75, 100])
+        seek_frames(open_source(written(tmp_path / f"{every}.mp4", every), 30.0), [0, 25, 50, 75, 100])
         assert sought == jumps
 
 
@@ -63,5 +63,5 @@ def test_colours_are_set_up_once_for_all_glimpses(tmp_path: Path, monkeypatch: p
     made: list[av.filter.Graph] = []
     graph = av.filter.Graph
     monkeypatch.setattr(av.filter, "Graph", lambda: made.append(graph()) or made[-1])
-    assert len(glimpses(source, [0, 37, 51, 119])) == 4
+    assert len(seek_frames(source, [0, 37, 51, 119])) == 4
     assert len(made) == 1

@@ -11,9 +11,9 @@ import av
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.footage.frames import decode, glimpses, small_grey, stills
+from studiorecon.footage.frames import decode, read_stills, seek_frames, small_grey
 from studiorecon.footage.source import FootageSource, open_source
-from studiorecon.plan.films import unreadable
+from studiorecon.plan.films import unreadable_footage
 
 from tests.made.footage import smooth_pictures, write_video
 
@@ -134,7 +134,7 @@ def test_times_that_are_all_zero_are_the_header_s(suffix: str, tmp_path: Path) -
     np.testing.assert_allclose(np.diff(source.times_s), 1 / 30)
     assert any("no usable times" in note for note in source.notes)
     assert shown(source) == list(range(COUNT))
-    np.testing.assert_array_equal(glimpses(source, [7, 31]), list(stills(source, [7, 31])))
+    np.testing.assert_array_equal(seek_frames(source, [7, 31]), list(read_stills(source, [7, 31])))
 
 
 def test_the_rate_is_that_of_the_times_and_not_the_header_s(tmp_path: Path) -> None:
@@ -149,7 +149,7 @@ def test_a_film_of_uneven_times_keeps_them(tmp_path: Path) -> None:
     source = open_source(stamped(tmp_path / "a.mkv", iter(times.tolist())), 30.0)
     np.testing.assert_allclose(np.array(source.times_s) - source.times_s[0], times / 90_000, atol=2e-3)
     assert source.fps == pytest.approx(30.0, rel=0.02)
-    np.testing.assert_array_equal(glimpses(source, [4, 20, 33]), list(stills(source, [4, 20, 33])))
+    np.testing.assert_array_equal(seek_frames(source, [4, 20, 33]), list(read_stills(source, [4, 20, 33])))
 
 
 @pytest.mark.parametrize("suffix", ["mkv", "ts"])
@@ -173,7 +173,7 @@ def test_a_size_that_changes_back_is_named_where_it_is_read(tmp_path: Path) -> N
         list(decode(source, 0, 0))
     assert len(list(decode(source, 0, 20))) == 20
     with pytest.raises(UserError, match="frame 20 is 48×32"):
-        list(stills(source, [25]))
+        list(read_stills(source, [25]))
     assert len(list(small_grey(source, 48, 60))) == 20
 
 
@@ -227,7 +227,7 @@ def test_a_damaged_frame_is_replaced_by_the_one_before(
     assert 0 < len(found) < 20
     for number in found:
         np.testing.assert_array_equal(pictures[number], pictures[number - 1])
-    np.testing.assert_array_equal(glimpses(source, [found[0], 39]), [pictures[found[0]], pictures[39]])
+    np.testing.assert_array_equal(seek_frames(source, [found[0], 39]), [pictures[found[0]], pictures[39]])
     assert len(list(small_grey(source, 48, COUNT))) == COUNT
     list(decode(source, 0, 0))
     assert f"{len(found)} of {COUNT} frames are damaged" in capsys.readouterr().out
@@ -267,7 +267,7 @@ def test_unreadable_footage_is_named_before_anything_runs(tmp_path: Path) -> Non
     announcing(tmp_path / "large.avi", (65535, 65535))
     announcing(tmp_path / "wide.avi", (20000, 20000))
     films = {path.stem: [path] for path in sorted(tmp_path.iterdir())}
-    found = unreadable(films)
+    found = unreadable_footage(films)
     assert [sentence.partition(":")[0] for sentence in found] == [f"camera {name}" for name in films if name != "good"]
     assert all("train: [...]" in sentence and "\n" not in sentence for sentence in found)
     for path in (path for [path] in films.values() if path != whole):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.footage.container import open_container
-from studiorecon.footage.streams import writing
+from studiorecon.footage.streams import parallel_writers
 from studiorecon.footage.video import (
     read_frame,
     read_frames,
@@ -119,7 +119,7 @@ def test_films_that_are_encoded_side_by_side_have_the_bytes_of_one_encoded_alone
     alone = (tmp_path / "alone.mp4").read_bytes()
     for turn in range(3):
         paths = [tmp_path / f"{turn}.{side}.mp4" for side in "ab"]
-        with writing([lambda film, p=p: write_watchable(p, film, 30) for p in paths]) as put:
+        with parallel_writers([lambda film, p=p: write_watchable(p, film, 30) for p in paths]) as put:
             for frame in frames:
                 put(frame, frame)
         assert all(path.read_bytes() == alone for path in paths)
@@ -137,7 +137,7 @@ def test_a_file_that_fails_as_it_is_closed_ends_the_films_beside_it(tmp_path: Pa
         write_lossless(tmp_path / "film.mkv", frames, 10.0)
 
     def film() -> None:
-        with writing([closes_badly, written]) as put:
+        with parallel_writers([closes_badly, written]) as put:
             for _ in range(20):
                 put(np.zeros((16, 16, 3), np.uint8), np.zeros((16, 16, 3), np.uint8))
 

@@ -39,7 +39,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
         "count must be at least 1, not 0",
     ),
     "scene_centre": (lambda: camera_path.scene_centre([]), "cameras is empty"),
-    "kernel": (lambda: smoothing.kernel(0.0, 1.0), "alpha must be in"),
+    "kernel": (lambda: smoothing.smoothing_kernel(0.0, 1.0), "alpha must be in"),
     "frame_rate": (lambda: smoothing.at_frame_rate(FPS, 0), "fps must be positive"),
     "fold_radius": (lambda: fold_radius("opencv", np.array([np.nan])), "at most 8 finite numbers"),
     "mesh-faces": (lambda: mesh_depth(zeros(5, 3), np.full((1, 3), 5), CAMERAS[0]), "faces name vertices 5 to 5"),

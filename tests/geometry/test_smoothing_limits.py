@@ -39,7 +39,7 @@ def test_a_slow_turn_through_half_a_turn_is_kept(axis: np.ndarray) -> None:
     # Components: 132° off; canonical quaternions: 6.0°, their norm falls to 0.50.
     turns = about(axis, np.linspace(150, 210, 121))
     wrong = apart_deg(smoothing.smooth_rotations(turns, *PAPER), turns)
-    reach = len(smoothing.kernel(*PAPER)) // 2
+    reach = len(smoothing.smoothing_kernel(*PAPER)) // 2
     assert np.deg2rad(wrong[reach:-reach]).max() < 1e-9
     assert wrong.max() < 2
 
@@ -56,7 +56,7 @@ def test_a_ramp_is_pulled_only_at_its_ends() -> None:
     """F03: inside a ramp passes exactly; the first frame is pulled by under 1.5 frames, whatever the slope."""
     ramp = np.arange(60.0)
     smooth = smoothing.smooth_vectors(ramp, *PAPER)
-    reach = len(smoothing.kernel(*PAPER)) // 2
+    reach = len(smoothing.smoothing_kernel(*PAPER)) // 2
     np.testing.assert_allclose(smooth[reach:-reach], ramp[reach:-reach], atol=1e-10)
     assert abs(smooth[0]) < 1.5
     assert (np.diff(smooth) > 0).all()
@@ -115,7 +115,7 @@ def test_an_unfilled_gap_is_refused(bad: float) -> None:
 @pytest.mark.parametrize(("sigma", "kept"), [(0.0, 0.147), (1.0, 0.046)], ids=["F06-cascade", "F06-cascade-gauss"])
 def test_the_passes_are_a_cascade(sigma: float, kept: float) -> None:
     """Acceleration that white noise keeps; averaged passes would keep 2.4 times as much without the Gaussian."""
-    weights = smoothing.kernel(0.5, sigma)
+    weights = smoothing.smoothing_kernel(0.5, sigma)
     second = np.array([1.0, -2.0, 1.0])
     assert np.linalg.norm(np.convolve(weights, second)) / np.linalg.norm(second) == pytest.approx(kept, abs=0.002)
     # Sample by sample, as the recursion is written.
@@ -135,7 +135,7 @@ def recursion(values: np.ndarray, alpha: float) -> np.ndarray:
 
 @pytest.mark.parametrize(("period", "kept"), [(8, 0.34), (15, 0.68), (30, 0.90)], ids=["F07-8", "F07-15", "F07-30"])
 def test_the_share_of_a_motion_that_is_kept_is_documented(period: int, kept: float) -> None:
-    assert smoothing.gain(*PAPER, period) == pytest.approx(kept, abs=0.01)
+    assert smoothing.remaining_motion(*PAPER, period) == pytest.approx(kept, abs=0.01)
     assert str(kept) in smoothing.__doc__ or f"{kept:.2f}" in smoothing.__doc__
     swing = 20 * np.cos(2 * np.pi * np.arange(241) / period)
     found = rotations.log(smoothing.smooth_rotations(about(Z, swing), *PAPER))[:, 2]
@@ -184,5 +184,7 @@ def test_smoothing_keeps_its_length_in_seconds(fps: float) -> None:
     reference = Smoothing(1 / (30 * np.log(2)), 1 / 30, "rotations")
     alpha, sigma = smoothing.at_frame_rate(reference, fps)
     # A motion of two seconds keeps the same share at every frame rate.
-    assert smoothing.gain(alpha, sigma, 2 * fps) == pytest.approx(smoothing.gain(0.5, 1.0, 60), abs=0.01)
+    assert smoothing.remaining_motion(alpha, sigma, 2 * fps) == pytest.approx(
+        smoothing.remaining_motion(0.5, 1.0, 60), abs=0.01
+    )
     assert smoothing.at_frame_rate(reference, 30.0) == pytest.approx((0.5, 1.0))

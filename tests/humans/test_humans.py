@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.avatar.posing import Posing
-from studiorecon.body.avatar.weight_grid import strongest
+from studiorecon.body.avatar.weight_grid import strongest_weights
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import write_person
 from studiorecon.configuration import settings as settings_module
@@ -40,8 +40,8 @@ from studiorecon.humans.surface_samples import (
     fill_unseen,
     gaussians_on,
     mirror_indices,
-    neighbours,
     sample_surface,
+    surface_neighbours,
 )
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import from_entry
@@ -184,7 +184,7 @@ def test_crops_keep_pixels_in_place(body: BodyModel) -> None:
 
 def test_unseen_colours_come_from_the_other_side_or_from_beside(body: BodyModel) -> None:
     samples = sample_surface(body.rest_vertices(np.zeros(10)), body.faces, body.weights, 3000, np.random.default_rng(0))
-    near, twin = neighbours(samples, 8), mirror_indices(samples, 2 * samples.spacing_m)
+    near, twin = surface_neighbours(samples, 8), mirror_indices(samples, 2 * samples.spacing_m)
     truth = 0.5 + 0.4 * np.sin(3 * samples.points_m[:, 1:2] + np.array([0, 1, 2]))  # symmetric bands
     left_hand = samples.points_m[:, 0] > 0.5
     filled = fill_unseen(np.where(left_hand[:, None], 0.0, truth), ~left_hand, near, twin)
@@ -211,7 +211,7 @@ def test_the_gradient_by_joint_turns_matches_differences(body: BodyModel) -> Non
     rng = np.random.default_rng(2)
     poses, trans = motion_of(body)
     samples = sample_surface(body.rest_vertices(np.zeros(10)), body.faces, body.weights, 400, rng)
-    posing = Posing(*strongest(samples.weights, 4))
+    posing = Posing(*strongest_weights(samples.weights, 4))
     own = gaussians_on(samples, 0)
     pull = rng.normal(size=own.means_m.shape)
 

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.avatar.temporal import TemporalNetwork, with_residuals
-from studiorecon.body.avatar.weight_grid import strongest
+from studiorecon.body.avatar.weight_grid import strongest_weights
 from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.configuration.settings import load
 from studiorecon.footage.video import to_bytes
 from studiorecon.humans.appearance import Appearance, OverTime
 from studiorecon.humans.crops import OUTSIDE, PERSON, HeldCrop
-from studiorecon.humans.drift import decide_appearance, drifting_share, moments, track_brightness
+from studiorecon.humans.drift import decide_appearance, drifting_share, track_brightness, tracked_frames
 from studiorecon.humans.refined_motion import RefinedMotion
 from studiorecon.humans.surface_samples import gaussians_on, sample_surface
 from studiorecon.humans.train import Settings
@@ -126,7 +126,7 @@ def filmed(root: Path, default_settings: Callable) -> Callable[..., float]:
         poses[frame, :3] = upright_global_orientation(0.03 * frame)
     cameras = ring([0, 90], "cam", wh=(64, 80))
     samples = sample_surface(body.rest_vertices(np.zeros(10)), body.faces, body.weights, 2500, np.random.default_rng(1))
-    posing = Posing(*strongest(samples.weights, 4))
+    posing = Posing(*strongest_weights(samples.weights, 4))
     joints = body.rest_joints(np.zeros(10))
     dressed = gaussians_on(samples, 0)
 
@@ -192,7 +192,7 @@ def test_clothes_that_fade_are_learned(filmed: Callable) -> None:
 
 @pytest.mark.parametrize("frames", [1, 30, 240, 241, 1200, 9000])
 def test_a_long_clip_is_followed_in_runs_and_a_short_one_whole(frames: int) -> None:
-    found = moments(frames)
+    found = tracked_frames(frames)
     seen = found[found >= 0]
     assert len(found) <= 250
     assert (np.diff(seen) > 0).all()

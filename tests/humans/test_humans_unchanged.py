@@ -12,7 +12,7 @@ import pytest
 from studiorecon.body.avatar.avatar_files import Avatar, write_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.humans.crops import IGNORED, HeldCrop, classify_crops, person_crops
-from studiorecon.humans.result_cache import cache_key, is_up_to_date, store
+from studiorecon.humans.result_cache import cache_key, is_up_to_date, store_result
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 
@@ -104,7 +104,7 @@ def test_files_stand_only_together_and_become_new(body: BodyModel, tmp_path: Pat
     )
     write_avatar(ply, npz, avatar, "m")
     assert not is_up_to_date("m", ply, npz, working), "nobody asked for it to be kept"
-    store(ply, npz, working)
+    store_result(ply, npz, working)
     written = [path.read_bytes() for path in (ply, npz)]
     for path in (ply, npz):
         os.utime(path, (1, 1))

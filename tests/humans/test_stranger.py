@@ -20,7 +20,7 @@ from studiorecon.images.encoded import write_png
 from studiorecon.models.adapters import lhm
 from studiorecon.render import shot as render_shot
 from studiorecon.scene.gaussians import SH_C0, Gaussians
-from studiorecon.scene.replacement_photos import strangers
+from studiorecon.scene.replacement_photos import photos_of_strangers
 
 from tests.made.scene import render_options, write_scene
 from tests.made.steps import call
@@ -106,9 +106,11 @@ def test_photos_that_show_nobody_or_cut_nobody_out_are_refused(tmp_path: Path, n
 
 
 def test_two_strangers_of_one_name_are_refused() -> None:
-    assert strangers(["p1", "nobody", "a/anna.png", "her.ply", "a/anna.png"]) == {"stranger_anna": "a/anna.png"}
+    assert photos_of_strangers(["p1", "nobody", "a/anna.png", "her.ply", "a/anna.png"]) == {
+        "stranger_anna": "a/anna.png"
+    }
     with pytest.raises(UserError, match=r"a/anna\.png and b/anna\.jpg: rename one"):
-        strangers(["a/anna.png", "b/anna.jpg"])
+        photos_of_strangers(["a/anna.png", "b/anna.jpg"])
 
 
 @pytest.mark.real

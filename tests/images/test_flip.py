@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from studiorecon.images import flip as module
-from studiorecon.images.flip import available, flip
+from studiorecon.images.flip import flip, is_available
 from studiorecon.images.metrics import psnr
 from studiorecon.report.metrics.measures import measure_picture
 
-needs_package = pytest.mark.skipif(not available(), reason="flip-evaluator has no wheel here")
+needs_package = pytest.mark.skipif(not is_available(), reason="flip-evaluator has no wheel here")
 
 
 def photo(hw: tuple[int, int] = (90, 160)) -> np.ndarray:
@@ -69,6 +69,6 @@ def test_without_the_package_there_is_no_number_and_it_is_said(monkeypatch: pyte
     import sys
 
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
-    assert not module.available()
+    assert not module.is_available()
     with pytest.raises(ImportError):
         flip(photo(), photo())

@@ -43,7 +43,7 @@ def test_uncovered_background_is_inconsistent_and_the_rest_is_not() -> None:
     with flow.one_thread():
         backward = flow.dis_flow(current, previous, "medium")
         forward = flow.dis_flow(previous, current, "medium")
-    trusted = flow.consistent(backward, forward)
+    trusted = flow.is_flow_consistent(backward, forward)
     assert trusted[34:66, 50:60].mean() < 0.1
     far = np.ones_like(trusted)
     far[20:80, 40:110] = False
@@ -55,7 +55,7 @@ def test_exact_flow_marks_every_uncovered_pixel_and_nothing_else() -> None:
     """Numerics E10: a quarter of the uncovered strip looks right by its colours alone."""
     backward, forward = np.zeros((96, 160, 2), np.float32), np.zeros((96, 160, 2), np.float32)
     backward[30:70, 60:100, 0], forward[30:70, 50:90, 0] = -10, 10
-    trusted = flow.consistent(backward, forward)
+    trusted = flow.is_flow_consistent(backward, forward)
     uncovered = np.zeros((96, 160), bool)
     uncovered[30:70, 50:60] = True
     np.testing.assert_array_equal(trusted, ~uncovered)
@@ -65,12 +65,12 @@ def test_flow_that_leaves_the_picture_or_is_not_finite_is_inconsistent() -> None
     zero = np.zeros((40, 40, 2), np.float32)
     planted = zero.copy()
     planted[0, 0], planted[1, 1], planted[2, 2] = (np.nan, 0), (1e30, 0), (-30, 0)
-    trusted = flow.consistent(planted, zero)
+    trusted = flow.is_flow_consistent(planted, zero)
     assert not trusted[[0, 1, 2], [0, 1, 2]].any()
     assert trusted.sum() == 1600 - 3
     unknown = zero.copy()
     unknown[5, 5] = np.inf
-    assert not flow.consistent(zero, unknown)[5, 5]
+    assert not flow.is_flow_consistent(zero, unknown)[5, 5]
 
 
 def test_pictures_that_cannot_be_compared_are_refused() -> None:

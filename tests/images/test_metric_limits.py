@@ -196,7 +196,7 @@ def person(box_wh: tuple[float, float] = (40.0, 80.0), away_px: float = 0.0) -> 
 def test_keypoints_are_wrong_skipped_or_counted_as_defined(
     found: list[np.ndarray], people: list[pck.TruePerson], share: float | None, rate: float | None, skipped: int
 ) -> None:
-    result = pck.score([(found, people)])
+    result = pck.score_keypoints([(found, people)])
     assert (result["pck_0.05"], result["detection_rate"], result["skipped"]) == (share, rate, skipped)
     assert "longer side" in result["side"], "a score without its scale means nothing (U58)"
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from studiorecon.images import metrics
-from studiorecon.images.flow import consistent
+from studiorecon.images.flow import is_flow_consistent
 from studiorecon.images.temporal import forward_backward_consistent
 from studiorecon.images.warp import warp
 
@@ -153,7 +153,7 @@ def test_where_a_flow_leads_back_is_the_published_rule() -> None:
     motion = (safe**2).sum(axis=-1) + (back**2).sum(axis=-1)
     expected = inside & (((safe + back) ** 2).sum(axis=-1) < 0.01 * motion + 0.5)
     ours = forward_backward_consistent(flow, reverse)
-    np.testing.assert_array_equal(ours, consistent(flow, reverse))
+    np.testing.assert_array_equal(ours, is_flow_consistent(flow, reverse))
     assert 0.2 < ours.mean() < 0.95
     assert (ours != expected).mean() < 0.01, "OpenCV reads the reverse flow at 1/32 of a pixel"
     assert not ours[5, 5]

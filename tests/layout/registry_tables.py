@@ -16,10 +16,10 @@ from studiorecon.survey import effects
 ROOT = Path(__file__).resolve().parents[2]
 # Page and name of the table → what writes it.
 TABLES: dict[tuple[str, str], Callable[[], str]] = {
-    ("docs/capture.md", "calibration formats"): formats.table,
-    ("docs/capture.md", "keypoint files"): readers.table,
-    ("docs/capture.md", "keypoint layouts"): layouts.table,
-    ("config/README.md", "effects"): effects.table,
+    ("docs/capture.md", "calibration formats"): formats.formats_table,
+    ("docs/capture.md", "keypoint files"): readers.formats_table,
+    ("docs/capture.md", "keypoint layouts"): layouts.layouts_table,
+    ("config/README.md", "effects"): effects.effects_table,
 }
 
 

@@ -14,7 +14,7 @@ import yaml
 from studiorecon.configuration import generate
 from studiorecon.configuration.sections import SECTIONS, Section
 from studiorecon.configuration.setting import Setting, field_default, is_setting
-from studiorecon.configuration.step_settings import Fields, find_section, read_by
+from studiorecon.configuration.step_settings import Fields, find_section, settings_read_by
 from studiorecon.home import CONFIGURATION
 
 # Tables of which a step is told what concerns it.
@@ -54,7 +54,7 @@ def steps() -> list[str]:
 @pytest.mark.parametrize("step", steps())
 def test_what_a_step_reads_stands_where_it_looks(step: str) -> None:
     there = find_section(step, yaml.safe_load(CONFIGURATION.read_text(encoding="utf-8")))
-    assert not missing(read_by(step), there), f"{step} reads what no section declares"
+    assert not missing(settings_read_by(step), there), f"{step} reads what no section declares"
 
 
 def missing(wanted: Fields, there: dict) -> list[str]:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.avatar.posing import Posing
-from studiorecon.body.avatar.weight_grid import strongest
+from studiorecon.body.avatar.weight_grid import strongest_weights
 from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.body.person_files import write_person
 from studiorecon.camera_files.colmap import write_model
@@ -71,7 +71,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, root: Path, body: BodyModel) 
     )
     dressed = gaussians_on(samples, 0)
     dressed.sh[:, 0] = sh_from_rgb(rgb)
-    posing = Posing(*strongest(samples.weights, 4))
+    posing = Posing(*strongest_weights(samples.weights, 4))
     transforms = body.joint_transforms(poses, np.zeros(10), trans)
 
     def posed(frame: int) -> Gaussians:

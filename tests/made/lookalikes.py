@@ -28,9 +28,9 @@ from studiorecon.scene.raw_detections import RawDetections, write_raw_detections
 from studiorecon.studio import rig
 from studiorecon.studio.actors import Actors
 from studiorecon.studio.description import RESOURCES, Description, read_description
-from studiorecon.studio.film import backdrop, render_frame, touched_pixels
-from studiorecon.studio.meshes import Mesh, box, lathe, plain, pose_on_floor, transform_points
-from studiorecon.studio.room import room
+from studiorecon.studio.film import render_frame, touched_pixels, trace_backdrop
+from studiorecon.studio.meshes import Mesh, box, lathe, plain_texture, pose_on_floor, transform_points
+from studiorecon.studio.room import build_room
 from studiorecon.studio.sensor import Sensor, develop
 from studiorecon.studio.tracing import Tracer
 from studiorecon.tracks import keypoints as tracks_keypoints
@@ -150,8 +150,8 @@ def owners_of(found: Sequence[Detections], cameras: Sequence[Camera], true_m: np
 
 def filmed(about: Description, lens: Lens, troupe: Actors, extra: Extra, still: Sequence[Mesh]) -> list[np.ndarray]:
     """(H, W, 3) uint8 pictures of one camera."""
-    solids = [*room(about.seed, 0.0), *still]
-    scene, soles = backdrop(lens, solids, about.supersampling), troupe.soles_m()
+    solids = [*build_room(about.seed, 0.0), *still]
+    scene, soles = trace_backdrop(lens, solids, about.supersampling), troupe.soles_m()
     pictures = []
     for t in range(about.frames):
         moving = [*troupe.at(t)[0], *extra(t)]
@@ -201,8 +201,8 @@ def portrait(number: int, time_s: float) -> np.ndarray:
     size = 400, 600
     intrinsics = np.array([[720.0, 0, size[0] / 2], [0, 720.0, size[1] / 2], [0, 0, 1]])
     lens = Lens("portrait", size, intrinsics, "opencv", np.zeros(5), pose, np.eye(2, 3))
-    solids = room(about.seed, 0.0)
-    scene = backdrop(lens, solids, 1)
+    solids = build_room(about.seed, 0.0)
+    scene = trace_backdrop(lens, solids, 1)
     moving = troupe.at(0)[0]
     return render_frame(
         scene, Tracer(solids + moving), moving, touched_pixels(lens, moving), troupe.soles_m()[0], about.effects
@@ -233,7 +233,10 @@ def panel(picture: np.ndarray, height_m: float, above_m: float, glow: float = 0.
 def stool() -> Mesh:
     """What ``sitting`` sits on."""
     return box(
-        "stool", (0.4, 0.4, SEAT_M[2]), pose_on_floor((SEAT_M[0], SEAT_M[1], 0.0), FACING_RAD), plain((0.2, 0.3, 0.1))
+        "stool",
+        (0.4, 0.4, SEAT_M[2]),
+        pose_on_floor((SEAT_M[0], SEAT_M[1], 0.0), FACING_RAD),
+        plain_texture((0.2, 0.3, 0.1)),
     )
 
 
@@ -241,7 +244,7 @@ def dog(position_m: tuple[float, float], heading_rad: float, stride: float) -> l
     """A large dog on four legs, 0.75 m at the shoulder; ``stride`` in [-1, 1] swings its legs."""
     c, s = np.cos(heading_rad), np.sin(heading_rad)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-    fur, dark = plain((0.30, 0.18, 0.08)), plain((0.10, 0.06, 0.03))
+    fur, dark = plain_texture((0.30, 0.18, 0.08)), plain_texture((0.10, 0.06, 0.03))
 
     def part(profile: list[tuple[float, float]], start: list[float], along: list[float], paint) -> Mesh:
         """A lathe whose axis goes from ``start`` along a direction, in the dog's own axes (x forward)."""

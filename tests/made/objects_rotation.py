@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry import rotations
-from studiorecon.objects.find import ObjectView, Settings, objects_in, with_usual_difference
+from studiorecon.objects.find import ObjectView, Settings, find_objects, with_usual_difference
 from studiorecon.scene.camera import Camera
 from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.splatting.rigid_object import RigidObject
@@ -77,7 +77,7 @@ def settings(default_settings: Callable) -> Settings:
 def found(settings: Settings, pictured: Callable[[Camera, int], np.ndarray]) -> list[RigidObject]:
     moments = [([pictured(c, frame) for c in CAMERAS], [nobody(c, frame) for c in CAMERAS]) for frame in range(FRAMES)]
     views = [ObjectView(c, Path(), plate_of(c), np.ones(c.hw, bool), np.zeros(c.hw, np.float32)) for c in CAMERAS]
-    return objects_in(
+    return find_objects(
         iter(moments), with_usual_difference(views, iter(moments), settings.loose), FRAMES, FPS, settings, 1
     )
 

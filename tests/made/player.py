@@ -11,7 +11,7 @@ import numpy as np
 from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.avatar.control_points import ControlPoints
 from studiorecon.body.avatar.temporal import TemporalNetwork
-from studiorecon.body.avatar.weight_grid import strongest
+from studiorecon.body.avatar.weight_grid import strongest_weights
 from studiorecon.body.model import BodyModel
 from studiorecon.deliver.finished import FinishedScene
 from studiorecon.deliver.packing import Bytes
@@ -47,7 +47,7 @@ def acrobat(body: BodyModel, seed: int, frames: int, at_m: tuple[float, float], 
     sh[:, 0] = sh_from_rgb(np.clip(rng.uniform(0.1, 0.9, 3) + 0.15 * rng.normal(size=(count, 3)), 0, 1))
     sh[:, 1:] = 0.12 * rng.normal(size=(count, 8, 3))
     gaussians = Gaussians(means, rng.normal(size=(count, 4)), scales, rng.uniform(0, 5, count), sh)
-    bones, weights = strongest(body.weights[index], 4)
+    bones, weights = strongest_weights(body.weights[index], 4)
     poses = np.cumsum(rng.normal(0, 0.25, (frames, 72)), axis=0)
     poses[:, :3] = [np.pi / 2, 0, 0]
     poses[:, 18 * 3 : 18 * 3 + 3] = [0, 2.2, 0]

@@ -12,9 +12,9 @@ import numpy as np
 from studiorecon.body.avatar.avatar_files import Avatar, write_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.camera_files.colmap import write_model
-from studiorecon.footage.streams import writing
+from studiorecon.footage.streams import parallel_writers
 from studiorecon.footage.video import read_stack, to_bytes, write_lossless
-from studiorecon.render.shots import looking_at
+from studiorecon.render.shots import look_at_pose
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.files import write_npz
@@ -34,7 +34,7 @@ def ring(angles_deg: list[float], prefix: str, radius_m: float = 2.4, wh: tuple[
     for index, angle in enumerate(np.radians(angles_deg)):
         eye = np.array([radius_m * np.cos(angle), radius_m * np.sin(angle), 1.6])
         intrinsics = np.array([[0.7 * wh[0], 0, wh[0] / 2], [0, 0.7 * wh[0], wh[1] / 2], [0, 0, 1.0]])
-        cameras.append(Camera(f"{prefix}{index}", wh, intrinsics, looking_at(eye, np.array([0, 0, 1.0]))))
+        cameras.append(Camera(f"{prefix}{index}", wh, intrinsics, look_at_pose(eye, np.array([0, 0, 1.0]))))
     return cameras
 
 
@@ -132,7 +132,9 @@ def write_scene(
             write_avatar(folder / f"humans/{one.person}.ply", folder / f"humans/{one.person}.npz", one)
     rasteriser = Rasteriser(near_m=0.2)
     for camera in [*training, *held_out] if filmed else []:
-        with writing([lambda frames, c=camera: write_lossless(folder / f"capture/{c.name}.mkv", frames, FPS)]) as put:
+        with parallel_writers(
+            [lambda frames, c=camera: write_lossless(folder / f"capture/{c.name}.mkv", frames, FPS)]
+        ) as put:
             for frame in range(FRAMES):
                 put(to_bytes(rasteriser.forward(concatenate([static, *(p.posed(frame) for p in persons)]), camera).rgb))
     return {"training": training, "held_out": held_out}

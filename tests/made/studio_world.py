@@ -17,7 +17,7 @@ from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.rig.body_points import Tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.survey.clips import Film
-from studiorecon.survey.evidence import Material
+from studiorecon.survey.evidence import SurveyInput
 from studiorecon.survey.exposures import ExposureView
 
 from tests.made.cameras import look_at
@@ -162,7 +162,7 @@ def seen_keypoints(plan: Plan, seed: int, cameras: list[Camera]) -> Tracks:
     return Tracks(np.where(inside[..., None], pixels, np.nan), np.where(inside, 0.9, 0.0), tuple(NAMES))
 
 
-def scene(seed: int, **planted: object) -> Material:
+def scene(seed: int, **planted: object) -> SurveyInput:
     """A scene with what is ``planted`` (names of ``Plan``)."""
     plan = replace(Plan(), **planted)
     rng = np.random.default_rng([seed, 4])
@@ -178,7 +178,7 @@ def scene(seed: int, **planted: object) -> Material:
         views.append(ExposureView(camera, noisy, known, depth.astype(np.float32)))
         films.append(_film(plan, seed, camera, view, rng, (points, plate) if camera.wh == WH else None))
     people = [f"p{i}" for i in range(plan.people)]
-    return Material(cameras, people, views, films, tracks, 0.0, FPS)
+    return SurveyInput(cameras, people, views, films, tracks, 0.0, FPS)
 
 
 def _empty(plan: Plan, seed: int, camera: Camera, view: int, points: np.ndarray) -> np.ndarray:

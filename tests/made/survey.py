@@ -21,7 +21,7 @@ from studiorecon.scene.room import RoomBox, write_room
 from studiorecon.survey import decide as step
 from studiorecon.survey.effects import EARLY
 from studiorecon.survey.effects.surveyed import SurveyedEffect
-from studiorecon.survey.evidence import Evidence, Material
+from studiorecon.survey.evidence import Evidence, SurveyInput
 from studiorecon.survey.exposures import ExposureView
 
 from tests.made.cameras import look_at
@@ -61,7 +61,7 @@ def decided(
 ) -> Decision:
     """One effect alone, of cameras with plates and depth."""
     nobody = tracks([], {}, [], 0, 0.0)
-    evidence = Evidence(Material([v.camera for v in views], people, views, [], nobody, 0.0, 30.0), settings)
+    evidence = Evidence(SurveyInput([v.camera for v in views], people, views, [], nobody, 0.0, 30.0), settings)
     found = effect.measure(evidence, effect.threshold)
     return effect.decide(found.value, found.interval, found.reason, detail=found.detail)
 

@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.tracking import TrackingLimits, drop_duplicates, tracks
+from studiorecon.keypoints.tracking import TrackingLimits, drop_duplicates, track_ids
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 from studiorecon.studio import rig
 from studiorecon.studio.actors import Actors
 from studiorecon.studio.description import RESOURCES, DetectionOptions, read_description
 from studiorecon.studio.detections import detect
-from studiorecon.studio.room import room
+from studiorecon.studio.room import build_room
 from studiorecon.studio.tracing import Tracer
 
 LAYOUT = "body_25"
@@ -44,7 +44,7 @@ def made_take(
     times_s = np.arange(frames) / described.fps
     troupe = Actors(described, BodyModel.load(RESOURCES / "body.npz"), 0 * times_s if still else times_s)
     points_m = troupe.keypoints_m(LAYOUTS[LAYOUT].keypoints)
-    cameras, solids = rig.cameras(described), room(described.seed, 0.0)
+    cameras, solids = rig.cameras(described), build_room(described.seed, 0.0)
     tracers = [
         Tracer(solids + troupe.at(t)[0] if occluded else []) for t in range(frames if occluded and not still else 1)
     ]
@@ -60,7 +60,9 @@ def made_take(
         keep = drop_duplicates(frames_seen, points, TRACKING)
         frames_seen, points = frames_seen[keep], points[keep]
         found.append(
-            Detections(camera.name, LAYOUT, frames_seen, tracks(frames_seen, points, TRACKING, described.fps), points)
+            Detections(
+                camera.name, LAYOUT, frames_seen, track_ids(frames_seen, points, TRACKING, described.fps), points
+            )
         )
     return cameras, found
 

@@ -16,7 +16,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.video import to_bytes
 from studiorecon.models import smpl
 from studiorecon.models.adapters import comotion
-from studiorecon.models.adapters.comotion import CARD, JOINTS, UNSEEN, estimated, postprocess, preprocess
+from studiorecon.models.adapters.comotion import CARD, JOINTS, UNSEEN, estimate_frame, postprocess, preprocess
 from studiorecon.models.loading import load
 
 from tests.made.comotion import slots
@@ -76,7 +76,7 @@ def test_the_network_is_given_the_cameras_own_intrinsics() -> None:
         detections = {"pred_2d": torch.from_numpy(planted["pred_2d"][:1])[None], "conf": torch.full((1, 1, 1), 3.0)}
         return detections, SimpleNamespace(**state)
 
-    found = postprocess(*estimated(network, *preprocess(np.zeros((108, 192, 3), np.uint8), camera.intrinsics)))
+    found = postprocess(*estimate_frame(network, *preprocess(np.zeros((108, 192, 3), np.uint8), camera.intrinsics)))
     shape, kind, intrinsics = asked[0]
     assert shape == (3, 108, 192)
     assert kind == torch.uint8

@@ -14,7 +14,7 @@ import pytest
 from studiorecon.errors import UserError
 from studiorecon.images.sizes import as_float, pad_to_multiple, resample, resample_nearest
 from studiorecon.models.adapters import difix, fixer
-from studiorecon.models.adapters.difix import PROMPT, STEP, denoised, postprocess, preprocess
+from studiorecon.models.adapters.difix import PROMPT, STEP, denoise, postprocess, preprocess
 from studiorecon.models.loading import load
 from studiorecon.models.protocols import Moment
 from studiorecon.scene.camera import Camera
@@ -56,7 +56,7 @@ def test_the_pipeline_is_asked_for_one_reproducible_step() -> None:
         return SimpleNamespace(images=given["image"] + noise)
 
     tensor, photo = preprocess(picture((30, 40)), picture((30, 40)))
-    first, second = (denoised(pipeline, tensor, photo, 3, "cpu") for _ in range(2))
+    first, second = (denoise(pipeline, tensor, photo, 3, "cpu") for _ in range(2))
     np.testing.assert_array_equal(first, second)
     prompt, given = asked[0]
     assert prompt == PROMPT
@@ -83,7 +83,7 @@ def test_difix_runs_on_a_gpu_in_a_range_that_does_not_overflow(tmp_path: Path, m
     monkeypatch.setitem(
         sys.modules, "pipeline_difix", SimpleNamespace(DifixPipeline=Pipeline, __name__="pipeline_difix")
     )
-    monkeypatch.setattr(difix, "device", lambda *_: torch.device("cuda"))
+    monkeypatch.setattr(difix, "torch_device", lambda *_: torch.device("cuda"))
     for file in difix.CARD.weights:
         (tmp_path / file.path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / file.path).touch()

@@ -17,7 +17,7 @@ import pytest
 from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import interpolate_cameras
 from studiorecon.models.adapters import gen3c
-from studiorecon.models.adapters.gen3c import chunks, depth_scale, order, postprocess, preprocess
+from studiorecon.models.adapters.gen3c import depth_scale, generate_chunks, order_key_frames, postprocess, preprocess
 from studiorecon.models.adapters.gen3c_request import CHUNK, check_evidence, check_form, evidence, splat
 from studiorecon.models.catalogue.card import Card
 from studiorecon.models.protocols import KeyFrame
@@ -116,7 +116,7 @@ def test_infinite_and_masked_depth_become_zero_with_mask_zero(small: None) -> No
 def test_the_key_frame_the_path_starts_at_comes_first(small: None) -> None:
     frames = key_frames()
     turned = [frames[2], frames[1], frames[0], frames[3]]
-    assert order(turned, frames[0].camera) == [2, 0, 1, 3]
+    assert order_key_frames(turned, frames[0].camera) == [2, 0, 1, 3]
     made = preprocess(turned, way(frames))
     np.testing.assert_array_equal(made["w2cs_all"][0], made["w2cs_key_frames"][0])
     with pytest.raises(UserError, match=r"starts .* off the nearest key frame"):
@@ -222,7 +222,7 @@ def test_chunks_share_a_frame_and_each_starts_with_the_last_of_the_one_before(sm
         film = np.random.default_rng(len(seeds)).integers(0, 256, (CHUNK, *HW, 3), dtype=np.uint8)
         return film, ""
 
-    parts = list(chunks(generate, SimpleNamespace(render_cache=render_cache), made, "cpu"))
+    parts = list(generate_chunks(generate, SimpleNamespace(render_cache=render_cache), made, "cpu"))
     assert [len(p) for p in parts] == [121, 120]
     assert targets == [121, 121]
     assert tuple(seeds[0].shape) == (1, 3, 1, *HW)
@@ -253,7 +253,7 @@ def test_without_offload_the_gpu_must_hold_everything(
 
     for name in ("staged_weights", "import_upstream", "attribute"):
         monkeypatch.setattr(gen3c, name, lambda *about: about[-1] if isinstance(about[-1], Path) else about)
-    monkeypatch.setattr(gen3c, "device", device)
+    monkeypatch.setattr(gen3c, "torch_device", device)
     how = {"steps": 1, "guidance": 1.0, "seed": 0, "filter_points_threshold": 0.05, "foreground_masking": True}
     with pytest.raises(UserError, match="no GPU here"):
         gen3c.Gen3c(gen3c.CARD, tmp_path, "cuda", offload=offload, **how)

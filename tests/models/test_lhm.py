@@ -13,7 +13,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.video import write_lossless
 from studiorecon.humans import canonical, photo
 from studiorecon.models.adapters import lhm
-from studiorecon.models.adapters.lhm import command_for, made, postprocess, preprocess
+from studiorecon.models.adapters.lhm import command_for, postprocess, preprocess, result_file
 from studiorecon.models.loading import load
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
@@ -101,9 +101,9 @@ def test_the_program_is_run_where_it_lives_and_its_silence_is_a_sentence(tmp_pat
         f"pathlib.Path({str(tmp_path)!r}); os.makedirs({str(out)!r}); "
     )
     copy = f"shutil.copy({str(tmp_path / 'made.ply')!r}, {str(out / 'person.ply')!r})"
-    assert made([sys.executable, "-c", script + copy], tmp_path, out) == out / "person.ply"
+    assert result_file([sys.executable, "-c", script + copy], tmp_path, out) == out / "person.ply"
     with pytest.raises(UserError, match=r"status 0: body ratio is too small\); choose another frame"):
-        made([sys.executable, "-c", "print('body ratio is too small')"], tmp_path, tmp_path / "none")
+        result_file([sys.executable, "-c", "print('body ratio is too small')"], tmp_path, tmp_path / "none")
     command = command_for(Path("p.png"), Path("o"))
     assert command[1:4] == ["-m", "LHM.launch", "infer.human_lrm"]
     assert {"image_input=p.png", "mesh_dump=o/mesh_dump", "export_mesh=True", "motion_seqs_dir=None"} <= set(command)

@@ -16,7 +16,7 @@ from studiorecon import code
 from studiorecon.configuration.schema import find_schema
 from studiorecon.models import loading
 from studiorecon.models.catalogue.card import Card
-from studiorecon.models.catalogue.registry import MODELS, adapter_module, of_kind
+from studiorecon.models.catalogue.registry import MODELS, adapter_module, cards_of_kind
 from studiorecon.models.catalogue.selection import CHOICES, adapter_modules, select_networks
 from studiorecon.models.loading import adapter, load
 from studiorecon.stages import STAGES
@@ -54,10 +54,10 @@ def test_the_table_of_networks_is_the_cards() -> None:
 def test_every_kind_that_is_loaded_has_a_protocol_and_networks() -> None:
     assert PROMISED == LOADED
     assert {kind for choice in CHOICES.values() for kind in choice.kinds} <= set(PROMISED)
-    assert all(of_kind(kind) for kind in PROMISED)
+    assert all(cards_of_kind(kind) for kind in PROMISED)
 
 
-@pytest.mark.parametrize("name", [card.name for card in of_kind(*PROMISED)])
+@pytest.mark.parametrize("name", [card.name for card in cards_of_kind(*PROMISED)])
 def test_an_adapter_has_what_its_protocol_asks(name: str) -> None:
     protocol, made_by = PROMISED[MODELS[name].kind], adapter(MODELS[name].kind, name)
     assert list(inspect.signature(made_by).parameters)[:3] == ["card", "weights", "where"]
@@ -87,7 +87,7 @@ def test_a_gpu_is_claimed_before_upstream_is_imported(
             assert (card.name, weights, where) == ("raft", tmp_path, device)
             done.append("upstream")
 
-    monkeypatch.setattr(loading, "claim", lambda: done.append("claim"))
+    monkeypatch.setattr(loading, "claim_gpu", lambda: done.append("claim"))
     monkeypatch.setattr(importlib.import_module("studiorecon.models.adapters.raft"), "ADAPTER", Upstream)
     load("flow", "raft", tmp_path, device)
     assert done == order
@@ -95,7 +95,7 @@ def test_a_gpu_is_claimed_before_upstream_is_imported(
 
 def test_a_cpu_claims_no_gpu(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(importlib.import_module("studiorecon.models.adapters.raft"), "ADAPTER", lambda *_: "network")
-    monkeypatch.setattr(loading, "claim", lambda: pytest.fail("there is no GPU in this"))
+    monkeypatch.setattr(loading, "claim_gpu", lambda: pytest.fail("there is no GPU in this"))
     assert load("flow", "raft", tmp_path, "cpu") == "network"
 
 

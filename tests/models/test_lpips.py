@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.models.adapters.lpips import TRUNKS, Lpips, Net, normalised, read_lpips
+from studiorecon.models.adapters.lpips import TRUNKS, Lpips, Net, normalise_features, read_lpips
 from studiorecon.splatting.train.perceptual import PerceptualSettings, perceptual, perceptual_of_tensors
 
 from tests.made.vgg import random_weights
@@ -57,7 +57,7 @@ def test_normalised_features_and_their_slope_are_finite(level: float) -> None:
     import torch
 
     features = torch.full((1, 512, 2, 3), level, dtype=torch.float32, requires_grad=True)
-    unit = normalised(features)
+    unit = normalise_features(features)
     unit.sum().backward()
     assert torch.isfinite(unit).all()
     assert torch.isfinite(features.grad).all()

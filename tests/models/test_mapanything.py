@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.models.adapters import mapanything
-from studiorecon.models.adapters.mapanything import CARD, encoder_from, inferred
+from studiorecon.models.adapters.mapanything import CARD, encoder_from, infer
 from studiorecon.models.adapters.pi3 import CONFIDENT
 from studiorecon.models.loading import load
 
@@ -47,7 +47,7 @@ def test_confidence_is_a_probability_below_a_half_too(monkeypatch: pytest.Monkey
         "camera_poses": torch.eye(4)[None],
     }
     network = SimpleNamespace(infer=lambda *_, **__: [said])
-    _, sure, _ = inferred(network, np.zeros((1, 3, 1, 3), np.float32), "cpu")
+    _, sure, _ = infer(network, np.zeros((1, 3, 1, 3), np.float32), "cpu")
     # Naive, c / (1 + c): never below a half, so that nothing is ever left out.
     np.testing.assert_allclose(sure[0], [[1 / (1 + np.exp(4)), 0.5, 0]], atol=1e-6)
     assert (sure[0, 0] > CONFIDENT).tolist() == [False, True, False]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.models.adapters.moge import fov_deg, inferred, postprocess, preprocess
+from studiorecon.models.adapters.moge import fov_deg, infer, postprocess, preprocess
 from studiorecon.models.loading import load
 
 from tests.made.networks import upstream_sources
@@ -71,7 +71,7 @@ def test_upstreams_network_with_random_weights(tmp_path: Path) -> None:
     )
     network = load("monocular depth", "moge", tmp_path, "cpu")._network
     picture = np.random.default_rng(0).random((70, 98, 3), dtype=np.float32)
-    depth, mask = inferred(network, preprocess(picture), 60.0, "cpu", num_tokens=48)
+    depth, mask = infer(network, preprocess(picture), 60.0, "cpu", num_tokens=48)
     assert depth.shape == mask.shape == (70, 98)
     assert np.isinf(depth[~mask]).all()
     assert np.isfinite(depth[mask]).all()

@@ -19,7 +19,7 @@ from studiorecon.models.adapters.onnx_depth import (
     moge_size,
     resized_cubic,
 )
-from studiorecon.models.catalogue.registry import model
+from studiorecon.models.catalogue.registry import find_card
 
 from tests.made.networks import upstream_sources
 
@@ -110,7 +110,7 @@ def test_moges_shift_is_what_projects_its_points() -> None:
 
 def test_the_networks_of_a_laptop_are_pinned_and_need_no_gpu() -> None:
     for name in ("moge_vits", "moge_vitb", "depth_anything"):
-        card = model(name)
+        card = find_card(name)
         assert card.memory.gpu_gb is None
         assert card.runtime.image == "core"
         assert card.terms.commercial == "yes"

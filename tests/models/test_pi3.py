@@ -16,12 +16,12 @@ from studiorecon.models.adapters import pi3
 from studiorecon.models.adapters.pi3 import (
     MULTIPLE_PX,
     Inset,
-    edges,
-    focal,
-    inferred,
+    depth_edges,
+    fit_focal,
+    infer,
     postprocess,
     preprocess,
-    probability,
+    sigmoid,
 )
 from studiorecon.models.loading import load
 from studiorecon.scene.camera import Camera
@@ -86,18 +86,18 @@ def test_cameras_depth_and_focal_lengths_come_back_up_to_one_scale(scale: float)
 
 def test_confidence_is_a_logit() -> None:
     logits = np.array([-1000.0, -3.0, -2.1, 0.0, 3.0, 1000.0])
-    np.testing.assert_allclose(probability(logits), [0, 0.0474, 0.1091, 0.5, 0.9526, 1], atol=1e-4)
+    np.testing.assert_allclose(sigmoid(logits), [0, 0.0474, 0.1091, 0.5, 0.9526, 1], atol=1e-4)
     # Naive, conf > 0.1 on logits: throws away everything below a confidence of 0.52.
-    assert ((probability(logits) > 0.1) == [False, False, True, True, True, True]).all()
+    assert ((sigmoid(logits) > 0.1) == [False, False, True, True, True, True]).all()
 
 
 def test_points_beside_jumps_in_depth_are_left_out() -> None:
     depth = np.full((20, 30), 2.0)
     depth[:, 15:] = 3.0
-    found = edges(depth)
+    found = depth_edges(depth)
     assert found[:, 14:16].all()
     assert found.sum() == 40
-    assert not edges(np.tile(np.linspace(2, 2.1, 30), (20, 1))).any()
+    assert not depth_edges(np.tile(np.linspace(2, 2.1, 30), (20, 1))).any()
 
 
 @pytest.mark.parametrize("hws", [[(270, 480)] * 3, [(704, 1280), (1280, 704)], [(100, 100), (480, 640), (1080, 1920)]])
@@ -142,7 +142,7 @@ def test_focal_length_is_that_of_the_confident_points() -> None:
     weight = np.ones(camera.hw)
     points[:40] *= np.array([3.0, 1.0, 1.0])
     weight[:40] = 0
-    assert focal(points, weight)[0] == pytest.approx(camera.focal_px[0], rel=1e-6)
+    assert fit_focal(points, weight)[0] == pytest.approx(camera.focal_px[0], rel=1e-6)
 
 
 def test_what_cannot_be_is_refused() -> None:
@@ -177,7 +177,7 @@ def test_the_call_hands_on_points_probabilities_and_poses() -> None:
             "camera_poses": torch.eye(4).expand(1, 2, 4, 4),
         }
 
-    points, sure, poses = inferred(network, np.zeros((2, 3, 14, 28), np.float32), "cpu")
+    points, sure, poses = infer(network, np.zeros((2, 3, 14, 28), np.float32), "cpu")
     assert asked == [(1, 2, 3, 14, 28)]
     assert (points.shape, sure.shape, poses.shape) == ((2, 14, 28, 3), (2, 14, 28), (2, 4, 4))
     assert (sure == 0.5).all()
@@ -227,7 +227,7 @@ def test_upstreams_network_with_random_weights_keeps_its_contract(
     monkeypatch.setattr(pi3, "staged_weights", lambda _, folder: folder)  # this file is not what is published
     adapter = load("pose and depth", name, tmp_path, "cpu")
     pictures = np.random.default_rng(0).random((3, 3, 56, 70), dtype=np.float32)
-    points, sure, poses = inferred(adapter._network, pictures, "cpu")
+    points, sure, poses = infer(adapter._network, pictures, "cpu")
     assert points.shape == (3, 56, 70, 3)
     assert (points[..., 2] > 0).all()
     assert sure.min() >= 0

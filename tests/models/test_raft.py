@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.models.adapters import raft
-from studiorecon.models.adapters.raft import estimated, postprocess, preprocess
+from studiorecon.models.adapters.raft import estimate_flow, postprocess, preprocess
 from studiorecon.models.loading import load
 
 
@@ -29,7 +29,7 @@ def test_a_network_that_knows_the_flow_gives_it_back_at_the_pictures_size(hw: tu
     rng = np.random.default_rng(0)
     frames = rng.integers(0, 256, (2, *hw, 3), dtype=np.uint8)
     pair, fitted = preprocess(*frames)
-    flow = postprocess(estimated(network, pair, "cpu"), fitted)
+    flow = postprocess(estimate_flow(network, pair, "cpu"), fitted)
     assert flow.shape == (*hw, 2)
     np.testing.assert_allclose(flow, np.broadcast_to(np.array([4.0, -2.0]) / fitted.enlarged, flow.shape), atol=1e-6)
 

@@ -9,18 +9,18 @@ from pathlib import Path
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.preflight import (
-    arrays_alone,
+    arrays_only,
     attribute,
-    device,
     import_upstream,
     staged_weights,
+    torch_device,
 )
-from studiorecon.models.catalogue.registry import MODELS, model, of_kind
+from studiorecon.models.catalogue.registry import MODELS, cards_of_kind, find_card
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_every_model_states_terms_weights_and_runtime(name: str) -> None:
-    entry = model(name)
+    entry = find_card(name)
     assert entry.name == name
     assert entry.title
     assert entry.runtime.image
@@ -45,11 +45,11 @@ def test_what_forbids_commercial_use_names_what_does_instead() -> None:
     for entry in MODELS.values():
         alternative = entry.terms.alternative
         if alternative in MODELS:
-            assert model(alternative).kind == entry.kind
-            assert model(alternative).terms.commercial != "no"
-    assert model("pi3").terms.alternative == "mapanything"
-    assert model("difix").terms.alternative == "fixer"
-    assert [m.name for m in of_kind("monocular depth")] == ["moge", "moge3", "moge_vits", "moge_vitb"]
+            assert find_card(alternative).kind == entry.kind
+            assert find_card(alternative).terms.commercial != "no"
+    assert find_card("pi3").terms.alternative == "mapanything"
+    assert find_card("difix").terms.alternative == "fixer"
+    assert [m.name for m in cards_of_kind("monocular depth")] == ["moge", "moge3", "moge_vits", "moge_vitb"]
 
 
 def test_a_missing_weight_is_named_with_its_source_and_found_once_it_is_there(
@@ -61,32 +61,32 @@ def test_a_missing_weight_is_named_with_its_source_and_found_once_it_is_there(
     with pytest.raises(
         UserError, match=r"pi3/model\.safetensors, which is missing: get it from Hugging Face yyfz233/Pi3"
     ):
-        staged_weights(model("pi3"), tmp_path)
+        staged_weights(find_card("pi3"), tmp_path)
     with pytest.raises(UserError, match="request access"):
-        staged_weights(model("sam3"), tmp_path)
+        staged_weights(find_card("sam3"), tmp_path)
     (tmp_path / "smpl").mkdir()
     (tmp_path / "smpl/SMPL_NEUTRAL.pkl").write_bytes(b"weights")
-    assert staged_weights(model("smpl"), tmp_path) == tmp_path
+    assert staged_weights(find_card("smpl"), tmp_path) == tmp_path
     assert os.environ["HF_HUB_OFFLINE"] == "1", "a run fetches nothing silently"
 
 
 def test_a_missing_package_names_image_and_pins_and_another_version_its_commit() -> None:
     with pytest.raises(UserError, match=r"cosmos_nowhere.*image gen3c.*torch 2\.6\.0.*megatron-core==0\.10\.0"):
-        import_upstream(model("gen3c"), "cosmos_nowhere")
+        import_upstream(find_card("gen3c"), "cosmos_nowhere")
     with pytest.raises(UserError, match=r"has no Gen3cPipeline.*db2ffe1"):
-        attribute(model("gen3c"), os, "Gen3cPipeline")
+        attribute(find_card("gen3c"), os, "Gen3cPipeline")
 
 
 def test_no_gpu_is_a_sentence_with_the_remedy() -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed")
-    assert device(model("gen3c"), "cpu", "x").type == "cpu"
+    assert torch_device(find_card("gen3c"), "cpu", "x").type == "cpu"
     if torch.cuda.is_available():
         pytest.skip("there is a GPU here")
     with pytest.raises(UserError, match=r"sees none here.*set views\.synthesizer to warp"):
-        device(model("gen3c"), "cuda", "set views.synthesizer to warp")
+        torch_device(find_card("gen3c"), "cuda", "set views.synthesizer to warp")
 
 
 def test_a_checkpoint_that_would_run_code_is_a_sentence() -> None:
     refused = pytest.raises(UserError, match=r"a checkpoint of Fixer holds more than arrays \(Unsupported global")
-    with refused, arrays_alone(model("fixer")):
+    with refused, arrays_only(find_card("fixer")):
         raise pickle.UnpicklingError("Unsupported global: pathlib.Path\nmore")

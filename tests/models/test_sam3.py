@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.models.adapters import sam3
-from studiorecon.models.adapters.sam3 import CARD, joined, labelled, match_labels, postprocess, preprocess
+from studiorecon.models.adapters.sam3 import CARD, join_chunks, match_labels, postprocess, preprocess, session_labels
 from studiorecon.models.loading import load
 
 HW = (12, 20)
@@ -65,7 +65,7 @@ def test_people_keep_their_number_when_a_chunk_names_them_anew() -> None:
     first = [labels_of(n1=0, n2=10), labels_of(n1=1, n2=9)]
     # The next session counts the other way round, and somebody else comes in.
     second = [labels_of(n2=1, n1=9), labels_of(n2=2, n1=8, n3=15)]
-    maps = list(joined([first, second]))
+    maps = list(join_chunks([first, second]))
     assert len(maps) == 3
     assert maps[0][5, 1] == maps[1][5, 2] == maps[2][5, 3] == 1
     assert maps[0][5, 11] == maps[1][5, 11] == maps[2][5, 10] == 2
@@ -80,7 +80,7 @@ def test_who_is_elsewhere_is_somebody_else() -> None:
     again = labels_of(n7=0)
     again[2:4, 0:4] = 8
     assert match_labels(labels_of(n1=0), again) == {7: 1}
-    assert list(joined([[labels_of(n1=0)], [labels_of(n1=10), labels_of(n1=10)]]))[1].max() == 2
+    assert list(join_chunks([[labels_of(n1=0)], [labels_of(n1=10), labels_of(n1=10)]]))[1].max() == 2
 
 
 def test_late_and_silent_frames_have_their_place() -> None:
@@ -94,7 +94,7 @@ def test_late_and_silent_frames_have_their_place() -> None:
         return {"object_ids": torch.tensor([0]), "scores": torch.tensor([0.8]), "masks": mask}
 
     processor = SimpleNamespace(postprocess_outputs=postprocess_outputs)
-    maps = labelled(network, processor, None, 4, HW, torch)
+    maps = session_labels(network, processor, None, 4, HW, torch)
     assert [int(m.max()) for m in maps] == [1, 1, 0, 1]
     assert maps[3][5, 3] == 1
 
@@ -110,9 +110,9 @@ def test_upstreams_video_network_with_random_weights_keeps_its_contract() -> Non
     network, session, hw = tiny_session()
     # Postprocessing needs nothing of the processor itself.
     processor = Sam3VideoProcessor.__new__(Sam3VideoProcessor)
-    maps = labelled(network, processor, session, 4, hw, torch)
+    maps = session_labels(network, processor, session, 4, hw, torch)
     assert [m.shape for m in maps] == [hw] * 4
-    numbers = list(joined([maps]))
+    numbers = list(join_chunks([maps]))
     assert len(numbers) == 4
     assert all(n.dtype == np.uint16 for n in numbers)
 

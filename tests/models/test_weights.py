@@ -21,7 +21,7 @@ from studiorecon.models.catalogue.fetching import fetch
 from studiorecon.models.catalogue.pickles import require_safe_pickles
 from studiorecon.models.catalogue.preflight import staged_weights
 from studiorecon.models.catalogue.registry import MODELS
-from studiorecon.models.catalogue.sandbox import ARRAYS_ONLY, OFFLINE, confine
+from studiorecon.models.catalogue.sandbox import ARRAYS_ONLY, OFFLINE, confine_process
 from studiorecon.models.catalogue.selection import check_licences, licence_rows, select_networks
 
 
@@ -124,7 +124,7 @@ def test_a_run_is_told_to_make_arrays_of_checkpoints_and_nothing_else(
     torch = pytest.importorskip("torch", reason="torch is not installed")
     for variable in ARRAYS_ONLY:
         monkeypatch.setenv(variable, "0")
-    confine()
+    confine_process()
     torch.save({"weights": torch.ones(2)}, tmp_path / "good.pt")
     torch.save({"code": Path("x")}, tmp_path / "bad.pt")
     # As GEN3C and Fixer ask for it.

@@ -20,7 +20,7 @@ from studiorecon.models.catalogue.card import WeightFile
 from studiorecon.models.catalogue.fetching import fetch
 from studiorecon.models.catalogue.registry import MODELS
 from studiorecon.models.catalogue.sandbox import OFFLINE
-from studiorecon.models.weights import stage
+from studiorecon.models.weights import stage_file
 
 from tests.made.hub import Hub, serving
 
@@ -110,7 +110,7 @@ def test_the_second_mirror_is_asked_and_goes_on_where_it_broke_off(
         assert not (tmp_path / file.path).exists()
         hub.breaks_at, hub.asked = None, []
         pins: dict = {}
-        assert stage(file, tmp_path, pins, may_fetch=True) == "verified"
+        assert stage_file(file, tmp_path, pins, may_fetch=True) == "verified"
         assert hub.asked == [("points.zip", "main", "bytes=100000-")]
     assert (tmp_path / file.path).read_bytes() == inner
     assert pins[file.path]["sha256"] == file.sha256
@@ -121,8 +121,8 @@ def test_the_second_mirror_is_asked_and_goes_on_where_it_broke_off(
 def test_a_mirror_with_other_bytes_is_refused(tmp_path: Path) -> None:
     with serving(Hub({})) as hub:
         file = mirrored(hub, archived(b"other", "a/end2end.onnx"), b"the right one", ("second",))
-        assert "expected" in (said := stage(file, tmp_path, {}, may_fetch=True)), said
+        assert "expected" in (said := stage_file(file, tmp_path, {}, may_fetch=True)), said
         (tmp_path / file.path).unlink()
         two = mirrored(hub, archived(b"x", "a/end2end.onnx", "b/end2end.onnx"), b"x", ("second",))
-        assert "has 2 files end2end.onnx, expected one" in stage(two, tmp_path, {}, may_fetch=True)
+        assert "has 2 files end2end.onnx, expected one" in stage_file(two, tmp_path, {}, may_fetch=True)
         assert not list((tmp_path / "net").iterdir())

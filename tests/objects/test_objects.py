@@ -13,10 +13,18 @@ import pytest
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.video import write_lossless
-from studiorecon.objects.find import ObjectView, Settings, objects_in, run, with_usual_difference
-from studiorecon.objects.residual import LOOSE, ROOM, UNKNOWN, difference, regions, states, usual_difference
+from studiorecon.objects.find import ObjectView, Settings, find_objects, run, with_usual_difference
+from studiorecon.objects.residual import (
+    LOOSE,
+    ROOM,
+    UNKNOWN,
+    loose_regions,
+    pixel_states,
+    shadow_free_difference,
+    usual_difference,
+)
 from studiorecon.objects.rotation import NEVER_DB
-from studiorecon.objects.sightings import sightings
+from studiorecon.objects.sightings import find_sightings
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.factors import write_factors
@@ -68,7 +76,7 @@ def found(
 ) -> list[RigidObject]:
     views = [ObjectView(c, Path(), plate_of(c), np.ones(c.hw, bool), np.zeros(c.hw, np.float32)) for c in CAMERAS]
     seen = list(moments(balls, hidden, showing))
-    return objects_in(iter(seen), with_usual_difference(views, iter(seen), settings.loose), FRAMES, FPS, settings, 1)
+    return find_objects(iter(seen), with_usual_difference(views, iter(seen), settings.loose), FRAMES, FPS, settings, 1)
 
 
 @pytest.fixture(scope="module")
@@ -169,12 +177,12 @@ def test_shadows_and_people_are_nothing_loose(settings: Settings) -> None:
     picture[60:90, 100:130] = (0.9, 0.1, 0.1)
     person = np.zeros(camera.hw, bool)
     person[50:100, 120:150] = True
-    differing = difference(np.rint(picture * 255).astype(np.uint8), plate, settings.loose)
-    state = states(differing, 0 * differing, np.ones(camera.hw, bool), person, settings.loose)
+    differing = shadow_free_difference(np.rint(picture * 255).astype(np.uint8), plate, settings.loose)
+    state = pixel_states(differing, 0 * differing, np.ones(camera.hw, bool), person, settings.loose)
     assert (state[22:38, 22:58] == ROOM).all(), "a shadow changes no colour"
     assert (state[person] == UNKNOWN).all()
     assert (state[62:88, 102:118] == LOOSE).all()
-    (region,) = regions(np.zeros((*camera.hw, 3), np.uint8), state, 0, settings.loose.min_share)
+    (region,) = loose_regions(np.zeros((*camera.hw, 3), np.uint8), state, 0, settings.loose.min_share)
     assert not region.free, "a person touches it"
     assert region.outline_px[:, 0].max() < 120, "where the person begins is not its outline"
 
@@ -187,11 +195,11 @@ def test_what_always_differs_is_the_plates_fault(settings: Settings) -> None:
     nobody_there, somebody = np.zeros((20, 20), bool), np.ones((20, 20), bool)
     usual = usual_difference([patterned, patterned, ball], [nobody_there] * 3)
     assert (usual == patterned).all(), "a thing is there for a moment only"
-    state = states(patterned + ball, usual, ~nobody_there, nobody_there, loose)
+    state = pixel_states(patterned + ball, usual, ~nobody_there, nobody_there, loose)
     assert (state[:, :5] == ROOM).all()
     assert (state[6:14, 6:14] == LOOSE).all()
     assert (usual_difference([ball], [somebody]) == 0).all()
-    stands = states(ball, usual_difference([ball, ball], [nobody_there] * 2), ~nobody_there, nobody_there, loose)
+    stands = pixel_states(ball, usual_difference([ball, ball], [nobody_there] * 2), ~nobody_there, nobody_there, loose)
     assert (stands[7:13, 7:13] == LOOSE).all(), "what differs by far stood there"
 
 
@@ -201,11 +209,11 @@ def test_cameras_that_see_the_room_deny_a_chance_meeting_of_rays(settings: Setti
     pictures = [drawn(c, balls, 0) for c in CAMERAS]
     away = np.zeros(WH[::-1], bool)
     shown = [
-        states(difference(p, plate_of(c), o.loose), np.zeros(c.hw), ~away, away, o.loose)
+        pixel_states(shadow_free_difference(p, plate_of(c), o.loose), np.zeros(c.hw), ~away, away, o.loose)
         for p, c in zip(pictures, CAMERAS)
     ]
-    loose = [regions(p, s, v, o.loose.min_share) for v, (p, s) in enumerate(zip(pictures, shown))]
-    things = sightings(CAMERAS, shown, loose, o.gate_m, o.radius_m)
+    loose = [loose_regions(p, s, v, o.loose.min_share) for v, (p, s) in enumerate(zip(pictures, shown))]
+    things = find_sightings(CAMERAS, shown, loose, o.gate_m, o.radius_m)
     places = sorted((tuple(np.round(t.centre_m, 1)) for t in things), reverse=True)
     assert places == [(0.5, 0.0, 0.9), (0.0, 0.5, 0.9)]
 

@@ -72,7 +72,7 @@ def test_more_jobs_than_gpus_share_and_say_so(
     folder = tmp_path / f"studiorecon-gpus-{os.getuid()}"
     folder.mkdir()
     held = [gpu.first_free(["0", "1"], folder)[1] for _ in range(2)]
-    gpu.claim()
+    gpu.claim_gpu()
     assert os.environ["CUDA_VISIBLE_DEVICES"] in ("0", "1")
     assert "more jobs than GPUs run here; use --resources gpu=2" in capsys.readouterr().out
     for lock in held:
@@ -82,8 +82,8 @@ def test_more_jobs_than_gpus_share_and_say_so(
 def test_without_gpus_nothing_is_claimed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert gpu.visible() == []
+    assert gpu.visible_gpus() == []
     smi = tmp_path / "nvidia-smi"
     smi.write_text("#!/bin/sh\necho GPU-1a\necho GPU-2b\n")
     smi.chmod(0o755)
-    assert gpu.visible() == ["GPU-1a", "GPU-2b"]
+    assert gpu.visible_gpus() == ["GPU-1a", "GPU-2b"]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from studiorecon.__main__ import _run
-from studiorecon.machine.libraries import missing_library, remedy
+from studiorecon.machine.libraries import install_remedy, missing_library
 
 ROOT = Path(__file__).resolve().parents[2]
 BROKEN = {
@@ -43,8 +43,8 @@ def test_a_library_without_a_wheel_for_this_processor_is_not_sought_on_the_regis
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("platform.machine", lambda: "aarch64")
-    assert "no wheel for this processor (aarch64)" in remedy("pycolmap")
-    assert "uv sync" in remedy("numpy")
+    assert "no wheel for this processor (aarch64)" in install_remedy("pycolmap")
+    assert "uv sync" in install_remedy("numpy")
 
 
 @pytest.mark.slow

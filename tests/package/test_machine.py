@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from studiorecon.machine.resource_errors import describe_resource_error, is_memory_error, without_thread
+from studiorecon.machine.resource_errors import describe_resource_error, is_memory_error, lacks_thread
 
 
 @pytest.mark.parametrize(
@@ -50,8 +50,8 @@ def test_memory_that_is_missing_is_known_from_whoever_asked_for_it() -> None:
 
 
 def test_a_damaged_film_that_asks_for_any_amount_is_not_the_machine_s_fault() -> None:
-    assert without_thread(BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"))
-    assert not without_thread(OSError(errno.ENOMEM, "Cannot allocate memory"))
+    assert lacks_thread(BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"))
+    assert not lacks_thread(OSError(errno.ENOMEM, "Cannot allocate memory"))
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ TOLD = {"count": 1, "inner": {"sigma": 1.0}, "maybe": None, "own": {"mine": 1.0}
 
 
 def test_what_a_step_does_not_read_is_left_out_at_every_level() -> None:
-    assert step_settings.restrict(GIVEN, step_settings.setting_fields(Outer)) == TOLD
+    assert step_settings.restrict_settings(GIVEN, step_settings.setting_fields(Outer)) == TOLD
 
 
 def test_a_step_loads_the_same_from_what_it_is_told_as_from_the_whole_section() -> None:
@@ -68,8 +68,8 @@ def test_a_step_says_once_what_it_reads(tmp_path: Path, monkeypatch: pytest.Monk
     assert len(json.loads(memory.read_text())) == 1
     step_settings._known.cache_clear()
     monkeypatch.setattr(step_settings.importlib, "import_module", lambda name: pytest.fail("imported again"))
-    assert "smooth" in step_settings.read_by("people.fit")
+    assert "smooth" in step_settings.settings_read_by("people.fit")
     (tmp_path / "studiorecon/people/fit.py").write_text("class Settings: ...\n")
     with pytest.raises(pytest.fail.Exception):
-        step_settings.read_by("people.fit")
+        step_settings.settings_read_by("people.fit")
     step_settings._known.cache_clear()

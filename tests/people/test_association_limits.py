@@ -11,7 +11,7 @@ from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry.lifting import SURFACE_TO_PELVIS_M, lift_joint
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.keypoints.correspondence import stable_detections, track_groups
-from studiorecon.keypoints.tracking import match
+from studiorecon.keypoints.tracking import match_detections
 from studiorecon.people.associate import Settings
 from studiorecon.people.association import terms
 from studiorecon.people.association.acceptance import identities_from_keypoints
@@ -76,7 +76,7 @@ def pair_recall(groups, planted: dict[tuple[int, int], int]) -> float:
 
 @pytest.mark.parametrize("shape", [(0, 3), (3, 0), (0, 0)], ids=lambda s: f"A01-{s[0]}x{s[1]}")
 def test_nobody_matches_nobody(shape):  # A01 naive: max over empty raises
-    assert match(np.zeros(shape), 1.0) == []
+    assert match_detections(np.zeros(shape), 1.0) == []
     assert margins(TrackPairs(*np.zeros((2, 0), int), *np.zeros((6, 0, 0))), []).shape == (0,)
     assert window_distances(np.zeros((0, 5, 3))).shape == (0, 0)
 
@@ -94,11 +94,11 @@ def test_an_empty_scene_is_an_empty_result(options, method, seen_by):
 def test_one_impossible_pair_does_not_cost_the_others(
     position, poison
 ):  # A02 naive: "invalid numeric entries", "infeasible"
-    assert match(np.array([[0.1, poison], [poison, poison]]), 0.5) == [(0, 0)]
-    assert match(np.array([[poison, poison], [0.9, 0.1]]), 0.5) == [(1, 1)]
+    assert match_detections(np.array([[0.1, poison], [poison, poison]]), 0.5) == [(0, 0)]
+    assert match_detections(np.array([[poison, poison], [0.9, 0.1]]), 0.5) == [(1, 1)]
     found = affinities(np.array([[poison, poison], [0.2, 0.1]]), np.full((2, 2), np.nan), GATE_M, position)
     assert (found[0] == 0).all()
-    assert match(1 - found, 1.0) == [(1, 1)]
+    assert match_detections(1 - found, 1.0) == [(1, 1)]
 
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf], ids=["A02-view-nan", "A02-view-inf"])
@@ -117,9 +117,9 @@ def test_a_poisoned_detection_does_not_cost_the_others(options, method, poison):
 
 def test_a03_the_gate_comes_before_the_assignment(position):  # A03 naive: keeps the wrong pair (1, 0)
     distance = np.array([[0.25, 0.60], [0.28, 2.0]])
-    assert match(distance, 0.3) == [(0, 0)]
+    assert match_detections(distance, 0.3) == [(0, 0)]
     wide = replace(position, sigma_m=0.5)
-    assert match(1 - affinities(distance, np.full((2, 2), np.nan), GATE_M, wide), 1.0) == [(0, 0)]
+    assert match_detections(1 - affinities(distance, np.full((2, 2), np.nan), GATE_M, wide), 1.0) == [(0, 0)]
     view = np.array([0, 0, 1, 1])
     full = np.full((4, 4), np.nan)
     full[:2, 2:] = distance
@@ -160,7 +160,7 @@ def test_equal_poses_far_apart_are_no_tie(options, method):
     bodies = with_bodies(found, cameras, planted, people, rng, 0.02, alike)
     assert pair_recall(group_tracks(bodies, cameras, 11, 30.0, limits, options.triangulation), planted) == 1.0
     huge = np.linalg.norm(100 * np.array([[0, 3, 5], [3, 0, 4], [5, 4, 0]])[..., None], axis=-1) + 100.0
-    assert match(1 - affinities(huge, np.zeros((3, 3)), GATE_M, limits), 1.0) == []
+    assert match_detections(1 - affinities(huge, np.zeros((3, 3)), GATE_M, limits), 1.0) == []
 
 
 @pytest.mark.parametrize("degrees", [45, 90, 180], ids=lambda d: f"A06-{d}")
@@ -253,7 +253,7 @@ def test_a10_four_views_agree_on_one_identity_where_neighbours_alone_do_not():
         positions = truth[person] + rng.normal(0, 0.1, (12, 2))
         distance = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
         pairwise = [
-            dict(match(distance[3 * v : 3 * v + 3, 3 * w : 3 * w + 3], 0.3))
+            dict(match_detections(distance[3 * v : 3 * v + 3, 3 * w : 3 * w + 3], 0.3))
             for v, w in ((0, 1), (1, 2), (2, 3), (3, 0))
         ]
         around = [
@@ -331,7 +331,7 @@ def test_a12_close_people_are_undecided_in_one_frame_and_told_apart_in_many(
             mean = views[:frames].mean(0)
             distance = np.linalg.norm(mean[0][:, None] - mean[1][None], axis=-1)
             found = affinities(distance, np.full((2, 2), np.nan), 0.9, position)
-            pairs = match(1 - found, 1.0)
+            pairs = match_detections(1 - found, 1.0)
             full = np.zeros((4, 4))
             full[:2, 2:], full[2:, :2] = found, found.T
             preferred = margins(
@@ -366,8 +366,8 @@ def test_a12_people_that_two_level_cameras_cannot_tell_apart_are_undecided(optio
 @pytest.mark.parametrize("affinity", ["A13-both", "A13-position", "A13-pose"])
 def test_ties_of_nothing_match_nobody(options, affinity):  # A13 naive: 0-0, 1-1, 2-2
     limits = replace(options.association, affinity=affinity[4:])
-    assert match(1 - affinities(np.full((3, 3), 5.0), np.full((3, 3), 2.0), GATE_M, limits), 1.0) == []
-    assert match(1 - affinities(np.full((3, 3), np.nan), np.full((3, 3), np.nan), GATE_M, limits), 1.0) == []
+    assert match_detections(1 - affinities(np.full((3, 3), 5.0), np.full((3, 3), 2.0), GATE_M, limits), 1.0) == []
+    assert match_detections(1 - affinities(np.full((3, 3), np.nan), np.full((3, 3), np.nan), GATE_M, limits), 1.0) == []
     view = np.repeat([0, 1], 3)
     assert track_groups(np.full((6, 6), 5.0), view, np.ones((6, 6)), 0.3) == []
 

@@ -17,7 +17,7 @@ from studiorecon.footage.video import write_lossless
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.readers import read_keypoints
-from studiorecon.keypoints.tracking import TrackingLimits, drop_duplicates, tracks
+from studiorecon.keypoints.tracking import TrackingLimits, drop_duplicates, track_ids
 from studiorecon.people import associate
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, Manifest, write_footage, write_manifest
@@ -229,13 +229,13 @@ def test_keypoints_of_frames_that_are_not_used_are_told(capsys, tmp_path, people
 def test_tracks_bridge_gaps_and_end_where_two_people_cannot_be_told_apart(people_settings):
     limits = tracking(people_settings, gap_s=0.2)
     frames = [t for t in range(20) if t not in (5, 6)]
-    one = tracks(np.array(frames), np.stack([skeleton(100 + 2 * t, 100) for t in frames]), limits, 30.0)
+    one = track_ids(np.array(frames), np.stack([skeleton(100 + 2 * t, 100) for t in frames]), limits, 30.0)
     assert set(one.tolist()) == {0}
-    gone = tracks(np.array([0, 1, 10]), np.stack([skeleton(100, 100)] * 3), limits, 30.0)
+    gone = track_ids(np.array([0, 1, 10]), np.stack([skeleton(100, 100)] * 3), limits, 30.0)
     assert gone.tolist() == [0, 0, 1]
     meeting = np.repeat(np.arange(20), 2)
     apart = [skeleton(100 + (10 - t) * 8 * side, 100) for t in range(20) for side in (-1, 1)]
-    ids = tracks(meeting, np.stack(apart), limits, 30.0)
+    ids = track_ids(meeting, np.stack(apart), limits, 30.0)
     for track in np.unique(ids):  # no track is on both sides of the meeting
         assert len({(i % 2, t < 10) for i, t in enumerate(meeting) if ids[i] == track and abs(t - 10) > 2}) <= 1
 
@@ -252,7 +252,7 @@ def test_whoever_walks_or_waves_is_one_track_at_every_frame_rate(people_settings
         person[:, 0] += 48 * swing * np.sin(2 * np.pi * t)
         person[:, :2] += rng.normal(0, 2.0, (17, 2))
         people.append(person)
-    assert set(tracks(frames, np.stack(people), tracking(people_settings), fps).tolist()) == {0}
+    assert set(track_ids(frames, np.stack(people), tracking(people_settings), fps).tolist()) == {0}
 
 
 def test_a_person_found_twice_in_one_frame_counts_once(people_settings):

@@ -18,7 +18,7 @@ from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import look_at
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.placement import advise, place
-from studiorecon.placement.camera_placement import advice, lens, move_text, place_cameras, with_pose
+from studiorecon.placement.camera_placement import advise_moves, lens_from_fov, move_text, place_cameras, with_pose
 from studiorecon.placement.picture import camera_position_text
 from studiorecon.placement.rig_quality import RigEvaluator, errors_m, information, is_in_picture
 from studiorecon.placement.room import TALL_M, WIDTH_M, Room, is_blocked, read_room, room_about
@@ -28,7 +28,7 @@ ROOM = read_room("6x5x2.8")
 
 
 def lenses(count: int, hfov_deg: float = 65.0) -> list[Camera]:
-    return [lens(f"cam{k + 1}", hfov_deg, (1920, 1080)) for k in range(count)]
+    return [lens_from_fov(f"cam{k + 1}", hfov_deg, (1920, 1080)) for k in range(count)]
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +130,7 @@ def displaced(rig: Sequence[Camera]) -> list[Camera]:
 def test_advice_names_the_camera_that_stands_badly_and_is_worth_what_it_says(rig: list[Camera]) -> None:
     cameras = displaced(rig)
     judge = RigEvaluator(ROOM)
-    before, moves = judge.cost_m(cameras), advice(cameras, ROOM)
+    before, moves = judge.cost_m(cameras), advise_moves(cameras, ROOM)
     assert moves[0].camera == "cam3"
     assert moves[0].gain > 0.1
     for move in moves:
@@ -139,12 +139,12 @@ def test_advice_names_the_camera_that_stands_badly_and_is_worth_what_it_says(rig
         assert ROOM.holds(move.better.centre_m, 0.1)
         assert move.camera in move.words
     assert [move.gain for move in moves] == sorted((move.gain for move in moves), reverse=True)
-    assert not [move for move in advice(rig, ROOM) if move.gain > 0.1], "a planned rig has little to gain"
+    assert not [move for move in advise_moves(rig, ROOM) if move.gain > 0.1], "a planned rig has little to gain"
 
 
 def test_a_move_is_told_as_seen_from_behind_the_camera() -> None:
     camera = with_pose(
-        lens("cam3", 65, (1920, 1080)),
+        lens_from_fov("cam3", 65, (1920, 1080)),
         np.array([3.0, 0.5, 1.5]),
         look_at(np.array([3.0, 0.5, 1.5]), np.array([3.0, 4.0, 1.5])),
     )

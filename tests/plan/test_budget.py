@@ -16,9 +16,9 @@ import pytest
 import yaml
 from studiorecon.errors import UserError
 from studiorecon.plan import prices as price_list
-from studiorecon.plan.budget import UserChoices, choose, choose_preset, overlay, preset
+from studiorecon.plan.budget import UserChoices, choose_offer, choose_preset, overlay_settings, read_preset
 from studiorecon.plan.make import make_plan
-from studiorecon.plan.prices import Point, Price, PriceList, pace_here, predict, read_prices
+from studiorecon.plan.prices import Point, Price, PriceList, machine_pace, predict, read_prices
 from studiorecon.plan.workload import ON_DEMAND, Footage, Work, measure_footage, segments_with_views, workload
 
 from tests.made.footage import smooth_pictures, write_video
@@ -33,7 +33,7 @@ DEMO = Footage(training=4, held_out=4, detected=4, frames=60, wh=(480, 272), peo
 
 
 def minutes_of(name: str, footage: Footage = DEMO, cores: int = 2) -> float:
-    config = overlay(DEFAULTS, NOBODY, preset(name))
+    config = overlay_settings(DEFAULTS, NOBODY, read_preset(name))
     return predict(workload(footage, config, USUAL), read_prices(), cores, 1.0).seconds / 60
 
 
@@ -122,7 +122,7 @@ def bought_for(
     footage: Footage = DEMO,
 ) -> Any:
     held = replace(read_prices(), points=of)
-    return choose(minutes, config or DEFAULTS, stated, footage, Planned(), held, 2, 1.0)
+    return choose_offer(minutes, config or DEFAULTS, stated, footage, Planned(), held, 2, 1.0)
 
 
 def test_a_number_of_people_that_is_assumed_is_said() -> None:
@@ -164,7 +164,7 @@ def test_settings_of_the_user_stay() -> None:
     own = copy.deepcopy(DEFAULTS)
     own["capture"]["width"] = 360
     made = bought_for(0.01, points(look=22.0, defaults=23.0), own).chosen.config
-    look = preset("look")
+    look = read_preset("look")
     assert made["capture"]["width"] == 360
     assert made["depth"]["primitives"] == look["depth"]["primitives"]
     assert made["background"]["training"]["iterations"] == look["background"]["training"]["iterations"]
@@ -176,7 +176,7 @@ def test_a_default_that_the_user_says_stays_too() -> None:
     made = bought_for(0.01, points(look=22.0, defaults=23.0), stated=UserChoices(said, SCHEMA)).chosen.config
     assert made["capture"]["width"] == DEFAULTS["capture"]["width"]
     assert made["background"]["training"]["iterations"] == 1500
-    assert made["humans"]["iterations"] == preset("look")["humans"]["iterations"]
+    assert made["humans"]["iterations"] == read_preset("look")["humans"]["iterations"]
 
 
 def test_the_schema_names_the_defaults_that_the_configuration_holds() -> None:
@@ -218,11 +218,11 @@ def test_loose_things_and_shadows_count_where_they_are_forced() -> None:
 def test_the_pace_is_probed_once_and_then_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     held, remembered = replace(read_prices(), probe_s=1.0), tmp_path / "pace.json"
     monkeypatch.setattr(price_list, "probe_s", lambda: 0.5)
-    assert pace_here(held, remembered) == pytest.approx(2.0)
+    assert machine_pace(held, remembered) == pytest.approx(2.0)
     monkeypatch.setattr(price_list, "probe_s", lambda: 5.0)
-    assert pace_here(held, remembered) == pytest.approx(2.0)
+    assert machine_pace(held, remembered) == pytest.approx(2.0)
     remembered.unlink()
-    assert pace_here(held, remembered) == pytest.approx(0.2)
+    assert machine_pace(held, remembered) == pytest.approx(0.2)
 
 
 def test_a_studio_is_planned_from_its_description_and_made_first(configured: Callable[..., dict], home: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from studiorecon.errors import UserError
 from studiorecon.footage.chapters import write_chapters
 from studiorecon.footage.container import read_film_list
-from studiorecon.footage.frames import glimpses, stills
+from studiorecon.footage.frames import read_stills, seek_frames
 from studiorecon.footage.source import open_source
 from studiorecon.footage.video import write_watchable
 from studiorecon.plan.discovery import open_dataset
@@ -232,8 +232,8 @@ def test_chapters_are_read_as_one_film(tmp_path: Path) -> None:
     np.testing.assert_allclose(source.times_s, np.arange(20) / 25, atol=1e-3)
     for wanted in ([0, 5, 11, 12, 19], [13], [40]):
         expected = levels[np.minimum(wanted, 19)]
-        np.testing.assert_allclose([p.mean() for p in glimpses(source, wanted)], expected, atol=3)
-    np.testing.assert_allclose([p.mean() for p in stills(source, [11, 12])], levels[[11, 12]], atol=3)
+        np.testing.assert_allclose([p.mean() for p in seek_frames(source, wanted)], expected, atol=3)
+    np.testing.assert_allclose([p.mean() for p in read_stills(source, [11, 12])], levels[[11, 12]], atol=3)
 
 
 def test_films_of_two_sizes_are_no_chapters(tmp_path: Path) -> None:

@@ -137,8 +137,8 @@ def test_what_the_survey_measures_does_not_depend_on_the_world(world: World, ord
     here = coverage.visible_points(points, UNEVEN, depths, 0.05)
     there = coverage.visible_points(world.points(points), moved, [d * np.float32(world.scale) for d in depths], 0.05)
     assert (here[order] != there).mean() < 0.01
-    sides = coverage.from_two_sides(points, UNEVEN, here, 2.0)
-    other_sides = coverage.from_two_sides(world.points(points), moved, here[order], 2.0)
+    sides = coverage.has_parallax(points, UNEVEN, here, 2.0)
+    other_sides = coverage.has_parallax(world.points(points), moved, here[order], 2.0)
     np.testing.assert_array_equal(sides, other_sides)
     # A faint pull towards the mean place keeps parallel axes solvable; it is in no unit and moves the centre by
     # millimetres.

@@ -15,7 +15,7 @@ from studiorecon.images.exposure import Overlap, solve_gains
 from studiorecon.images.plate import temporal_modes
 from studiorecon.images.regions import dilate, signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import mesh_depth
-from studiorecon.images.transfer import Transfer, source
+from studiorecon.images.transfer import Transfer, residual_source
 from studiorecon.models.protocols import Moment
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.views import forward_warp
@@ -51,11 +51,11 @@ def test_the_residual_transfer_leaves_a_render_that_is_right_and_knows_no_order_
     photos = [rng.integers(0, 255, (22, 40, 3), dtype=np.uint8) for _ in range(3)]
     image = rng.random((22, 40, 3)).astype(np.float32)
     moment = Moment(cameras[3], 0.0, depth, np.zeros((22, 40), np.float32))
-    right = [source(c, p, p, depth, TRANSFER) for c, p in zip(cameras, photos)]
+    right = [residual_source(c, p, p, depth, TRANSFER) for c, p in zip(cameras, photos)]
     np.testing.assert_array_equal(
         ResidualTransfer(lambda frame: right, 1.0, TRANSFER).enhance(image, photos[0], moment), image
     )
-    wrong = [source(c, p, p[::-1], depth, TRANSFER) for c, p in zip(cameras, photos)]
+    wrong = [residual_source(c, p, p[::-1], depth, TRANSFER) for c, p in zip(cameras, photos)]
     one = ResidualTransfer(lambda frame: wrong, 1.0, TRANSFER).enhance(image, photos[0], moment)
     other = ResidualTransfer(lambda frame: [wrong[i] for i in order], 1.0, TRANSFER).enhance(image, photos[0], moment)
     np.testing.assert_allclose(one, other, atol=1e-5)
@@ -126,7 +126,7 @@ def made_source(seed: int, world: World | None = None) -> forward_warp.WarpSourc
     rng = np.random.default_rng(seed)
     view = ring(4)[0].resized((64, 36))
     depth = (4.5 + 0.3 * np.sin(np.arange(64) / 9.0)[None] + np.zeros((36, 1))) * (world.scale if world else 1)
-    return forward_warp.source(
+    return forward_warp.warp_source(
         world.camera(view) if world else view, rng.random((36, 64, 3)), np.ones((36, 64), bool), depth, 0.04
     )
 
@@ -136,10 +136,10 @@ def made_source(seed: int, world: World | None = None) -> forward_warp.WarpSourc
 def test_carried_photos_blend_the_same_in_any_order_and_an_empty_one_adds_nothing(seed: int, order: list[int]) -> None:
     sources = [made_source(seed + i) for i in range(3)]
     target = ring(12)[1].resized((64, 36))
-    one = forward_warp.blend(target, sources, 3, 0.02, 0.3)
-    other = forward_warp.blend(target, [sources[i] for i in order], 3, 0.02, 0.3)
+    one = forward_warp.blend_photos(target, sources, 3, 0.02, 0.3)
+    other = forward_warp.blend_photos(target, [sources[i] for i in order], 3, 0.02, 0.3)
     empty = replace(sources[0], usable=np.zeros((36, 64), bool))
-    with_empty = forward_warp.blend(target, [*sources, empty], 3, 0.02, 0.3)
+    with_empty = forward_warp.blend_photos(target, [*sources, empty], 3, 0.02, 0.3)
     for a, b, c in zip(one, other, with_empty):
         np.testing.assert_allclose(b, a, atol=1e-5)
         np.testing.assert_allclose(c, a, atol=1e-6)

@@ -14,18 +14,18 @@ from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
-from studiorecon.footage.streams import writing
+from studiorecon.footage.streams import parallel_writers
 from studiorecon.footage.video import read_frame, read_stack, write_lossless
 from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.render import shot as render_shot
-from studiorecon.render.composite import Composite, millimetres, provenance_classes
+from studiorecon.render.composite import Composite, provenance_classes, to_millimetres
 from studiorecon.render.composite_renderer import CompositeRenderer
 from studiorecon.render.look_at_targets import LookAtTargets
-from studiorecon.render.orbit import Orbit, azimuths, orbit_steps
+from studiorecon.render.orbit import Orbit, orbit_azimuths, orbit_steps
 from studiorecon.render.planning import smooth_dips
 from studiorecon.render.room_light import Lamps, Light
-from studiorecon.render.shading import shading
-from studiorecon.render.shots import every_frame, film_times, looking_at
+from studiorecon.render.shading import build_shading
+from studiorecon.render.shots import all_frames_path, film_times, look_at_pose
 from studiorecon.render.statistics import LEDGER_COLUMNS
 from studiorecon.report.sections.appendix import film_warnings
 from studiorecon.scene.files import read_table
@@ -92,7 +92,7 @@ def test_orbit_goes_once_around_inside_the_ring_and_looks_at_its_target() -> Non
 
 def test_cameras_on_an_arc_are_not_orbited_beyond_it() -> None:
     cameras = ring([0, 40, 80, 120], "cam")
-    angles = azimuths(ORBIT, cameras, scene_centre(cameras))
+    angles = orbit_azimuths(ORBIT, cameras, scene_centre(cameras))
     assert np.degrees(angles.min()) >= -0.02
     assert np.degrees(angles.max()) == pytest.approx(120, abs=0.02)
     assert angles[0] == pytest.approx(0, abs=1e-3)
@@ -110,7 +110,7 @@ def test_an_oblong_ring_is_orbited_oblong() -> None:
 def test_cameras_of_different_sizes_share_a_film_with_their_picture_at_the_top_left() -> None:
     wide, narrow = ring([0, 90], "cam")
     narrow = narrow.resized((WH[0] - 2, WH[1]))
-    steps = every_frame([wide, narrow], 3)
+    steps = all_frames_path([wide, narrow], 3)
     assert {step.camera.wh for step in steps} == {WH}
     point = np.array([[0.1, 0.2, 1.0]])
     np.testing.assert_array_equal(steps[-1].camera.project(point)[0], narrow.project(point)[0])
@@ -203,7 +203,9 @@ def flat(points: np.ndarray, rgb: np.ndarray) -> Gaussians:
 def test_nothing_reconstructed_shows_the_background_colour_and_counts_as_invented() -> None:
     camera = ring([0], "cam")[0]
     scene = Composite(flat(np.array([[0.0, 0, 1.0]]), np.full((1, 3), 0.5)), np.zeros(1, np.uint8), [])
-    rgb, truth, depth = render_shot.picture(CompositeRenderer(scene, 0.2), PathStep(camera, 0.0, "00"), (1.0, 0.0, 0.0))
+    rgb, truth, depth = render_shot.draw_step(
+        CompositeRenderer(scene, 0.2), PathStep(camera, 0.0, "00"), (1.0, 0.0, 0.0)
+    )
     assert rgb[0, 0].tolist() == [255, 0, 0]
     assert (truth[0, 0], depth[0, 0]) == (0, 0)
     assert truth[WH[1] // 2, WH[0] // 2] == 255
@@ -234,7 +236,9 @@ def test_a_picture_does_not_depend_on_those_drawn_before_it(root: Path) -> None:
     person = avatar(BodyModel.load(root / "resources/body.npz"), rng, "p0")
     static, lamp = room(rng, 0.2), Lamps(np.array([[0.5, 0.5, 2.5]]), np.array([[0, 0, -1.0]]), np.array([0.3]))
     light = Light(True, "", lamp, np.array([0.6]), np.array([0.16]), 0.1, 0.1, 0.1, 0.0)
-    scene = Composite(static, np.zeros(static.count, np.uint8), [person], shading(light, static, [person], [person]))
+    scene = Composite(
+        static, np.zeros(static.count, np.uint8), [person], build_shading(light, static, [person], [person])
+    )
     assert scene.shading is not None
     camera, used = ring([30], "cam")[0], CompositeRenderer(scene, 0.2)
     for frame in (FRAMES - 1.0, 0.0, 2.5, 2.5, FRAMES - 1.0):
@@ -248,7 +252,7 @@ def test_a_picture_does_not_depend_on_those_drawn_before_it(root: Path) -> None:
 
 def test_depth_in_millimetres_keeps_unknown_and_saturates() -> None:
     depth = np.array([[0.0, 1.2345, 70.0, np.nan, np.inf]])
-    assert millimetres(depth).tolist() == [[0, 1234, 65535, 0, 65535]]
+    assert to_millimetres(depth).tolist() == [[0, 1234, 65535, 0, 65535]]
 
 
 def test_an_orbit_through_a_wall_is_shrunk_until_it_is_clear(scene: Path, settings: render_shot.Settings) -> None:
@@ -272,7 +276,7 @@ def test_a_path_through_a_person_and_a_wall_is_warned_about(
     head = person.joints_m(2.0)[15]
     frames = []
     for eye in (np.array([1.5, -1.5, 1.5]), head, np.array([2.95, 0, 1.3]), np.array([5.0, 0, 1.3])):
-        world_from_camera = np.linalg.inv(looking_at(eye, np.array([0.0, 0.05, 1.0])))
+        world_from_camera = np.linalg.inv(look_at_pose(eye, np.array([0.0, 0.05, 1.0])))
         pose = world_from_camera @ np.diag([1.0, -1, -1, 1])
         frames.append({"transform_matrix": pose.tolist(), "frame": 2})
     file = scene / "planted.json"
@@ -305,7 +309,7 @@ def test_a_dip_in_the_radius_is_smooth_and_deep_enough() -> None:
 
 def test_a_failing_maker_leaves_no_video(tmp_path: Path) -> None:
     def fail_after_two_frames() -> None:
-        with writing([lambda frames: write_lossless(tmp_path / "a.mkv", frames, 10.0)]) as put:
+        with parallel_writers([lambda frames: write_lossless(tmp_path / "a.mkv", frames, 10.0)]) as put:
             put(np.zeros((16, 16), np.uint8))
             raise RuntimeError("stop")
 
@@ -319,7 +323,7 @@ def test_a_failing_writer_stops_the_maker(tmp_path: Path) -> None:
         raise OSError("disk full")
 
     def make() -> None:
-        with writing([broken, lambda frames: write_lossless(tmp_path / "b.mkv", frames, 10.0)]) as put:
+        with parallel_writers([broken, lambda frames: write_lossless(tmp_path / "b.mkv", frames, 10.0)]) as put:
             for _ in range(1000):
                 put(np.zeros((16, 16), np.uint8), np.zeros((16, 16), np.uint8))
 

@@ -15,7 +15,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.render.composite import Composite
 from studiorecon.render.composite_renderer import CompositeRenderer
 from studiorecon.render.room_light import Lamps, Light
-from studiorecon.render.shading import shading
+from studiorecon.render.shading import build_shading
 from studiorecon.render.statistics import nearby_obstacles
 from studiorecon.scene.path import PathStep
 
@@ -59,8 +59,8 @@ def test_the_picture_is_the_one_without_them_where_they_are_away(person: Avatar,
 
 def test_they_throw_no_shadow_where_they_are_away(person: Avatar) -> None:
     static, always = room(np.random.default_rng(0)), replace(person, present=np.ones(FRAMES, bool))
-    shade = shading(lamp(), static, [person], [person])
-    as_ever = shading(lamp(), static, [always], [person])
+    shade = build_shading(lamp(), static, [person], [person])
+    as_ever = build_shading(lamp(), static, [always], [person])
     assert shade is not None
     assert as_ever is not None
     for frame in (0, 1.4, 5):
@@ -78,7 +78,7 @@ def test_a_plate_does_not_show_the_shadow_of_who_was_away_most_of_the_time(perso
     stays, visits = replace(still, present=np.ones(frames, bool)), replace(still, present=np.arange(frames) < 10)
     usual = []
     for one in (stays, visits):
-        shade = shading(lamp(), static, [one], [one])
+        shade = build_shading(lamp(), static, [one], [one])
         assert shade is not None
         usual.append(shade.usual)
     assert usual[0].min() < 0.9

@@ -22,7 +22,7 @@ from studiorecon.render.composite_renderer import CompositeRenderer
 from studiorecon.scene.gaussians import concatenate
 from studiorecon.scene.provenance import INFERRED, MEASURED
 from studiorecon.splatting.cpu.rasterise import Rasteriser
-from studiorecon.splatting.discs import discs
+from studiorecon.splatting.discs import make_discs
 from studiorecon.splatting.rigid_object import RigidObject, write_objects
 
 from tests.made.render_layers import channels_of
@@ -39,7 +39,7 @@ def ball(centres_m: np.ndarray) -> RigidObject:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     frames = np.arange(len(centres_m))
     known = frames != ABSENT
-    gaussians = discs(0.15 * normals, normals, np.tile([0.1, 0.9, 0.1], (500, 1)), 0.02, 0.3, 0.95, 0)
+    gaussians = make_discs(0.15 * normals, normals, np.tile([0.1, 0.9, 0.1], (500, 1)), 0.02, 0.3, 0.95, 0)
     places = np.where(known[:, None], centres_m, np.nan)
     return RigidObject(
         "o0", gaussians, np.full(500, MEASURED, np.uint8), places, known & (frames != FILLED), known, 0.15

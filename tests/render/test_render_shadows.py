@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.body.avatar.avatar_files import Avatar
-from studiorecon.body.capsules import occluder
+from studiorecon.body.capsules import build_occluder
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import write_person
 from studiorecon.camera_files.colmap import write_model
@@ -22,16 +22,16 @@ from studiorecon.geometry.rotations import exp
 from studiorecon.images.plate import write_plate
 from studiorecon.render import light as render_light
 from studiorecon.render import shot as render_shot
-from studiorecon.render.area_lights import patches
-from studiorecon.render.occlusion import hidden, nearness, sky_discs, sky_hidden
+from studiorecon.render.area_lights import lamp_patches
+from studiorecon.render.occlusion import body_proximity, hidden_shares, hidden_sky_share, sky_discs
 from studiorecon.render.room_light import Lamps, Light, read_light, write_light
-from studiorecon.render.shading import dim, facing_up, robust_mode, shading
+from studiorecon.render.shading import build_shading, dim_gaussians, robust_mode, upward_share
 from studiorecon.scene.gaussians import SH_C0, Gaussians, sh_from_rgb
 from studiorecon.scene.people import Person
 from studiorecon.scene.room import Platform, RoomBox, write_room
 from studiorecon.splatting.conventions import SH
 from studiorecon.splatting.cpu.blocks import block
-from studiorecon.splatting.discs import discs
+from studiorecon.splatting.discs import make_discs
 from studiorecon.splatting.rigid_object import RigidObject
 
 from tests.made.scene import avatar, render_options, ring, room, write_scene
@@ -64,7 +64,7 @@ def walking(body: BodyModel, frames: int = MOMENTS) -> Avatar:
 
 
 def capsules(person: Avatar) -> list[np.ndarray]:
-    shape = occluder(person.model, person.betas)
+    shape = build_occluder(person.model, person.betas)
     return [shape.posed(t) for t in person.model.joint_transforms(person.poses, person.betas, person.trans)]
 
 
@@ -141,7 +141,7 @@ def test_no_capsule_that_hides_anything_is_passed_over(body: BodyModel) -> None:
     points = rng.uniform([-3, -3, 0], [3, 3, 1.2], (1500, 3)) * [1, 1, 0] ** np.arange(2).repeat(750)[:, None]
     lamps = np.concatenate([rng.uniform([-4, -4, 0.5, 0.05], [4, 4, 3, 0.5], (6, 4)), sky_discs()[::6]])
     bodies = capsules(walking(body))[3:9:5]
-    found = hidden(points, lamps, bodies)
+    found = hidden_shares(points, lamps, bodies)
     for k, lamp in enumerate(lamps):
         expected = in_closed_form(points, lamp, np.concatenate(bodies))
         assert expected.max() > 0.3
@@ -152,19 +152,19 @@ def test_no_capsule_that_hides_anything_is_passed_over(body: BodyModel) -> None:
 def test_light_from_everywhere_and_contact_fade_with_distance() -> None:
     ball = np.array([[0, 0, 0.1, 0, 0, 0.1, 0.1]])
     points = np.array([[0.12, 0, 0], [0.4, 0, 0], [2.0, 0, 0]])
-    sky, near = sky_hidden(points, [ball]), nearness(points, [ball], 0.1)
+    sky, near = hidden_sky_share(points, [ball]), body_proximity(points, [ball], 0.1)
     assert sky[0] > sky[1] > sky[2]
     assert near[0] > 0.6
     assert near[2] == 0
 
 
 def test_capsules_are_the_body_they_stand_for(body: BodyModel) -> None:
-    shape = occluder(body, np.zeros(10))
+    shape = build_occluder(body, np.zeros(10))
     rest = body.rest_vertices(np.zeros(10))
     posed = shape.posed(np.tile(np.eye(4), (24, 1, 1)))
     ends = np.concatenate([posed[:, :3], posed[:, 3:6]])
     assert np.ptp(ends, axis=0)[:2] == pytest.approx(np.ptp(rest, axis=0)[:2], rel=0.15), "arms and height"
-    gaps = nearness(rest, [posed], 0.05)
+    gaps = body_proximity(rest, [posed], 0.05)
     assert np.mean(gaps > np.exp(-1)) > 0.9, "nine tenths of the surface lie within 5 cm of the capsules"
     broken = np.tile(np.eye(4), (24, 1, 1))
     broken[3, 0, 0] = np.nan
@@ -184,7 +184,7 @@ def test_a_planted_lamp_is_found_and_explains_pictures_it_was_not_fitted_to(
         gone = np.arange(MOMENTS) % 2 == 1
         ratio = np.where(gone & (ratio < 0.97), np.nan, ratio)
         bodies = [[np.zeros((0, 7))] if g else b for b, g in zip(bodies, gone)]
-    light = render_light.estimate(
+    light = render_light.estimate_light(
         [render_light.FloorObservations(points, ratio)], range(MOMENTS), bodies, ROOM_BOX, settings
     )
     assert light.kept
@@ -198,12 +198,12 @@ def test_a_planted_lamp_is_found_and_explains_pictures_it_was_not_fitted_to(
 def test_without_shadows_no_light_is_kept(planted: tuple, settings: render_light.LightSettings) -> None:
     points, ratio, bodies = planted
     flat = 1 + np.random.default_rng(2).normal(0, 0.02, ratio.shape)
-    light = render_light.estimate(
+    light = render_light.estimate_light(
         [render_light.FloorObservations(points, flat)], range(MOMENTS), bodies, ROOM_BOX, settings
     )
     assert not light.kept
     assert "without" in light.reason
-    unseen = render_light.estimate(
+    unseen = render_light.estimate_light(
         [render_light.FloorObservations(points, np.full_like(ratio, np.nan))],
         range(MOMENTS),
         bodies,
@@ -224,11 +224,11 @@ def test_ratios_know_no_colour_change_and_nothing_beside_people_who_were_not_mea
     free, nobody = np.ones((40, 60), bool), np.zeros((0, 2))
     free[20, 33] = False
     near = np.array([[0.0, 0.0]])
-    ratio = render_light.ratios(picture, plate, free, points, near, nobody, 1.0)
+    ratio = render_light.brightness_ratios(picture, plate, free, points, near, nobody, 1.0)
     assert ratio[20, 30] == pytest.approx(100 / 140, rel=1e-3)
     assert np.isnan(ratio[20, [32, 33]]).all()
     assert ratio[0, 0] == pytest.approx(1, abs=1e-3)
-    assert np.isnan(render_light.ratios(picture, plate, free, points, nobody, near, 1.0)[20, 30])
+    assert np.isnan(render_light.brightness_ratios(picture, plate, free, points, nobody, near, 1.0)[20, 30])
 
 
 def test_frames_in_which_nobody_was_measured_have_no_bodies(body: BodyModel) -> None:
@@ -258,7 +258,7 @@ def test_nobody_stands_where_somebody_is_who_is_away(body: BodyModel) -> None:
     about = body.identity, 15.0, one.poses, one.trans, one.betas, np.zeros((MOMENTS, 24, 3)), frames < 4
     fit = Person("p0", *about, np.zeros((MOMENTS, 24)), True, frames < 6)
     for frame, counts in ((3, (1, 0)), (5, (0, 1)), (6, (0, 0))):
-        places = render_light.standing_places([fit], frame)
+        places = render_light.people_positions([fit], frame)
         assert tuple(len(place) for place in places) == counts
         for place in places:
             np.testing.assert_array_equal(place, np.broadcast_to(one.trans[frame, :2], place.shape))
@@ -283,7 +283,7 @@ def test_the_step_finds_the_lamp_in_files_and_refuses_what_does_not_fit(
         pictures = []
         for capsule in capsules(one):
             left = np.ones(camera.hw)
-            left[floor] -= LAMP_SHARE * hidden(points[floor], disc, [capsule])[:, 0]
+            left[floor] -= LAMP_SHARE * hidden_shares(points[floor], disc, [capsule])[:, 0]
             pictures.append(np.rint(plate * left[..., None]).astype(np.uint8))
         write_lossless(tmp_path / f"{camera.name}.mkv", pictures, 15.0)
         write_lossless(tmp_path / f"{camera.name}.mask.mkv", np.zeros((MOMENTS, *camera.hw), np.uint8), 15.0)
@@ -342,7 +342,7 @@ def test_dimmed_colours_are_multiplied_from_every_side_and_the_others_left_alone
     sh = np.repeat(sh, 20, axis=0).astype(np.float32)
     blocks = block(Gaussians(np.zeros((20, 3)), np.ones((20, 4)), np.zeros((20, 3)), np.zeros(20), sh)).parameters
     rows, before = blocks.reshape(2, -1, 16), blocks.copy().reshape(2, -1, 16)
-    dim(sh, np.array([1, 18]), np.float32([1, 0.5]), np.ones(2, np.float32), blocks)
+    dim_gaussians(sh, np.array([1, 18]), np.float32([1, 0.5]), np.ones(2, np.float32), blocks)
     changed = np.argwhere((rows != before).any(axis=1)).tolist()
     assert changed == [[1, 2]], "the nineteenth Gaussian is the third of its block"
     half = rows[1, SH : SH + 12, 2].reshape(4, 3)
@@ -352,7 +352,7 @@ def test_dimmed_colours_are_multiplied_from_every_side_and_the_others_left_alone
 
 def test_only_what_faces_up_is_shaded() -> None:
     static = room(np.random.default_rng(0), 0.3)
-    facing = facing_up(static, 0.0)
+    facing = upward_share(static, 0.0)
     wall = (np.abs(static.means_m[:, :2]).max(axis=1) == 3.0) & (static.means_m[:, 2] > 0.1)
     assert wall.any()
     assert facing[wall].max() < 1e-6
@@ -366,22 +366,22 @@ def test_what_most_moments_agree_on_is_what_a_plate_shows() -> None:
 
 def test_stand_ins_throw_their_own_shadow_and_broken_poses_none(body: BodyModel) -> None:
     static, filmed = room(np.random.default_rng(0)), walking(body)
-    shade = shading(lit(), static, [filmed], [filmed])
+    shade = build_shading(lit(), static, [filmed], [filmed])
     assert shade is not None
     small = replace(filmed, betas=np.array([-3.0, *np.zeros(9)]), trans=filmed.trans - [0, 0, 0.15])
-    shorter = shading(lit(), static, [small], [filmed])
+    shorter = build_shading(lit(), static, [small], [filmed])
     assert shorter is not None
     own, others = ((s.factor(2.0) - 1).sum() for s in (shade, shorter))
     assert own < -1
     assert abs(others - own) > 0.02 * abs(own)
     poses = filmed.poses.copy()
     poses[2] = np.nan
-    broken = shading(lit(), static, [replace(filmed, poses=poses)], [filmed])
+    broken = build_shading(lit(), static, [replace(filmed, poses=poses)], [filmed])
     assert broken is not None
     assert np.isfinite(broken.factor(2.0)).all()
     assert broken.factor(2.0).min() > 1 - 1e-6, "nothing is darkened"
-    assert shading(lit(), static, [], []) is None
-    assert shading(lit(kept=False), static, [filmed], [filmed]) is None
+    assert build_shading(lit(), static, [], []) is None
+    assert build_shading(lit(kept=False), static, [filmed], [filmed]) is None
 
 
 def thing(centres_m: np.ndarray, half_m: tuple[float, float, float], turns: np.ndarray | None = None) -> RigidObject:
@@ -389,7 +389,7 @@ def thing(centres_m: np.ndarray, half_m: tuple[float, float, float], turns: np.n
     k = np.arange(400) + 0.5
     level, turn = np.arccos(1 - k / 200), np.pi * (1 + np.sqrt(5)) * k
     normals = np.stack([np.cos(turn) * np.sin(level), np.sin(turn) * np.sin(level), np.cos(level)], axis=1)
-    gaussians = discs(normals * half_m, normals, np.full((400, 3), 0.5), 0.02, 0.3, 0.95, 0)
+    gaussians = make_discs(normals * half_m, normals, np.full((400, 3), 0.5), 0.02, 0.3, 0.95, 0)
     known = np.isfinite(centres_m).all(axis=1)
     about = () if turns is None else (turns, "measured")
     return RigidObject(
@@ -412,7 +412,7 @@ def test_things_throw_shadows_and_those_of_a_board_turn_with_it() -> None:
     part /= 1 + part - 0.8
 
     def found(what: RigidObject, frame: float) -> np.ndarray:
-        shade = shading(light, floor, [], [], [what])
+        shade = build_shading(light, floor, [], [], [what])
         assert shade is not None
         darker = np.zeros(len(points))
         darker[shade.at] = 1 - shade.factor(frame)
@@ -465,7 +465,7 @@ def test_films_show_the_shadow_on_the_floor_alone_and_the_same_truth(
 
 
 def test_patches_lie_on_the_box_and_face_into_it() -> None:
-    lamps = patches(replace(ROOM_BOX, yaw_rad=0.3), 0.75, np.zeros(3))
+    lamps = lamp_patches(replace(ROOM_BOX, yaw_rad=0.3), 0.75, np.zeros(3))
     near = lamps.facing.any(axis=1)
     inward = lamps.positions_m[near] + 0.01 * lamps.facing[near]
     assert replace(ROOM_BOX, yaw_rad=0.3).contains(inward).all()
@@ -478,7 +478,7 @@ def test_a_hall_has_hardly_more_patches_than_a_room_and_as_much_ceiling() -> Non
     replace.
     """
     hall = replace(ROOM_BOX, low_m=np.array([-16.0, -17.0, 0.0]), high_m=np.array([16.0, 17.0, 3.2]), yaw_rad=0.3)
-    room_lamps, lamps = (patches(room_box, 0.75, np.zeros(3)) for room_box in (ROOM_BOX, hall))
+    room_lamps, lamps = (lamp_patches(room_box, 0.75, np.zeros(3)) for room_box in (ROOM_BOX, hall))
     assert len(lamps.radius_m) < 4 * len(room_lamps.radius_m)
     down = lamps.facing[:, 2] < -0.5
     area = np.pi * lamps.radius_m[down] ** 2

@@ -14,11 +14,11 @@ from studiorecon.body.model import BodyModel
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.errors import UserError
 from studiorecon.render.keyframes import read_keys, spline_steps
-from studiorecon.render.kinds import KINDS, film
+from studiorecon.render.kinds import KINDS, read_film_settings
 from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.moves import DollyZoom, Follow, Oscillate, dolly_zoom_steps, follow_steps, oscillate_steps
 from studiorecon.render.path_file import GivenPath, path_steps
-from studiorecon.render.planning import plan
+from studiorecon.render.planning import plan_steps
 from studiorecon.render.shot import find_targets
 from studiorecon.scene.path import PathStep
 
@@ -226,8 +226,10 @@ def test_every_example_shot_is_planned(root: Path) -> None:
     subjects = find_targets([person], CAMERAS, 40, FPS)
     static = room(rng, 0.3)
     for name, described in shots.items():
-        steps = plan(name, shots, 0, 0.3, CAMERAS, [], subjects, static)
-        expected = described["keys"][-1]["picture"] + 1 if "keys" in described else film(described, name).frames
+        steps = plan_steps(name, shots, 0, 0.3, CAMERAS, [], subjects, static)
+        expected = (
+            described["keys"][-1]["picture"] + 1 if "keys" in described else read_film_settings(described, name).frames
+        )
         assert len(steps) == expected, name
         assert {s.camera.wh for s in steps} == {WH}
         assert all(0 <= s.frame <= 39 and np.isfinite(s.camera.camera_from_world).all() for s in steps), name
@@ -237,14 +239,16 @@ def test_every_example_shot_is_planned(root: Path) -> None:
 def test_a_film_needs_only_its_kind(kind: str, subjects: LookAtTargets) -> None:
     rng = np.random.default_rng(0)
     held_out = ring([45], "held")
-    steps = plan("extra", {"extra": {"kind": kind}}, 0, 0.3, CAMERAS, held_out, subjects, room(rng, 0.3))
-    assert len(steps) == (T if kind == "heldout" else 91 if kind == "spline" else film({"kind": kind}, "extra").frames)
+    steps = plan_steps("extra", {"extra": {"kind": kind}}, 0, 0.3, CAMERAS, held_out, subjects, room(rng, 0.3))
+    assert len(steps) == (
+        T if kind == "heldout" else 91 if kind == "spline" else read_film_settings({"kind": kind}, "extra").frames
+    )
     assert all(0 <= s.frame <= T - 1 and np.isfinite(s.camera.camera_from_world).all() for s in steps)
 
 
 def test_a_spline_without_keys_goes_from_camera_to_camera_while_time_runs_through(subjects: LookAtTargets) -> None:
     shuffled = [CAMERAS[i] for i in (1, 3, 0, 2)]
-    steps = plan(
+    steps = plan_steps(
         "tour", {"tour": {"kind": "spline"}}, 0, 0.3, shuffled, [], subjects, room(np.random.default_rng(0), 0.3)
     )
     for picture, camera in ((0, 1), (30, 2), (60, 3), (90, 0)):

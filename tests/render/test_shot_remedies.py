@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.render.look_at_targets import LookAtTargets
-from studiorecon.render.planning import plan
+from studiorecon.render.planning import plan_steps
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.path import PathStep
 
@@ -82,7 +82,7 @@ def planned(shot: dict[str, Any], counts: tuple[int, int], folder: Path) -> Sequ
     steady = np.tile([0.0, 0.0, 0.95], (FRAMES, 1))
     facing, there = np.tile([1.0, 0.0], (FRAMES, 1)), np.ones(FRAMES, bool)
     subjects = LookAtTargets({"p0": steady}, {"p0": facing}, {"p0": there}, np.array([0, 0, 1.0]), FRAMES, FPS)
-    return plan("shot", {"shot": shot}, 0, 0.3, training, held_out, subjects, room(np.random.default_rng(0), 0.4))
+    return plan_steps("shot", {"shot": shot}, 0, 0.3, training, held_out, subjects, room(np.random.default_rng(0), 0.4))
 
 
 @pytest.mark.parametrize("row", ROWS)

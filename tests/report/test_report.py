@@ -20,10 +20,10 @@ from studiorecon.footage.video import read_frame, write_lossless, write_watchabl
 from studiorecon.models.adapters.lpips import read_lpips
 from studiorecon.report import compare, evaluate, score
 from studiorecon.report.metrics import films
-from studiorecon.report.metrics.bodies import align_by_similarity, compare_bodies, match
+from studiorecon.report.metrics.bodies import align_by_similarity, compare_bodies, match_people
 from studiorecon.report.metrics.estimated import EstimatedFiles, estimated_regions
 from studiorecon.report.metrics.measures import Flicker, measure_sequence, summary
-from studiorecon.report.metrics.truth import TrueView, regions
+from studiorecon.report.metrics.truth import TrueView, truth_regions
 from studiorecon.report.sections import paper
 from studiorecon.report.sections import tables as sections
 from studiorecon.report.sections.cost import cost, read_benchmark
@@ -54,7 +54,7 @@ def test_nothing_measured_is_null_with_a_reason_and_never_zero() -> None:
     result = summary({"a": [None, None]}, "too small")
     assert result["value"] is None
     assert result["reason"] == "too small"
-    assert sections.shown(None, 2, "dB") == MISSING
+    assert sections.format_value(None, 2, "dB") == MISSING
 
 
 def test_flicker_of_a_still_picture_is_zero_and_of_noise_its_own_size() -> None:
@@ -106,7 +106,7 @@ def test_bodies_are_matched_by_where_they_are_and_ghosts_are_named() -> None:
         "p1": (true["p0"] + 0.0, valid),
         "p2": (true["p0"] + [0, 0, 5.0], valid),
     }
-    assert match(fitted, true) == {"p0": "p1", "p1": "p0"}
+    assert match_people(fitted, true) == {"p0": "p1", "p1": "p0"}
     result = compare_bodies(fitted, true)
     assert result["people"]["p0"]["mpjpe_world_mm"] == pytest.approx(30)
     assert result["people"]["p0"]["mpjpe_pelvis_mm"] == pytest.approx(0, abs=1e-9)
@@ -177,7 +177,7 @@ def test_a_surface_is_seen_while_nobody_stands_before_the_camera_that_sees_it(tm
         "c1": wall_view(near, tmp_path / "near.mkv"),
         "c2": wall_view(behind, tmp_path / "behind.mkv"),
     }
-    found = list(regions(views, held, ["c1", "c2"], 0, 3, 0.05, (0.02, 0.10)))
+    found = list(truth_regions(views, held, ["c1", "c2"], 0, 3, 0.05, (0.02, 0.10)))
     assert found[0]["people"].sum() == 300
     assert not (found[0]["people"] & (found[0]["seen"] | found[0]["unseen"])).any()
     assert found[0]["seen"].mean() > 0.5
@@ -210,7 +210,7 @@ def test_the_run_s_own_depth_and_bodies_say_what_is_seen_as_truth_does(tmp_path:
     )
     arguments = held, [near, behind], 2, 3, (0.05, 0.02, 0.10)
     for own, exact in zip(
-        estimated_regions(files, [], *arguments), regions(views, held, ["c1", "c2"], 0, 3, 0.05, (0.02, 0.10))
+        estimated_regions(files, [], *arguments), truth_regions(views, held, ["c1", "c2"], 0, 3, 0.05, (0.02, 0.10))
     ):
         for name in ("people", "background", "seen", "unseen", "seen_strict", "unseen_loose"):
             assert (own[name] != exact[name]).mean() < 0.01, name
@@ -230,7 +230,7 @@ def test_truth_of_another_size_is_read_at_the_right_pixels(tmp_path: Path) -> No
     mask[40:80, 100:160] = 1
     write_lossless(tmp_path / "m.mkv", [mask], FPS)
     views = {"c0": wall_view(camera.resized((WH[0] * 2, WH[1] * 2)), tmp_path / "m.mkv")}
-    people = next(regions(views, camera, [], 0, 1, 0.05, (0.02, 0.10)))["people"]
+    people = next(truth_regions(views, camera, [], 0, 1, 0.05, (0.02, 0.10)))["people"]
     expected = np.zeros((WH[1], WH[0]), bool)
     expected[20:40, 50:80] = True
     np.testing.assert_array_equal(people, expected)
@@ -557,7 +557,7 @@ def test_without_held_out_cameras_the_training_cameras_are_compared_apart(
 
 def test_the_papers_rows_stand_beside_the_runs_and_are_marked(reported: Path, root: Path) -> None:
     recognised = {"raw": {"pck_0.05": 0.75}}
-    header, rows = paper.table(
+    header, rows = paper.paper_comparison(
         read_json(reported / "report/metrics.json"), recognised, root / "resources/paper/results.tsv"
     )
     assert [name for name in header if "other data" in name] == [f"{m} (other data)" for m in paper.METHODS]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from studiorecon.configuration.settings import load
 from studiorecon.report import audit as step
-from studiorecon.report.audit import appearance
+from studiorecon.report.audit import decide_appearance_network
 from studiorecon.scene.decisions import Decision, read_decisions, write_decisions
 from studiorecon.scene.effects import ENHANCEMENT, INJECTION
 from studiorecon.scene.files import write_npz
@@ -18,13 +18,15 @@ from studiorecon.scene.files import write_npz
 def test_who_drifts_most_speaks_for_all_and_who_was_not_asked_for_nobody() -> None:
     drift = Decision("temporal_appearance", "s", 0.3, (0.25, 0.35), 0.1, "on", "p1's shirt")
     still = replace(drift, value=0.02, interval=(0.01, 0.03), verdict="off", reason="p0 is of stone")
-    found = appearance({"p0": still, "p1": drift, "p2": None}, 0.1)
+    found = decide_appearance_network({"p0": still, "p1": drift, "p2": None}, 0.1)
     assert (found.verdict, found.reason, set(found.detail)) == ("on", "p1's shirt", {"p0", "p1"})
-    assert appearance({"p0": still}, 0.1).verdict == "off"
-    assert appearance({"p0": replace(still, verdict="on")}, 0.1).verdict == "on", "what training did, not once more"
+    assert decide_appearance_network({"p0": still}, 0.1).verdict == "off"
+    assert decide_appearance_network({"p0": replace(still, verdict="on")}, 0.1).verdict == "on", (
+        "what training did, not once more"
+    )
     assert found.obeyed_by
-    assert appearance({"p0": None}, 0.1).verdict == "undetermined"
-    assert appearance({}, 0.1).verdict == "undetermined"
+    assert decide_appearance_network({"p0": None}, 0.1).verdict == "undetermined"
+    assert decide_appearance_network({}, 0.1).verdict == "undetermined"
 
 
 def test_the_step_decides_and_can_be_forced(tmp_path: Path, default_settings) -> None:

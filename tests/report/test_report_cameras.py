@@ -11,7 +11,7 @@ CONTRADICTED = {"cameras": ["cam1", "<b>"], "off_deg": 2.37, "off_sigmas": 4.8, 
 
 
 def said(edges: dict[str, Any] | None) -> str:
-    return tables.cameras({} if edges is None else {"edges": edges}, "sheet.png").split("<img")[0]
+    return tables.cameras_table({} if edges is None else {"edges": edges}, "sheet.png").split("<img")[0]
 
 
 def test_what_the_room_s_edges_say_stands_before_and_after() -> None:

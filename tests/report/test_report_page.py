@@ -76,7 +76,7 @@ def test_whom_association_left_out_stands_on_the_page_with_what_takes_them_in(re
     part = text.split("<h2>Left out</h2>")[1].split("<h2>")[0]
     for told in ("r0", "2.5 s", "left, right", "it has no &lt;depth&gt;", "left\t3\tp0\nright\t1\tp0"):
         assert told in part
-    assert sections.left_out([]) == ""
+    assert sections.left_out_people([]) == ""
 
 
 def test_the_page_needs_no_network_and_shows_the_numbers(reported: Path) -> None:
@@ -175,13 +175,13 @@ def test_the_judgement_names_what_limits_and_what_would_help(pictures: dict, lim
 @pytest.mark.parametrize("gained", [0.0, 0.3])
 def test_what_is_enhanced_has_a_column_only_where_something_was(gained: float) -> None:
     metrics = scored(values(psnr=20.0, ssim=0.7), values(psnr=20.0 + gained, ssim=0.7))
-    shown = sections.measures(metrics) + sections.numbers(metrics, {"total": {"seconds": 9.0}})
+    shown = sections.measures_table(metrics) + sections.main_numbers(metrics, {"total": {"seconds": 9.0}})
     assert ("enhanced" in shown) == (">change<" in shown) == bool(gained)
     assert f"{20 + gained:.2f} dB" in shown
 
 
 def test_settings_are_lines_and_not_json() -> None:
-    shown = sections.settings(json.dumps({"people": {"fit": {"iterations": 20}}, "rgb": [0, 1]}))
+    shown = sections.settings_table(json.dumps({"people": {"fit": {"iterations": 20}}, "rgb": [0, 1]}))
     assert "people.fit.iterations = 20" in shown
     assert "rgb = 0, 1" in shown
     assert "{" not in shown
@@ -259,12 +259,12 @@ def test_the_strip_shows_who_is_seen_when() -> None:
     found = Detections("cam1", "coco", frame, track, np.zeros((5, 17, 3)))
     seen = timeline.frames_with_detections([found], {("cam1", 7): "p1"}, ["p0", "p1"], 5)
     assert seen["cam1"].tolist() == [[False] * 5, [True, True, True, False, True], [False] * 4 + [True]]
-    assert timeline.runs(seen["cam1"][1]) == [(0, 3), (4, 5)]
-    drawn = timeline.strip(seen, ["p0", "p1"])
+    assert timeline.true_runs(seen["cam1"][1]) == [(0, 3), (4, 5)]
+    drawn = timeline.timeline_strip(seen, ["p0", "p1"])
     assert "<title>p1, frames 0 to 2</title>" in drawn
     assert "<title>no person, frames 4 to 4</title>" in drawn
     assert "p0, frames" not in drawn
-    assert timeline.strip({}, []) == ""
+    assert timeline.timeline_strip({}, []) == ""
 
 
 def test_joint_deviations_are_those_of_measured_frames() -> None:
@@ -273,7 +273,7 @@ def test_joint_deviations_are_those_of_measured_frames() -> None:
     person = Person(
         "p0", "body", 30.0, np.zeros((3, 72)), np.zeros((3, 3)), np.zeros(10), np.zeros((3, 24, 3)), valid, sigma, True
     )
-    shown = timeline.surety([person], {"p0": {"joints_mm_f2": 1.25, "pose_deg_f2": None}})
+    shown = timeline.certainty_table([person], {"p0": {"joints_mm_f2": 1.25, "pose_deg_f2": None}})
     assert "2 of 3" in shown
     assert shown.count("4.0 mm") == 2
     assert "1.25 mm/frame²" in shown
@@ -282,10 +282,10 @@ def test_joint_deviations_are_those_of_measured_frames() -> None:
 
 def test_coverage_is_what_the_survey_measured() -> None:
     decision = Decision("view_synthesis", "s", 0.5, (0.4, 0.6), 0.2, "on", "r", detail={"seen_by": [0.91, 0.52]})
-    shown = sections.coverage([{"view_synthesis": decision}])
+    shown = sections.coverage_table([{"view_synthesis": decision}])
     assert "91%" in shown
     assert "52%" in shown
-    assert sections.coverage([{}]) == ""
+    assert sections.coverage_table([{}]) == ""
 
 
 def test_a_budget_is_told_beside_what_its_jobs_took() -> None:
@@ -310,7 +310,7 @@ def test_warnings_are_told_once_with_their_step(tmp_path: Path) -> None:
         ("people.fit.p0", "one"),
         ("plates.clean.cam1", "two"),
     ]
-    assert "No warnings" in appendix.warnings([])
+    assert "No warnings" in appendix.warnings_section([])
 
 
 def test_warnings_name_the_pictures_of_a_film(tmp_path: Path) -> None:
@@ -333,7 +333,7 @@ def test_in_how_many_frames_somebody_is_there_stands_beside_how_many_were_measur
         Person(name, "body", *about, np.full((9, 24), 0.004), True, present)
         for name, present in (("p0", np.ones(9, bool)), ("p1", np.arange(9) < 5))
     )
-    shown = timeline.surety([always, left], {})
+    shown = timeline.certainty_table([always, left], {})
     assert "frames present" in shown
     cells = [re.findall(r"<td[^>]*>([^<]*)</td>", row) for row in shown.split("<tr>")[2:]]
     assert [row[:3] for row in cells] == [["p0", "3 of 9", "all"], ["p1", "3 of 9", "5"]]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.geometry.statistics import NOTHING, largest, median, share
+from studiorecon.geometry.statistics import NOTHING, largest_estimate, median_estimate, share_estimate
 from studiorecon.scene.decisions import read_decisions, write_decisions
 from studiorecon.scene.effects import INJECTION, TRAINED
 
@@ -49,12 +49,12 @@ def test_intervals_cover_what_they_estimate() -> None:
     covered = {"share": 0, "median": 0, "largest": 0}
     rounds = 400
     for _ in range(rounds):
-        low, high = share(int((rng.random(200) < 0.07).sum()), 200).interval
+        low, high = share_estimate(int((rng.random(200) < 0.07).sum()), 200).interval
         covered["share"] += low <= 0.07 <= high
-        low, high = median(rng.normal(3.0, 2.0, 150), 5).interval
+        low, high = median_estimate(rng.normal(3.0, 2.0, 150), 5).interval
         covered["median"] += low <= 3.0 <= high
         truth = np.array([0.02, 0.05, -0.2, 0.1])
-        low, high = largest(truth + rng.normal(0, 0.02, 4), np.full(4, 0.02)).interval
+        low, high = largest_estimate(truth + rng.normal(0, 0.02, 4), np.full(4, 0.02)).interval
         covered["largest"] += low <= 0.2 <= high
     assert covered["share"] >= 0.93 * rounds
     assert covered["median"] >= 0.93 * rounds
@@ -62,9 +62,9 @@ def test_intervals_cover_what_they_estimate() -> None:
 
 
 def test_nothing_measured_is_no_number() -> None:
-    assert share(0, 0) is NOTHING
-    assert median(np.array([np.nan, 1.0]), 5) is NOTHING
-    assert largest([np.nan], [1.0]) is NOTHING
-    assert largest([np.nan, 0.5], [1.0, 0.1]).which == 1
-    assert share(0, 10).interval[0] == 0
-    assert share(10, 10).interval[1] == 1
+    assert share_estimate(0, 0) is NOTHING
+    assert median_estimate(np.array([np.nan, 1.0]), 5) is NOTHING
+    assert largest_estimate([np.nan], [1.0]) is NOTHING
+    assert largest_estimate([np.nan, 0.5], [1.0, 0.1]).which == 1
+    assert share_estimate(0, 10).interval[0] == 0
+    assert share_estimate(10, 10).interval[1] == 1

@@ -13,7 +13,7 @@ from studiorecon.camera_files.colmap import read_model, write_model
 from studiorecon.errors import UserError
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.camera import Camera, Lens
-from studiorecon.scene.files import complete, read_json, read_table, write_json
+from studiorecon.scene.files import atomic_path, read_json, read_table, write_json
 from studiorecon.scene.path import PathStep, read_path, write_path
 
 
@@ -76,7 +76,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     write_json(path, {"x": 1})
 
     def fail_half_way() -> None:
-        with complete(path) as partial:
+        with atomic_path(path) as partial:
             partial.write_text("half")
             raise RuntimeError
 

@@ -13,7 +13,7 @@ from studiorecon.scene.gaussians import Gaussians, empty
 from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.splatting.train.density import grow
 from studiorecon.splatting.train.optimiser import Adam
-from studiorecon.splatting.train.state import regrow, start, state_gaussians
+from studiorecon.splatting.train.state import initial_state, regrow, state_gaussians
 from studiorecon.splatting.train.still import train_still as train
 from studiorecon.splatting.train.targets import DrawOrder, Target, scene_extent
 from studiorecon.splatting.train.terms import active_terms
@@ -121,7 +121,7 @@ def test_growth_clones_small_splits_large_and_prunes_faint() -> None:
 
 def test_the_state_keeps_parameters_exactly_and_moments_follow_their_gaussians() -> None:
     gaussians = room(100, 6).with_sh_degree(2)
-    state = start(gaussians)
+    state = initial_state(gaussians)
     kept = state_gaussians(state)
     for name in FIELDS:
         np.testing.assert_array_equal(getattr(kept, name), getattr(gaussians.take(state.source), name))

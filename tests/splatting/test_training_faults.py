@@ -71,7 +71,7 @@ def test_a_hundredth_of_the_gaussians_is_poisoned(
         threads=1,
     )
     assert trained.left_out == (0 if poison == "zero" else hit.sum())
-    assert state.finite(trained.gaussians).all()
+    assert state.finite_mask(trained.gaussians).all()
     assert len(trained.source) == trained.gaussians.count
     if poison != "zero":
         assert not np.isin(np.flatnonzero(hit), trained.source).any(), "labels still belong to whom they belonged"
@@ -94,7 +94,7 @@ def test_a_hundredth_of_the_pixels_is_poisoned(
     assert trained.masked == (sum(int(hit.sum()) for hit in hits) if poison != "zero" else 0)
     assert trained.refused == trained.left_out == 0
     assert np.isfinite(trained.psnr_db)
-    assert state.finite(trained.gaussians).all()
+    assert state.finite_mask(trained.gaussians).all()
     # A black pixel in a hundred is a wrong picture that nobody can tell from a right one: it costs more than a masked
     # one.
     assert psnr_db(trained.gaussians, targets) > clean_db["none"] - (3.0 if poison == "zero" and what == "rgb" else 1.0)

@@ -29,7 +29,7 @@ from studiorecon.studio.actors import Actors
 from studiorecon.studio.calibration import calibration_texts
 from studiorecon.studio.description import CALIBRATION_FILES, DEFAULTS, planned_dataset, read_description
 from studiorecon.studio.detections import detect
-from studiorecon.studio.room import room
+from studiorecon.studio.room import build_room
 from studiorecon.studio.tracing import Tracer
 
 SMALL = {"seed": 3, "frames": 3, "size": [96, 56], "supersampling": 1, "cameras": {"training": 3, "held_out": 1}}
@@ -186,7 +186,7 @@ def test_the_room_does_not_flicker_where_nobody_is(plain: Path):
 @pytest.mark.parametrize("number", range(4))
 def test_feet_stand_on_the_floor_and_do_not_slide(body: BodyModel, number: int):
     times = np.arange(75) / 30
-    betas = performance.shape(3, number)
+    betas = performance.random_betas(3, number)
     poses, trans = performance.perform(performance.PARTS[number], body, betas, times)
     vertices = body.vertices(poses, betas, trans)
     lowest = vertices[..., 2].min(axis=1)
@@ -205,7 +205,7 @@ def test_feet_stand_on_the_floor_and_do_not_slide(body: BodyModel, number: int):
 def test_the_first_person_passes_close_behind_the_second(body: BodyModel):
     times = np.arange(120) / 30
     first, second = (
-        performance.perform(performance.PARTS[k], body, performance.shape(3, k), times)[1][:, :2] for k in (0, 1)
+        performance.perform(performance.PARTS[k], body, performance.random_betas(3, k), times)[1][:, :2] for k in (0, 1)
     )
     gap = np.linalg.norm(first - second, axis=1)
     assert 0.45 < gap.min() < 1.0
@@ -279,7 +279,7 @@ def test_sync_offset_moves_the_people_of_training_cameras(tmp_path: Path, body: 
     assert max(abs(v) for v in offsets.values()) > 0.1
     d, view = read_description(folder / "studio.yaml"), cameras_of(folder)["cam1"]
     times = (np.arange(2) + offsets["cam1"]) / d.fps
-    betas = performance.shape(3, 0)
+    betas = performance.random_betas(3, 0)
     poses, trans = performance.perform(performance.PARTS[0], body, betas, times)
     truth, _ = view.project(body.keypoints(LAYOUTS["body_25"].keypoints, poses, betas, trans)[0])
     errors = [np.abs(k[k[:, 2] > 0, :2] + 0.5 - truth[k[:, 2] > 0]).max() for k in keypoints(folder, "cam1", 0)]
@@ -348,7 +348,7 @@ def detected(description: Path, frames: int, body: BodyModel) -> dict[tuple[int,
     """(camera, frame) → people as the detector reports them, without taking any picture."""
     d = read_description(description)
     troupe = Actors(d, body, np.arange(frames) / 10)
-    solids = room(d.seed, 0.0)
+    solids = build_room(d.seed, 0.0)
     points = troupe.keypoints_m(LAYOUTS["body_25"].keypoints)
     found = {}
     for number, lens in enumerate(rig.true_lenses(d, rig.cameras(d))[:3]):

@@ -16,13 +16,13 @@ from studiorecon.scene.room import Platform, read_room, write_room
 from studiorecon.survey import decide as step
 from studiorecon.survey.clips import halve_film, read_film, run_starts
 from studiorecon.survey.coverage import (
-    from_two_sides,
-    stage,
+    has_parallax,
+    stage_disc,
     visible_points,
 )
 from studiorecon.survey.effect_decisions import decide_effect as of_effect
 from studiorecon.survey.effects import CLOSED_PATH, EARLY, EFFECTS, EXPOSURE, PEOPLE, VIEW_SYNTHESIS
-from studiorecon.survey.evidence import Evidence, Material
+from studiorecon.survey.evidence import Evidence, SurveyInput
 from studiorecon.survey.exposures import ExposureView
 
 from tests.made.survey import WH, decided, files, floor_view, ring, settings  # noqa: F401
@@ -44,7 +44,7 @@ class TestPeople:
 
 class TestCoverage:
     def test_the_stage_is_where_the_cameras_look(self) -> None:
-        centre, radius_m = stage(ring([0, 90, 180, 270]))
+        centre, radius_m = stage_disc(ring([0, 90, 180, 270]))
         np.testing.assert_allclose(centre, 0, atol=1e-9)
         assert radius_m == pytest.approx(3.0)
 
@@ -65,8 +65,8 @@ class TestCoverage:
     def test_two_cameras_side_by_side_are_one_side(self) -> None:
         cameras = ring([0, 0.5, 90])
         seen = np.array([[True], [True], [False]])
-        assert not from_two_sides(np.array([[0, 0, 1.0]]), cameras, seen, 2.0).any()
-        assert from_two_sides(np.array([[0, 0, 1.0]]), cameras, np.ones((3, 1), bool), 2.0).all()
+        assert not has_parallax(np.array([[0, 0, 1.0]]), cameras, seen, 2.0).any()
+        assert has_parallax(np.array([[0, 0, 1.0]]), cameras, np.ones((3, 1), bool), 2.0).all()
 
     def test_four_cameras_need_views_between_and_a_dense_ring_does_not(self, settings: step.Settings) -> None:
         def verdict(azimuths: list[float]) -> str:
@@ -81,7 +81,7 @@ class TestCoverage:
         cameras = ring([0, 20, 40, 60, 93, 173, 193, 213, 233, 253, 273, 293, 313, 333], focal_px=40)
         views = [blank(camera) for camera in cameras]
         nobody = tracks([], {}, [], 0, 0.0)
-        evidence = Evidence(Material(cameras, None, views, [], nobody, 0.0, 30.0), settings)
+        evidence = Evidence(SurveyInput(cameras, None, views, [], nobody, 0.0, 30.0), settings)
 
         found = of_effect(VIEW_SYNTHESIS, evidence, VIEW_SYNTHESIS.threshold)
         parts = found.detail["parts"]
@@ -175,7 +175,7 @@ class TestStep:
     ) -> None:
         """Shadows of people on a platform fall on it, not on the room's floor below."""
         box, heights_m = read_room(files["room_box"]), []
-        monkeypatch.setattr(step, "Material", lambda *given: heights_m.append(given[5]) or Material(*given))
+        monkeypatch.setattr(step, "SurveyInput", lambda *given: heights_m.append(given[5]) or SurveyInput(*given))
         for platform in (None, Platform(box.low_m[:2], box.high_m[:2], 0.3)):
             write_room(files["room_box"], replace(box, platform=platform))
             step.run(settings, **files)

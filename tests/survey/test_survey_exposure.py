@@ -16,7 +16,7 @@ from studiorecon.scene.people import Detections
 from studiorecon.survey import decide as step
 from studiorecon.survey.effects import EXPOSURE
 from studiorecon.survey.effects.changing_light import brightness_over_time
-from studiorecon.survey.effects.exposure import gains_called_for
+from studiorecon.survey.effects.exposure import active_gains
 
 from tests.made.survey import decided, files, floor_view, ring, settings  # noqa: F401  (fixtures)
 
@@ -88,7 +88,7 @@ def test_a_camera_that_shares_nothing_is_named_and_kept(settings: step.Settings)
     decision = decided(EXPOSURE, settings, blind)
     assert decision.detail["alone"] == ["c3"]
     assert "c3 shares too little" in decision.reason
-    assert set(gains_called_for(decision)) == {"c0", "c1", "c2"}
+    assert set(active_gains(decision)) == {"c0", "c1", "c2"}
     np.testing.assert_allclose(decision.detail["gains"]["c3"], 1)
 
 

@@ -112,7 +112,7 @@ def run_rows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: list[tuple[str, str, str, str]]
 ) -> tuple[list[dict[str, Any]], PlantedSnakemake]:
     planted = PlantedSnakemake()
-    monkeypatch.setattr(sweep_row, "snakemake", planted)
+    monkeypatch.setattr(sweep_row, "run_snakemake", planted)
     table, records = write_table(tmp_path / "t.tsv", rows), []
     for name, *_ in rows:
         record, base = tmp_path / f"{name}.json", [] if name == BASE else [tmp_path / "base.json"]
@@ -171,7 +171,7 @@ def test_without_held_out_cameras_there_is_nothing_to_score(tmp_path: Path) -> N
     path = tmp_path / "metrics.json"
     nothing = {"pictures": {"raw": {"psnr": {"value": None, "reason": None, "cameras": {}}}}}
     path.write_text(json.dumps(nothing))
-    assert "held-out" in sweep_row.scores(path)["failed"]
+    assert "held-out" in sweep_row.read_scores(path)["failed"]
 
 
 def test_only_what_exists_and_looks_like_a_path_becomes_absolute(
@@ -212,7 +212,10 @@ def test_the_page_prices_steps_and_lists_failures(tmp_path: Path, monkeypatch: p
     assert [row["name"] for row in table] == ["base", "long", "wrong", "same"]
     assert float(table[1]["psnr"]) == pytest.approx(21.4)
     assert table[2]["psnr"] == ""
-    found = {record["name"]: (gain, interval) for record, gain, interval, _ in sweep_page.effects(records[0], records)}
+    found = {
+        record["name"]: (gain, interval)
+        for record, gain, interval, _ in sweep_page.parameter_effects(records[0], records)
+    }
     assert found["long"][0] == pytest.approx(1.0)
     assert found["long"][1][0] > 0, "a whole decibel in every frame is measurable"
     assert found["same"][1][0] <= 0 <= found["same"][1][1]

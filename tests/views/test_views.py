@@ -20,7 +20,7 @@ from studiorecon.scene.factors import write_factors
 from studiorecon.scene.path import write_path
 from studiorecon.views import path as views_path
 from studiorecon.views import synthesize
-from studiorecon.views.forward_warp import WarpSource, blend, close_pinholes, source, warp_photo
+from studiorecon.views.forward_warp import WarpSource, blend_photos, close_pinholes, warp_photo, warp_source
 
 from tests.made.room import made_room, photograph, ring, write_capture
 
@@ -32,13 +32,15 @@ def psnr(a: np.ndarray, b: np.ndarray, where: np.ndarray) -> float:
 @pytest.fixture(scope="module")
 def photos() -> list[WarpSource]:
     room = made_room()
-    return [source(c, rgb, np.ones(c.hw, bool), depth, 0.04) for c in ring() for rgb, depth in [photograph(room, c)]]
+    return [
+        warp_source(c, rgb, np.ones(c.hw, bool), depth, 0.04) for c in ring() for rgb, depth in [photograph(room, c)]
+    ]
 
 
 def test_segments_share_their_ends_and_start_at_photos(default_settings: Callable) -> None:
     cameras, segments = ring(), 4
     settings = load(views_path.Settings, default_settings("views", views_per_segment=6), "views")
-    steps, _ = views_path.plan(cameras, settings)
+    steps, _ = views_path.plan_views(cameras, settings)
     assert len(steps) == segments * 7
     assert [s.segment for s in steps] == [f"{k // 7:02d}" for k in range(segments * 7)]
     assert all(s.frame == 0 for s in steps)
@@ -56,7 +58,7 @@ def test_paper_preset_gives_481_distinct_views(root: Path, default_settings: Cal
 
     preset = yaml.safe_load((root / "config/presets/paper.yaml").read_text())["views"]
     settings = load(views_path.Settings, {**default_settings("views"), **preset}, "views")
-    steps, _ = views_path.plan(ring(), settings)
+    steps, _ = views_path.plan_views(ring(), settings)
     assert len(steps) - (len({s.segment for s in steps}) - 1) == 481
 
 
@@ -73,7 +75,7 @@ def test_a_photo_carried_into_its_own_camera_is_itself(photos: list[WarpSource])
 def test_warped_views_match_the_truth_where_they_claim_support(photos: list[WarpSource]) -> None:
     between = replace(ring(8)[1], name="view")
     truth, depth = photograph(made_room(), between)
-    rgb, support, found = blend(between, photos, 3, 0.02, np.radians(15))
+    rgb, support, found = blend_photos(between, photos, 3, 0.02, np.radians(15))
     sure = support > 0.9
     assert sure.mean() > 0.8
     assert psnr(rgb, truth, sure) > 23
@@ -98,7 +100,7 @@ def floor_photo(camera: Camera, brightness: float) -> WarpSource:
     grey = brightness * grey.reshape(camera.hw[0], 5, camera.hw[1], 5).mean(axis=(1, 3))
     origin, rays = camera.rays()
     depth_m = np.where(rays[..., 2] < 0, -origin[2] / np.minimum(rays[..., 2], -1e-9), 0)
-    return source(camera, np.repeat(grey[..., None], 3, axis=2), np.ones(camera.hw, bool), depth_m, 0.04)
+    return warp_source(camera, np.repeat(grey[..., None], 3, axis=2), np.ones(camera.hw, bool), depth_m, 0.04)
 
 
 def test_detail_is_of_the_sharpest_photo_and_brightness_of_the_nearest_direction() -> None:
@@ -109,10 +111,10 @@ def test_detail_is_of_the_sharpest_photo_and_brightness_of_the_nearest_direction
     wanted = floor_photo(view, 1.0)
     near = np.zeros(view.hw, bool)
     near[35:55, 60:100] = True
-    near &= blend(view, [beside], 3, 0.02, np.radians(15))[1] > 0
+    near &= blend_photos(view, [beside], 3, 0.02, np.radians(15))[1] > 0
 
     def told(*photos: WarpSource) -> tuple[float, float]:
-        own = blend(view, photos, 3, 0.02, np.radians(15))[0][near].mean(axis=-1)
+        own = blend_photos(view, photos, 3, 0.02, np.radians(15))[0][near].mean(axis=-1)
         return float(np.corrcoef(own, wanted.rgb[near].mean(axis=-1))[0, 1]), float(own.mean())
 
     assert told(beside)[0] < 0.5
@@ -149,7 +151,7 @@ def test_unmeasured_plate_pixels_and_unknown_depth_are_not_carried(photos: list[
     measured[:, :96] = False
     depth = photo.depth_m.copy()
     depth[:50] = 0
-    carried = source(photo.camera, np.where(measured[..., None], photo.rgb, 9.0), measured, depth, 0.04)
+    carried = warp_source(photo.camera, np.where(measured[..., None], photo.rgb, 9.0), measured, depth, 0.04)
     rgb, _, count = warp_photo(carried, photo.camera, 3, 0.02)
     assert (count[:, :95] == 0).all()
     assert (count[:49] == 0).all()
@@ -178,7 +180,7 @@ def test_segment_files_hold_pictures_and_support(tmp_path: Path, default_setting
         write_depth(path, depth, np.ones(depth.shape))
     write_factors(tmp_path / "gains.json", {name: own[None] for name, own in gains.items()})
     section = default_settings("views", views_per_segment=2)
-    steps, _ = views_path.plan(cameras, load(views_path.Settings, section, "views"))
+    steps, _ = views_path.plan_views(cameras, load(views_path.Settings, section, "views"))
     write_path(tmp_path / "path.json", steps, 24.0)
     settings = load(synthesize.Settings, section, "views")
     model = tmp_path / "cameras/images.txt"

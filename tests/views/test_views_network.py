@@ -94,7 +94,7 @@ def files(tmp_path: Path, small: None, default_settings: Callable) -> tuple[dict
     for path, depth in zip(maps, depths):
         write_depth(path, depth, np.ones(depth.shape))
     section = default_settings("views", views_per_segment=120, synthesizer="gen3c")
-    steps, _ = views_path.plan(list(cameras), load(views_path.Settings, section, "views"))
+    steps, _ = views_path.plan_views(list(cameras), load(views_path.Settings, section, "views"))
     write_path(tmp_path / "path.json", steps, 24.0)
     return section, (tmp_path / "path.json", tmp_path / "cameras/images.txt", plates, maps, []), tmp_path
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 from studiorecon.configuration.schema import mistakes
-from studiorecon.configuration.step_settings import read_by, section_names
+from studiorecon.configuration.step_settings import section_names, settings_read_by
 
 from tests.workflow.conftest import QUICK, ROOT, House, over
 
@@ -130,7 +130,7 @@ def steps() -> dict[str, str]:
 def reads(step: str, path: str) -> bool:
     """Whether the step's settings hold the one at ``path``."""
     stage, *names = path.split(".")
-    fields: Any = read_by(step) if stage in section_names(step) else {}
+    fields: Any = settings_read_by(step) if stage in section_names(step) else {}
     for name in names:
         if fields is None:
             return True

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from studiorecon.plan.budget import preset
+from studiorecon.plan.budget import read_preset
 
 from tests.made.plan import dataset, on  # noqa: F401
 from tests.workflow.conftest import ROOT, House, make_house
@@ -166,7 +166,7 @@ def test_a_budget_chooses_the_preset_and_leaves_what_the_user_said(house: House)
     told = replace(house, dataset="").snakemake(*arguments, "budget_min=0.01", "depth={candidates: 44}").stdout
     assert "budget of 0.01 min: look, about" in told
     assert "no preset is quicker" in told
-    look = preset("look")
+    look = read_preset("look")
     assert f'"iterations": {look["background"]["training"]["iterations"]}' in told
     assert f'"sweep_width": {look["depth"]["sweep_width"]}' in told
     assert '"candidates": 44' in told

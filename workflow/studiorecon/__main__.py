@@ -28,10 +28,10 @@ from studiorecon.configuration.step_settings import find_section
 from studiorecon.errors import UserError
 from studiorecon.machine.changed_files import changed_files, record_files
 from studiorecon.machine.crash_report import fault_sentence, keep_trace
-from studiorecon.machine.libraries import missing_library, remedy
+from studiorecon.machine.libraries import install_remedy, missing_library
 from studiorecon.machine.output import unbroken_output
 from studiorecon.machine.resource_errors import describe_resource_error, memory_note
-from studiorecon.models.catalogue.sandbox import confine
+from studiorecon.models.catalogue.sandbox import confine_process
 from studiorecon.progress import LOGGER, fail, log_to, warn
 from studiorecon.signature import Written
 
@@ -63,7 +63,7 @@ def _main(argv: list[str]) -> int:
     step = argv[0]
     _keep_to_the_threads_given()
     _keep_byte_code()
-    confine()
+    confine_process()
     try:
         module = importlib.import_module(f"studiorecon.{step}")
         run = module.run
@@ -143,7 +143,7 @@ def _sentence(error: Exception) -> str:
     library = missing_library(error) or ""
     return (
         f"the library {library} cannot be loaded "
-        f"({next(iter(str(error).splitlines()), 'no reason given')}); {remedy(library)}"
+        f"({next(iter(str(error).splitlines()), 'no reason given')}); {install_remedy(library)}"
     )
 
 

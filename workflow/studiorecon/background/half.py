@@ -13,7 +13,7 @@ import numpy as np
 from studiorecon import code
 from studiorecon.background.fitting import Training
 from studiorecon.background.half_trained_files import write_renders, write_room
-from studiorecon.background.preparation import Sources, prepare
+from studiorecon.background.preparation import Sources, prepare_training
 from studiorecon.background.train_settings import Settings
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
@@ -40,7 +40,7 @@ def run(
     device = resolve(device)
     cameras = read_model(sources.model.parent)
     rng = np.random.default_rng(settings.seed)
-    given = prepare(settings, sources, cameras, specularity is None or len(specularity) > 0, rng)
+    given = prepare_training(settings, sources, cameras, specularity is None or len(specularity) > 0, rng)
     training = Training(given.settings, cameras, rng, threads, device, working, lpips)
     if not training.split:
         raise UserError(

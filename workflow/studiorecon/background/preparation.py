@@ -22,15 +22,15 @@ from studiorecon.images.regions import dilate
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors, read_factors
-from studiorecon.scene.files import one_each
+from studiorecon.scene.files import require_one_each
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.path import PathStep, read_path
 from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
 from studiorecon.scene.room import RoomBox, read_room
 from studiorecon.scene.support import support_weight
 from studiorecon.splatting.cpu.harmonics import degree_supported
-from studiorecon.splatting.discs import discs
-from studiorecon.splatting.seeds import FLATNESS, finest, random_volume, seeds_from_depth
+from studiorecon.splatting.discs import make_discs
+from studiorecon.splatting.seeds import FLATNESS, finest_pixels, random_volume, seeds_from_depth
 from studiorecon.splatting.train.targets import Target
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def initial_gaussians(
     """First Gaussians and their provenance: discs on measured depth, and on unseen parts of the ``painted`` room."""
     degree = settings.training.sh_degree
     sets, marks = [], []
-    wanted = finest([p.camera for p in photos], [p.depth_m for p in photos], [p.known for p in photos])
+    wanted = finest_pixels([p.camera for p in photos], [p.depth_m for p in photos], [p.known for p in photos])
     for photo, finest_here in zip(photos, wanted):
         made, at = seeds_from_depth(
             photo.camera,
@@ -124,7 +124,7 @@ def initial_gaussians(
     for own in painted:
         points_m, rgb = own.points_m[~own.seen], own.rgb[~own.seen]
         normals = np.tile(own.face.normal, (len(points_m), 1))
-        sets.append(discs(points_m, normals, rgb, own.step_m * _WIDTH_SHARE, FLATNESS, sh_degree=degree))
+        sets.append(make_discs(points_m, normals, rgb, own.step_m * _WIDTH_SHARE, FLATNESS, sh_degree=degree))
         marks.append(np.full(len(normals), INVENTED))
     return concatenate(sets), np.concatenate(marks).astype(np.uint8)
 
@@ -188,9 +188,9 @@ def mask_people(
     photos: Sequence[Photo], videos: Sequence[Path], masks: Sequence[Path], dilation_px: int, gains: Factors
 ) -> list[Photo]:
     """The first pictures instead of the plates (paper, Eq. 5), unknown within ``dilation_px`` of people's ``masks``."""
-    one_each([p.camera for p in photos], videos=list(videos))
+    require_one_each([p.camera for p in photos], videos=list(videos))
     if masks:
-        one_each([p.camera for p in photos], masks=list(masks))
+        require_one_each([p.camera for p in photos], masks=list(masks))
     seen = []
     for view, (photo, video) in enumerate(zip(photos, videos)):
         picture = to_float(gains.even(photo.camera.name, read_frame(video, 0)))
@@ -216,7 +216,7 @@ def mask_people(
 
 
 def read_photos(cameras: Sequence[Camera], plates: list[Path], depths: list[Path], gains: Factors) -> list[Photo]:
-    one_each(cameras, plates=plates, depth_maps=depths)
+    require_one_each(cameras, plates=plates, depth_maps=depths)
     photos = []
     for camera, plate_path, depth_path in zip(cameras, plates, depths):
         rgb, known = read_plate(plate_path, camera.wh)
@@ -256,7 +256,7 @@ def read_views(
     return targets
 
 
-def prepare(
+def prepare_training(
     settings: Settings, sources: Sources, cameras: Sequence[Camera], varied: bool, rng: np.random.Generator
 ) -> PreparedTraining:
     """Read all inputs and build the initial state; ``varied``: colours change with the direction of view."""

@@ -22,7 +22,7 @@ from studiorecon.recursive.flows import load_flow
 from studiorecon.recursive.injection import Injection
 from studiorecon.recursive.sequence import adapt_injection, enhance_sequence
 from studiorecon.scene.factors import read_factors
-from studiorecon.scene.files import one_each
+from studiorecon.scene.files import require_one_each
 from studiorecon.scene.path import PathStep, read_path
 from studiorecon.signature import Place, Written
 
@@ -49,7 +49,7 @@ def run(
     """
     steps, fps = read_path(renders_path)
     cameras = read_model(model.parent)
-    one_each(cameras, plates=plates)
+    require_one_each(cameras, plates=plates)
     factors = read_factors(gains)
     photos = [to_bytes(factors.even(c.name, read_plate(plate, c.wh)[0])) for c, plate in zip(cameras, plates)]
     network = load("picture enhancer", enhancer, weights, device, seed=_SEED)

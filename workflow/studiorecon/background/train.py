@@ -15,7 +15,7 @@ import numpy as np
 from studiorecon import code
 from studiorecon.background.fitting import Training
 from studiorecon.background.half_trained_files import read_half
-from studiorecon.background.preparation import Photo, Sources, prepare
+from studiorecon.background.preparation import Photo, Sources, prepare_training
 from studiorecon.background.train_settings import Settings
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.images.metrics import psnr
@@ -51,7 +51,7 @@ def run(
     device = resolve(device)
     cameras = read_model(sources.model.parent)
     rng = np.random.default_rng(settings.seed)
-    given = prepare(settings, sources, cameras, specularity is None or len(specularity) > 0, rng)
+    given = prepare_training(settings, sources, cameras, specularity is None or len(specularity) > 0, rng)
     training = Training(given.settings, cameras, rng, threads, device, working, lpips)
     mark = fingerprint(
         given.settings, [*sources.files(), *(half or [])], code.digest("background.train"), threads, device

@@ -39,7 +39,7 @@ class Occluder:
         return np.concatenate([ends.reshape(-1, 6), self.radius_m[:, None]], axis=1)
 
 
-def occluder(model: BodyModel, betas: Num[np.ndarray, " B"]) -> Occluder:
+def build_occluder(model: BodyModel, betas: Num[np.ndarray, " B"]) -> Occluder:
     """A capsule for each joint, along the longest direction of the vertices that the joint moves most.
 
     The radius is their mean distance from the axis, and the axis ends one radius before they do.

@@ -23,12 +23,12 @@ from studiorecon.calibration.formats.reading import Reading
 from studiorecon.calibration.names import Pairing, mismatch_error
 from studiorecon.calibration.people_evidence import agreement, best_candidate, is_in_metres
 from studiorecon.calibration.second_undistortion import without_second_undistortion
-from studiorecon.footage.frames import glimpses
+from studiorecon.footage.frames import seek_frames
 from studiorecon.footage.source import open_source
 from studiorecon.geometry.crop_hypotheses import (
     CropHypothesis,
+    area_inside_bars,
     for_square_pixels,
-    without_bars,
 )
 from studiorecon.geometry.lens import same_shape, unseen_share
 from studiorecon.keypoints.motion import Motion, motion_in
@@ -154,7 +154,9 @@ def run(
     maps = json.loads(pixel_maps or "{}")
     known = [c.wh for c in reading.cameras]
     areas = {
-        camera: without_bars(glimpses(film, np.linspace(0, film.frames - 1, _PICTURES).round().astype(int).tolist()))
+        camera: area_inside_bars(
+            seek_frames(film, np.linspace(0, film.frames - 1, _PICTURES).round().astype(int).tolist())
+        )
         for camera, film in zip(cameras, films, strict=True)
         if not any(0 in wh or same_shape(wh, film.wh) or same_shape(wh, film.stored_wh) for wh in known)
     }

@@ -23,7 +23,7 @@ from studiorecon.calibration.checks.examination import Settings, examine
 from studiorecon.calibration.room_pictures import read_room_pictures, without_distortion
 from studiorecon.camera_files.calibration import read_calibration
 from studiorecon.errors import UserError
-from studiorecon.footage.frames import glimpses
+from studiorecon.footage.frames import seek_frames
 from studiorecon.footage.source import FootageSource, open_source
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.images.encoded import png
@@ -151,7 +151,7 @@ def run(
     raw = [seen.get(c, empty_detections(c)) for c in cameras]
     moments = [common.source_frames(c) for c in cameras]
     films = [open_source(source, 0.0) for source in sources]
-    looks = [glimpses(film, [int(of[0]), int(of[len(of) // 2])]) for film, of in zip(films, moments, strict=True)]
+    looks = [seek_frames(film, [int(of[0]), int(of[len(of) // 2])]) for film, of in zip(films, moments, strict=True)]
     starts = [first_frame(common, c) for c in cameras]
     about = [
         {**about_film(c, film, pictures), "frames": common.frames, "first_frame": start, "keypoints": c in seen}
@@ -179,7 +179,7 @@ def run(
     result, points = examine(pinholes, detections, about, settings, readings, described, doubts, rooms, compared)
     frame = result["shown_frame"]
     straight = [
-        undistort_picture(both[-1] if frame is None else glimpses(film, [int(of[frame])])[0], lenses[c], camera)
+        undistort_picture(both[-1] if frame is None else seek_frames(film, [int(of[frame])])[0], lenses[c], camera)
         for both, film, of, c, camera in zip(looks, films, moments, cameras, pinholes)
     ]
     shown = {"after_px_per_camera": [result["px_per_camera"][c] for c in cameras]}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.calibration.people_evidence import agreement, best_candidate
-from studiorecon.geometry.crop_hypotheses import CropHypothesis, crop_hypotheses, inside_bars
+from studiorecon.geometry.crop_hypotheses import CropHypothesis, crop_hypotheses, place_inside_bars
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.people import Detections
 
@@ -26,7 +26,7 @@ def possible_places(
 
     Black bars show the place; then only the picture that recorded keypoints refer to is open.
     """
-    barred = None if area is None else inside_bars(lens, area, wh)
+    barred = None if area is None else place_inside_bars(lens, area, wh)
     if barred is None:
         return crop_hypotheses(lens, wh)
     if not recorded:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.scene.numbered_files import natural
+from studiorecon.scene.numbered_files import natural_sort_key
 
 # If one name equals the other, or a run of whole words of it, that counts more than all shared words. If names do not
 # match at all, so many pairings are tried on people: all of four cameras.
@@ -89,7 +89,7 @@ def pairings_in_order(footage: Sequence[str], count: int, source: str) -> list[P
             f"{source} has {count} cameras without names, the footage has {len(footage)} ({', '.join(footage)}); "
             "bring all videos of the capture, or a calibration with names"
         )
-    orders = [sorted(footage, key=natural), sorted(footage)]
+    orders = [sorted(footage, key=natural_sort_key), sorted(footage)]
     return [
         Pairing({film: str(index) for index, film in enumerate(order)}, f"in the order {', '.join(order)}")
         for order in (orders if orders[0] != orders[1] else orders[:1])

@@ -20,12 +20,12 @@ from studiorecon.camera_files.colmap import write_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
-from studiorecon.footage.frames import glimpses
+from studiorecon.footage.frames import seek_frames
 from studiorecon.footage.source import open_source
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.resampling import resample_keypoints
-from studiorecon.models.catalogue.registry import model as card_of
+from studiorecon.models.catalogue.registry import find_card as card_of
 from studiorecon.models.choices import CalibrationSource
 from studiorecon.models.loading import load
 from studiorecon.models.protocols import Reconstruction
@@ -143,7 +143,7 @@ def run(
     if common.refusal:
         raise UserError(common.refusal)
     pictures = [
-        glimpses(open_source(s, 0.0), [int(common.source_frames(c)[0])])[0]
+        seek_frames(open_source(s, 0.0), [int(common.source_frames(c)[0])])[0]
         for c, s in zip(cameras, sources, strict=True)
     ]
     wh = [(picture.shape[1], picture.shape[0]) for picture in pictures]

@@ -12,7 +12,7 @@ import numpy as np
 
 from studiorecon.arrays import evenly_spread
 from studiorecon.errors import UserError
-from studiorecon.footage.frames import glimpses
+from studiorecon.footage.frames import seek_frames
 from studiorecon.footage.source import open_source
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.progress import warn
@@ -47,7 +47,7 @@ def read_room_pictures(
             source = open_source(path, _ANY_FPS)
             among = np.arange(source.frames) if moments is None else moments[camera]
             wanted = among[evenly_spread(len(among), _PICTURES)].tolist()
-            seen = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in glimpses(source, wanted)]
+            seen = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in seek_frames(source, wanted)]
         except UserError as refusal:
             warn(f"the room's edges in camera {camera} are not used: {refusal}")
             continue

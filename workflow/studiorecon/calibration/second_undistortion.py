@@ -15,7 +15,7 @@ from studiorecon.calibration.people_evidence import NOISE_SHARE, agreement, best
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.keypoints.motion import Motion
-from studiorecon.keypoints.motion_agreement import Score, movers, score
+from studiorecon.keypoints.motion_agreement import Score, moving_keypoints, score_reading
 from studiorecon.rig.lens_model import as_model
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.people import Detections
@@ -84,7 +84,7 @@ def _on_motion(seen: Detections, of_keypoints: Lens, of_film: Lens, wh: tuple[in
     camera, pinhole = to_pinhole(seen, of_keypoints, wh)
     pixels = video_from_working(pinhole.keypoints[..., :2], of_film, wh, camera.intrinsics)
     shown = np.concatenate([pixels, pinhole.keypoints[..., 2:]], axis=-1)
-    return score(movers(shown, seen.frame), seen.frame, np.eye(2, 3), motion)
+    return score_reading(moving_keypoints(shown, seen.frame), seen.frame, np.eye(2, 3), motion)
 
 
 def _together(scores: Sequence[Score]) -> Score:

@@ -18,7 +18,7 @@ import numpy as np
 from studiorecon.camera_files.lens_kinds import coefficients, model_named
 from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, rigid_camera_from_world
 from studiorecon.errors import UserError
-from studiorecon.machine.libraries import remedy
+from studiorecon.machine.libraries import install_remedy
 
 # COLMAP ends a name in images.txt at its first blank, which folders of pictures may have; it keeps this character.
 _NO_BREAK = "\u00a0"
@@ -61,7 +61,7 @@ def _read(files: Sequence[Path]) -> Any:
     except ImportError as error:
         raise UserError(
             f"{files[0].parent} holds a COLMAP model, which the package pycolmap reads, and "
-            f"that cannot be loaded here ({error}); {remedy('pycolmap')}"
+            f"that cannot be loaded here ({error}); {install_remedy('pycolmap')}"
         ) from None
     suffix = files[0].suffix
     with tempfile.TemporaryDirectory() as name:

@@ -140,7 +140,7 @@ def unadjusted_intrinsics(matrix: object, where: str, integer_centres: bool = Tr
     return shift @ given.reshape(3, 3)
 
 
-def vector(value: object, where: str) -> Float[np.ndarray, " 3"]:
+def finite_vector(value: object, where: str) -> Float[np.ndarray, " 3"]:
     """Finite numbers of a file; raises UserError."""
     given = numbers(value, where)
     if given.size != 3:

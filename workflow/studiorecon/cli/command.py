@@ -143,7 +143,7 @@ def _doctor(options: argparse.Namespace) -> int:
 def quick_check(folder: Path) -> Iterator[str]:
     """Sentences from files, headers and two pictures of every camera; raises UserError without a capture."""
     from studiorecon.calibration.checks.advice import brightness_and_clipping, footage_notes
-    from studiorecon.footage.frames import glimpses
+    from studiorecon.footage.frames import seek_frames
     from studiorecon.footage.source import open_source  # loads OpenCV, which other subcommands do not need
     from studiorecon.plan.discovery import open_dataset
 
@@ -158,7 +158,7 @@ def quick_check(folder: Path) -> Iterator[str]:
         try:
             seen = open_source(source, 0.0)
             frames = seen.frames + sum(open_source(part, 0.0).frames for part in capture.chapters.get(camera, ())[1:])
-            light = brightness_and_clipping(glimpses(seen, [start, start + capture.frame_count // 2]))
+            light = brightness_and_clipping(seek_frames(seen, [start, start + capture.frame_count // 2]))
         except UserError as refusal:
             yield f"camera {camera}: {refusal}"
             continue

@@ -13,8 +13,8 @@ from typing import Any
 
 import yaml
 
-from studiorecon.configuration.sections import SECTIONS, general
-from studiorecon.configuration.setting import Setting, literal_choices, plain
+from studiorecon.configuration.sections import SECTIONS, general_settings
+from studiorecon.configuration.setting import Setting, literal_choices, plain_value
 from studiorecon.configuration.setting_schema import section_schema
 from studiorecon.home import CONFIGURATION, SCHEMA
 
@@ -34,18 +34,18 @@ _COMPACT: Mapping[str, Any] = {"default_flow_style": None}
 _SCHEMA_HEAD = "# Written by python -m studiorecon.configuration.generate from the steps' Settings.\n"
 
 
-def configuration() -> str:
+def configuration_text() -> str:
     """The text of config.yaml."""
-    parts = [_HEAD, "\n".join(_lines(general(), 0)) + "\n"]
+    parts = [_HEAD, "\n".join(_lines(general_settings(), 0)) + "\n"]
     for section in SECTIONS:
         head = [f"# ---- {section.name} ----", *_comment(section.about, 0), f"{section.name}:"]
         parts.append("\n".join([*head, *_lines(section.settings(), 2)]) + "\n")
     return "\n".join(parts)
 
 
-def schema(there: str) -> str:
+def schema_text(there: str) -> str:
     """The text of the schema; the shapes of films (``$defs``) are taken from ``there``, its present text."""
-    top = section_schema(general(), "Settings of studiorecon; config/README.md explains them in prose.")
+    top = section_schema(general_settings(), "Settings of studiorecon; config/README.md explains them in prose.")
     for section in SECTIONS:
         top["required"].append(section.name)
         top["properties"][section.name] = section_schema(section.settings(), section.about)
@@ -56,9 +56,9 @@ def schema(there: str) -> str:
     )
 
 
-def prose(there: str) -> str:
+def readme_text(there: str) -> str:
     """The text of config/README.md with tables generated from the declarations."""
-    for name, settings in [("general", general()), *((s.name, s.settings()) for s in SECTIONS)]:
+    for name, settings in [("general", general_settings()), *((s.name, s.settings()) for s in SECTIONS)]:
         before, start, rest = there.partition(f"<!-- settings: {name} -->\n")
         after = "".join(rest.partition(f"<!-- end: {name} -->")[1:])
         there = before + start + "".join(f"{line}\n" for line in _table(settings)) + after
@@ -66,7 +66,11 @@ def prose(there: str) -> str:
 
 
 # Each file, and the function that makes its new text from its present one.
-FILES: Mapping[Path, Callable[[str], str]] = {CONFIGURATION: lambda _: configuration(), SCHEMA: schema, README: prose}
+FILES: Mapping[Path, Callable[[str], str]] = {
+    CONFIGURATION: lambda _: configuration_text(),
+    SCHEMA: schema_text,
+    README: readme_text,
+}
 
 
 class _Plain(yaml.SafeDumper):
@@ -86,7 +90,7 @@ def _lines(settings: Iterable[Setting], indent: int) -> Iterator[str]:
             yield from _lines(setting.inner(), indent + 2)
         elif isinstance(setting.default, Mapping) and setting.default:
             yield key
-            block = yaml.safe_dump(plain(setting.default), sort_keys=False, allow_unicode=True, width=_COLUMNS)
+            block = yaml.safe_dump(plain_value(setting.default), sort_keys=False, allow_unicode=True, width=_COLUMNS)
             yield from textwrap.indent(block, " " * (indent + 2)).splitlines()
         else:
             yield f"{key} {value_text(setting.default)}"
@@ -111,7 +115,7 @@ def value_text(value: Any) -> str:
     """A default as YAML text."""
     if value == "":
         return '""'
-    text = yaml.safe_dump(plain(value), default_flow_style=True, allow_unicode=True, width=1000)
+    text = yaml.safe_dump(plain_value(value), default_flow_style=True, allow_unicode=True, width=1000)
     return text.removesuffix("\n").removesuffix("\n...")
 
 
@@ -127,11 +131,11 @@ def _table(settings: Iterable[Setting], above: str = "") -> Iterator[str]:
         default = (
             "see below" if isinstance(setting.default, Mapping) and setting.default else value_text(setting.default)
         )
-        cells = [f"`{name}`", f"`{default}`", allowed(setting), setting.described.meaning]
+        cells = [f"`{name}`", f"`{default}`", allowed_values(setting), setting.described.meaning]
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-def allowed(setting: Setting) -> str:
+def allowed_values(setting: Setting) -> str:
     """The allowed values of a setting, in short: its words, or its bounds and unit."""
     info = setting.described
     if choices := literal_choices(setting):

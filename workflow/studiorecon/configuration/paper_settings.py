@@ -16,8 +16,8 @@ from typing import Any
 import yaml
 
 from studiorecon.configuration.generate import value_text
-from studiorecon.configuration.sections import SECTIONS, _class, defaults, general
-from studiorecon.configuration.setting import Setting, plain
+from studiorecon.configuration.sections import SECTIONS, _class, default_configuration, general_settings
+from studiorecon.configuration.setting import Setting, plain_value
 from studiorecon.home import CONFIGURATION
 
 PRESETS = ("paper.yaml", "networks.yaml")
@@ -92,7 +92,7 @@ Constants of the paper without a setting; a test compares them with the paper.
 
 def paper_values() -> Iterator[tuple[str, Setting]]:
     """Every setting that the paper mentions, by its dotted name."""
-    yield from ((setting.name, setting) for setting in general() if setting.described.paper)
+    yield from ((setting.name, setting) for setting in general_settings() if setting.described.paper)
     for section in SECTIONS:
         yield from _inside(section.settings(), section.name)
 
@@ -106,9 +106,9 @@ def _inside(settings: Iterable[Setting], above: str) -> Iterator[tuple[str, Sett
             yield name, setting
 
 
-def merged(names: Iterable[str] = PRESETS) -> Mapping[str, Any]:
+def merge_presets(names: Iterable[str] = PRESETS) -> Mapping[str, Any]:
     """The configuration with these presets laid over it in turn, as Snakemake does it."""
-    whole: dict[str, Any] = dict(defaults())
+    whole: dict[str, Any] = dict(default_configuration())
     for name in names:
         preset = yaml.safe_load((CONFIGURATION.parent / "presets" / name).read_text(encoding="utf-8"))
         whole = _over(whole, preset)
@@ -128,34 +128,36 @@ def value_at(config: Mapping[str, Any], name: str) -> Any:
     return value
 
 
-def state(name: str, setting: Setting, config: Mapping[str, Any]) -> str:
+def presets_state(name: str, setting: Setting, config: Mapping[str, Any]) -> str:
     """ "literal" or the difference from the paper, for one setting in a configuration."""
     letter = setting.described.paper_value
     if letter is None:
         return f"no such setting: {WITHOUT[name]}"
     if value_at(config, name) != letter:
         return "not taken"
-    found = "literal (default)" if plain(setting.default) == letter else "literal"
+    found = "literal (default)" if plain_value(setting.default) == letter else "literal"
     return f"{found}; {BUT[name]}" if name in BUT else found
 
 
-def constant(place: str, name: str) -> Any:
+def stage_constant(place: str, name: str) -> Any:
     """The value of a constant in a dataclass of a stage."""
     return next(field.default for field in fields(_class(place)) if field.name == name)
 
 
-def page() -> str:
+def page_text() -> str:
     """The text of docs/paper.md."""
-    config, rows = merged(), []
+    config, rows = merge_presets(), []
     for name, setting in paper_values():
-        default, letter = plain(setting.default), value_at(config, name)
+        default, letter = plain_value(setting.default), value_at(config, name)
         preset = "" if letter == default else _short(letter)
-        remark = state(name, setting, config).removeprefix("literal").removeprefix(" (default)").removeprefix("; ")
+        remark = (
+            presets_state(name, setting, config).removeprefix("literal").removeprefix(" (default)").removeprefix("; ")
+        )
         last = "; ".join(filter(None, [preset, remark]))
         cells = [f"`{name}`", _source(setting.described.paper), last]
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
     constants = [
-        f"| `{place.partition(':')[0]}` `{name}` | {_source(where)} | `{value_text(constant(place, name))}` |\n"
+        f"| `{place.partition(':')[0]}` `{name}` | {_source(where)} | `{value_text(stage_constant(place, name))}` |\n"
         for place, name, _, where in CONSTANTS
     ]
     return _HEAD + "".join(rows) + _BETWEEN + "".join(constants)
@@ -173,7 +175,7 @@ def _short(value: Any) -> str:
 
 def main() -> None:
     """Write the page."""
-    PAGE.write_text(page(), encoding="utf-8")
+    PAGE.write_text(page_text(), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -55,11 +55,11 @@ def mistakes(config: Mapping[str, Any], schema: Mapping[str, Any]) -> list[str]:
     )
 
 
-def named(schema: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def named_settings(schema: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Every setting of the schema by its dotted name, sections included, with the schema's part for it."""
     for name, inner in schema.get("properties", {}).items():
         yield name, inner
-        for below, part in named(inner):
+        for below, part in named_settings(inner):
             yield f"{name}.{below}", part
 
 
@@ -181,7 +181,7 @@ def _choices(schema: Mapping[str, Any], name: str) -> str:
 def _nearest(name: str, path: list[str], known: list[str], schema: Mapping[str, Any]) -> str:
     """The probable meaning of an unknown name: a similar neighbour, or the same name in another section."""
     near = [".".join([*path, close]) for close in difflib.get_close_matches(name, known, 1)]
-    elsewhere = [full for full, _ in named(schema) if full.rpartition(".")[2] == name]
+    elsewhere = [full for full, _ in named_settings(schema) if full.rpartition(".")[2] == name]
     inside = [full for full in elsewhere if path and full.startswith(f"{path[0]}.")]
     found = near or inside[:3] or elsewhere[:3]
     if found:

@@ -10,7 +10,7 @@ from functools import cache
 from typing import Any
 
 from studiorecon.configuration.plan_settings import General
-from studiorecon.configuration.setting import Setting, plain, settings_in
+from studiorecon.configuration.setting import Setting, plain_value, settings_in
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ SECTIONS: tuple[Section, ...] = (
 )
 
 
-def general() -> list[Setting]:
+def general_settings() -> list[Setting]:
     """The settings at the top, outside any section."""
     return list(settings_in(General))
 
@@ -158,7 +158,7 @@ def _class(place: str) -> type:
     return getattr(importlib.import_module(f"studiorecon.{module}"), name)
 
 
-def defaults() -> Mapping[str, Any]:
+def default_configuration() -> Mapping[str, Any]:
     """The default configuration, as in config.yaml."""
-    top = {setting.name: plain(setting.default) for setting in general()}
-    return top | {s.name: {setting.name: plain(setting.default) for setting in s.settings()} for s in SECTIONS}
+    top = {setting.name: plain_value(setting.default) for setting in general_settings()}
+    return top | {s.name: {setting.name: plain_value(setting.default) for setting in s.settings()} for s in SECTIONS}

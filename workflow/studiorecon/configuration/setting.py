@@ -106,13 +106,13 @@ def field_default(field: dataclasses.Field[Any]) -> Any:
     return field.default
 
 
-def plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
     """A default in the types of YAML and JSON: sections as mappings of their settings, tuples as lists."""
     if dataclasses.is_dataclass(value):
-        return {inner.name: plain(inner.default) for inner in settings_in(type(value), value)}
+        return {inner.name: plain_value(inner.default) for inner in settings_in(type(value), value)}
     if isinstance(value, Mapping):
-        return {key: plain(inner) for key, inner in value.items()}
-    return [plain(item) for item in value] if isinstance(value, (tuple, list)) else value
+        return {key: plain_value(inner) for key, inner in value.items()}
+    return [plain_value(item) for item in value] if isinstance(value, (tuple, list)) else value
 
 
 def union_members(kind: Any) -> tuple[Any, ...]:

@@ -8,7 +8,7 @@ import typing
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from studiorecon.configuration.setting import Setting, literal_choices, plain, union_members
+from studiorecon.configuration.setting import Setting, literal_choices, plain_value, union_members
 
 _TYPES = {bool: "boolean", int: "integer", float: "number", str: "string"}
 _BOUNDS = {"minimum": "minimum", "above": "exclusiveMinimum", "maximum": "maximum", "below": "exclusiveMaximum"}
@@ -28,7 +28,7 @@ def build_schema(setting: Setting) -> dict[str, Any]:
     about = setting.described
     if setting.is_section:
         return section_schema(setting.inner(), about.meaning)
-    default = {} if setting.default is dataclasses.MISSING else {"default": plain(setting.default)}
+    default = {} if setting.default is dataclasses.MISSING else {"default": plain_value(setting.default)}
     return _shape(setting) | default
 
 

@@ -28,7 +28,7 @@ _REMEMBERED = 500
 
 def select_settings(step: str, section: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a stage's ``section`` that ``"stage.step"`` reads; empty for a step without settings."""
-    return restrict(section, read_by(step))
+    return restrict_settings(section, settings_read_by(step))
 
 
 # Steps with settings in the sections of earlier stages, in addition to their own stage's.
@@ -53,17 +53,17 @@ def section_names(step: str) -> tuple[str, ...]:
     return _SECTIONS.get(step, _SECTIONS.get(stage, (stage,)))
 
 
-def restrict(values: Mapping[str, Any], fields: Fields) -> dict[str, Any]:
+def restrict_settings(values: Mapping[str, Any], fields: Fields) -> dict[str, Any]:
     """``values`` restricted to ``fields``, at every level; fields missing in ``values`` are left out."""
     cut: dict[str, Any] = {}
     for name, below in fields.items():
         if name in values:
             value = values[name]
-            cut[name] = restrict(value, below) if below is not None and isinstance(value, Mapping) else value
+            cut[name] = restrict_settings(value, below) if below is not None and isinstance(value, Mapping) else value
     return cut
 
 
-def read_by(step: str) -> Fields:
+def settings_read_by(step: str) -> Fields:
     """The settings that a step reads, from importing the step; cached until its code changes.
 
     Raises FileNotFoundError when there is no such step.

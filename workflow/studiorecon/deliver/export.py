@@ -23,7 +23,7 @@ from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.files import complete, write_json, write_text
+from studiorecon.scene.files import atomic_path, write_json, write_text
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.people import Person, read_detections, read_identities
@@ -106,7 +106,7 @@ def gaussian_files(background: Gaussians, people: Sequence[Avatar], frame: int) 
     return {"background.ply": background, **still, **posed}
 
 
-def readme(
+def readme_text(
     scene: str,
     people: Sequence[str],
     films: Sequence[str],
@@ -143,11 +143,11 @@ def copy_files(copies: Mapping[Path, Path]) -> None:
     for source, target in copies.items():
         if not source.is_file():
             raise UserError(f"{source} is missing, so it cannot be delivered; run the workflow again")
-        with complete(target) as partial:
+        with atomic_path(target) as partial:
             shutil.copyfile(source, partial)
 
 
-def motion(
+def write_motion(
     folder: Path,
     person: Person,
     body: BodyModel,
@@ -212,7 +212,7 @@ def run(
     copy_files(copies)
     layouts, shots = sorted({d.layout for d in seen}), [film.stem for film in films]
     about = _STILL_FRAME, capture.frames, capture.fps, layouts, settings
-    write_text(folder / "README.txt", readme(capture.scene, names, shots, *about))
+    write_text(folder / "README.txt", readme_text(capture.scene, names, shots, *about))
     paths = [*copies.values(), *other]
     delivered = sorted(["README.txt", *written, *(str(path.relative_to(folder)) for path in paths)])
     there = {path: str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
@@ -239,7 +239,7 @@ def _motions(
     for person in map(read_person, fits):
         if colours.get(person.name) is None:
             say(f"{person.name} has no Gaussians, so bodies/{person.name}.glb is grey")
-        written += motion(folder, person, model, colours.get(person.name), settings.bvh_unit)
+        written += write_motion(folder, person, model, colours.get(person.name), settings.bvh_unit)
     return written
 
 

@@ -21,7 +21,7 @@ from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES
-from studiorecon.scene.files import complete
+from studiorecon.scene.files import atomic_path
 from studiorecon.scene.people import Person
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def write_document(path: Path, document: dict[str, Any], buffer: Buffer) -> None
             f"{path} would have {total / 1e9:.1f} GB, and a GLB file at most {_MAX_BYTES / 1e9:.1f} GB; the PLY files "
             "and deliver/bodies have no such limit, or take fewer frames (frames: {first: 0, count: N} in capture.yaml)"
         )
-    with complete(path) as partial, open(partial, "wb") as file:
+    with atomic_path(path) as partial, open(partial, "wb") as file:
         file.write(struct.pack("<4sII", b"glTF", 2, total))
         file.write(struct.pack("<I4s", len(text), b"JSON") + text)
         file.write(struct.pack("<I4s", len(buffer.data), b"BIN\0") + bytes(buffer.data))

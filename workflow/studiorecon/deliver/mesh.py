@@ -17,7 +17,7 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.deliver.fusion import FusedSurface, decimate, fuse, remove_vertices, render_views
 from studiorecon.deliver.gltf import Buffer, add_colours, vertex_normals, write_document
 from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
-from studiorecon.deliver.room_planes import Plane, distance_m, kept_faces, planes
+from studiorecon.deliver.room_planes import Plane, build_planes, distance_m, kept_faces
 from studiorecon.progress import say
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.path import read_path
@@ -85,7 +85,7 @@ def run(model: Path, background: Path, provenance: Path, room_box: Path, path: P
     views = render_views(gaussians, marks, [*read_model(model.parent), *between])
     surface = fuse(views, VOXEL_M)
     standing = decimate(remove_vertices(surface, distance_m(box, surface.vertices_m) < _OF_PLANE_M), TRIANGLES)
-    flat = planes(box, views, PLANE_STEP_M, PLANE_VERTICES)
+    flat = build_planes(box, views, PLANE_STEP_M, PLANE_VERTICES)
     left_out = [FACES[index] for index in range(len(FACES)) if index not in kept_faces(box)]
     write_room(mesh, flat, standing, left_out)
     unseen = sum(int(np.count_nonzero(plane.provenance == INVENTED)) for plane in flat) / max(

@@ -18,9 +18,9 @@ import numpy as np
 from studiorecon.body.model import BodyModel, shape_and_size
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
-from studiorecon.machine.libraries import remedy
+from studiorecon.machine.libraries import install_remedy
 from studiorecon.progress import say, warn
-from studiorecon.scene.files import complete, write_npz, write_text
+from studiorecon.scene.files import atomic_path, write_npz, write_text
 from studiorecon.scene.people import Person
 
 if TYPE_CHECKING:
@@ -135,9 +135,7 @@ def c3d(path: Path, person: Person, body: BodyModel) -> list[Path]:
     ``<name>_frames_<first>-<last>.c3d``. Where ezc3d has no wheel a warning says so and no file is written.
     """
     if importlib.util.find_spec("ezc3d") is None:
-        warn(
-            f"{person.name}: no C3D file, because ezc3d is not installed ({remedy('ezc3d')}); .trc has the same markers"
-        )
+        warn(f"{person.name}: no C3D file, for ezc3d is missing ({install_remedy('ezc3d')}); .trc has the same markers")
         return []
     frames = len(person.valid)
     if frames <= _C3D_FRAMES:
@@ -173,7 +171,7 @@ def _c3d_bytes(path: Path, person: Person, body: BodyModel, frames: slice) -> No
     file.add_parameter("POINT", "Y_SCREEN", ["+Z"])
     file["data"]["points"] = points
     file["data"]["meta_points"]["residuals"] = np.where(valid, 0.0, -1.0) * np.ones((1, len(_BODY_25), 1))
-    with complete(path) as partial:
+    with atomic_path(path) as partial:
         file.write(str(partial))
         back = ezc3d.c3d(str(partial))["data"]["points"]
         if back.shape != points.shape:

@@ -22,7 +22,7 @@ from studiorecon.footage.video import Codec, read_frame, read_frames, to_bytes, 
 from studiorecon.images.encoded import jpeg
 from studiorecon.progress import say
 from studiorecon.scene.factors import read_factors
-from studiorecon.scene.files import complete, write_text
+from studiorecon.scene.files import atomic_path, write_text
 from studiorecon.scene.gaussians import concatenate
 from studiorecon.signature import Written
 from studiorecon.splatting.device import DRAWN_FROM_M, rasteriser
@@ -145,7 +145,7 @@ def run(
         )
     sentences += add_footage(held, data["cameras"], videos, finished.capture.frames, finished.capture.fps)
     picture = jpeg(render_poster(finished), QUALITY)
-    with complete(poster) as partial:
+    with atomic_path(poster) as partial:
         partial.write_bytes(picture)
     write_text(
         page, build_page(f"{finished.name}: 4D scene", data | {"notes": [*sentences, *_ALWAYS]}, held, picture, parts)

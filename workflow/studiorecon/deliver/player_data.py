@@ -12,7 +12,13 @@ import numpy as np
 
 from studiorecon.deliver.finished import FinishedScene
 from studiorecon.deliver.packing import Bytes, morton_order
-from studiorecon.deliver.player_motion import changes, moments, rigid, skeleton, skin
+from studiorecon.deliver.player_motion import (
+    motion_times,
+    pack_colour_changes,
+    pack_rigid_motion,
+    pack_skeleton,
+    pack_skin,
+)
 from studiorecon.geometry import rotations
 from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.scene.camera import Camera
@@ -50,33 +56,41 @@ def describe_scene(
     described: list[str] = []
     frames = scene.capture.frames
     bodies = max(len(scene.people) + len(scene.things), 1)
-    times = moments(frames, max(2, MOTION_BYTES // (bodies * _POSE_BYTES)))
+    times = motion_times(frames, max(2, MOTION_BYTES // (bodies * _POSE_BYTES)))
     if len(times) < frames and (scene.people or scene.things):
         described.append(
             f"motion is sampled at {len(times)} moments of {frames} frames, between which it is continued "
             f"({(frames - 1) / (len(times) - 1):.1f} frames)"
         )
-    room, order = gaussians(held, scene.room, scene.provenance)
+    room, order = pack_gaussians(held, scene.room, scene.provenance)
     sets = [{"name": "room", "kind": "room", **room}]
     if shade is not None and len(shade.at):
-        sets[0]["shade"] = shades(held, shade, order, described)
+        sets[0]["shade"] = pack_shades(held, shade, order, described)
     for person in scene.people:
-        own, order = gaussians(held, person.gaussians, person.provenance)
-        own |= {"motion": skeleton(held, person, times)} | skin(held, person.bones[order], person.weights[order])
+        own, order = pack_gaussians(held, person.gaussians, person.provenance)
+        own |= {"motion": pack_skeleton(held, person, times)} | pack_skin(
+            held, person.bones[order], person.weights[order]
+        )
         if person.network is not None:
             places = len(person.network.control.points_m) if person.network.control else 512
-            few = moments(frames, max(2, CHANGES_BYTES // max(len(scene.people), 1) // (8 * places)))
-            own["changes"], off = changes(held, person, order, few)
+            few = motion_times(frames, max(2, CHANGES_BYTES // max(len(scene.people), 1) // (8 * places)))
+            own["changes"], off = pack_colour_changes(held, person, order, few)
             described.append(
                 f"colours of {person.person} that change over time are sampled at {len(few)} moments and {places} "
                 f"places, within {100 * off:.1f} %"
             )
         sets.append({"name": person.person, "kind": "person", **own})
     for thing in scene.things:
-        own, order = gaussians(held, thing.gaussians, thing.provenance)
+        own, order = pack_gaussians(held, thing.gaussians, thing.provenance)
         single = np.zeros((thing.gaussians.count, 1), np.uint8), np.ones((thing.gaussians.count, 1))
         sets.append(
-            {"name": thing.person, "kind": "thing", **own, "motion": rigid(held, thing, times), **skin(held, *single)}
+            {
+                "name": thing.person,
+                "kind": "thing",
+                **own,
+                "motion": pack_rigid_motion(held, thing, times),
+                **pack_skin(held, *single),
+            }
         )
     return {
         "scene": scene.name,
@@ -99,7 +113,7 @@ def describe_scene(
     }, described
 
 
-def gaussians(
+def pack_gaussians(
     held: Bytes, own: Gaussians, provenance: Integer[np.ndarray, " N"]
 ) -> tuple[dict[str, Any], Integer[np.ndarray, " N"]]:
     """The description of the packed Gaussians, and their new order."""
@@ -124,12 +138,12 @@ def gaussians(
     return found, order
 
 
-def shades(held: Bytes, shade: Shade, order: Integer[np.ndarray, " N"], described: list[str]) -> dict[str, Any]:
+def pack_shades(held: Bytes, shade: Shade, order: Integer[np.ndarray, " N"], described: list[str]) -> dict[str, Any]:
     """The room's shade over time, for the Gaussians that are ever shaded."""
     some = (np.abs(shade.factors - 1) > 0.5 * _SHADE_MAX / 255).any(axis=0)
     place = np.argsort(order, kind="stable")[shade.at[some]]
     sorting = np.argsort(place, kind="stable")
-    kept = moments(len(shade.times), max(2, SHADE_BYTES // max(len(place), 1))).round().astype(int)
+    kept = motion_times(len(shade.times), max(2, SHADE_BYTES // max(len(place), 1))).round().astype(int)
     if len(kept) < len(shade.times):
         described.append(f"shadows are sampled at {len(kept)} of {len(shade.times)} moments")
     factors = shade.factors[kept][:, some][:, sorting]

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 _PLACES = 512
 
 
-def moments(frames: int, most: int) -> Float[np.ndarray, " K"]:
+def motion_times(frames: int, most: int) -> Float[np.ndarray, " K"]:
     """At most ``most`` evenly spaced times of the capture, including both ends: all frames if they fit."""
     return np.linspace(0, frames - 1, max(min(frames, most), 1)) if frames > 1 else np.zeros(1)
 
 
-def skeleton(held: Bytes, person: Avatar, times: Num[np.ndarray, " K"]) -> dict[str, Any]:
+def pack_skeleton(held: Bytes, person: Avatar, times: Num[np.ndarray, " K"]) -> dict[str, Any]:
     """A person's joints at rest and their rotations at ``times``: 16 bits a number, 0.002 degrees.
 
     A person who is away at times also has the moments of presence.
@@ -47,7 +47,7 @@ def skeleton(held: Bytes, person: Avatar, times: Num[np.ndarray, " K"]) -> dict[
     } | ({} if person.present.all() else {"present": held.whole(there, 8)})
 
 
-def rigid(held: Bytes, thing: RigidObject, times: Num[np.ndarray, " K"]) -> dict[str, Any]:
+def pack_rigid_motion(held: Bytes, thing: RigidObject, times: Num[np.ndarray, " K"]) -> dict[str, Any]:
     """An object's positions and rotations at ``times``, and the times at which they are known."""
     there = [thing.centre_at(float(time)) for time in times]
     turns = rotations.to_quaternion(np.stack([thing.turn_at(float(time)) for time in times]))
@@ -61,7 +61,7 @@ def rigid(held: Bytes, thing: RigidObject, times: Num[np.ndarray, " K"]) -> dict
     }
 
 
-def skin(held: Bytes, bones: Integer[np.ndarray, "N J"], weights: Float[np.ndarray, "N J"]) -> dict[str, Any]:
+def pack_skin(held: Bytes, bones: Integer[np.ndarray, "N J"], weights: Float[np.ndarray, "N J"]) -> dict[str, Any]:
     """The four bones with the largest weights of each Gaussian, and their shares, which add up to exactly one."""
     count, given = weights.shape
     if given < BONES:
@@ -73,7 +73,7 @@ def skin(held: Bytes, bones: Integer[np.ndarray, "N J"], weights: Float[np.ndarr
     return {"bones": held.whole(np.take_along_axis(bones, strongest, 1), 8), "shares": held.whole(shares, 8)}
 
 
-def changes(
+def pack_colour_changes(
     held: Bytes, person: Avatar, order: Integer[np.ndarray, " N"], times: Num[np.ndarray, " K"]
 ) -> tuple[dict[str, Any], float]:
     """The changes of colour and logit by a person's network at ``times``, and the largest error of colour, 0..1.

@@ -56,7 +56,7 @@ def distance_m(room_box: RoomBox, points_m: Float[np.ndarray, "N 3"]) -> Float[n
     return apart
 
 
-def planes(room_box: RoomBox, views: Sequence[FusedView], step_m: float, vertices: int) -> list[Plane]:
+def build_planes(room_box: RoomBox, views: Sequence[FusedView], step_m: float, vertices: int) -> list[Plane]:
     """The faces of the mesh as grids of about ``step_m``, coarser where all would have more than ``vertices``."""
     size = room_box.high_m - room_box.low_m
     area = sum(np.prod(np.delete(size, index // 2)) for index in kept_faces(room_box))

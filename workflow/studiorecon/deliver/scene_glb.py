@@ -44,7 +44,7 @@ _NEAR_M = 0.05
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 
-def splats(buffer: Buffer, own: Gaussians, provenance: Integer[np.ndarray, " N"]) -> dict[str, Any]:
+def add_splats(buffer: Buffer, own: Gaussians, provenance: Integer[np.ndarray, " N"]) -> dict[str, Any]:
     """A primitive of N Gaussians: linear scales, opacities in 0..1, quaternions (x, y, z, w), harmonics as trained.
 
     The harmonics give display-referred sRGB; ``COLOR_0``, linear, is for programs that draw points.
@@ -144,7 +144,7 @@ class _Parts:
             say(f"scene.glb: {thing.person} has no known position and is left out")
             return
         self.add_motion(motion)
-        mesh = self.add_mesh(thing.person, splats(self.buffer, thing.gaussians, thing.provenance))
+        mesh = self.add_mesh(thing.person, add_splats(self.buffer, thing.gaussians, thing.provenance))
         self.add_root({"name": thing.person, "mesh": mesh})
 
 
@@ -153,7 +153,7 @@ def build_document(scene: FinishedScene, buffer: Buffer) -> dict[str, Any]:
     parts = _Parts(buffer)
     if scene.room.count:
         upright = rotations.to_quaternion(Y_UP_FROM_Z_UP)[[1, 2, 3, 0]].tolist()
-        mesh = parts.add_mesh("room", splats(buffer, scene.room, scene.provenance))
+        mesh = parts.add_mesh("room", add_splats(buffer, scene.room, scene.provenance))
         parts.add_root({"name": "room", "mesh": mesh, "rotation": upright})
     for person in scene.people:
         parts.add_person(person)

@@ -21,7 +21,7 @@ from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.files import complete
+from studiorecon.scene.files import atomic_path
 from studiorecon.scene.gaussians import SH_C0, Gaussians
 from studiorecon.signature import Written
 from studiorecon.splatting.rigid_object import RigidObject
@@ -168,7 +168,7 @@ def run(
     """Write the ``stage`` (USD, binary) of the finished scene."""
     usd = pxr()
     finished = read_finished(manifest, model, files)
-    with complete(stage) as partial:
+    with atomic_path(stage) as partial:
         partial.unlink(missing_ok=True)
         made = usd.Usd.Stage.CreateNew(str(partial))
         usd.UsdGeom.SetStageUpAxis(made, usd.UsdGeom.Tokens.z)

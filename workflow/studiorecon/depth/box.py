@@ -65,7 +65,7 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
         edge = side * (side * centres @ axis).max()
         beyond = edge + side * clearance_m
         offsets = room.most_voted_offsets(votes.planes, count, axis, beyond, side, least)
-        return room.decide_face(pictures, votes, axis, offsets, beyond, side, how) if offsets else None
+        return room.choose_face_offset(pictures, votes, axis, offsets, beyond, side, how) if offsets else None
 
     walls = {face: offset for face in range(4) if (offset := found(face, settings.wall_clearance_m)) is not None}
     turn, turned = 0.0, {face: np.array([*start.axes[face // 2], offset]) for face, offset in walls.items()}
@@ -82,7 +82,7 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
         turn += room.refine_yaw(pictures, [(turned[face], pixels[face]) for face in turned], span_rad, step_rad, how)
         # A wall turns about its visible part: about the world's origin, which may be far away, it would move.
         for face, normal in ((face, replace(start, yaw_rad=yaw_rad + turn).axes[face // 2]) for face in turned):
-            offset = room.turned_offset(pictures, pixels[face], turned[face], normal, how)
+            offset = room.offset_of_turned_plane(pictures, pixels[face], turned[face], normal, how)
             turned[face] = np.array([*normal, offset])
     axes = replace(start, yaw_rad=yaw_rad + turn).axes
     low, high, fitted, score = np.zeros(3), np.zeros(3), np.zeros(6, bool), np.full(6, np.nan)
@@ -92,7 +92,9 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
         if face in walls:
             reach_m = _VOTER_REACH_M + _HALF_WALL_M * abs(np.sin(turn))
             voters = votes.voters(start.axes[axis], walls[face], reach_m)
-            begin = room.turned_offset(pictures, voters, np.array([*start.axes[axis], walls[face]]), axes[axis], how)
+            begin = room.offset_of_turned_plane(
+                pictures, voters, np.array([*start.axes[axis], walls[face]]), axes[axis], how
+            )
             offset, score[face] = room.place_plane(
                 pictures, voters, axes[axis], begin, _PLACING_SPAN_M, _PLACING_STEP_M, how
             )
@@ -152,7 +154,7 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
             why = ": a default, because the photos show no such surface"
         say(f"{name} at {face[3]:.3f} m{why}")
     votes = swept.votes.inside(pictures, fitted)
-    planes = room.candidates(
+    planes = room.candidate_planes(
         votes.planes, votes.count(), fitted, settings.candidates, least_votes=_least_voters(pictures)
     )
     planes = refine_candidates(pictures, votes, planes, settings)

@@ -24,7 +24,7 @@ _MIN_BEND = 0.006
 _CONTRAST = 0.1
 
 
-def on_edges(depth_m: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
+def depth_edge_pixels(depth_m: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     """Pixels within a blur of a depth edge, whose depth is a mixture of two surfaces."""
     inverse = (1 / depth_m).astype(np.float32)
     bend = cv2.Laplacian(inverse, cv2.CV_32F, ksize=1) / inverse
@@ -34,7 +34,7 @@ def on_edges(depth_m: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     return near & far
 
 
-def sharpened(depth_m: Float[np.ndarray, "H W"], rgb: Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W"]:
+def sharpen_depth(depth_m: Float[np.ndarray, "H W"], rgb: Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W"]:
     """Float32 depth (all known) whose edges are where the photo changes.
 
     A pixel on an edge continues the nearer or the further surface beside the edge, the one whose pixels look more like
@@ -44,7 +44,7 @@ def sharpened(depth_m: Float[np.ndarray, "H W"], rgb: Float[np.ndarray, "H W 3"]
     across, down = (cv2.Sobel(logs, cv2.CV_32F, x, y, ksize=3, scale=1 / 8) for x, y in ((1, 0), (0, 1)))
     reach = _reach(depth_m.shape)
     return np.exp(
-        _continued(logs, across, down, on_edges(depth_m), rgb.astype(np.float32), reach, np.float32(_CONTRAST))
+        _continued(logs, across, down, depth_edge_pixels(depth_m), rgb.astype(np.float32), reach, np.float32(_CONTRAST))
     )
 
 

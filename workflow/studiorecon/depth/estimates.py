@@ -25,7 +25,7 @@ _MILLIMETRES = 1000.0
 _SHAPE_TOLERANCE = 0.02
 
 
-def estimate_of(path: Path, camera: Camera) -> Float[np.ndarray, "H W"]:
+def read_camera_estimate(path: Path, camera: Camera) -> Float[np.ndarray, "H W"]:
     """Float32 numbers of a network for a camera, at its size; 0 = unknown. Raises UserError for another shape."""
     given, sure = read_estimate(path)
     shape = (given.shape[1] / given.shape[0]) / (camera.wh[0] / camera.wh[1])

@@ -15,7 +15,7 @@ import numpy as np
 
 from studiorecon.depth.learned import Calibration, LearnedDepth, Output, calibrate
 from studiorecon.depth.stereo.free_space import MAX_COST
-from studiorecon.depth.stereo.passes import OUTSIDE, PassSettings, PlaneCosts, PlaneLabelling, choose
+from studiorecon.depth.stereo.passes import OUTSIDE, PassSettings, PlaneCosts, PlaneLabelling, choose_surfaces
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.errors import UserError
 from studiorecon.images.sizes import resample_nearest
@@ -106,7 +106,7 @@ def label_with_network(
     cost = np.concatenate([planes.cost, own], axis=-1) + _NAT * misfit
     judged = np.concatenate([planes.judged, furniture.judged[..., None], network.judged[..., None]], axis=-1)
     every = PlaneCosts(depths_m, np.where(there, cost, OUTSIDE).astype(np.float32), judged)
-    labelled = choose(picture, every, settings.refine_penalty)
+    labelled = choose_surfaces(picture, every, settings.refine_penalty)
     photos = np.concatenate([planes.cost, furniture.cost[..., None], network.cost[..., None]], axis=-1)
     by_label = np.take_along_axis(photos, labelled.plane[..., None], axis=-1)[..., 0]
     return PlaneLabelling(labelled.plane, labelled.depth_m, by_label, labelled.judged)

@@ -31,7 +31,7 @@ class Settings(NearLimit):
     """The range of valid depth."""
 
 
-def fit(
+def fit_given_depth(
     depth_m: Num[np.ndarray, "h w"], confidence: Num[np.ndarray, "h w"], camera: Camera, near_m: float
 ) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """Depth and confidence at the camera's size by nearest sampling: averages across edges are on no surface (C12).
@@ -58,7 +58,7 @@ def run(settings: Settings, camera: str, model: Path, source: Path, depth: Writt
             f"{source} is {given_m.shape[1]}×{given_m.shape[0]}, another shape than camera "
             f"{camera} ({found[0].wh[0]}×{found[0].wh[1]}): make it of the undistorted capture/{camera}.mkv"
         )
-    depth_m, certain = fit(given_m, certain, found[0], settings.near_m)
+    depth_m, certain = fit_given_depth(given_m, certain, found[0], settings.near_m)
     known = depth_m > 0
     if known.mean() < _MIN_KNOWN:
         raise UserError(

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from studiorecon.depth.layout.primitive_fitting import is_allowed
-from studiorecon.depth.layout.primitives import Primitive, in_front
-from studiorecon.depth.layout.visibility import with_distance
-from studiorecon.depth.stereo.passes import PassSettings, explain, plane_depths, plane_scores
+from studiorecon.depth.layout.primitives import Primitive, depth_with_primitives
+from studiorecon.depth.layout.visibility import append_distance
+from studiorecon.depth.stereo.passes import PassSettings, label_picture, plane_depths, plane_scores
 from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.progress import say
@@ -31,15 +31,18 @@ def run(kernels: Written) -> None:
     bare = RoomBox(0.0, low_m, np.array([_HALF_ROOM_M, _HALF_ROOM_M, _HEIGHT_M]), np.ones(6, bool), np.full(6, np.nan))
     primitive = np.array([0, 0, 0, 0, 0.5, 0.5, 0, 1.0])
     room = PhotoCostVolume.by_room_box(pictures, bare, settings.refine_window, settings.mean_weight)
-    is_allowed(primitive[None], bare, with_distance(room.centre, 0.0))
+    is_allowed(primitive[None], bare, append_distance(room.centre, 0.0))
     room.gains(primitive[None])
     room.add(primitive)
     starts = [bare.intersect(*p.camera.rays())[0].astype(np.float32) for p in pictures]
-    found = [in_front([Primitive.from_numbers(primitive, 1.0)], p.camera, d)[0] for p, d in zip(pictures, starts)]
+    found = [
+        depth_with_primitives([Primitive.from_numbers(primitive, 1.0)], p.camera, d)[0]
+        for p, d in zip(pictures, starts)
+    ]
     planes, (one, other) = bare.faces, pictures
     depths = plane_depths(one, planes, bare, settings)
     scores = [plane_scores(one, other, planes, depths, settings)]
-    explain(one, planes, depths, scores, [(other.camera, found[1])], settings)
+    label_picture(one, planes, depths, scores, [(other.camera, found[1])], settings)
     say("the kernels of depth are compiled")
     kernels.write_text("compiled\n", encoding="utf-8")
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from studiorecon.depth.depth_edges import sharpened
+from studiorecon.depth.depth_edges import sharpen_depth
 from studiorecon.geometry.depth_alignment import Alignment, align_depth
 from studiorecon.geometry.statistics import SIGMA_OF_MAD
 from studiorecon.images.sizes import corner_shares, resample_corners
@@ -70,7 +70,7 @@ class Calibration:
         if not known.any():
             return depth_m
         filled = np.where(known, depth_m, float(np.median(depth_m[known])))
-        return np.where(known, sharpened(filled, rgb), 0).astype(np.float32)
+        return np.where(known, sharpen_depth(filled, rgb), 0).astype(np.float32)
 
 
 @dataclass(frozen=True)

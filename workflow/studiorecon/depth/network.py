@@ -20,12 +20,12 @@ from studiorecon.footage.exr import write_depth
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import to_bytes
 from studiorecon.images.sizes import resample_nearest
-from studiorecon.models.catalogue.registry import model as card_of
+from studiorecon.models.catalogue.registry import find_card as card_of
 from studiorecon.models.choices import DepthSource
 from studiorecon.models.loading import load
 from studiorecon.progress import progress, say, warn
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.files import one_each
+from studiorecon.scene.files import require_one_each
 from studiorecon.signature import Place, Written
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class Settings:
     )
 
 
-def estimates(
+def estimate_depths(
     source: str,
     cameras: list[Camera],
     pictures: list[Integer[np.ndarray, "H W 3"]],
@@ -113,7 +113,7 @@ def run(
     The plates are in the order of the model's cameras. ``network`` is the user's own, for source onnx.
     """
     cameras = read_model(model.parent)
-    one_each(cameras, plates=plates)
+    require_one_each(cameras, plates=plates)
     written = {path.name.removesuffix(_SUFFIX): path for path in depths}
     for name in written.keys() - {camera.name for camera in cameras}:
         write_depth(written[name], _NOTHING, _NOTHING)
@@ -131,6 +131,8 @@ def run(
     else:
         card = card_of(settings.source)
         say(f"depth of {len(cameras)} plates by {title} ({card.terms.weights}), upstream at {card.runtime.commit}")
-    for camera, (depth, sure) in zip(cameras, estimates(settings.source, cameras, pictures, network, weights, device)):
+    for camera, (depth, sure) in zip(
+        cameras, estimate_depths(settings.source, cameras, pictures, network, weights, device)
+    ):
         say(f"{camera.name}: {np.mean(depth > 0):.0%} known")
         write_depth(written[camera.name], depth, sure)

@@ -26,7 +26,7 @@ from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.room import read_room
 from studiorecon.signature import Written
 from studiorecon.splatting.cpu.rasterise import Rasteriser
-from studiorecon.splatting.seeds import finest, seeds_from_depth
+from studiorecon.splatting.seeds import finest_pixels, seeds_from_depth
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
@@ -45,7 +45,7 @@ class Settings(FirstLook):
 def discs_from_depths(pictures: Sequence[Picture], depths_m: Sequence[Float[np.ndarray, "H W"]]) -> Gaussians:
     """A disc for every pixel whose picture has the highest resolution of its surface."""
     known = [p.known & (depth_m > 0) for p, depth_m in zip(pictures, depths_m)]
-    wanted = finest([p.camera for p in pictures], depths_m, known)
+    wanted = finest_pixels([p.camera for p in pictures], depths_m, known)
     return concatenate(
         [
             seeds_from_depth(p.camera, p.rgb, own, depth_m, 1, _SIZE, _OPACITY, 0)[0]

@@ -20,9 +20,9 @@ from numba import njit
 
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
-from studiorecon.depth.estimates import estimate_of
+from studiorecon.depth.estimates import read_camera_estimate
 from studiorecon.depth.fusion import Surface, calibrated_network, label_with_network
-from studiorecon.depth.layout.primitives import Primitive, in_front, read_primitives
+from studiorecon.depth.layout.primitives import Primitive, depth_with_primitives, read_primitives
 from studiorecon.depth.learned import Output
 from studiorecon.depth.stereo.free_space import snap_to_room_box
 from studiorecon.depth.stereo.kernels import FIRST
@@ -30,7 +30,7 @@ from studiorecon.depth.stereo.passes import (
     PassSettings,
     PlaneCosts,
     PlaneLabelling,
-    choose,
+    choose_surfaces,
     plane_costs,
     plane_depths,
     plane_scores,
@@ -75,7 +75,7 @@ class Settings(PassSettings, DefaultConfidence):
     )
 
 
-def confidence(
+def depth_confidence(
     labelled: PlaneLabelling, fitted: Bool[np.ndarray, " 6"], default_confidence: float
 ) -> Float[np.ndarray, "H W"]:
     """Float32: 1 for a perfect match down to ``default_confidence`` for none; half of it where the depth is a default.
@@ -207,9 +207,9 @@ def draw_primitives(
 
     Parts of a primitive that another camera sees have the confidence of their match; the rest counts as a default.
     """
-    depth_m, shown = in_front(primitives, camera, depth_m)
+    depth_m, shown = depth_with_primitives(primitives, camera, depth_m)
     small = PlaneLabelling(np.full(furniture.depth_m.shape, 6), furniture.depth_m, furniture.cost, furniture.judged)
-    stated = confidence(small, np.zeros(6, bool), settings.default_confidence)
+    stated = depth_confidence(small, np.zeros(6, bool), settings.default_confidence)
     certainty, _ = sample(stated, camera.pixel_centres() * (np.array(stated.shape[::-1]) / camera.wh), "nearest")
     return depth_m, np.where(shown, certainty, certain).astype(np.float32), shown
 
@@ -238,7 +238,9 @@ def run(
     costs = costs_at_size(cameras, pictures, index, room, agreed, settings)
     others = [(c.resized(a.shape[::-1]), a) for i, (c, a) in enumerate(zip(cameras, agreed)) if i != index]
     picture, furniture = pictures[index], read_primitives(primitives)
-    labelled, floating = snap_to_room_box(choose(picture, costs, settings.refine_penalty), picture.camera, room, others)
+    labelled, floating = snap_to_room_box(
+        choose_surfaces(picture, costs, settings.refine_penalty), picture.camera, room, others
+    )
     say(
         f"{camera}: {floating:.1%} of the pixels are confirmed by no other camera and would float; moved to walls "
         "and floor"
@@ -248,18 +250,18 @@ def run(
     drawn, volume = furniture_surface(index, pictures, room, furniture, settings)
     further: list[np.ndarray] = []
     for path in estimates:
-        estimate = estimate_of(path, cameras[index])
+        estimate = read_camera_estimate(path, cameras[index])
         calibration, learned = calibrated_network(estimate, picture, labelled, drawn, room, settings.output)
         seen_m = [resample_nearest(depth_m, p.camera.hw) for depth_m, p in zip(agreed, pictures)]
         seen_m[index] = learned.depth_m
         network = Surface(learned.depth_m, *volume.cost_of(index, seen_m))
         labelled = label_with_network(picture, costs, drawn, network, learned, settings)
         further = [
-            in_front(furniture, cameras[index], np.zeros(cameras[index].hw, np.float32))[0],
+            depth_with_primitives(furniture, cameras[index], np.zeros(cameras[index].hw, np.float32))[0],
             calibration.sharp_depth(estimate, rgb),
         ]
     depth_m, source = at_full_size(cameras[index], rgb, picture, labelled, room.planes, further)
-    certainty = confidence(labelled, room.fitted, settings.default_confidence).ravel()[source]
+    certainty = depth_confidence(labelled, room.fitted, settings.default_confidence).ravel()[source]
     say(
         f"{camera}: {(~labelled.judged).mean():.0%} of the pixels have default depth, because no other camera sees "
         "that surface"

@@ -17,11 +17,11 @@ from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout.primitive_fitting import fit_primitives
-from studiorecon.depth.layout.primitives import Primitive, in_front, write_primitives
-from studiorecon.depth.layout.primitives_picture import sheet
+from studiorecon.depth.layout.primitives import Primitive, depth_with_primitives, write_primitives
+from studiorecon.depth.layout.primitives_picture import overview_sheet
 from studiorecon.depth.layout.visibility import free_ray_points, joint_places
 from studiorecon.depth.layout.votes import read_sweeps
-from studiorecon.depth.stereo.passes import PassSettings, explain, plane_depths, plane_scores
+from studiorecon.depth.stereo.passes import PassSettings, label_picture, plane_depths, plane_scores
 from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures, surface_gains
 from studiorecon.depth.sweep_settings import FirstLook
 from studiorecon.images.encoded import write_png
@@ -72,10 +72,10 @@ def consistent_depths(
             [(p.camera, d) for j, (p, d) in enumerate(zip(pictures, latest)) if j != i] for i in range(len(pictures))
         ]
         found = [
-            explain(p, room_box.planes, d, s, o, settings).depth_m
+            label_picture(p, room_box.planes, d, s, o, settings).depth_m
             for p, d, s, o in zip(pictures, depths, scores, others)
         ]
-        latest = [in_front(primitives, p.camera, depth_m)[0] for p, depth_m in zip(pictures, found)]
+        latest = [depth_with_primitives(primitives, p.camera, depth_m)[0] for p, depth_m in zip(pictures, found)]
     return latest
 
 
@@ -123,7 +123,7 @@ def run(
         )
         say(f"{len(furniture)} boxes and cylinders added to walls and floor")
     seen_m = swept.votes.inside(pictures, fitted).depths_m(pictures, fitted)
-    starts = [in_front(furniture, p.camera, depth_m)[0] for p, depth_m in zip(pictures, seen_m)]
+    starts = [depth_with_primitives(furniture, p.camera, depth_m)[0] for p, depth_m in zip(pictures, seen_m)]
     depths = consistent_depths(pictures, fitted, furniture, starts, settings)
     rest, pairs = surface_gains(pictures, depths, settings.window)
     gains = swept.gains * rest
@@ -133,5 +133,5 @@ def run(
     )
     write_room(room_box, replace(fitted, gains={c.name: g for c, g in zip(cameras, gains)}))
     write_primitives(primitives, furniture)
-    write_png(picture, sheet(pictures, fitted, furniture, depths))
+    write_png(picture, overview_sheet(pictures, fitted, furniture, depths))
     write_npz(passes, {f"depth_{camera.name}": depth_m for camera, depth_m in zip(cameras, depths)})

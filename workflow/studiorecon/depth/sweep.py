@@ -16,9 +16,9 @@ import numpy as np
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout.yaw import matched_yaw
-from studiorecon.depth.stereo.labelling import label
+from studiorecon.depth.stereo.labelling import label_planes
 from studiorecon.depth.stereo.matching import UNKNOWN
-from studiorecon.depth.stereo.planes import hypotheses, rig_centre, wall_yaw
+from studiorecon.depth.stereo.planes import plane_hypotheses, rig_centre, wall_yaw
 from studiorecon.depth.stereo.plates import Picture, equalise_exposure, floor_and_gains, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
 from studiorecon.errors import UserError
@@ -108,7 +108,7 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
         )
     else:
         say(f"straight lines run at {np.degrees(yaw_rad):.1f}° and perpendicular to it (support {support:.2f})")
-    planes = hypotheses(
+    planes = plane_hypotheses(
         rig_centre(cameras),
         yaw_rad,
         floor_m,
@@ -119,7 +119,7 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
         reach_m=settings.reach_m,
     )
     cost = best_costs(pictures, index, planes, settings)
-    chosen = label(cost, pictures[index].rgb, settings.sweep_penalty)
+    chosen = label_planes(cost, pictures[index].rgb, settings.sweep_penalty)
     chosen_cost = np.take_along_axis(cost, chosen[..., None], axis=-1)[..., 0]
     confident = (chosen_cost < CONFIDENT) & pictures[index].known & pictures[index].textured(settings.window)
     say(f"{camera}: {confident.mean():.0%} of the pixels match one of {len(planes)} planes")

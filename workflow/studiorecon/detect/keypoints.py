@@ -20,7 +20,7 @@ from studiorecon.keypoints.detections import Settings, detections_from_detector,
 from studiorecon.keypoints.film_check import BORNE_OUT, Film, check_against_film
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.motion import motion_in
-from studiorecon.keypoints.numbering import numberings
+from studiorecon.keypoints.numbering import possible_numberings
 from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.keypoints.unmatched import without_record
 from studiorecon.progress import say, warn
@@ -102,7 +102,7 @@ def _compared(
     if not len(given.frame):
         warn(f"{path} ({given.program}) holds no person: camera {camera} only shows the room")
         return _none(given.program, layout), []
-    numbers = numberings(given.pictures, filmed.frames, filmed.fps, first_frame, given.counted)
+    numbers = possible_numberings(given.pictures, filmed.frames, filmed.fps, first_frame, given.counted)
     shown = np.concatenate([one.frame_of[np.isin(given.pictures, given.frame)] for one in numbers.possible])
     motion = motion_in(filmed, int(shown.min()), int(shown.max()))
     mapped = json.loads(pixel_map) if settings.keypoint_pixels != "video" else []
@@ -115,7 +115,7 @@ def _compared(
         found = {}
         for name, place in others.items():
             one = read_keypoints(place, filmed.wh)
-            usual = numberings(one.pictures, filmed.frames, filmed.fps, first_frame, one.counted).possible[0]
+            usual = possible_numberings(one.pictures, filmed.frames, filmed.fps, first_frame, one.counted).possible[0]
             found[name] = one.renumbered(usual.frame_of, filmed.frames)
         return found
 
@@ -136,7 +136,7 @@ def _of_chapters(paths: Sequence[Path], filmed: FootageSource, first_frame: int 
     found, before = list[RecordedKeypoints](), 0
     for path, part in zip(paths, filmed.parts, strict=True):
         one = read_keypoints(path, filmed.wh)
-        usual = numberings(one.pictures, part.frames, part.fps, first_frame, one.counted).possible[0]
+        usual = possible_numberings(one.pictures, part.frames, part.fps, first_frame, one.counted).possible[0]
         in_part = one.renumbered(usual.frame_of, part.frames)
         found.append(replace(in_part, frame=in_part.frame + before, pictures=in_part.pictures + before))
         before += part.frames

@@ -55,7 +55,7 @@ class ResidualTransfer:
         return np.clip(image + share[..., None] * residual, 0, 1).astype(np.float32)
 
 
-def network(name: EnhancerName, weights: Path, device: str, seed: int) -> Enhancer:
+def load_enhancer(name: EnhancerName, weights: Path, device: str, seed: int) -> Enhancer:
     """The enhancer of that name that needs only a picture and a photo; ``none`` leaves pictures as they are.
 
     Raises UserError when a network's weights, package or memory are missing.

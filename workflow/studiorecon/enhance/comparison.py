@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.footage.streams import writing
+from studiorecon.footage.streams import parallel_writers
 from studiorecon.footage.video import read_frames, write_watchable
 from studiorecon.progress import progress, say
 from studiorecon.scene.path import PathStep, read_path
@@ -94,7 +94,7 @@ def run(
     raws, made = read_frames(render, 0, len(steps)), read_frames(video, 0, len(steps))
     real = photo_at_steps(steps, videos) if with_photos else iter([None] * len(steps))
     writers = [lambda frames, p=p: write_watchable(p, frames, fps) for p in (beside, wipe)]
-    with writing(writers) as put:
+    with parallel_writers(writers) as put:
         for number, (raw, output, photo) in enumerate(
             zip(progress(raws, f"comparison of {shot}", total=len(steps)), made, real)
         ):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.enhance.backends import network
+from studiorecon.enhance.backends import load_enhancer
 from studiorecon.enhance.injection_settings import Enhancing, Injecting
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_image
@@ -27,7 +27,7 @@ from studiorecon.progress import progress, say
 from studiorecon.recursive.flows import load_flow
 from studiorecon.recursive.sequence import enhance_sequence, is_still
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.numbered_files import natural
+from studiorecon.scene.numbered_files import natural_sort_key
 from studiorecon.scene.path import PathStep
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def read_pictures(source: Path) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     if not source.is_dir():
         raise UserError(f"{source} is neither a folder of pictures nor a video")
     files = sorted(
-        (p for p in source.iterdir() if p.suffix.lower() in _PICTURES), key=lambda p: (natural(p.stem), p.name)
+        (p for p in source.iterdir() if p.suffix.lower() in _PICTURES), key=lambda p: (natural_sort_key(p.stem), p.name)
     )
     if not files:
         raise UserError(f"{source} holds no pictures ({', '.join(sorted(_PICTURES))})")
@@ -102,7 +102,7 @@ def run(
             "the enhancer difix needs a photo for reference; give --references, or "
             "set enhance.enhancer to fixer or none"
         )
-    enhancer = network(settings.enhancer, weights, device, settings.seed)
+    enhancer = load_enhancer(settings.enhancer, weights, device, settings.seed)
     search = load_flow(settings.flow, settings.flow_preset, weights, device)
     each = read_pictures(references) if references is not None and given == total and total > 1 else None
 

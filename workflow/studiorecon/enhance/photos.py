@@ -13,7 +13,7 @@ import numpy as np
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
 from studiorecon.footage.video import Playback
-from studiorecon.images.transfer import ResidualSource, Transfer, source
+from studiorecon.images.transfer import ResidualSource, Transfer, residual_source
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.factors import NONE, Factors, read_factors
@@ -46,7 +46,9 @@ class Training:
     def sources(self, frame: int, transfer: Transfer) -> list[ResidualSource]:
         """Residual and depth of every training camera at one frame."""
         return [
-            source(camera, self.photo(k, frame), render.at(frame), depth.at(frame).astype(np.float32) / 1000, transfer)
+            residual_source(
+                camera, self.photo(k, frame), render.at(frame), depth.at(frame).astype(np.float32) / 1000, transfer
+            )
             for k, (camera, render, depth) in enumerate(zip(self.cameras, self.renders, self.depths))
         ]
 

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from studiorecon.enhance.backends import ResidualTransfer, Unchanged, network
+from studiorecon.enhance.backends import ResidualTransfer, Unchanged, load_enhancer
 from studiorecon.enhance.injection_settings import Carrying, Enhancing, Injecting
 from studiorecon.enhance.photos import Training, TrainingFiles
-from studiorecon.enhance.trial import decide_injection, flicker, transfer_strength
+from studiorecon.enhance.trial import decide_injection, flicker_increase, transfer_strength
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate
-from studiorecon.footage.streams import writing
+from studiorecon.footage.streams import parallel_writers
 from studiorecon.footage.video import read_frames, to_bytes, write_lossless, write_watchable
 from studiorecon.models.protocols import Enhancer, Flow
 from studiorecon.progress import progress, say, warn
@@ -125,7 +125,7 @@ def run(
         lambda frames: write_lossless(video, frames, source.fps),
         lambda frames: write_watchable(film, frames, source.fps),
     )
-    with writing(writers) as put:
+    with parallel_writers(writers) as put:
         for output in progress(outputs, f"pictures of {shot}", total=len(source.steps)):
             put(output, output)
 
@@ -165,7 +165,7 @@ def choose_enhancer(settings: Settings, training: Training, weights: Path, devic
         (decision,) = apply_forced([decision], _of(settings.force, ENHANCEMENT.name))
         decision = decision if on else no_enhancement(decision)
         name = settings.enhancer if decision.called_for else "none"
-        return network(name, weights, device, settings.seed), decision
+        return load_enhancer(name, weights, device, settings.seed), decision
     if settings.strength == "auto":
         strength, decision = transfer_strength(
             training, settings.judged_frames, settings.transfer, settings.threshold(ENHANCEMENT.name)
@@ -208,7 +208,7 @@ def choose_injection(
     elif is_still(drawn.steps, drawn.pictures()):
         decision = certain_decision(INJECTION, False, "the camera does not move, so earlier outputs add nothing")
     else:
-        change = flicker(drawn.steps, drawn.render, drawn.depth, reference, enhancer, search)
+        change = flicker_increase(drawn.steps, drawn.render, drawn.depth, reference, enhancer, search)
         decision = decide_injection(change, settings.threshold(INJECTION.name))
     (decision,) = apply_forced([decision], _of(settings.force, INJECTION.name))
     return injection if decision.called_for else replace(injection, history=0), decision

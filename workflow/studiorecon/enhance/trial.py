@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decides whether a film needs enhancement and injection, on a few pictures before the film is made.
 
-``transfer_strength``: the gain of transferred residuals at training cameras that were left out; ``flicker``: how much
-more enhanced pictures change than their renders. Held-out cameras are not used.
+``transfer_strength``: the gain of transferred residuals at training cameras that were left out; ``flicker_increase``:
+how much more enhanced pictures change than their renders. Held-out cameras are not used.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.enhance.photos import Training
 from studiorecon.footage.video import read_frames_from, to_float
-from studiorecon.geometry.statistics import NOTHING, Estimate, mean, median
+from studiorecon.geometry.statistics import NOTHING, Estimate, mean_estimate, median_estimate
 from studiorecon.images.flow import one_thread
 from studiorecon.images.transfer import Transfer, best_strength, transfer_residual
 from studiorecon.images.warp import warp
@@ -70,7 +70,7 @@ def transfer_strength(training: Training, frames: int, transfer: Transfer, thres
         if shared >= _MIN_EVIDENCE:
             # Renders equal to the photos leave nothing to gain.
             gains[index] = 10 * np.log10(before[index] / max(left, 1e-9 * before[index])) if before[index] > 0 else 0.0
-    gain = mean(gains, 2)
+    gain = mean_estimate(gains, 2)
     if gain.value is None:
         few = "fewer than two training cameras see what the others see"
         return strength, ENHANCEMENT.decide(None, None, few, threshold=threshold)
@@ -89,7 +89,7 @@ def _of(
     return [one for k in chosen for one in predicted[k]], [one for k in chosen for one in residuals[k]]
 
 
-def flicker(
+def flicker_increase(
     steps: Sequence[PathStep],
     render: Path,
     depth: Path,
@@ -121,7 +121,7 @@ def flicker(
         if len(changes[0]):
             raw, enhanced = (float(change.mean(dtype=np.float64)) for change in changes)
             grown.append((enhanced - raw) / max(raw, _LEVEL))
-    return median(np.array(grown), _MIN_PAIRS) if grown else NOTHING
+    return median_estimate(np.array(grown), _MIN_PAIRS) if grown else NOTHING
 
 
 def _alone(

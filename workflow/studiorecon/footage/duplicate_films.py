@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.footage.frames import glimpses
+from studiorecon.footage.frames import seek_frames
 from studiorecon.footage.source import FootageSource
 from studiorecon.progress import warn
 
@@ -32,7 +32,7 @@ def duplicate_film_note(sources: Mapping[str, FootageSource]) -> str:
     for camera, source in sources.items():
         try:
             frames = source.frames
-            still[camera] = static_image(glimpses(source, [frames // 6, frames // 2, 5 * frames // 6]))
+            still[camera] = static_image(seek_frames(source, [frames // 6, frames // 2, 5 * frames // 6]))
         except UserError as refusal:  # the step that decodes it stops at that; the others are still compared
             warn(str(refusal))
     for one, two in combinations(still, 2):

@@ -14,7 +14,7 @@ import numpy as np
 from studiorecon.arrays import require
 from studiorecon.errors import UserError
 from studiorecon.progress import say
-from studiorecon.scene.files import complete
+from studiorecon.scene.files import atomic_path
 from studiorecon.scene.schema import check, metres, real
 from studiorecon.scene.step_files import CURE, step_file_context
 from studiorecon.scene.user_files import first_line
@@ -47,7 +47,7 @@ def _write(path: Path, channels: Mapping[str, np.ndarray]) -> None:
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with (
-        complete(path) as partial,
+        atomic_path(path) as partial,
         OpenEXR.File(header, {n: np.ascontiguousarray(c) for n, c in channels.items()}) as file,
     ):
         try:

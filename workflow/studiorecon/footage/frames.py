@@ -20,7 +20,7 @@ from studiorecon.footage.container import film_stream, open_container
 from studiorecon.footage.source import FootageSource
 from studiorecon.footage.stills import read_image
 from studiorecon.footage.timing import film_frames, shown_frames
-from studiorecon.machine.resource_errors import without_thread
+from studiorecon.machine.resource_errors import lacks_thread
 from studiorecon.progress import warn
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def damage_note(damaged: Sequence[int], count: int) -> str:
     )
 
 
-def stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
+def read_stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """The frames numbered ``wanted`` (ascending, maybe twice) as from ``decode``, without those past the end.
 
     Raises UserError as ``decode`` does.
@@ -90,7 +90,7 @@ def stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[Integer[np.
     yield from form.pictures(frame for number, frame in shown for _ in range(chosen[number]))
 
 
-def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.ndarray, "H W 3"]]:
+def seek_frames(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.ndarray, "H W 3"]]:
     """The frames numbered ``wanted`` (ascending; beyond the end: the last one), as from ``decode``.
 
     A video is sought to the key frame before each, so a frame costs at most one group of pictures. Raises UserError
@@ -98,7 +98,7 @@ def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.nd
     """
     wanted = [min(number, source.frames - 1) for number in wanted]
     if source.pictures or not source.carried:
-        return list(stills(source, wanted))
+        return list(read_stills(source, wanted))
     if source.parts:
         return _glimpses_of_parts(source.parts, wanted)
     form = source.form
@@ -107,11 +107,11 @@ def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.nd
         with open_container(source.path) as container:
             found = list(_frames_at(source, container, wanted))
     except (av.FFmpegError, IndexError) as error:
-        if without_thread(error):
+        if lacks_thread(error):
             raise
         found = [None]
     if None in found:  # a container that does not seek, or a damaged frame
-        return list(stills(source, wanted))
+        return list(read_stills(source, wanted))
     return list(form.pictures(frame for frame in found if frame is not None))
 
 
@@ -119,7 +119,7 @@ def _glimpses_of_parts(parts: Sequence[FootageSource], wanted: Sequence[int]) ->
     found: list[np.ndarray] = []
     begin = 0
     for part in parts:
-        found += glimpses(part, [number - begin for number in wanted if begin <= number < begin + part.frames])
+        found += seek_frames(part, [number - begin for number in wanted if begin <= number < begin + part.frames])
         begin += part.frames
     return found
 
@@ -212,7 +212,7 @@ def _video_frames(source: FootageSource, damaged: list[int] | None = None) -> It
                 done, last = done + 1, frame
                 yield frame
     except av.FFmpegError as error:
-        if without_thread(error):
+        if lacks_thread(error):
             raise
         raise UserError(f"{source.path} cannot be read ({error.strerror or error}); copy it again") from None
     if last is None:

@@ -20,9 +20,9 @@ from studiorecon.footage.container import film_stream, film_streams, open_contai
 from studiorecon.footage.stills import read_image
 from studiorecon.footage.stored_format import StoredFormat, stored_format
 from studiorecon.footage.timing import read_timing, shown_frames
-from studiorecon.machine.resource_errors import without_thread
+from studiorecon.machine.resource_errors import lacks_thread
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
-from studiorecon.scene.numbered_files import gaps_named, pictures_in
+from studiorecon.scene.numbered_files import missing_numbers_text, pictures_in
 
 _READ_BYTES = 1 << 20
 # Cameras film 80 megapixels at most (12K); a decoder allocates several times the size in the header.
@@ -177,7 +177,7 @@ def _as_film(path: Path) -> Iterator[None]:
     try:
         yield
     except (av.FFmpegError, IndexError, ValueError) as error:
-        if without_thread(error):
+        if lacks_thread(error):
             raise
         raise UserError(
             f"{path} cannot be read as a video ({getattr(error, 'strerror', None) or error}); it may be truncated: "
@@ -217,7 +217,7 @@ def _open_folder(path: Path, picture_fps: float) -> FootageSource:
     pictures = pictures_in(path)
     if not pictures:
         raise UserError(f"{path} holds no pictures; put the camera's frames there ({', '.join(PICTURE_SUFFIXES)})")
-    if missing := gaps_named(pictures):
+    if missing := missing_numbers_text(pictures):
         raise UserError(
             f"{path} lacks the pictures {missing}, so every later frame would be at another time than in the other "
             "cameras; copy the pictures again, or number them without a gap"

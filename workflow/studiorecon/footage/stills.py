@@ -69,7 +69,7 @@ def read_plate(
     return np.ascontiguousarray(scaled[..., 2::-1]), measured
 
 
-def shrink(
+def shrink_plate(
     rgb: Num[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H W"], wh: tuple[int, int]
 ) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
     """A plate at another size, averaged over its measured pixels only; measured where more than half of the area was.

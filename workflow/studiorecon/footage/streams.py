@@ -17,7 +17,7 @@ Writer = Callable[[Iterator[np.ndarray]], object]
 
 
 @contextmanager
-def writing(writers: Sequence[Writer]) -> Iterator[Callable[..., None]]:
+def parallel_writers(writers: Sequence[Writer]) -> Iterator[Callable[..., None]]:
     """A function ``put(frame_0, frame_1, …)`` that hands one frame to each writer, which consumes an iterator.
 
     The files are complete when the block ends. When the block, or any writer, fails, every writer is stopped by an

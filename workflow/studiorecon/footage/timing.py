@@ -15,7 +15,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.footage.container import film_stream, film_streams, open_container
-from studiorecon.machine.resource_errors import without_thread
+from studiorecon.machine.resource_errors import lacks_thread
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -162,7 +162,7 @@ def shown_frames(
         try:
             frames = packet.decode()
         except av.FFmpegError as error:
-            if without_thread(error):
+            if lacks_thread(error):
                 raise
             if begun and to_damage:
                 raise _DamagedError from None
@@ -184,7 +184,7 @@ def _readable(container: av.container.InputContainer, stream: av.VideoStream) ->
     try:
         yield from container.demux(stream)
     except av.FFmpegError as error:
-        if without_thread(error):
+        if lacks_thread(error):
             raise
 
 
@@ -210,7 +210,7 @@ def _packets(path: Path) -> _Packets:
                 else:  # the last packet only marks the end
                     hidden += bool(packet.size) or packet.dts is not None
     except av.FFmpegError as error:
-        if without_thread(error):
+        if lacks_thread(error):
             raise
         whole = False
     ordered, order = np.sort(np.array(shown, dtype=np.float64)), np.array(decoded, dtype=np.float64)

@@ -21,9 +21,9 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.footage.container import open_container
-from studiorecon.machine.resource_errors import without_thread
+from studiorecon.machine.resource_errors import lacks_thread
 from studiorecon.scene.capture import read_footage
-from studiorecon.scene.files import complete
+from studiorecon.scene.files import atomic_path
 from studiorecon.scene.step_files import expect, step_file_context
 from studiorecon.scene.user_files import read_bytes
 
@@ -102,7 +102,7 @@ def write_film(
         raise ValueError(f"no frames for {path}")
     codec = codec or _LOSSLESS[(1 if first.ndim == 2 else first.shape[2], first.dtype)]
     with (
-        complete(path) as partial,
+        atomic_path(path) as partial,
         av.open(str(partial), "w", format=codec.form, options=dict(codec.form_options)) as container,
     ):
         container.metadata.update({"title": title} if title else {})
@@ -126,7 +126,7 @@ def write_film(
     return count
 
 
-def pixels(frame: av.VideoFrame) -> Integer[np.ndarray, "H W ..."]:
+def frame_pixels(frame: av.VideoFrame) -> Integer[np.ndarray, "H W ..."]:
     """(H, W, 3) uint8 colours of a decoded frame, or (H, W) as stored for a grey one."""
     name = frame.format.name
     if name == "gbrp":  # as working videos are; the converter takes two to three times as long for the same bytes
@@ -157,9 +157,9 @@ def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator
                 if stop is not None and number >= stop:
                     return
                 if number >= start:
-                    yield pixels(frame)
+                    yield frame_pixels(frame)
     except (av.FFmpegError, IndexError) as error:
-        if without_thread(error):
+        if lacks_thread(error):
             raise
         raise UserError(f"{path} cannot be read after frame {number} ({error}); it may be truncated: {_CURE}") from None
     if stop is not None and number + 1 < stop:
@@ -192,10 +192,10 @@ def read_frames_from(path: Path, start: int, stop: int) -> Iterator[Integer[np.n
                     continue
                 if number > expected:
                     break
-                yield pixels(frame)
+                yield frame_pixels(frame)
                 expected += 1
     except (av.FFmpegError, IndexError) as error:
-        if without_thread(error):
+        if lacks_thread(error):
             raise
         raise UserError(f"{path} cannot be read at frame {expected} ({error}); it may be truncated: {_CURE}") from None
     if expected < stop:

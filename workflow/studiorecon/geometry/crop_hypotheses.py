@@ -57,7 +57,7 @@ def crop_hypotheses(lens: Lens, source_wh: tuple[int, int]) -> list[CropHypothes
     return found
 
 
-def without_bars(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Float[np.ndarray, " 4"]:
+def area_inside_bars(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Float[np.ndarray, " 4"]:
     """(left, top, right, bottom) in pixels of the part of ``pictures`` inside black bars, or of all of them."""
     brightest = np.stack([picture.max(-1) for picture in pictures])
     area = []
@@ -68,7 +68,7 @@ def without_bars(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Float[np.n
     return np.array([left, top, right, bottom], dtype=np.float64)
 
 
-def inside_bars(lens: Lens, area: Num[np.ndarray, " 4"], source_wh: tuple[int, int]) -> CropHypothesis | None:
+def place_inside_bars(lens: Lens, area: Num[np.ndarray, " 4"], source_wh: tuple[int, int]) -> CropHypothesis | None:
     """The calibrated picture in the part ``area`` of a film with black bars; None without bars or of other shape."""
     low, size = area[:2], area[2:] - area[:2]
     whole = size == source_wh

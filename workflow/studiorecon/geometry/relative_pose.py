@@ -54,7 +54,7 @@ def relative_pose(
     if best is None or best[0] < _MIN_PAIRS:
         return None
     rotation, translation = _refined(best[1], best[2], first, second, unit)
-    inliers = (np.abs(sampson(essential_matrix(rotation, translation), first, second)) < unit) & in_front(
+    inliers = (np.abs(sampson(essential_matrix(rotation, translation), first, second)) < unit) & is_in_front(
         rotation, translation, first, second
     )
     return (rotation, translation, inliers) if inliers.sum() >= _MIN_PAIRS else None
@@ -79,7 +79,7 @@ def sampson(
     return ((second * line[:, :2]).sum(-1) + line[:, 2]) / np.maximum(scale, 1e-12)
 
 
-def in_front(
+def is_in_front(
     rotation: Num[np.ndarray, "3 3"],
     translation: Num[np.ndarray, " 3"],
     first: Num[np.ndarray, "N 2"],

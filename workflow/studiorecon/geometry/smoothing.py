@@ -4,7 +4,7 @@
 The two exponential passes are a cascade (U40), whose response is α/(2−α) (1−α)^|d|. Together with the Gaussian that is
 one symmetric kernel, truncated where it has faded and renormalised at the ends, so that constants stay and the first
 frame has no more weight than others (F03, F06, F08). Rotations are smoothed on SO(3), in the tangent space of each
-window's own frame (F01, F02, F09). ``gain`` is the share of motion that remains: with α = 0.5, σ = 1 a motion of 8
+window's own frame (F01, F02, F09). ``remaining_motion`` is the share that remains: with α = 0.5, σ = 1 a motion of 8
 frames' period keeps 0.34, of 15 0.68, of 30 0.90.
 """
 
@@ -83,7 +83,7 @@ def at_frame_rate(smoothing: Smoothing, fps: float) -> tuple[float, float]:
     return float(forgotten), smoothing.sigma_s * fps
 
 
-def kernel(alpha: float, sigma_frames: float) -> Num[np.ndarray, " W"]:
+def smoothing_kernel(alpha: float, sigma_frames: float) -> Num[np.ndarray, " W"]:
     """Weights that sum to 1: exponential passes (U40), then a Gaussian cut at four deviations (U41).
 
     The second pass runs over the first one's result. Raises ValueError for α outside (0, 1] and a negative σ.
@@ -99,9 +99,9 @@ def kernel(alpha: float, sigma_frames: float) -> Num[np.ndarray, " W"]:
     return both / both.sum()
 
 
-def gain(alpha: float, sigma_frames: float, period_frames: float) -> float:
-    """Share of a sinusoidal motion of that period that survives (F07). Raises ValueError as ``kernel`` does."""
-    weights = kernel(alpha, sigma_frames)
+def remaining_motion(alpha: float, sigma_frames: float, period_frames: float) -> float:
+    """Share of a sinusoidal motion of that period that survives (F07); raises as ``smoothing_kernel``."""
+    weights = smoothing_kernel(alpha, sigma_frames)
     reach = len(weights) // 2
     return float(weights @ np.cos(2 * np.pi * np.arange(-reach, reach + 1) / period_frames))
 
@@ -138,7 +138,7 @@ def smooth_vectors(values: Num[np.ndarray, "T ..."], alpha: float, sigma_frames:
     require("values", values, ("T", ...), finite=True)
     if len(values) < 3:
         return values.copy()
-    shifts, weights = _windows(len(values), kernel(alpha, sigma_frames))
+    shifts, weights = _windows(len(values), smoothing_kernel(alpha, sigma_frames))
     out = np.zeros_like(values)
     for shift, weight in zip(shifts, weights):
         out += weight.reshape(-1, *(1,) * (values.ndim - 1)) * values[_shifted(len(values), shift)]
@@ -158,7 +158,7 @@ def smooth_rotations(
     require("values", values, ("T", ..., 3, 3), finite=True)
     if len(values) < 3:
         return values.copy()
-    shifts, weights = _windows(len(values), kernel(alpha, sigma_frames))
+    shifts, weights = _windows(len(values), smoothing_kernel(alpha, sigma_frames))
     quaternions = np.moveaxis(rotations.to_quaternion(values).reshape(len(values), -1, 4), -1, 0)  # (4, T, N)
     reach = len(shifts) // 2
     padded = np.pad(quaternions, ((0, 0), (reach, reach), (0, 0)), mode="edge")

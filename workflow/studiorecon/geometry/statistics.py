@@ -30,7 +30,7 @@ class Estimate:
 NOTHING = Estimate(None, None, -1)
 
 
-def share(hits: int, count: int, independent: float | None = None) -> Estimate:
+def share_estimate(hits: int, count: int, independent: float | None = None) -> Estimate:
     """Share ``hits`` of ``count``, with Wilson's interval for ``independent`` samples (all); None without samples."""
     if count <= 0:
         return NOTHING
@@ -40,7 +40,7 @@ def share(hits: int, count: int, independent: float | None = None) -> Estimate:
     return Estimate(p, (float(min(max(middle - half, 0.0), p)), float(max(min(middle + half, 1.0), p))))
 
 
-def median(values: Num[np.ndarray, " N"], least: int) -> Estimate:
+def median_estimate(values: Num[np.ndarray, " N"], least: int) -> Estimate:
     """Median of the finite ``values`` with its standard error, 1.25 robust sigmas over √N; None below ``least``."""
     known = np.asarray(values, dtype=np.float64)
     known = known[np.isfinite(known)]
@@ -51,7 +51,7 @@ def median(values: Num[np.ndarray, " N"], least: int) -> Estimate:
     return Estimate(middle, (middle - _ONE * error, middle + _ONE * error))
 
 
-def mean(values: Num[np.ndarray, " N"], least: int) -> Estimate:
+def mean_estimate(values: Num[np.ndarray, " N"], least: int) -> Estimate:
     """Mean of the finite ``values`` with its standard error; None below ``least``, which is 2 or more."""
     known = np.asarray(values, dtype=np.float64)
     known = known[np.isfinite(known)]
@@ -61,7 +61,7 @@ def mean(values: Num[np.ndarray, " N"], least: int) -> Estimate:
     return Estimate(middle, (middle - _ONE * error, middle + _ONE * error))
 
 
-def largest(
+def largest_estimate(
     values: Sequence[float] | Num[np.ndarray, " N"], errors: Sequence[float] | Num[np.ndarray, " N"]
 ) -> Estimate:
     """The largest magnitude of several estimates with standard errors; ones that are not finite take no part.

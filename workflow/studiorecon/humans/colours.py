@@ -19,7 +19,7 @@ _HIDDEN_M = 0.04
 _GRAZING = 0.2
 
 
-def in_view(
+def visible_gaussians(
     crop: Crop,
     means_m: Float[np.ndarray, "N 3"],
     normals: Float[np.ndarray, "N 3"],
@@ -46,7 +46,7 @@ def in_view(
     return index, pixels[index].astype(np.float32), facing**2 * np.mean(crop.camera.focal_px) / depth_m[index]
 
 
-def sampled(picture: Num[np.ndarray, "h w C"], pixels: Float[np.ndarray, "M 2"]) -> Float[np.ndarray, "M C"]:
+def sample_colours(picture: Num[np.ndarray, "h w C"], pixels: Float[np.ndarray, "M 2"]) -> Float[np.ndarray, "M C"]:
     """Float64 values of a picture at ``pixels``, linear between pixel centres."""
     if len(pixels) == 0:
         return np.zeros((0, picture.shape[2]))
@@ -63,9 +63,9 @@ def add_evidence(
     colour_sums: Float[np.ndarray, "N 3"],
     weight_sums: Float[np.ndarray, " N"],
 ) -> None:
-    """Add one picture's evidence to ``colour_sums`` and ``weight_sums``; see ``in_view``."""
-    index, pixels, weight = in_view(crop, means_m, normals, nearest_m)
-    np.add.at(colour_sums, index, sampled(crop.rgb, pixels) / 255 * weight[:, None])
+    """Add one picture's evidence to ``colour_sums`` and ``weight_sums``; see ``visible_gaussians``."""
+    index, pixels, weight = visible_gaussians(crop, means_m, normals, nearest_m)
+    np.add.at(colour_sums, index, sample_colours(crop.rgb, pixels) / 255 * weight[:, None])
     np.add.at(weight_sums, index, weight)
 
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from studiorecon.arrays import evenly_spread, require
 from studiorecon.body.avatar.posing import Posing
-from studiorecon.geometry.statistics import NOTHING, Estimate, share
-from studiorecon.humans.colours import in_view, nearest_surface, sampled
+from studiorecon.geometry.statistics import NOTHING, Estimate, share_estimate
+from studiorecon.humans.colours import nearest_surface, sample_colours, visible_gaussians
 from studiorecon.humans.crops import OUTSIDE, PERSON, Crop, HeldCrop
 from studiorecon.humans.refined_motion import RefinedMotion
 from studiorecon.scene.decisions import Decision
@@ -51,9 +51,9 @@ def track_brightness(
 ) -> Float[np.ndarray, "N M"]:
     """Float64 brightness of photo minus render at every Gaussian, mean of the cameras that show it, NaN for none.
 
-    Columns are the ``moments`` of the clip. ``draw`` renders a crop, in 0..1; positions and normals are canonical.
+    Columns are the ``tracked_frames``. ``draw`` renders a crop, in 0..1; positions and normals are canonical.
     """
-    columns = {int(frame): column for column, frame in enumerate(moments(len(motion.local))) if frame >= 0}
+    columns = {int(frame): column for column, frame in enumerate(tracked_frames(len(motion.local))) if frame >= 0}
     sums = np.zeros((len(means_m), max(columns.values(), default=-1) + 1))
     weights = np.zeros_like(sums)
     still = np.tile(np.array([1, 0, 0, 0], np.float32), (len(means_m), 1))
@@ -71,13 +71,13 @@ def track_brightness(
         verdict = np.where(inner, PERSON, OUTSIDE).astype(np.uint8)
         trusted = HeldCrop(crop.frame, crop.view, crop.camera, crop.rgb, verdict)
         surface = nearest_surface(pixels, depth_m, crop.camera.hw, reach)
-        index, at, weight = in_view(trusted, means, np.einsum("nab,nb->na", posing.turn, normals), surface)
-        sums[index, column] += weight * sampled(missing, at)[:, 0]
+        index, at, weight = visible_gaussians(trusted, means, np.einsum("nab,nb->na", posing.turn, normals), surface)
+        sums[index, column] += weight * sample_colours(missing, at)[:, 0]
         weights[index, column] += weight
     return np.where(weights > 0, sums / np.maximum(weights, 1e-12), np.nan)
 
 
-def moments(frames: int) -> Integer[np.ndarray, " M"]:
+def tracked_frames(frames: int) -> Integer[np.ndarray, " M"]:
     """Tracked frames: all of a clip of up to 240, else ten runs of 24 with a -1 between them, which has no data."""
     if frames <= _MOMENTS:
         return np.arange(frames)
@@ -106,7 +106,7 @@ def drifting_share(residual: Float[np.ndarray, "N T"]) -> Estimate:
     noise = (np.where(pairs, np.diff(centred, axis=1), 0) ** 2).sum(axis=1) / (2 * count)
     memory = np.where(pairs, centred[:, 1:] * centred[:, :-1], 0).sum(axis=1) / count / np.maximum(variance, 1e-12)
     drifts = (variance > np.maximum(_NOISE_RATIO * noise, _VISIBLE**2)) & (memory > _MEMORY)
-    return share(int(drifts.sum()), len(drifts), max(len(drifts) / _PATCH, 1))
+    return share_estimate(int(drifts.sum()), len(drifts), max(len(drifts) / _PATCH, 1))
 
 
 def decide_appearance(person: str, estimate: Estimate, threshold: float) -> Decision:

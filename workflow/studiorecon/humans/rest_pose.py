@@ -11,7 +11,7 @@ import numpy as np
 
 from studiorecon.arrays import evenly_spread
 from studiorecon.body.avatar.posing import Posing
-from studiorecon.body.avatar.weight_grid import WeightGrid, all_bone_weights, build_weight_grid, strongest
+from studiorecon.body.avatar.weight_grid import WeightGrid, all_bone_weights, build_weight_grid, strongest_weights
 from studiorecon.body.model import BodyModel
 from studiorecon.humans.colours import add_evidence, nearest_surface
 from studiorecon.humans.crops import Crop
@@ -22,7 +22,7 @@ from studiorecon.humans.surface_samples import (
     gaussians_on,
     initial_samples,
     mirror_indices,
-    neighbours,
+    surface_neighbours,
 )
 from studiorecon.humans.train_settings import Settings
 from studiorecon.progress import say
@@ -52,7 +52,7 @@ def skinning_weights(
     The grid mixes parts nearer than a voxel (3 cm at 64³), such as fingers and thighs (L06); the surface does not.
     """
     if settings.skinning == "surface":
-        return *strongest(samples.weights), None
+        return *strongest_weights(samples.weights), None
     grid = build_weight_grid(vertices_m, weights, settings.grid_resolution, settings.grid_margin)
     return *all_bone_weights(grid, samples.points_m), grid
 
@@ -131,7 +131,7 @@ def build_rest_pose(
     held = () if settings.additions.pose_joints == "all" else HELD
     motion = RefinedMotion(fitted.poses, fitted.trans, body_model.rest_joints(fitted.betas), body_model.parents, held)
     colours, seen = initial_colours(samples, posing, motion, crops)
-    near, twin = neighbours(samples, NEIGHBOURS), mirror_indices(samples, 2 * samples.spacing_m)
+    near, twin = surface_neighbours(samples, NEIGHBOURS), mirror_indices(samples, 2 * samples.spacing_m)
     degree = supported_degree(settings, motion, crops)
     if degree < settings.sh_degree:
         say(

@@ -20,7 +20,7 @@ import numpy as np
 
 from studiorecon.body.avatar.avatar_files import read_cache_key
 from studiorecon.humans.crops import Crop
-from studiorecon.scene.files import complete
+from studiorecon.scene.files import atomic_path
 from studiorecon.splatting.train.checkpoint import fingerprint
 
 STANDS = "the existing result is kept"
@@ -50,7 +50,7 @@ def is_up_to_date(mark: str, gaussians: Path, avatar: Path, working: Path) -> bo
     return True
 
 
-def store(gaussians: Path, avatar: Path, working: Path) -> None:
+def store_result(gaussians: Path, avatar: Path, working: Path) -> None:
     """Copy the trained files to ``working``, because a workflow deletes the outputs of steps it runs again."""
     for path in (gaussians, avatar):
         _linked(path, _cached_path(path, working))
@@ -63,7 +63,7 @@ def _cached_path(path: Path, working: Path) -> Path:
 def _linked(source: Path, target: Path) -> None:
     """Link ``target`` to ``source``, or copy it where the file system has no such links."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    with complete(target) as partial:
+    with atomic_path(target) as partial:
         try:
             os.link(source, partial)
         except OSError:

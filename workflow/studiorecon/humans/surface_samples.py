@@ -11,7 +11,7 @@ import scipy
 
 from studiorecon.humans.start_settings import StartSettings
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.splatting.discs import DISC_WIDTH, discs
+from studiorecon.splatting.discs import DISC_WIDTH, make_discs
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
@@ -98,10 +98,10 @@ def _vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> tuple[np.ndarr
 def gaussians_on(samples: SurfaceSamples, sh_degree: int) -> Gaussians:
     """Grey discs on the samples, facing along their normals."""
     grey = np.full_like(samples.points_m, 0.5)
-    return discs(samples.points_m, samples.normals, grey, samples.spacing_m * DISC_WIDTH, sh_degree=sh_degree)
+    return make_discs(samples.points_m, samples.normals, grey, samples.spacing_m * DISC_WIDTH, sh_degree=sh_degree)
 
 
-def neighbours(samples: SurfaceSamples, count: int) -> Integer[np.ndarray, "N K"]:
+def surface_neighbours(samples: SurfaceSamples, count: int) -> Integer[np.ndarray, "N K"]:
     """Indices of the nearest samples whose normals agree, so that a palm is no neighbour of the thigh next to it.
 
     Samples with fewer agreeing neighbours repeat themselves.

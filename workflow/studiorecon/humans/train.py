@@ -29,11 +29,11 @@ from studiorecon.humans.crop_reader import read_crops
 from studiorecon.humans.crops import Crop
 from studiorecon.humans.drift import decide_appearance, drifting_share, track_brightness
 from studiorecon.humans.rest_pose import NEIGHBOURS, RestPose, build_rest_pose
-from studiorecon.humans.result_cache import STANDS, cache_key, is_up_to_date, store
+from studiorecon.humans.result_cache import STANDS, cache_key, is_up_to_date, store_result
 from studiorecon.humans.surface_samples import (
     fill_unseen,
     mirror_indices,
-    neighbours,
+    surface_neighbours,
 )
 from studiorecon.humans.train_settings import Settings
 from studiorecon.humans.training import Losses, PersonInTraining
@@ -41,7 +41,7 @@ from studiorecon.progress import say, warn
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import Decision
 from studiorecon.scene.factors import read_factors
-from studiorecon.scene.files import one_each
+from studiorecon.scene.files import require_one_each
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.people import Person, read_people
 from studiorecon.scene.provenance import INFERRED, MEASURED
@@ -126,7 +126,7 @@ def run(
     if subject.adam.refused:
         warn(f"{person}: {subject.adam.refused} gradient entries were not finite and were skipped")
     write_avatar(gaussians, avatar, _avatar(settings, fitted, body_model, rest, subject, appearance), trained_from)
-    store(gaussians, avatar, working)
+    store_result(gaussians, avatar, working)
     checkpoint.remove()
 
 
@@ -135,7 +135,7 @@ def _crops(
 ) -> list[Crop]:
     """Crops around the person, as the training cameras saw them; UserError where there are none."""
     cameras, frames = read_model(sources.model.parent), read_manifest(sources.manifest).frames
-    one_each(cameras, videos=sources.videos, masks=sources.masks)
+    require_one_each(cameras, videos=sources.videos, masks=sources.masks)
     label = _checked(settings, person, sources.people) + 1
     even = read_factors(sources.exposure, frames)
     about = fitted, body_model, label, frames, working, even
@@ -232,7 +232,7 @@ def _avatar(
     same = np.array_equal(source, np.arange(rest.start.count))
     seen, surface = rest.seen[source], samples if same else grown
     if settings.additions.unseen == "filled":
-        near, twin = neighbours(surface, NEIGHBOURS), mirror_indices(surface, 2 * samples.spacing_m)
+        near, twin = surface_neighbours(surface, NEIGHBOURS), mirror_indices(surface, 2 * samples.spacing_m)
         trained = recolour_unseen(trained, seen, near, twin)
     moved_mm = 1000 * np.linalg.norm(trained.means_m - rest.start.means_m[source], axis=1)
     say(

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.scene.files import complete
+from studiorecon.scene.files import atomic_path
 
 if TYPE_CHECKING:
     from jaxtyping import Shaped
@@ -31,7 +31,7 @@ def write_png(path: Path, picture: Shaped[np.ndarray, "H W ..."]) -> None:
 
     On a full disk OpenCV's own writer returns False and leaves an incomplete file.
     """
-    with complete(path) as partial:
+    with atomic_path(path) as partial:
         partial.write_bytes(png(picture))
 
 

@@ -28,7 +28,7 @@ class Overlap:
     pixels: int
 
 
-def compare(
+def compare_colours(
     first: int, second: int, first_rgb: Num[np.ndarray, "N 3"], second_rgb: Num[np.ndarray, "N 3"], least_pixels: int
 ) -> Overlap | None:
     """The overlap of two cameras from colours of the same surface points; None below ``least_pixels`` usable ones.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.images.metrics import levels
+from studiorecon.images.metrics import to_levels
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -21,7 +21,7 @@ SMALLEST_PX = 11
 """Side of a picture below which its filters, which reach that far, see mostly what is not there."""
 
 
-def available() -> bool:
+def is_available() -> bool:
     """Whether the package can be loaded."""
     try:
         import flip_evaluator  # noqa: F401
@@ -42,6 +42,6 @@ def flip(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"]) 
         return None
     import flip_evaluator
 
-    wanted, shown = (np.ascontiguousarray(levels(p), np.float32) / np.float32(255) for p in (truth, prediction))
+    wanted, shown = (np.ascontiguousarray(to_levels(p), np.float32) / np.float32(255) for p in (truth, prediction))
     seen, _, _ = flip_evaluator.evaluate(wanted, shown, "LDR", applyMagma=False, computeMeanError=False)
     return float(seen.mean(dtype=np.float64))

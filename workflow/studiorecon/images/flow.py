@@ -70,7 +70,9 @@ def dis_flow(
     return cv2.DISOpticalFlow.create(PRESETS[preset]).calc(first_grey, second_grey, None)  # type: ignore[call-overload]
 
 
-def consistent(flow: Num[np.ndarray, "H W 2"], reverse_flow: Num[np.ndarray, "H W 2"]) -> Bool[np.ndarray, "H W"]:
+def is_flow_consistent(
+    flow: Num[np.ndarray, "H W 2"], reverse_flow: Num[np.ndarray, "H W 2"]
+) -> Bool[np.ndarray, "H W"]:
     """Pixels whose flow leads back, inside the picture, within a motion-dependent tolerance.
 
     |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5 (Sundaram et al. 2010). It detects uncovered background, where colours

@@ -31,7 +31,7 @@ SMALLEST_MASK_PX = 256
 _SQUARES = 3 * 255**2
 
 
-def levels(picture: Num[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W 3"]:
+def to_levels(picture: Num[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W 3"]:
     """Levels, uint8, of an 8-bit picture, or of a float one after clamping and rounding (I04)."""
     return picture if picture.dtype == np.uint8 else to_bytes(picture)
 
@@ -42,7 +42,7 @@ def error_map(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 
     Raises ValueError for pictures that are not of one size.
     """
     require("truth", truth, ("H", "W", 3), require("prediction", prediction, ("H", "W", 3)))
-    return squared_error(levels(prediction), levels(truth))
+    return squared_error(to_levels(prediction), to_levels(truth))
 
 
 def psnr_from_error_map(errors: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"] | None = None) -> float | None:
@@ -82,7 +82,7 @@ def colour_corrected_psnr(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.nd
     least squares over all pixels, minimum norm for too few colours. Raises ValueError for pictures of two sizes.
     """
     require("truth", truth, ("H", "W", 3), require("prediction", prediction, ("H", "W", 3)))
-    shown, wanted = np.ascontiguousarray(levels(prediction)), np.ascontiguousarray(levels(truth))
+    shown, wanted = np.ascontiguousarray(to_levels(prediction)), np.ascontiguousarray(to_levels(truth))
     count = shown.shape[0] * shown.shape[1]
     if count < SMALLEST_MASK_PX:
         return None
@@ -98,7 +98,7 @@ def ssim_map(
     Raises ValueError for pictures of two sizes.
     """
     require("truth", truth, ("H", "W", "C"), require("prediction", prediction, ("H", "W", "C")))
-    return similarity_map(levels(prediction), levels(truth), dtype)
+    return similarity_map(to_levels(prediction), to_levels(truth), dtype)
 
 
 def whole_windows(mask: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
@@ -153,7 +153,7 @@ def change_maps(
     require("previous", previous, ("H", "W", 3), sizes)
     require("backward", backward, ("H", "W", 2), sizes)
     require("valid", valid, ("H", "W"), sizes)
-    return change(levels(current), levels(previous), backward, valid)
+    return change(to_levels(current), to_levels(previous), backward, valid)
 
 
 def mean_inside(values: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"]) -> float | None:

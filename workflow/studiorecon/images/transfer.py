@@ -50,7 +50,7 @@ class ResidualSource:
     depth_m: Float[np.ndarray, "H W"]
 
 
-def source(
+def residual_source(
     camera: Camera,
     photo: Num[np.ndarray, "H W 3"],
     render: Num[np.ndarray, "h w 3"],

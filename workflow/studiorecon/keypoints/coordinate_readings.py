@@ -44,7 +44,7 @@ def affine(scale_x: float, scale_y: float, x: float = 0.0, y: float = 0.0) -> Fl
     return np.array([[scale_x, 0, x], [0, scale_y, y]], dtype=np.float64)
 
 
-def shares(wh: tuple[int, int], centre: float) -> list[Reading]:
+def share_readings(wh: tuple[int, int], centre: float) -> list[Reading]:
     """Readings as shares of the picture's sides; ``centre`` is added to pixels to reach centres at +0.5."""
     w, h = wh
     longer = max(wh)
@@ -55,7 +55,7 @@ def shares(wh: tuple[int, int], centre: float) -> list[Reading]:
     ]
 
 
-def sizes(wh: tuple[int, int], centre: float, stored_wh: tuple[int, int] | None = None) -> list[Reading]:
+def size_readings(wh: tuple[int, int], centre: float, stored_wh: tuple[int, int] | None = None) -> list[Reading]:
     """Readings in pixels of the same picture at other sizes, stretched or letterboxed, or of ``stored_wh``.
 
     ``centre`` is added to reach pixel centres at +0.5.
@@ -84,7 +84,9 @@ def sizes(wh: tuple[int, int], centre: float, stored_wh: tuple[int, int] | None 
     return found
 
 
-def turned(wh: tuple[int, int], unit: Float[np.ndarray, "2 3"], exchanged: Float[np.ndarray, "2 3"]) -> list[Reading]:
+def turned_readings(
+    wh: tuple[int, int], unit: Float[np.ndarray, "2 3"], exchanged: Float[np.ndarray, "2 3"]
+) -> list[Reading]:
     """Readings of the picture mirrored, turned or with exchanged coordinates.
 
     ``unit`` maps recorded numbers to pixels of the film, ``exchanged`` to those of the film turned by 90°.

@@ -11,7 +11,7 @@ import numpy as np
 from studiorecon.configuration.setting import setting
 from studiorecon.geometry.lens import calibration_from_video_pixels, working_from_calibration, working_from_video
 from studiorecon.keypoints.temporal_smoothing import smooth_keypoints
-from studiorecon.keypoints.tracking import TrackingLimits, drop_duplicates, tracks
+from studiorecon.keypoints.tracking import TrackingLimits, drop_duplicates, track_ids
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections
@@ -103,7 +103,7 @@ def track_detections(given: Detections, settings: Settings, fps: float) -> Detec
     """``given`` with track ids, without detections that are too small or duplicates."""
     kept = given.only((given.keypoints[..., 2] > 0).sum(-1) >= settings.min_keypoints)
     kept = kept.only(drop_duplicates(kept.frame, kept.keypoints, settings.tracking))
-    return replace(kept, track=tracks(kept.frame, kept.keypoints, settings.tracking, fps))
+    return replace(kept, track=track_ids(kept.frame, kept.keypoints, settings.tracking, fps))
 
 
 def to_pinhole(seen: Detections, lens: Lens, wh: tuple[int, int]) -> tuple[Camera, Detections]:

@@ -9,11 +9,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.keypoints.coordinate_readings import Reading, affine, apply_reading, shares, sizes, turned
+from studiorecon.keypoints.coordinate_readings import (
+    Reading,
+    affine,
+    apply_reading,
+    share_readings,
+    size_readings,
+    turned_readings,
+)
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.motion import Motion
-from studiorecon.keypoints.motion_agreement import Movers, Score, best, is_frozen, is_upside_down, movers, score
+from studiorecon.keypoints.motion_agreement import (
+    Movers,
+    Score,
+    best_score,
+    is_frozen,
+    is_upside_down,
+    moving_keypoints,
+    score_reading,
+)
 from studiorecon.keypoints.numbering import Numbering, Numberings
 from studiorecon.keypoints.unmatched import without_motion, without_people
 from studiorecon.scene.recorded_keypoints import RecordedKeypoints
@@ -80,7 +95,7 @@ class Film:
 
     def sizes(self) -> list[Reading]:
         """Readings in pixels of the film's picture at other sizes."""
-        return sizes(self.wh, self.centre, self.stored_wh)
+        return size_readings(self.wh, self.centre, self.stored_wh)
 
 
 @dataclass(frozen=True)
@@ -117,7 +132,7 @@ def check_against_film(recorded: RecordedKeypoints, numbers: Numberings, film: F
     as_read = Reading("pixels of the film", film.map @ np.vstack([affine(1, 1, film.centre, film.centre), [0, 0, 1]]),
                       True)  # fmt: skip
     plain = _plain(recorded.keypoints, as_read, film)
-    judge = _Judge(recorded, film, movers(recorded.keypoints, recorded.frame), plain[0] is not as_read)
+    judge = _Judge(recorded, film, moving_keypoints(recorded.keypoints, recorded.frame), plain[0] is not as_read)
     numbering, described = judge.numbering(numbers, plain)
     if numbering is None:
         return Verdict(recorded.renumbered(usual.frame_of, film.frames), (), described, None)
@@ -175,19 +190,21 @@ class _Judge:
         if motion is None:
             return _Hypothesis(reading, numbering, shift, Score(0.0, 0.0, np.zeros(0), 0))
         frame = numbering.frame_of[np.searchsorted(self.recorded.pictures, self.recorded.frame)] - shift
-        return _Hypothesis(reading, numbering, shift, score(self.moving, frame, reading.film_from_recorded, motion))
+        return _Hypothesis(
+            reading, numbering, shift, score_reading(self.moving, frame, reading.film_from_recorded, motion)
+        )
 
     def best(self, readings: Sequence[Reading], numbering: Numbering) -> _Hypothesis:
         """The best of ``readings``; the first where the film does not decide."""
         tried = [self.under(reading, numbering) for reading in readings]
-        index, top = best(enumerate(h.score for h in tried))
+        index, top = best_score(enumerate(h.score for h in tried))
         return tried[index] if top.enough and top.over(tried[0].score) > _NUMBER_SIGMAS else tried[0]
 
     def numbering(self, numbers: Numberings, plain: Sequence[Reading]) -> tuple[Numbering | None, str]:
         """The numbering that fits the film, and a sentence where there was a choice; else None and the reason."""
         camera, first = self.film.camera, numbers.possible[0]
         tried = [self.best(plain, one) for one in numbers.possible]
-        index, top = best(enumerate(h.score for h in tried))
+        index, top = best_score(enumerate(h.score for h in tried))
         if index == 0:
             sure = top.enough and all(top.over(h.score) > _NUMBER_SIGMAS for h in tried[1:])
         elif numbers.certain:
@@ -212,12 +229,12 @@ class _Judge:
         """Another reading that clearly fits while ``now`` clearly does not; None without one."""
         wh, unit = self.film.wh, now.reading.film_from_recorded
         on_its_side = affine(wh[1], wh[0]) if self.in_shares else unit
-        readings = turned(wh, unit, on_its_side)
+        readings = turned_readings(wh, unit, on_its_side)
         if not self.in_shares:
             readings += self.film.sizes()
         tried = [self.under(reading, now.numbering) for reading in readings]
         tried += [self.under(now.reading, now.numbering, s) for s in range(-_SHIFTS, _SHIFTS + 1) if s]
-        index, top = best(enumerate(h.score for h in tried))
+        index, top = best_score(enumerate(h.score for h in tried))
         right = _clearly_better(top, now.score)
         found = tried[index]
         return found if right and (not found.shift or abs(found.shift) >= _MIN_SHIFT) else None
@@ -268,7 +285,9 @@ class _Judge:
         camera, motion = self.film.camera, self.film.motion
         assert motion is not None
         for other, seen in others().items():
-            fits = score(movers(seen.keypoints, seen.frame), seen.frame, now.reading.film_from_recorded, motion)
+            fits = score_reading(
+                moving_keypoints(seen.keypoints, seen.frame), seen.frame, now.reading.film_from_recorded, motion
+            )
             if _clearly_better(fits, now.score):
                 return (
                     f"the film of camera {camera} matches the keypoints of camera {other} ({fits.hit:.0%} of them "
@@ -324,7 +343,7 @@ def _plain(keypoints: Num[np.ndarray, "D K 3"], as_read: Reading, film: Film) ->
     points = np.abs(_points(keypoints))
     if not len(points) or np.quantile(points, 0.99) > _SHARES_WITHIN or min(film.wh) < _SMALLEST_PX:
         return [as_read]
-    both = shares(film.wh, film.centre)
+    both = share_readings(film.wh, film.centre)
     return [both[1], both[0]] if np.quantile(_points(keypoints), 0.05) < _BELOW_0 else both
 
 

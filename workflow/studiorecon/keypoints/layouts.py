@@ -201,7 +201,7 @@ _WRITTEN_BY = {
 }
 
 
-def table() -> str:
+def layouts_table() -> str:
     """The layouts as a table in Markdown."""
     rows = [f"| `{name}` | {len(one.keypoints)} | {_WRITTEN_BY[name]} |" for name, one in LAYOUTS.items()]
     return "\n".join(["| `keypoint_layout` | points | of |", "|---|---|---|", *rows])

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.footage.frames import glimpses, stills
+from studiorecon.footage.frames import read_stills, seek_frames
 from studiorecon.footage.source import FootageSource
 from studiorecon.geometry.statistics import SIGMA_OF_MAD
 from studiorecon.progress import warn
@@ -65,7 +65,7 @@ class Motion:
 _MIN_BUSY = 0.001
 
 
-def small(picture: Integer[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "h w 3"]:
+def shrink_picture(picture: Integer[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "h w 3"]:
     """A picture with a longer side of at most ``SMALL_PX``."""
     scale = SMALL_PX / max(picture.shape[:2])
     size = max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale))
@@ -75,7 +75,7 @@ def small(picture: Integer[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "h w 3"]
 def measure_motion(
     frame: Sequence[int], pictures: Sequence[Integer[np.ndarray, "h w 3"]], wh: tuple[int, int]
 ) -> Motion:
-    """Motion in ``pictures`` (``small``) of the frames ``frame`` of a film of size ``wh``."""
+    """Motion in ``pictures`` (``shrink_picture``) of the frames ``frame`` of a film of size ``wh``."""
     stack = np.stack(pictures)
     levels = np.stack([cv2.GaussianBlur(p, (3, 3), 0) for p in stack]).astype(np.float32)
     apart = levels - np.median(levels, axis=0)
@@ -96,9 +96,9 @@ def motion_in(source: FootageSource, first: int, last: int) -> Motion | None:
     """Motion in sampled frames from ``first`` to ``last``; None, with a warning, if the film cannot be read."""
     first, last = min(max(first, 0), source.frames - 1), min(max(last, 0), source.frames - 1)
     wanted = np.unique(np.linspace(first, max(last, first), _PICTURES).round().astype(int)).tolist()
-    look = stills if last <= _FRAMES_READ else glimpses
+    look = read_stills if last <= _FRAMES_READ else seek_frames
     try:
-        pictures = [small(picture) for picture in look(source, wanted)]
+        pictures = [shrink_picture(picture) for picture in look(source, wanted)]
     except UserError as refusal:
         warn(f"{refusal}; its keypoints are not compared with it")
         return None

@@ -81,7 +81,7 @@ class Movers:
     points: Float[np.ndarray, "N 2"]
 
 
-def movers(keypoints: Num[np.ndarray, "D K 3"], frame: Integer[np.ndarray, " D"]) -> Movers:
+def moving_keypoints(keypoints: Num[np.ndarray, "D K 3"], frame: Integer[np.ndarray, " D"]) -> Movers:
     """The confident keypoints at positions that bodies seldom cover, in any unit."""
     body = keypoints[:, :_BODY_POINTS]
     sure = np.isfinite(body).all(-1) & (body[..., 2] > _SURE) & (body[..., :2] != 0).any(-1)
@@ -110,7 +110,7 @@ def _covered(grid: np.ndarray, person: np.ndarray, frame: np.ndarray) -> Float[n
     return total / len(chosen)
 
 
-def score(
+def score_reading(
     moving: Movers,
     frame: Integer[np.ndarray, " D"],
     film_from_recorded: Num[np.ndarray, "2 3"],
@@ -130,7 +130,7 @@ def score(
     return Score(float(np.nanmean(per_frame)), float(here[:, 0].mean()), per_frame, len(sample))
 
 
-def best(scores: Iterable[tuple[int, Score]]) -> tuple[int, Score]:
+def best_score(scores: Iterable[tuple[int, Score]]) -> tuple[int, Score]:
     """The index and score of the largest lift; the first of equal ones."""
     return max(scores, key=lambda one: one[1].lift)
 

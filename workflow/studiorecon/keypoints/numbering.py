@@ -53,7 +53,7 @@ class Numberings:
     believed: bool = True
 
 
-def numberings(
+def possible_numberings(
     pictures: Integer[np.ndarray, " P"], frames: int, fps: float, given: int | None, counted: bool
 ) -> Numberings:
     """The ways in which ``pictures`` (numbers, ascending) may count a film's ``frames``.

@@ -162,7 +162,7 @@ def _neutral(path: Path) -> Pictures:
     return Pictures("npz", people, counted=True)
 
 
-def table() -> str:
+def formats_table() -> str:
     """The formats as a table in Markdown."""
     return "\n".join(
         ["| under `keypoints/` | written by |", "|---|---|", *(f"| {k} | {v} |" for k, v in FORMATS.items())]

@@ -103,7 +103,7 @@ def drop_duplicates(
     return keep
 
 
-def match(cost: Num[np.ndarray, "A B"], limit: float) -> list[tuple[int, int]]:
+def match_detections(cost: Num[np.ndarray, "A B"], limit: float) -> list[tuple[int, int]]:
     """Pairs of the cheapest assignment whose cost is below ``limit``; others are excluded before it (A01–A03, A13)."""
     if 0 in cost.shape:
         return []
@@ -112,7 +112,7 @@ def match(cost: Num[np.ndarray, "A B"], limit: float) -> list[tuple[int, int]]:
     return [(int(r), int(c)) for r, c in zip(rows, columns) if admissible[r, c]]
 
 
-def tracks(
+def track_ids(
     frame: Integer[np.ndarray, " D"], keypoints: Num[np.ndarray, "D K 3"], limits: TrackingLimits, fps: float
 ) -> Num[np.ndarray, " D"]:
     """Track id of every detection, numbered by first appearance; ``keypoints``: NaN where confidence is 0.
@@ -136,7 +136,7 @@ def tracks(
             elapsed_s,
             limits,
         )
-        for row, column in match(cost, 1.0):
+        for row, column in match_detections(cost, 1.0):
             rivals = np.concatenate([np.delete(cost[row], column), np.delete(cost[:, column], row)])
             if (rivals < np.clip(limits.clear_ratio * cost[row, column], _TOO_NEAR, 1.0)).any():
                 # Removed for good: as an open track it would compete with its own continuation in every later frame.

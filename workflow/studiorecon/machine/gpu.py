@@ -23,12 +23,12 @@ _VISIBLE = "CUDA_VISIBLE_DEVICES"
 _HELD: list[TextIO] = []
 
 
-def claim() -> None:
+def claim_gpu() -> None:
     """Make one of several GPUs the only visible one for this process; call it before CUDA is initialised.
 
     If the environment names one GPU, or none, the choice is already made.
     """
-    devices = visible()
+    devices = visible_gpus()
     if len(devices) < 2 or _HELD:
         return
     folder = Path(tempfile.gettempdir()) / f"studiorecon-gpus-{os.getuid()}"
@@ -45,7 +45,7 @@ def claim() -> None:
     os.environ[_VISIBLE] = device
 
 
-def visible() -> list[str]:
+def visible_gpus() -> list[str]:
     """Names of the GPUs that this process may use, as in CUDA_VISIBLE_DEVICES: indices or UUIDs."""
     given = os.environ.get(_VISIBLE)
     if given is not None:

@@ -21,7 +21,7 @@ from studiorecon import code
 _VERSIONS = 4
 
 
-def folder() -> Path:
+def cache_folder() -> Path:
     """The cache folder: ``kernels`` in the user's cache, or the one in NUMBA_CACHE_DIR."""
     if given := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(given)
@@ -34,7 +34,7 @@ class ByContent:
     def __init__(self, function: Callable, module: str) -> None:
         self._line = function.__code__.co_firstlineno
         self._digest = _digest(module)
-        self._place = folder() / module / self._digest
+        self._place = cache_folder() / module / self._digest
 
     @classmethod
     def from_function(cls, function: Callable, file: str) -> ByContent | None:

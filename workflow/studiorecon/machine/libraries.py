@@ -53,7 +53,7 @@ def missing_library(error: BaseException) -> str | None:
     return None
 
 
-def remedy(library: str) -> str:
+def install_remedy(library: str) -> str:
     """The way to install a library: by its extra, from its source, or with the environment itself."""
     extra = EXTRAS.get(library.partition(".")[0])
     if extra:

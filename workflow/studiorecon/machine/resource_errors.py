@@ -31,7 +31,7 @@ _NO_MEMORY_CV = -4
 _MAX = 0.8
 
 
-def without_thread(error: BaseException) -> bool:
+def lacks_thread(error: BaseException) -> bool:
     """Whether a decoder could not start a thread, because memory or processes are limited.
 
     Lack of memory does not count: a damaged file may request any amount.

@@ -16,7 +16,7 @@ import numpy as np
 
 from studiorecon.configuration.setting import setting
 from studiorecon.footage.video import read_frames, write_lossless
-from studiorecon.models.catalogue.registry import model as card_of
+from studiorecon.models.catalogue.registry import find_card as card_of
 from studiorecon.models.choices import MaskSource
 from studiorecon.models.loading import load
 from studiorecon.progress import progress, say

@@ -117,7 +117,7 @@ def run(
         plate = read_plate(film.plate, own.wh)
         labels, said = _by_plate(settings, film, plate, bodies, hints), ""
     write_lossless(masks, count_labels(labels, pixels), persons[0].fps if persons else 30.0)
-    said = said or describe(pixels, [f.name for f in persons], float(plate[1].mean()))
+    said = said or describe_labels(pixels, [f.name for f in persons], float(plate[1].mean()))
     say(f"{camera}: {said}")
 
 
@@ -158,7 +158,7 @@ def count_labels(
         yield own
 
 
-def describe(pixels: Integer[np.ndarray, " 256"], names: Sequence[str], measured: float) -> str:
+def describe_labels(pixels: Integer[np.ndarray, " 256"], names: Sequence[str], measured: float) -> str:
     """What the masks hold, from how many pixels have which label."""
     shares = [f"{name} {pixels[k + 1] / pixels.sum():.1%}" for k, name in enumerate(names)]
     how = (

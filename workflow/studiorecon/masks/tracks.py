@@ -25,7 +25,7 @@ def assign_people(
 
     ``labels`` are read twice. Numbers that match no person are 255.
     """
-    overlap = overlaps(labels, depths_m, people)
+    overlap = count_overlaps(labels, depths_m, people)
     sizes = overlap.sum(axis=1)
     table = np.zeros(256, np.uint8)
     matched = []
@@ -41,7 +41,7 @@ def assign_people(
     return masks, described + (f"; {strangers} overlap no fitted person" if strangers else "")
 
 
-def overlaps(
+def count_overlaps(
     labels: Iterable[Integer[np.ndarray, "H W"]], depths_m: Iterable[Float[np.ndarray, "K H W"]], people: int
 ) -> Integer[np.ndarray, "256 1+people"]:
     """Pixels per number over all frames: outside of all bodies, and on the body of each person in front.

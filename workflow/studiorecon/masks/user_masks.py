@@ -20,11 +20,11 @@ from studiorecon.images.channels import channel_max
 from studiorecon.images.palette import UNASSIGNED
 from studiorecon.images.regions import signed_distance_px
 from studiorecon.images.silhouette import front_person
-from studiorecon.masks.tracks import MIN_SHARE, overlaps
+from studiorecon.masks.tracks import MIN_SHARE, count_overlaps
 from studiorecon.progress import warn
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_footage
-from studiorecon.scene.numbered_files import gaps_named, pictures_in
+from studiorecon.scene.numbered_files import missing_numbers_text, pictures_in
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
@@ -106,7 +106,7 @@ def label_given_masks(
     if not values or not people:
         unknown = (np.where(label > 0, np.uint8(UNASSIGNED), np.uint8(0)) for label in labels)
         return unknown, "they show none of the fitted people"
-    overlap = overlaps(labels, depths_m, people)[values]
+    overlap = count_overlaps(labels, depths_m, people)[values]
     if (on_people := overlap[:, 1:].sum() / overlap.sum()) < MIN_SHARE:
         warn(
             f"only {on_people:.0%} of the pixels in the masks of camera {camera.name} belong to a person of the "
@@ -143,7 +143,7 @@ def _by_body(region: np.ndarray, depths_m: np.ndarray, gate_m: float, camera: Ca
 def mask_pictures(path: Path) -> Iterable[Integer[np.ndarray, "H W ..."]]:
     if path.is_dir():
         files = pictures_in(path)
-        if missing := gaps_named(files):
+        if missing := missing_numbers_text(files):
             raise UserError(f"masks {path} lack the numbers {missing}; bring one mask for each frame")
         wh: tuple[int, ...] | None = None
         for file in files:

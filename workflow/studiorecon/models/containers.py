@@ -41,7 +41,7 @@ def read_image(text: str) -> ContainerImage:
     return ContainerImage(name, address, version)
 
 
-def engine() -> str:
+def find_engine() -> str:
     """The first container engine that answers; if none does, raises UserError with the message of each."""
     import shutil
     import subprocess
@@ -95,7 +95,7 @@ def definition(containerfile: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def build(chosen: str, image: ContainerImage, root: Path, folder: Path) -> str:
+def build_image(chosen: str, image: ContainerImage, root: Path, folder: Path) -> str:
     """Address or file of an image built from ``root``/envs/NAME with engine ``chosen``; raises UserError if it fails.
 
     Apptainer's file goes into ``folder``, completely or not at all.
@@ -132,8 +132,8 @@ def _call(command: list[str], root: Path, image: ContainerImage) -> str:
 def run(images: list[str], root: Place, folder: Place) -> None:
     """Build ``images`` (``NAME=ADDRESS:VERSION``) from their folders in ``root``/envs; apptainer's go into
     ``folder``."""
-    chosen = engine()
+    chosen = find_engine()
     say(f"images are built by {chosen}")
     for image in map(read_image, images):
         say(f"building {image.name}")
-        say(f"{image.name} is built: {build(chosen, image, root, folder)}")
+        say(f"{image.name} is built: {build_image(chosen, image, root, folder)}")

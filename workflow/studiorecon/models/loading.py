@@ -8,10 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, overload
 
-from studiorecon.machine.gpu import claim
+from studiorecon.machine.gpu import claim_gpu
 from studiorecon.models import protocols
 from studiorecon.models.catalogue.card import Kind
-from studiorecon.models.catalogue.registry import adapter_module, model
+from studiorecon.models.catalogue.registry import adapter_module, find_card
 
 
 @overload
@@ -41,7 +41,7 @@ def adapter(kind: Kind, name: str) -> Any:
 
     Raises KeyError for an unknown name, ValueError for a network of another kind.
     """
-    card = model(name)
+    card = find_card(name)
     if card.kind != kind:
         raise ValueError(f"{card.title} is a network for {card.kind}, not for {kind}")
     return importlib.import_module(f"studiorecon.{adapter_module(name)}").ADAPTER
@@ -82,5 +82,5 @@ def load(kind: Kind, name: str, weights: Path, device: str, **options: Any) -> A
     run_by: Callable[..., Any] = adapter(kind, name)
     # Before upstream's import, which may already query CUDA.
     if device != "cpu":
-        claim()
-    return run_by(model(name), weights, device, **options)
+        claim_gpu()
+    return run_by(find_card(name), weights, device, **options)

@@ -12,14 +12,14 @@ from typing import Any
 
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import Card, WeightFile
-from studiorecon.models.catalogue.checksums import code_in, read_pins, verify, write_pins
+from studiorecon.models.catalogue.checksums import read_pins, repository_code, verify, write_pins
 from studiorecon.models.catalogue.fetching import fetch
-from studiorecon.models.catalogue.registry import model
+from studiorecon.models.catalogue.registry import find_card
 from studiorecon.progress import say
 from studiorecon.signature import Place
 
 
-def described(file: WeightFile, folder: Path) -> str:
+def describe_file(file: WeightFile, folder: Path) -> str:
     """One line: size, gate, checksum, source, place."""
     size = f"{file.size_gb:g} GB" if file.size_gb else "size not stated"
     gate = (
@@ -44,7 +44,7 @@ def described(file: WeightFile, folder: Path) -> str:
     return f"{folder / file.path}: {size}; {gate}; {published}; from {place}"
 
 
-def stage(file: WeightFile, folder: Path, pins: dict[str, Any], may_fetch: bool) -> str:
+def stage_file(file: WeightFile, folder: Path, pins: dict[str, Any], may_fetch: bool) -> str:
     """State of one file after fetching (if missing and allowed) and verifying; ``pins`` receives its checksum."""
     try:
         stated = ""
@@ -78,7 +78,7 @@ def run(models: list[str], weights: Place, fetching: str) -> None:
     pins = read_pins(weights)
     failed = []
     for name in models:
-        entry = model(name)
+        entry = find_card(name)
         terms = entry.terms
         say(f"{entry.title} ({name}): code {terms.code}; weights {terms.weights}; commercial use: {terms.commercial}")
         if terms.condition:
@@ -88,10 +88,10 @@ def run(models: list[str], weights: Place, fetching: str) -> None:
             f"{_memory(entry.memory.gpu_gb, entry.memory.note)}"
         )
         for file in _files(entry, weights):
-            state = stage(file, weights, pins, fetching == "yes")
+            state = stage_file(file, weights, pins, fetching == "yes")
             if pins:
                 write_pins(weights, pins)
-            say(f"  {described(file, weights)}: {state.upper() if state in ('missing', 'verified') else state}")
+            say(f"  {describe_file(file, weights)}: {state.upper() if state in ('missing', 'verified') else state}")
             if state != "verified":
                 failed.append(file.path if state == "missing" else state)
     if failed and fetching == "yes":
@@ -103,7 +103,7 @@ def run(models: list[str], weights: Place, fetching: str) -> None:
 def _files(card: Card, folder: Path) -> Iterator[WeightFile]:
     yield from card.weights
     # Known only after the files before it are fetched.
-    yield from code_in(folder, card.weights)
+    yield from repository_code(folder, card.weights)
 
 
 def _memory(gpu_gb: float | None, note: str) -> str:

@@ -14,7 +14,7 @@ from studiorecon.images.warp import sample
 from studiorecon.objects.residual import ROOM
 from studiorecon.objects.rigid import ObjectCrop, mean_colours, outline_reach_m
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.splatting.discs import DISC_WIDTH, discs
+from studiorecon.splatting.discs import DISC_WIDTH, make_discs
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -35,7 +35,9 @@ def reach_m(looks: Sequence[ObjectCrop]) -> float:
     return float(np.quantile(found, _FARTHEST)) if len(found) else float("nan")
 
 
-def carve(looks: Sequence[ObjectCrop], count: int) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], float]:
+def carve_surface(
+    looks: Sequence[ObjectCrop], count: int
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], float]:
     """Points on the surface in the object's frame, metres, about ``count``; outward normals; spacing, metres.
 
     There are no points where the crops leave nothing.
@@ -93,13 +95,13 @@ def init_carved_surface(looks: Sequence[ObjectCrop], count: int) -> tuple[Gaussi
 
     A disc that no crop shows takes the colour of the nearest one shown.
     """
-    points, normals, cell_m = carve(looks, count)
+    points, normals, cell_m = carve_surface(looks, count)
     if not len(points):
         return None
     rgb, seen = mean_colours(points, normals, _spread(looks))
     if seen.any():
         rgb[~seen] = rgb[seen][scipy.spatial.cKDTree(points[seen]).query(points[~seen])[1]]
-    return discs(points, normals, rgb, DISC_WIDTH * cell_m), seen
+    return make_discs(points, normals, rgb, DISC_WIDTH * cell_m), seen
 
 
 def _spread(looks: Sequence[ObjectCrop]) -> list[ObjectCrop]:

@@ -21,27 +21,34 @@ from studiorecon.body.silhouettes import dilated_silhouettes
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.footage.stills import read_plate, shrink
+from studiorecon.footage.stills import read_plate, shrink_plate
 from studiorecon.footage.video import read_frames
 from studiorecon.objects import carving
 from studiorecon.objects.object_tracks import FollowSettings, ObjectTrack, is_covered, link_sightings, track_object
-from studiorecon.objects.residual import LooseSettings, ResidualRegion, difference, regions, states, usual_difference
+from studiorecon.objects.residual import (
+    LooseSettings,
+    ResidualRegion,
+    loose_regions,
+    pixel_states,
+    shadow_free_difference,
+    usual_difference,
+)
 from studiorecon.objects.rigid import (
     ObjectCrop,
     ShapeSettings,
-    at_pose,
+    crop_at_pose,
     mean_squared_errors,
     train_object,
     unoccluded_crops,
     validation_split,
 )
 from studiorecon.objects.rotation import NEVER_DB, TurnSettings, track_rotation
-from studiorecon.objects.sightings import Sighting, sightings
+from studiorecon.objects.sightings import Sighting, find_sightings
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.factors import NONE, Factors, read_factors
-from studiorecon.scene.files import one_each
+from studiorecon.scene.files import require_one_each
 from studiorecon.scene.people import Person
 from studiorecon.signature import Written
 from studiorecon.splatting.rigid_object import MEASURED_TURNS, RigidObject, write_objects
@@ -91,7 +98,7 @@ class ObjectView:
     usual: Float[np.ndarray, "H W"]
 
 
-def objects_in(
+def find_objects(
     moments: Moments,
     views: Sequence[ObjectView],
     frames: int,
@@ -108,13 +115,13 @@ def objects_in(
     alone = np.zeros(len(views), int)
     for frame, (pictures, explained) in enumerate(moments):
         shown = [
-            states(difference(p, v.plate, settings.loose), v.usual, v.measured, e, settings.loose)
+            pixel_states(shadow_free_difference(p, v.plate, settings.loose), v.usual, v.measured, e, settings.loose)
             for p, v, e in zip(pictures, views, explained)
         ]
         loose: list[list[ResidualRegion]] = [
-            regions(p, s, v, settings.loose.min_share) for v, (p, s) in enumerate(zip(pictures, shown))
+            loose_regions(p, s, v, settings.loose.min_share) for v, (p, s) in enumerate(zip(pictures, shown))
         ]
-        things = sightings(cameras, shown, loose, settings.gate_m, settings.radius_m)
+        things = find_sightings(cameras, shown, loose, settings.gate_m, settings.radius_m)
         paired = {id(region) for thing in things for region in thing.regions.values()}
         alone += [any(id(region) not in paired for region in own) for own in loose]
         found.append((frame, things))
@@ -167,7 +174,7 @@ def _made(
         still,
         "how it turns is not determined",
     )
-    judged = [at_pose(look, cameras, thing.pose_at(look.frame)) for look in apart if thing.valid[look.frame]]
+    judged = [crop_at_pose(look, cameras, thing.pose_at(look.frame)) for look in apart if thing.valid[look.frame]]
     agreement_db = -10 * np.log10(max(mean_squared_errors(thing.gaussians, judged, threads)[0], 1e-10))
     between, unknown = int((thing.present & ~thing.valid).sum()), int((~thing.present).sum())
     say(
@@ -198,7 +205,7 @@ def _turning(
     known = [look for look in looks if motion.measured[look.frame]]
     judged = [look for look in known if (look.frame, look.view) in apart]
     taught = [
-        at_pose(look, cameras, motion.world_from_thing[look.frame])
+        crop_at_pose(look, cameras, motion.world_from_thing[look.frame])
         for look in known
         if (look.frame, look.view) not in apart
     ]
@@ -208,7 +215,7 @@ def _turning(
     gaussians, seen = train_object(
         taught, start, carving.reach_m(taught), settings.shape, rng, threads, f"{still.person}, turning"
     )
-    moved = [at_pose(look, cameras, motion.world_from_thing[look.frame]) for look in judged]
+    moved = [crop_at_pose(look, cameras, motion.world_from_thing[look.frame]) for look in judged]
     gain_db = 10 * np.log10(
         mean_squared_errors(still.gaussians, judged, threads)[1]
         / max(mean_squared_errors(gaussians, moved, threads)[1], 1e-10)
@@ -229,7 +236,7 @@ def with_usual_difference(views: Sequence[ObjectView], moments: Moments, setting
     seen = list(moments)
     found = []
     for v, view in enumerate(views):
-        differences = [difference(pictures[v], view.plate, settings) for pictures, _ in seen]
+        differences = [shadow_free_difference(pictures[v], view.plate, settings) for pictures, _ in seen]
         found.append(replace(view, usual=usual_difference(differences, [explained[v] for _, explained in seen])))
     return found
 
@@ -264,7 +271,7 @@ def open_view(camera: Camera, video: Path, plate: Path, pixels: int, factors: Fa
     small = camera.resized((round(camera.wh[0] * share), round(camera.wh[1] * share)))
     rgb, measured = read_plate(plate, camera.wh)
     return ObjectView(
-        small, video, *shrink(factors.even(camera.name, rgb), measured, small.wh), np.zeros(small.hw, np.float32)
+        small, video, *shrink_plate(factors.even(camera.name, rgb), measured, small.wh), np.zeros(small.hw, np.float32)
     )
 
 
@@ -288,7 +295,7 @@ def run(
     """
     cameras = read_model(model.parent)
     footage = read_manifest(manifest)
-    one_each(cameras, videos=videos, plates=plates)
+    require_one_each(cameras, videos=videos, plates=plates)
     persons = [read_person(path) for path in fits]
     body_model: BodyModel | None = None
     if persons:
@@ -307,5 +314,5 @@ def run(
     step = max(1, footage.frames // _REST_FRAMES)
     views = with_usual_difference(views, read_moments(views, *about, step=step, factors=every), settings.loose)
     moments = read_moments(views, *about, factors=every)
-    found = objects_in(moments, views, footage.frames, footage.fps, settings, threads)
+    found = find_objects(moments, views, footage.frames, footage.fps, settings, threads)
     write_objects(objects, found, footage.frames)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.geometry.smoothing import fill_vectors
-from studiorecon.objects.sightings import Sighting, sphere
+from studiorecon.objects.sightings import Sighting, fit_sphere
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def _spheres(
 ) -> tuple[float, np.ndarray, bool]:
     """The radius of most unoccluded sightings, centres of spheres of that radius (NaN for none), and if it is one."""
     centres = np.full((frames, 3), np.nan)
-    fits = np.array([sphere(cameras, sighting)[1:] for sighting in free])
+    fits = np.array([fit_sphere(cameras, sighting)[1:] for sighting in free])
     fits = fits[np.isfinite(fits).all(axis=1)]
     if 2 * len(fits) < len(free):
         return float("nan"), centres, False
@@ -137,7 +137,7 @@ def _spheres(
         [radius_m * c.focal_px[0] / c.project(s.centre_m)[1] for s in free for c in (cameras[v] for v in s.regions)]
     )
     for frame, sighting in track:
-        centre, _, off_px = sphere(cameras, sighting, radius_m)
+        centre, _, off_px = fit_sphere(cameras, sighting, radius_m)
         if np.isfinite(centre).all() and off_px <= _WORST_PX:
             centres[frame] = centre
     return radius_m, centres, error_px <= max(_ROUND_PX, _ROUND * radius_px)

@@ -44,7 +44,9 @@ class ObjectObservation:
     weight: Float[np.ndarray, "h w"]
 
 
-def glimpse(camera: Camera, rgb: Integer[np.ndarray, "h w 3"], state: Integer[np.ndarray, "h w"]) -> ObjectObservation:
+def observe_crop(
+    camera: Camera, rgb: Integer[np.ndarray, "h w 3"], state: Integer[np.ndarray, "h w"]
+) -> ObjectObservation:
     """The observation of a crop's camera; ``state`` as in ``ResidualRegion``; occluded pixels have weight 0."""
     mask = (state == LOOSE).astype(np.float32)
     return ObjectObservation(camera, to_float(rgb) * mask[..., None], mask, (state != UNKNOWN).astype(np.float32))

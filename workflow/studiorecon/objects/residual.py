@@ -65,7 +65,7 @@ class ResidualRegion:
     state: Integer[np.ndarray, "h w"]
 
 
-def difference(
+def shadow_free_difference(
     rgb: Integer[np.ndarray, "H W 3"], plate: Float[np.ndarray, "H W 3"], settings: LooseSettings
 ) -> Float[np.ndarray, "H W"]:
     """Float32 difference of a picture from the plate in [0, 1], CIELAB units.
@@ -89,14 +89,14 @@ def usual_difference(
     return np.where(np.isfinite(usual), usual, 0).astype(np.float32)
 
 
-def states(
+def pixel_states(
     differing: Float[np.ndarray, "H W"],
     usual: Float[np.ndarray, "H W"],
     measured: Bool[np.ndarray, "H W"],
     explained: Bool[np.ndarray, "H W"],
     settings: LooseSettings,
 ) -> Integer[np.ndarray, "H W"]:
-    """State of every pixel of a picture, from its ``difference``.
+    """State of every pixel of a picture, from its ``shadow_free_difference``.
 
     ``usual`` is its ``usual_difference``, used up to twice the threshold: more is an object that never moved. The plate
     is ``measured``; ``explained`` is where people are.
@@ -110,7 +110,7 @@ def states(
     return np.where(explained | ~measured, np.uint8(UNKNOWN), loose)
 
 
-def regions(
+def loose_regions(
     rgb: Integer[np.ndarray, "H W 3"], state: Integer[np.ndarray, "H W"], view: int, min_share: float
 ) -> list[ResidualRegion]:
     """Loose regions of a picture, largest first."""

@@ -80,11 +80,11 @@ def unoccluded_crops(track: ObjectTrack, cameras: Sequence[Camera]) -> list[Obje
         for view, region in sorted(sighting.regions.items()):
             if region.free and _whole(region, track, frame, cameras[view]):
                 look = ObjectCrop(frame, view, region.corner, cameras[view], region.rgb, region.state)
-                found.append(at_pose(look, cameras, still))
+                found.append(crop_at_pose(look, cameras, still))
     return [found[i] for i in evenly_spread(len(found), _LOOKS, below=True)]
 
 
-def at_pose(look: ObjectCrop, cameras: Sequence[Camera], world_from_thing: Float[np.ndarray, "4 4"]) -> ObjectCrop:
+def crop_at_pose(look: ObjectCrop, cameras: Sequence[Camera], world_from_thing: Float[np.ndarray, "4 4"]) -> ObjectCrop:
     """A crop with its camera in the object's frame, for the object at pose ``world_from_thing``."""
     camera = cameras[look.view]
     intrinsics = camera.intrinsics.copy()

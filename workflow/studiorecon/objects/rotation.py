@@ -18,8 +18,8 @@ from studiorecon.geometry import rotations
 from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
 from studiorecon.objects.carving import init_carved_surface, reach_m, volume_m3
 from studiorecon.objects.object_tracks import ObjectTrack
-from studiorecon.objects.pose_fit import Fitter, ObjectObservation, Prior, glimpse, move_pose
-from studiorecon.objects.rigid import ObjectCrop, ShapeSettings, at_pose, train_object, unoccluded_crops
+from studiorecon.objects.pose_fit import Fitter, ObjectObservation, Prior, move_pose, observe_crop
+from studiorecon.objects.rigid import ObjectCrop, ShapeSettings, crop_at_pose, train_object, unoccluded_crops
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 
@@ -92,7 +92,7 @@ def track_rotation(
     if _largest_rad(np.stack([poses[frame][:3, :3] for frame in frames])) < _MIN_RAD:
         return None
     # Once more with the shape from all moments; a third time changes nothing.
-    shape = _shape([at_pose(look, cameras, poses[look.frame]) for look in looks], rng, threads)
+    shape = _shape([crop_at_pose(look, cameras, poses[look.frame]) for look in looks], rng, threads)
     if shape is None:
         return None
     fitter = Fitter(*shape, threads)
@@ -125,8 +125,8 @@ def _glimpses(
         for view, region in sorted(sighting.regions.items()):
             if track.valid[frame] and (frame, view) not in apart:
                 look = ObjectCrop(frame, view, region.corner, cameras[view], region.rgb, region.state)
-                crop = at_pose(look, cameras, np.eye(4)).camera
-                found.setdefault(frame, []).append(glimpse(crop, region.rgb, region.state))
+                crop = crop_at_pose(look, cameras, np.eye(4)).camera
+                found.setdefault(frame, []).append(observe_crop(crop, region.rgb, region.state))
     return found
 
 
@@ -134,7 +134,7 @@ def _best_shown(looks: Sequence[ObjectCrop], cameras: Sequence[Camera], still: n
     """The crops of the moment with the smallest hull, which contains the object, among those that most cameras show."""
     by_frame: dict[int, list[ObjectCrop]] = {}
     for look in looks:
-        by_frame.setdefault(look.frame, []).append(at_pose(look, cameras, still[look.frame]))
+        by_frame.setdefault(look.frame, []).append(crop_at_pose(look, cameras, still[look.frame]))
     most = max(map(len, by_frame.values()))
     volumes_m3 = {frame: volume_m3(own) for frame, own in by_frame.items() if len(own) == most}
     return by_frame[min(volumes_m3, key=volumes_m3.__getitem__)]

@@ -43,7 +43,7 @@ class Sighting:
         return sum(region.free for region in self.regions.values())
 
 
-def sightings(
+def find_sightings(
     cameras: Sequence[Camera],
     states: Sequence[Integer[np.ndarray, "H W"]],
     regions: Sequence[Sequence[ResidualRegion]],
@@ -52,7 +52,7 @@ def sightings(
 ) -> list[Sighting]:
     """Objects of one moment that at least two cameras show, best first; at most one of three may see room there.
 
-    ``states`` are every camera's ``residual.states``; rays of one object pass within ``gate_m``.
+    ``states`` are every camera's ``residual.pixel_states``; rays of one object pass within ``gate_m``.
     """
     candidates = []
     for first, second in combinations(range(len(cameras)), 2):
@@ -80,7 +80,7 @@ def sightings(
     return chosen
 
 
-def sphere(
+def fit_sphere(
     cameras: Sequence[Camera], sighting: Sighting, radius_m: float | None = None
 ) -> tuple[Float[np.ndarray, " 3"], float, float]:
     """Middle and radius of the sphere that best fits a sighting's outlines, and their root mean square error in pixels.

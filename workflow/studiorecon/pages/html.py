@@ -20,7 +20,7 @@ from studiorecon.pages.skeleton import fill_template, page
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
-__all__ = ["bar", "contents", "figure", "film", "folded", "heading", "jpeg", "page", "row", "table", "text", "tiles"]
+__all__ = ["bar", "contents", "escaped", "figure", "film", "folded", "heading", "jpeg", "page", "row", "table", "tiles"]
 
 _HEADING = """<a id="{{ anchor }}"></a><h2>{{ title }}</h2>{% if lead %}<p class="soft">{{ lead }}</p>{% endif %}"""
 _HEADINGS = re.compile(r'<a id="([^"]*)"></a><h2>(.*?)</h2>')
@@ -45,7 +45,7 @@ _BAR = """<div class="bar"><i style="width:{{ percent }}%"></i></div>"""
 _FOLDED = """<details><summary>{{ title }}</summary><pre>{{ content }}</pre></details>"""
 
 
-def text(value: object) -> str:
+def escaped(value: object) -> str:
     """Escaped text."""
     return str(escape(str(value)))
 

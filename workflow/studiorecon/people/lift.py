@@ -22,7 +22,7 @@ from studiorecon.footage.video import read_frames
 from studiorecon.geometry.depth_alignment import Alignment, align_depth, shared_alignment
 from studiorecon.geometry.lifting import SURFACE_TO_PELVIS_M, lift_pelvis
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.models.catalogue.registry import model as card_of
+from studiorecon.models.catalogue.registry import find_card as card_of
 from studiorecon.models.loading import load
 from studiorecon.progress import progress, say
 from studiorecon.rig.first_depth import first_moment

@@ -24,7 +24,7 @@ from studiorecon.detector.crops import region_of_body
 from studiorecon.detector.frame_detection import detect_in_region
 from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.detector.tracking import keypoints_with_confidence
-from studiorecon.footage.frames import stills
+from studiorecon.footage.frames import read_stills
 from studiorecon.footage.source import open_source
 from studiorecon.geometry.lens import video_from_working, working_from_video
 from studiorecon.keypoints.layouts import LAYOUTS
@@ -245,7 +245,7 @@ def run(
         plan = replace(plan, swapped=plan.swapped & is_left_right_swapped(own, cameras[at], owners, filmed.fps))
     wanted = [filmed.used[frame] for frame in sorted({look[0] for look in plan.looks})]
     source = open_source(footage.source, footage.picture_fps)
-    pictures = progress(stills(source, wanted), f"frames of {camera}", len(wanted))
+    pictures = progress(read_stills(source, wanted), f"frames of {camera}", len(wanted))
     looks = redetect(detector.placer(), pictures, plan, people, own, view)
     result = improve_detections(own, plan, looks, people, owners, len(whole.frame))
     write_detections(detections, result)

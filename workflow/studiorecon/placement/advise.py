@@ -8,12 +8,12 @@ from pathlib import Path
 
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
-from studiorecon.placement.camera_placement import advice
+from studiorecon.placement.camera_placement import advise_moves
 from studiorecon.placement.picture import advice_line, camera_position_text, draw_plan, figure_lines
 from studiorecon.placement.rig_quality import RigEvaluator
 from studiorecon.placement.room import room_about
 from studiorecon.progress import say
-from studiorecon.scene.files import complete, write_json
+from studiorecon.scene.files import atomic_path, write_json
 from studiorecon.signature import Written
 
 
@@ -24,9 +24,9 @@ def run(model: Path, picture: Written, plan: Written) -> None:
         raise UserError(f"{model} has {len(cameras)} camera, which cannot measure distance: no advice is possible")
     room = room_about(cameras)
     judge = RigEvaluator(room)
-    figures, moves = judge.figures(cameras), advice(cameras, room)
+    figures, moves = judge.figures(cameras), advise_moves(cameras, room)
     title = f"{len(cameras)} cameras in a room of about {' × '.join(f'{side:.1f}' for side in room.size_m)} m"
-    with complete(picture) as partial:
+    with atomic_path(picture) as partial:
         partial.write_text(draw_plan(title, cameras, judge, figures, moves), encoding="utf-8")
     described = [{"camera": m.camera, "words": m.words, "gain": m.gain, "better": m.better.as_json()} for m in moves]
     write_json(plan, {"room_m": [room.low_m, room.high_m], "figures": dataclasses.asdict(figures), "advice": described})

@@ -46,7 +46,7 @@ class Move:
     gain: float
 
 
-def lens(name: str, hfov_deg: float, wh: tuple[int, int]) -> Camera:
+def lens_from_fov(name: str, hfov_deg: float, wh: tuple[int, int]) -> Camera:
     """A camera in the origin with a horizontal field of view and square pixels."""
     focal = wh[0] / 2 / np.tan(np.radians(hfov_deg) / 2)
     return Camera(name, wh, np.array([[focal, 0, wh[0] / 2], [0, focal, wh[1] / 2], [0, 0, 1.0]]), np.eye(4))
@@ -71,7 +71,7 @@ def place_cameras(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
     top = room.size_m[2] - _FROM_CEILING_M
     heights = [height for height in _HEIGHTS_M if height < top] + [top]
     rings = [
-        ring(room, lenses, phase / _PHASES / len(lenses), height, aim)
+        ring_of_cameras(room, lenses, phase / _PHASES / len(lenses), height, aim)
         for height, aim, phase in itertools.product(heights, _AIMS_M, range(_PHASES))
         if aim < height
     ]
@@ -80,7 +80,7 @@ def place_cameras(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
     return rings[int(np.flatnonzero(costs <= costs.min() + 1e-9)[0])]
 
 
-def ring(room: Room, lenses: Sequence[Camera], phase: float, height_m: float, aim_m: float) -> list[Camera]:
+def ring_of_cameras(room: Room, lenses: Sequence[Camera], phase: float, height_m: float, aim_m: float) -> list[Camera]:
     """Cameras evenly along the walls, each wall a quarter of the way; phase 0 has the first in a corner."""
     low, high = np.add(room.low_m, _FROM_WALLS_M)[:2], np.subtract(room.high_m, _FROM_WALLS_M)[:2]
     corners = np.array([low, (high[0], low[1]), high, (low[0], high[1]), low])
@@ -95,7 +95,7 @@ def ring(room: Room, lenses: Sequence[Camera], phase: float, height_m: float, ai
     return cameras
 
 
-def advice(cameras: Sequence[Camera], room: Room) -> list[Move]:
+def advise_moves(cameras: Sequence[Camera], room: Room) -> list[Move]:
     """For every camera the best pose near its own, the others staying; those with at least 3 % gain, best first."""
     judge = RigEvaluator(room)
     before = judge.cost_m(cameras)

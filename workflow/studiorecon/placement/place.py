@@ -8,12 +8,12 @@ import re
 from pathlib import Path
 
 from studiorecon.errors import UserError
-from studiorecon.placement.camera_placement import lens, place_cameras
+from studiorecon.placement.camera_placement import lens_from_fov, place_cameras
 from studiorecon.placement.picture import camera_position_text, draw_plan, figure_lines
 from studiorecon.placement.rig_quality import RigEvaluator
 from studiorecon.placement.room import read_room
 from studiorecon.progress import say
-from studiorecon.scene.files import complete, write_json
+from studiorecon.scene.files import atomic_path, write_json
 
 _MAX = 32
 
@@ -42,12 +42,12 @@ def run(room: str, cameras: int, hfov_deg: list[float], resolution: str, picture
             f"{cameras} cameras, 5 to 150 degrees"
         )
     angles = hfov_deg * cameras if len(hfov_deg) == 1 else hfov_deg
-    lenses = [lens(f"cam{k + 1}", angle, wh) for k, angle in enumerate(angles)]
+    lenses = [lens_from_fov(f"cam{k + 1}", angle, wh) for k, angle in enumerate(angles)]
     found, judge = place_cameras(box, lenses), RigEvaluator(box)
     figures = judge.figures(found)
     degrees = " and ".join(f"{angle:g}°" for angle in dict.fromkeys(angles))
     title = f"{cameras} cameras of {degrees} ({wh[0]} × {wh[1]}) in {' × '.join(f'{side:g}' for side in box.size_m)} m"
-    with complete(picture) as partial:
+    with atomic_path(picture) as partial:
         partial.write_text(draw_plan(title, found, judge, figures), encoding="utf-8")
     write_json(
         plan,

@@ -20,7 +20,7 @@ from studiorecon.configuration.schema import find_schema
 from studiorecon.errors import UserError
 from studiorecon.home import PRESETS
 from studiorecon.plan.decisions import Plan
-from studiorecon.plan.prices import Point, Predicted, PriceList, pace_here, predict, read_prices, spent
+from studiorecon.plan.prices import Point, Predicted, PriceList, machine_pace, predict, processor_seconds, read_prices
 from studiorecon.plan.workload import Footage, measure_footage, segments_with_views, workload
 
 _PACE = Path("timings") / "pace.json"
@@ -122,10 +122,10 @@ def choose_preset(
     prices = read_prices()
     footage = measure_footage(plan, config["capture"]["picture_fps"])
     stated = UserChoices(said, schema)
-    return choose(config["budget_min"], config, stated, footage, plan, prices, cores, pace_here(prices, _PACE))
+    return choose_offer(config["budget_min"], config, stated, footage, plan, prices, cores, machine_pace(prices, _PACE))
 
 
-def choose(
+def choose_offer(
     minutes: float,
     config: Mapping[str, Any],
     stated: UserChoices,
@@ -138,9 +138,9 @@ def choose(
     """The best offer that fits into ``minutes``; where none does, the quickest, with ``fits`` false."""
     offers = []
     for point in prices.points:
-        made = overlay(config, stated, preset(point.preset))
+        made = overlay_settings(config, stated, read_preset(point.preset))
         work = workload(footage, made, segments_with_views(plan, made), plan.forced)
-        work_s = sum(spent(work, prices).values()) / pace
+        work_s = sum(processor_seconds(work, prices).values()) / pace
         offers.append(Offer(point, predict(work, prices, cores, pace), work_s, made))
     offers.sort(key=lambda offer: offer.predicted.seconds)
     fitting = [offer for offer in offers if offer.predicted.seconds <= 60 * minutes]
@@ -156,18 +156,20 @@ def gain_db(point: Point, over: Point) -> float:
     return mean(gains) if gains else float("-inf")
 
 
-def preset(name: str) -> dict[str, Any]:
+def read_preset(name: str) -> dict[str, Any]:
     """The settings of a preset; none for the defaults."""
     return yaml.safe_load((PRESETS / f"{name}.yaml").read_text(encoding="utf-8")) if name else {}
 
 
-def overlay(config: Mapping[str, Any], stated: UserChoices, over: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+def overlay_settings(
+    config: Mapping[str, Any], stated: UserChoices, over: Mapping[str, Any], above: str = ""
+) -> dict[str, Any]:
     """A copy of ``config`` with the values of ``over`` except where the user has ``stated`` one."""
     made = copy.deepcopy(dict(config))
     for name, value in over.items():
         own, full = made.get(name), f"{above}{name}"
         if isinstance(value, Mapping) and isinstance(own, Mapping):
-            made[name] = overlay(own, stated, value, f"{full}.")
+            made[name] = overlay_settings(own, stated, value, f"{full}.")
         elif not stated.keeps(full, own):
             made[name] = copy.deepcopy(value)
     return made

@@ -17,17 +17,17 @@ from studiorecon.errors import UserError
 from studiorecon.footage.kinds import film_suffixes
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.plan.films import find_recordings
-from studiorecon.plan.inventory import unused
+from studiorecon.plan.inventory import unused_files
 from studiorecon.plan.keypoint_files import keypoint_files, keypoints_of_chapters
 from studiorecon.plan.pairing import per_camera
 from studiorecon.scene.capture_yaml import (
     ABOUT_KEYPOINTS,
     WITHOUT_CALIBRATION,
-    anybody,
     chapters,
     first_numbers,
     focal_lengths,
     frames_used,
+    has_people,
     measured_lengths,
     names_under,
     path_under,
@@ -37,7 +37,7 @@ from studiorecon.scene.capture_yaml import (
     read_starts,
 )
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset, colmap_files
-from studiorecon.scene.names import check_name, check_path, composed
+from studiorecon.scene.names import check_name, check_path, compose_unicode
 from studiorecon.scene.user_files import file_size
 
 _BYTES = 1 << 20
@@ -64,7 +64,7 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
 
 def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
     recordings = find_recordings(check_path(folder), chapters(description))
-    films = {composed(camera): parts for camera, parts in recordings.films.items()}
+    films = {compose_unicode(camera): parts for camera, parts in recordings.films.items()}
     if strange := [camera for camera in chapters(description) if camera not in films]:
         raise UserError(
             f"capture.yaml: chapters names films of {strange[0]} that are not in {recordings.place}; paths are "
@@ -103,13 +103,13 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
         starts={camera: starts[camera] for camera in footage} if starts else {},
         first_frame=first,
         frame_count=count,
-        people=anybody(description),
+        people=has_people(description),
         truth=None,
         chapters={camera: films[camera] for camera in footage if len(films[camera]) > 1},
     )
     dataset = replace(dataset, chapter_keypoints=keypoints_of_chapters(dataset))
     _check_there(dataset)
-    left_out = unused(dataset, recordings.place, set(every) - set(footage))
+    left_out = unused_files(dataset, recordings.place, set(every) - set(footage))
     return replace(dataset, notes=(*recordings.notes, *choice, *_idle_keys(description, dataset), *left_out))
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from studiorecon.errors import UserError
 from studiorecon.footage.kinds import is_film
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
-from studiorecon.scene.names import fold_name, of_the_system
-from studiorecon.scene.numbered_files import natural
+from studiorecon.scene.names import fold_name, is_system_file
+from studiorecon.scene.numbered_files import natural_sort_key
 
 # Folders that hold the footage in common captures; the first with films counts.
 VIDEO_FOLDERS = ("videos", "video", "frame_aligned_videos")
@@ -70,7 +70,7 @@ def find_recordings(folder: Path, chapters: Mapping[str, Sequence[str]]) -> Reco
         return _recordings(films, folder, folder, chapters)
     if found := _film_per_folder(folder, folder, chapters):
         return found
-    others = [path for path in folders.values() if len(_films(path)) > 1 and not of_the_system(path)]
+    others = [path for path in folders.values() if len(_films(path)) > 1 and not is_system_file(path)]
     if len(others) == 1:
         found = _recordings(_films(others[0]), others[0], folder, chapters)
         return Recordings(found.films, found.place, (f"films are taken from {others[0].name}/", *found.notes))
@@ -82,7 +82,7 @@ def find_recordings(folder: Path, chapters: Mapping[str, Sequence[str]]) -> Reco
 
 
 def _films(folder: Path) -> list[Path]:
-    return [p for p in sorted(folder.iterdir()) if not of_the_system(p) and not is_preview(p) and is_film(p)]
+    return [p for p in sorted(folder.iterdir()) if not is_system_file(p) and not is_preview(p) and is_film(p)]
 
 
 def _film_per_folder(place: Path, folder: Path, chapters: Mapping[str, Sequence[str]]) -> Recordings | None:
@@ -153,7 +153,7 @@ def _joined(films: Sequence[Path]) -> list[tuple[Path, ...]]:
             found.append(tuple(parts))
         else:
             found += [(part,) for part in parts]
-    singles = sorted((parts[0] for parts in found if len(parts) == 1), key=lambda film: natural(film.stem))
+    singles = sorted((parts[0] for parts in found if len(parts) == 1), key=lambda film: natural_sort_key(film.stem))
     others = [parts for parts in found if len(parts) > 1]
     split: list[list[Path]] = []
     for film in singles:
@@ -195,7 +195,7 @@ def _perhaps(found: Mapping[str, tuple[Path, ...]], folder: Path) -> list[str]:
     for parts in found.values():
         if len(parts) == 1 and (match := _PART.fullmatch(parts[0].stem)) and match["before"]:
             runs.setdefault(match["before"].casefold(), []).append(parts[0])
-    sets = [sorted(run, key=lambda film: natural(film.stem)) for run in runs.values() if len(run) > 1]
+    sets = [sorted(run, key=lambda film: natural_sort_key(film.stem)) for run in runs.values() if len(run) > 1]
     if len(sets) < 2 or not all(_follows(a, b, _PART) for run in sets for a, b in pairwise(run)):
         return []
     example = ", ".join(film.relative_to(folder).as_posix() for film in sets[0])
@@ -205,7 +205,7 @@ def _perhaps(found: Mapping[str, tuple[Path, ...]], folder: Path) -> list[str]:
     ]
 
 
-def unreadable(films: Mapping[str, Sequence[Path]]) -> list[str]:
+def unreadable_footage(films: Mapping[str, Sequence[Path]]) -> list[str]:
     """A sentence for every camera (camera → films) whose footage holds no picture that can be decoded."""
     from studiorecon.footage.source import check_readable  # loads OpenCV, which other plans do not need
 

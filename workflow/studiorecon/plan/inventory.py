@@ -13,7 +13,7 @@ from studiorecon.plan.films import is_preview
 from studiorecon.plan.pairing import camera_stem
 from studiorecon.scene.capture_yaml import description_path
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset
-from studiorecon.scene.names import fold_name, of_the_system
+from studiorecon.scene.names import fold_name, is_system_file
 
 _MAX_SENTENCES = 30
 _MAX_COUNTED = 1000
@@ -35,7 +35,7 @@ _BESIDE_MODELS = {"points3d.txt", "points3d.bin", "points3d.ply", "project.ini",
 _WORKFLOW_FOLDERS = {"results", "logs", "timings"}
 
 
-def unused(dataset: Dataset, place: Path, left_out: Iterable[str]) -> tuple[str, ...]:
+def unused_files(dataset: Dataset, place: Path, left_out: Iterable[str]) -> tuple[str, ...]:
     """A sentence for every file or folder in ``dataset.folder`` that the dataset does not use.
 
     ``place`` is the folder of the films; ``left_out`` are cameras that ``train`` does not list. Files of the operating
@@ -62,7 +62,7 @@ def unused(dataset: Dataset, place: Path, left_out: Iterable[str]) -> tuple[str,
 
 def _left(folder: Path, used: set[Path], parents: set[Path]) -> Iterator[Path]:
     for path in sorted(folder.iterdir()):
-        if path in used or of_the_system(path):
+        if path in used or is_system_file(path):
             continue
         if path in parents and not path.is_symlink():
             yield from _left(path, used, parents)
@@ -83,7 +83,7 @@ def _files(folder: Path) -> Iterator[Path]:
     for path in sorted(folder.iterdir()):
         if path.is_dir() and not path.is_symlink():
             yield from _files(path)
-        elif not of_the_system(path):
+        elif not is_system_file(path):
             yield path
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from studiorecon.errors import UserError
 from studiorecon.footage.kinds import film_suffixes
-from studiorecon.scene.names import fold_name, of_the_system
+from studiorecon.scene.names import fold_name, is_system_file
 
 # Suffixes that programs for keypoints and masks append to the name of a film.
 _TAIL = "(?:_json|_ext|_keypoints|_pose|dlc_.*)"
@@ -87,5 +87,5 @@ def per_camera(
             raise UserError(f"capture.yaml names {base}, which is not a folder")
         return {}
     kinds = {path: "" if path.is_dir() else path.suffix.lower() for path in sorted(base.iterdir())}
-    entries = [path for path, kind in kinds.items() if kind in suffixes and not of_the_system(path)]
+    entries = [path for path, kind in kinds.items() if kind in suffixes and not is_system_file(path)]
     return pair_by_name(list(cameras), sorted(entries, key=lambda path: suffixes.index(kinds[path])))

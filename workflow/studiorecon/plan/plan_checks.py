@@ -10,7 +10,7 @@ from typing import Any
 
 from studiorecon.calibration.formats import accepted_formats
 from studiorecon.errors import UserError
-from studiorecon.models.catalogue.registry import MODELS, of_kind
+from studiorecon.models.catalogue.registry import MODELS, cards_of_kind
 from studiorecon.plan.decisions import Plan
 from studiorecon.scene.user_files import file_size
 
@@ -23,7 +23,7 @@ PRECOMPUTED = {
     "enhance": (".mkv", ".mp4"),
 }
 # Depth networks that need no GPU.
-_ON_A_CPU = [card.name for card in of_kind("monocular depth", "inverse depth") if card.memory.gpu_gb is None]
+_ON_A_CPU = [card.name for card in cards_of_kind("monocular depth", "inverse depth") if card.memory.gpu_gb is None]
 
 
 def find_precomputed(config: Mapping[str, Any], section: str, stem: str) -> Path:
@@ -46,7 +46,7 @@ def check_plan(plan: Plan, config: Mapping[str, Any]) -> None:
     _named_files(plan, config)
     _precomputed(plan, config)
     if (named := config["detect"]["network"]) and named not in MODELS and not Path(named).is_file():
-        known = " or ".join(card.name for card in of_kind("point detector"))
+        known = " or ".join(card.name for card in cards_of_kind("point detector"))
         raise UserError(
             f"detect.network names {named}, which does not exist; name an .onnx file, or {known}, or leave it empty"
         )
@@ -148,7 +148,7 @@ def _enhancement(plan: Plan, config: Mapping[str, Any]) -> None:
 
 def _lifting(plan: Plan) -> None:
     asked = "people.association.position is scene, which"
-    monocular = [card.name for card in of_kind("monocular depth")]
+    monocular = [card.name for card in cards_of_kind("monocular depth")]
     if not plan.networks.cameras:
         raise UserError(
             f"{asked} needs the first moment's depth of the network that estimates the cameras: set "

@@ -76,7 +76,7 @@ def read_prices(path: Path = PRICES) -> PriceList:
     return PriceList(**held | {"spread": tuple(held["spread"])}, rules=rules, points=points)
 
 
-def spent(work: Mapping[str, Work], prices: PriceList) -> dict[str, float]:
+def processor_seconds(work: Mapping[str, Work], prices: PriceList) -> dict[str, float]:
     """Rule → processor seconds of all its jobs on the machine of the list; rules without a price are omitted."""
     return {
         rule: asked.jobs * (price.job_s + price.unit_s * asked.units)
@@ -88,7 +88,9 @@ def spent(work: Mapping[str, Work], prices: PriceList) -> dict[str, float]:
 def predict(work: Mapping[str, Work], prices: PriceList, cores: int, pace: float) -> Predicted:
     """The time of a run on ``cores``, ``pace`` times as fast as the list's: rules in sequence, their jobs in
     parallel."""
-    one_by_one_s = sum(taken_s / min(cores, work[rule].jobs) for rule, taken_s in spent(work, prices).items())
+    one_by_one_s = sum(
+        taken_s / min(cores, work[rule].jobs) for rule, taken_s in processor_seconds(work, prices).items()
+    )
     seconds = prices.start_s + prices.stretch * one_by_one_s / pace
     return Predicted(seconds, seconds * prices.spread[0], seconds * prices.spread[1])
 
@@ -108,7 +110,7 @@ def probe_s(rounds: int = 5, size: int = 400_000) -> float:
     return min(took)
 
 
-def pace_here(prices: PriceList, remembered: Path) -> float:
+def machine_pace(prices: PriceList, remembered: Path) -> float:
     """The speed of this machine relative to the list's, probed once and kept in the file ``remembered``."""
     if not remembered.is_file():
         write_json(remembered, {"probe_s": probe_s()})

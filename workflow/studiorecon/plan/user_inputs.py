@@ -11,11 +11,11 @@ from typing import Any
 
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.preflight import staged_weights
-from studiorecon.models.catalogue.registry import MODELS, model
+from studiorecon.models.catalogue.registry import MODELS, find_card
 from studiorecon.plan.decisions import Plan
 from studiorecon.plan.plan_checks import find_precomputed
 from studiorecon.scene.dataset import colmap_files
-from studiorecon.scene.replacement_photos import is_photo, strangers
+from studiorecon.scene.replacement_photos import is_photo, photos_of_strangers
 
 
 class UserInputs:
@@ -58,7 +58,7 @@ class UserInputs:
         named = self.config["detect"]["network"]
         if named not in MODELS:
             return [self.local(named)] if named else []
-        card = model(named)
+        card = find_card(named)
         return [self.local(str(staged_weights(card, Path(self.plan.networks.weights)) / card.weights[0].path))]
 
     @cached_property
@@ -197,14 +197,14 @@ class UserInputs:
     def replacement_people(self, wildcards: Any) -> list[str]:
         """Files of the people who replace others in a shot; people of this scene are inputs in any case."""
         wanted = self.shots.get(wildcards.shot, {}).get("replace", {}).values()
-        made = [f"results/{wildcards.scene}/humans/{name}.canonical.ply" for name in strangers(wanted)]
+        made = [f"results/{wildcards.scene}/humans/{name}.canonical.ply" for name in photos_of_strangers(wanted)]
         files = [Path(s) for s in wanted if not (re.fullmatch(r"p\d+|nobody", s) or is_photo(s))]
         beside = (str(f.with_suffix(".npz")) for f in files if f.with_suffix(".npz").is_file())
         return [*made, *map(str, files), *beside]
 
     def replacement_photo(self, wildcards: Any) -> str:
         """The photo of a person outside the scene that a shot's ``replace`` names."""
-        named = strangers(s for shot in self.shots.values() for s in shot.get("replace", {}).values())
+        named = photos_of_strangers(s for shot in self.shots.values() for s in shot.get("replace", {}).values())
         if wildcards.stranger not in named:
             raise UserError(
                 f"no film's replace names a photo of {wildcards.stranger.removeprefix('stranger_')}: "

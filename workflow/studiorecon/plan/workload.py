@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.footage.source import FootageSource, open_source
 from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.plan.decisions import Plan
-from studiorecon.render.kinds import film
+from studiorecon.render.kinds import read_film_settings
 from studiorecon.scene.effects import COVERED_DEG
 from studiorecon.studio.description import read_description
 
@@ -200,4 +200,4 @@ def _gaussians(room: Mapping[str, Any], seeds: float) -> float:
 def _pictures(shot: str, given: Mapping[str, Any], footage: Footage) -> int:
     if given["kind"] == "heldout":
         return footage.held_out * footage.frames
-    return int(getattr(film(given, shot), "frames", footage.frames))
+    return int(getattr(read_film_settings(given, shot), "frames", footage.frames))

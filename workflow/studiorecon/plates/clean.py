@@ -95,7 +95,7 @@ def temporal_plate(
     return colour, clear & (votes >= max(2, settings.min_share * len(frames)))
 
 
-def place_given(
+def fit_given_plate(
     given_rgb: Float[np.ndarray, "h w 3"],
     given_measured: Bool[np.ndarray, "h w"],
     lens: Lens,
@@ -146,7 +146,7 @@ def _working_picture(
     return view.picture(rgb.astype(np.float32)) * 255, share > 0.99
 
 
-def showing(
+def share_showing(
     frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray, "T H W"], colour: Float[np.ndarray, "H W 3"]
 ) -> Float[np.ndarray, "H W"]:
     """Float32 share of the ``free`` pictures that show ``colour`` at a pixel; 0 if never free."""
@@ -156,7 +156,7 @@ def showing(
     return shown / np.maximum(free.sum(axis=0), 1).astype(np.float32)
 
 
-def matched_exposure(
+def match_exposure(
     colour: Float[np.ndarray, "H W 3"], common: Bool[np.ndarray, "H W"], given: Float[np.ndarray, "H W 3"]
 ) -> Float[np.ndarray, "H W 3"]:
     """A given plate 0..255 in the footage's exposure, matched on the pixels ``common`` to both.
@@ -201,7 +201,7 @@ def _toned(given: np.ndarray, colour: np.ndarray, common: np.ndarray) -> np.ndar
     return np.where(given > x[-1], given * y[-1] / max(x[-1], 1), curve).astype(np.float32)
 
 
-def merge(
+def merge_plates(
     colour: Float[np.ndarray, "H W 3"],
     measured: Bool[np.ndarray, "H W"],
     matched: Float[np.ndarray, "H W 3"],
@@ -301,7 +301,7 @@ def _add_given(
 ) -> tuple[np.ndarray, np.ndarray]:
     lens = find_lens(calibration, about.camera)
     given_rgb, given_measured = read_plate(given)
-    rgb, known, difference = place_given(given_rgb, given_measured, lens, about, colour, measured)
+    rgb, known, difference = fit_given_plate(given_rgb, given_measured, lens, about, colour, measured)
     if difference > options.max_difference:
         raise UserError(
             f"plate {given} differs from the footage of camera {about.camera} by {difference:.0f} grey levels in "
@@ -315,10 +315,10 @@ def _add_given(
         else "cannot be compared with the footage"
     )
     say(f"{about.camera}: {given.name} {agrees} and fills {filled:.1%} of the picture")
-    matched = matched_exposure(colour, measured & known, rgb)
+    matched = match_exposure(colour, measured & known, rgb)
     free = ~occupied
-    shown = showing(frames, free, matched), showing(frames, free, colour)
-    colour, both, person = merge(colour, measured, matched, known, np.any(free, axis=0), *shown)
+    shown = share_showing(frames, free, matched), share_showing(frames, free, colour)
+    colour, both, person = merge_plates(colour, measured, matched, known, np.any(free, axis=0), *shown)
     if moving := float((person & measured).mean()):
         warn(
             f"{about.camera}: {moving:.1%} of the picture moves in front of {given.name}: a person without detection; "

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.images.flow import consistent
+from studiorecon.images.flow import is_flow_consistent
 from studiorecon.models.protocols import Flow
 
 if TYPE_CHECKING:
@@ -33,4 +33,4 @@ def backward_flow(
     backward = search.flow(picture, past)
     if not check:
         return backward, np.isfinite(backward[..., 0]) & np.isfinite(backward[..., 1])
-    return backward, consistent(backward, search.flow(past, picture))
+    return backward, is_flow_consistent(backward, search.flow(past, picture))

@@ -40,7 +40,7 @@ _MAX_SETTLED = 2 / 255
 _PROBE = np.float32(8 / 255)
 
 
-def blend(
+def blend_history(
     picture: Integer[np.ndarray, "H W 3"], history: Sequence[Past], injection: Injection, search: Flow, pool: Executor
 ) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"]] | None:
     """The enhancer's input with earlier pictures, latest first, and their share of it; None after a cut.
@@ -89,7 +89,7 @@ def enhance_sequence(
                     f"picture {number} of segment {segment} is {new} and the one before it "
                     f"{old}; pictures of a clip have one size"
                 )
-            mixed = blend(picture, history, injection, search, pool)
+            mixed = blend_history(picture, history, injection, search, pool)
             if mixed is None:
                 say(f"picture {number} of segment {segment} follows a cut: injection restarts")
                 history.clear()

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from studiorecon.geometry.statistics import SIGMA_OF_MAD
-from studiorecon.render.occlusion import Groups, hidden, nearness, sky_hidden
+from studiorecon.render.occlusion import Groups, body_proximity, hidden_shares, hidden_sky_share
 from studiorecon.render.room_light import Lamps
 from studiorecon.scene.room import RoomBox
 
@@ -31,7 +31,7 @@ _PIXELS = 256
 _MIN_SHARE, _ROUNDS, _HUBER = 0.01, 5, 2.0
 
 
-def patches(room_box: RoomBox, spacing_m: float, seen_from_m: Float[np.ndarray, " 3"]) -> Lamps:
+def lamp_patches(room_box: RoomBox, spacing_m: float, seen_from_m: Float[np.ndarray, " 3"]) -> Lamps:
     """Patches on the ceiling and upper walls, ``spacing_m`` apart, and of the sky; wider far from ``seen_from_m``."""
     low, high = room_box.low_m, room_box.high_m
 
@@ -82,20 +82,20 @@ def _joined(lamps: Lamps, width_m: float, seen_from_m: np.ndarray) -> Lamps:
     )
 
 
-def losses(
+def light_losses(
     points: Groups, bodies: Sequence[Float[np.ndarray, "C 7"]], lamps: Lamps, contact_m: float
 ) -> Float[np.ndarray, "N M"]:
     """Float32 hidden share of the sky, closeness of a body, and the hidden share of every lamp."""
-    beside = np.stack([sky_hidden(points, bodies), nearness(points, bodies, contact_m)], axis=1)
-    return np.concatenate([beside, hidden(points, lamps.discs, bodies)], axis=1)
+    beside = np.stack([hidden_sky_share(points, bodies), body_proximity(points, bodies, contact_m)], axis=1)
+    return np.concatenate([beside, hidden_shares(points, lamps.discs, bodies)], axis=1)
 
 
-def strengths(
+def fit_strengths(
     lost: Float[np.ndarray, "P T M"], relative: Float[np.ndarray, "P K"], ratio: Float[np.ndarray, "P T"]
 ) -> Float[np.ndarray, " M"]:
     """Non-negative strengths of sky, contact and lamps, from the changes of P pixels over T pictures.
 
-    ``lost`` is from ``losses``, ``relative`` the fall-off of every lamp over its mean, ``ratio`` that of picture to
+    ``lost`` is from ``light_losses``, ``relative`` every lamp's fall-off over its mean, ``ratio`` that of picture to
     plate, NaN where unknown. A plate may contain a permanent shadow, so every pixel has a fitted level, and only its
     changes count. The unshaded light depends on the strengths too, so the two are updated in alternation. Large
     residuals count by their root (Huber), since reflections and carried objects are no shadows.
@@ -115,7 +115,7 @@ def strengths(
         left = np.empty_like(seen)
         for part in _parts(len(ratio)):
             left[part] = 1 - _columns(lost, relative, part)[..., on] @ found[on] / total[part, None]
-        own = own_levels(seen, left, weight)
+        own = unshaded_levels(seen, left, weight)
         residual = np.abs(seen - own[:, None] * left)
         usual = max(SIGMA_OF_MAD * float(np.median(residual[known])), 1e-4)
         weight = known * np.minimum(1, _HUBER * usual / np.maximum(residual, 1e-9))
@@ -151,7 +151,7 @@ def _with_rows(
     return cast(np.ndarray, np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
 
 
-def own_levels(
+def unshaded_levels(
     seen: Float[np.ndarray, "P T"], left: Float[np.ndarray, "P T"], weight: Shaped[np.ndarray, "P T"]
 ) -> Float[np.ndarray, " P"]:
     """Ratio of pixels to their plate when unshaded, from ``left`` of their light; 1 where unknown."""

@@ -99,12 +99,12 @@ def _levels(shares, levels):
     return found
 
 
-def millimetres(depth_m: Float[np.ndarray, "H W"]) -> Integer[np.ndarray, "H W"]:
+def to_millimetres(depth_m: Float[np.ndarray, "H W"]) -> Integer[np.ndarray, "H W"]:
     """Uint16 millimetres; 0 stays unknown, larger depths than 65.535 m become 65535."""
     return np.clip(np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=65.535) * 1000), 0, 65535).astype(np.uint16)
 
 
-def blocked(eyes_m: Float[np.ndarray, "E 3"], background: Gaussians, clearance_m: float) -> Bool[np.ndarray, " E"]:
+def is_blocked(eyes_m: Float[np.ndarray, "E 3"], background: Gaussians, clearance_m: float) -> Bool[np.ndarray, " E"]:
     """Whether solid background (Gaussians of opacity above a half) is within ``clearance_m`` of each position.
 
     It takes a group of them: a single floater must not move a camera path.

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.render.composite import TRUTH_LEVELS, Composite, provenance_classes
-from studiorecon.render.shading import dim
+from studiorecon.render.shading import dim_gaussians
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.conventions import BLOCK_FLOATS, LANES
@@ -92,7 +92,7 @@ class CompositeRenderer:
         scene = self._scene
         if scene.shading is not None:
             shade = scene.shading.factor(frame)
-            dim(scene.background.sh, scene.shading.at, shade, self._shade, self._blocks[0])
+            dim_gaussians(scene.background.sh, scene.shading.at, shade, self._shade, self._blocks[0])
             self._shade = shade
         for part, moving in enumerate(scene.moving, start=1):
             self._fill(part, moving.posed(frame))

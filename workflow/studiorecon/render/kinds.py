@@ -37,7 +37,7 @@ KINDS: Mapping[str, type] = {
 }
 
 
-def film(described: Mapping[str, Any], shot: str) -> Any:
+def read_film_settings(described: Mapping[str, Any], shot: str) -> Any:
     """The settings of the film ``shot``; raises UserError for an unknown kind or a value of the wrong type."""
     kind = described.get("kind")
     if kind is None or kind not in KINDS:

@@ -36,7 +36,7 @@ class Settings(DrawSettings):
     """Settings of drawing."""
 
 
-def channels(layers: Layers, people: Sequence[str]) -> dict[str, Float[np.ndarray, "H W"]]:
+def layer_channels(layers: Layers, people: Sequence[str]) -> dict[str, Float[np.ndarray, "H W"]]:
     """Channels by name: float16, depth float32."""
     rendering = layers.rendering
     if rendering.normals is None:
@@ -68,7 +68,7 @@ def run(
     for old in folder.glob("*.exr"):
         old.unlink()
     for index, step in enumerate(progress(steps, f"layers of {shot}")):
-        write_channels(folder / f"{index:06d}.exr", channels(canvas.layers(step.camera, step.frame), people))
+        write_channels(folder / f"{index:06d}.exr", layer_channels(canvas.layers(step.camera, step.frame), people))
     say(
         f"{len(steps)} pictures of {shot} are split into layers in {folder}, with mattes of "
         f"{', '.join(['the room', *people])}"

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from studiorecon.arrays import evenly_spread
-from studiorecon.body.capsules import occluder
+from studiorecon.body.capsules import build_occluder
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
@@ -25,10 +25,10 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frame
 from studiorecon.geometry.floor import floor_points, is_near
 from studiorecon.progress import progress, say
-from studiorecon.render.area_lights import losses, own_levels, patches, strengths
+from studiorecon.render.area_lights import fit_strengths, lamp_patches, light_losses, unshaded_levels
 from studiorecon.render.occlusion import Groups
 from studiorecon.render.room_light import Lamps, Light, LitPoints, write_light
-from studiorecon.scene.files import one_each
+from studiorecon.scene.files import require_one_each
 from studiorecon.scene.people import Person
 from studiorecon.scene.room import RoomBox, read_room
 from studiorecon.signature import Written
@@ -87,7 +87,7 @@ def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[Fl
                 f"{person.name} was fitted with the body model {person.body}, not "
                 f"{model.identity}; use the same body file"
             )
-    shapes = [occluder(model, person.betas) for person in people]
+    shapes = [build_occluder(model, person.betas) for person in people]
     moved = [model.joint_transforms(person.poses, person.betas, person.trans) for person in people]
     return [
         [shape.posed(m[t]) if person.valid[t] else np.zeros((0, 7)) for person, shape, m in zip(people, shapes, moved)]
@@ -95,14 +95,14 @@ def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[Fl
     ]
 
 
-def standing_places(people: Sequence[Person], frame: int) -> tuple[Float[np.ndarray, "A 2"], Float[np.ndarray, "B 2"]]:
+def people_positions(people: Sequence[Person], frame: int) -> tuple[Float[np.ndarray, "A 2"], Float[np.ndarray, "B 2"]]:
     """Positions of people measured at a frame, and possible positions of unmeasured ones, without absent people."""
     sure = [person.trans[frame, :2] for person in people if person.valid[frame]]
     guessed = [person.trans[frame, :2] for person in people if person.present[frame] and not person.valid[frame]]
     return np.reshape(sure, (-1, 2)), np.reshape(guessed, (-1, 2))
 
 
-def ratios(
+def brightness_ratios(
     picture: Integer[np.ndarray, "H W 3"],
     plate: Float[np.ndarray, "H W 3"],
     free: Bool[np.ndarray, "H W"],
@@ -126,7 +126,7 @@ def ratios(
     return np.where(usable & ~is_near(points_m, unsure_m, reach_m), np.exp(level - exposure), np.nan)
 
 
-def estimate(
+def estimate_light(
     observed: Sequence[FloorObservations],
     frames: Sequence[int],
     bodies: Sequence[Sequence[Float[np.ndarray, "C 7"]]],
@@ -142,13 +142,13 @@ def estimate(
     if some.sum() < _MIN_PX:
         return replace(blank, reason="too little floor is visible near people over time to estimate the light")
     points, ratio = points[some], ratio[some]
-    lamps, groups = patches(room_box, settings.spacing_m, points.mean(axis=0)), Groups.of(points)
+    lamps, groups = lamp_patches(room_box, settings.spacing_m, points.mean(axis=0)), Groups.of(points)
     lost = np.empty((len(points), len(frames), 2 + len(lamps.radius_m)), np.float32)
     for k, t in enumerate(progress(frames, "moments with shadows")):
-        lost[:, k] = losses(groups, bodies[t], lamps, settings.contact_m)
+        lost[:, k] = light_losses(groups, bodies[t], lamps, settings.contact_m)
     falloff = lamps.falloff(points)
     usual = np.maximum(falloff.mean(axis=0), 1e-9)
-    trial = _light(blank, strengths(lost[:, ~later], falloff / usual, ratio[:, ~later]), lamps, usual)
+    trial = _light(blank, fit_strengths(lost[:, ~later], falloff / usual, ratio[:, ~later]), lamps, usual)
     lit = LitPoints(trial, points)
     left = np.stack([lit.left(bodies[t]) for t in frames], axis=1)
     error, without = (_error(ratio, used, later) for used in (left, np.ones_like(left)))
@@ -165,7 +165,7 @@ def estimate(
         )
         return replace(blank, figures=figures, reason=f"{verdict}, so films are made without")
     # The light passed the check; now it is estimated from all pictures.
-    found = _light(blank, strengths(lost, falloff / usual, ratio), lamps, usual)
+    found = _light(blank, fit_strengths(lost, falloff / usual, ratio), lamps, usual)
     verdict = (
         f"{len(found.share)} patches give {found.share.sum():.0%} of the light; floor "
         f"near people is off by {error:.2%} instead of"
@@ -176,7 +176,7 @@ def estimate(
 def _error(ratio: np.ndarray, left: np.ndarray, later: np.ndarray) -> float:
     """Root mean square residual of ``left`` of the light in the ``later`` frames, with levels from those before."""
     seen, weight = np.nan_to_num(ratio), np.isfinite(ratio)
-    own = own_levels(seen[:, ~later], left[:, ~later], weight[:, ~later])
+    own = unshaded_levels(seen[:, ~later], left[:, ~later], weight[:, ~later])
     return float(np.sqrt(np.mean((seen - own[:, None] * left)[weight & later] ** 2)))
 
 
@@ -200,7 +200,7 @@ def run(
 ) -> None:
     """Write the light that explains the shadows on the floor near people."""
     cameras, box, chosen = read_model(model.parent), read_room(room_box), settings.light
-    one_each(cameras, videos=videos, masks=masks, plates=plates, depth_maps=depths)
+    require_one_each(cameras, videos=videos, masks=masks, plates=plates, depth_maps=depths)
     persons = [read_person(path) for path in fits]
     if not persons:
         raise UserError("no person is there to cast a shadow: delete moving_shadows from survey.force")
@@ -218,9 +218,11 @@ def run(
         ratio = np.full((len(pixels), len(frames)), np.nan)
         for k, frame in enumerate(map(int, frames)):
             free = measured & (cv2.dilate((read_frame(mask, frame) > 0).astype(np.uint8), seam) == 0)
-            places = standing_places(persons, frame)
-            ratio[:, k] = ratios(read_frame(video, frame), plate, free, points, *places, chosen.reach_m).ravel()[pixels]
+            places = people_positions(persons, frame)
+            ratio[:, k] = brightness_ratios(
+                read_frame(video, frame), plate, free, points, *places, chosen.reach_m
+            ).ravel()[pixels]
         observed.append(FloorObservations(points.reshape(-1, 3)[pixels], ratio))
-    found = estimate(observed, frames.tolist(), bodies, box, chosen)
+    found = estimate_light(observed, frames.tolist(), bodies, box, chosen)
     say(f"light: {found.reason}")
     write_light(light, found)

@@ -123,7 +123,7 @@ def sky_discs() -> Num[np.ndarray, "D 4"]:
     return np.concatenate([directions * _FAR_M**2, np.full((_SKY, 1), _SKY_TAN * _FAR_M**2)], axis=1)
 
 
-def hidden(
+def hidden_shares(
     points_m: Num[np.ndarray, "N 3"] | Groups, lamps: Num[np.ndarray, "K 4"], bodies: Sequence[Float[np.ndarray, "C 7"]]
 ) -> Float[np.ndarray, "N K"]:
     """Float32 share of every lamp that the bodies hide from points.
@@ -154,14 +154,14 @@ def hidden_light(
     return groups.of_points(out)
 
 
-def sky_hidden(
+def hidden_sky_share(
     points_m: Float[np.ndarray, "N 3"] | Groups, bodies: Sequence[Float[np.ndarray, "C 7"]]
 ) -> Float[np.ndarray, " N"]:
     """Float32 share of the diffuse light from above that the bodies hide from points that face up."""
-    return hidden(points_m, sky_discs(), bodies).mean(axis=1)
+    return hidden_shares(points_m, sky_discs(), bodies).mean(axis=1)
 
 
-def nearness(
+def body_proximity(
     points_m: Float[np.ndarray, "N 3"] | Groups, bodies: Sequence[Float[np.ndarray, "C 7"]], reach_m: float
 ) -> Float[np.ndarray, " N"]:
     """1 where a body touches a point, exp(-1) at ``reach_m`` from its surface, 0 beyond four times that (bell

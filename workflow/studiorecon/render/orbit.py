@@ -46,7 +46,7 @@ class Orbit:
     time: Time = "stretch"
 
 
-def azimuths(
+def orbit_azimuths(
     orbit: Orbit, cameras: Sequence[Camera], centre_m: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, " frames"]:
     """Azimuth of each picture about the centre: once around, or along the filmed arc and back."""
@@ -79,7 +79,7 @@ def orbit_steps(
         raise UserError(f"shot {name} needs at least two training cameras to go around")
     centre = scene_centre(cameras)
     offsets = np.array([camera.centre_m - centre for camera in cameras])
-    angles = azimuths(orbit, cameras, centre)
+    angles = orbit_azimuths(orbit, cameras, centre)
     distances = np.interp(
         angles, azimuths_rad(cameras, centre), np.linalg.norm(offsets[:, :2], axis=1), period=2 * np.pi
     )

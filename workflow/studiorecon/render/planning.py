@@ -10,14 +10,14 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.progress import say
-from studiorecon.render.composite import blocked
+from studiorecon.render.composite import is_blocked
 from studiorecon.render.keyframes import Spline, from_camera_to_camera, read_keys, spline_steps
-from studiorecon.render.kinds import Heldout, film
+from studiorecon.render.kinds import Heldout, read_film_settings
 from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.moves import DollyZoom, Follow, Oscillate, dolly_zoom_steps, follow_steps, oscillate_steps
 from studiorecon.render.orbit import Orbit, orbit_steps
 from studiorecon.render.path_file import GivenPath, path_steps
-from studiorecon.render.shots import every_frame, picture_size
+from studiorecon.render.shots import all_frames_path, picture_size
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.path import PathStep
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _SHRINK = (1.0, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7)
 
 
-def plan(
+def plan_steps(
     shot: str,
     shots: Mapping[str, Any],
     width: int,
@@ -44,16 +44,16 @@ def plan(
     Raises UserError for a shot that is not configured or cannot be made of these cameras and people.
     """
     if shot == "train":
-        return every_frame(training, subjects.frames)
+        return all_frames_path(training, subjects.frames)
     if shot not in shots:
         raise UserError(f"there is no shot {shot!r} under render.shots; it names {', '.join(shots) or 'none'}")
-    settings = film(shots[shot], shot)
+    settings = read_film_settings(shots[shot], shot)
     if isinstance(settings, Heldout):
         if not held_out:
             raise UserError(
                 f"shot {shot} shows the held-out cameras, but there are none; name some under held_out in capture.yaml"
             )
-        return every_frame(held_out, subjects.frames)
+        return all_frames_path(held_out, subjects.frames)
     wh = picture_size(training, width)
     if isinstance(settings, Spline):
         keys = read_keys(settings.keys, shot) if settings.keys else from_camera_to_camera(training, shot)
@@ -107,4 +107,4 @@ def smooth_dips(factors: Float[np.ndarray, " pictures"]) -> Float[np.ndarray, " 
 
 
 def _blocked(steps: list[PathStep], background: Gaussians, clearance_m: float) -> np.ndarray:
-    return blocked(np.array([step.camera.centre_m for step in steps]), background, clearance_m)
+    return is_blocked(np.array([step.camera.centre_m for step in steps]), background, clearance_m)

@@ -24,7 +24,7 @@ from studiorecon.progress import say
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.provenance import INVENTED
-from studiorecon.scene.replacement_photos import is_photo, stranger
+from studiorecon.scene.replacement_photos import is_photo, stranger_name
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
@@ -121,7 +121,7 @@ def replace_people(
             say(f"shot {shot}: {person.person} is left out")
             continue
         file = (
-            next(p for p in stand_ins if p.name.startswith(f"{stranger(source)}."))
+            next(p for p in stand_ins if p.name.startswith(f"{stranger_name(source)}."))
             if is_photo(source)
             else Path(source)
         )

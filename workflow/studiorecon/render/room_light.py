@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.render.occlusion import Groups, hidden_light, nearness, sky_discs
+from studiorecon.render.occlusion import Groups, body_proximity, hidden_light, sky_discs
 from studiorecon.scene.files import write_json
 from studiorecon.scene.schema import Anything, ListOf, MappingOf, flag, metres, real, text
 from studiorecon.scene.step_files import read
@@ -136,7 +136,7 @@ class LitPoints:
             return np.ones(len(self._total), np.float32)
         gone = hidden_light(self._groups, self._parts, self._discs, bodies)
         if self._light.contact:
-            gone = gone + self._light.contact * nearness(self._groups, bodies, self._light.contact_m)
+            gone = gone + self._light.contact * body_proximity(self._groups, bodies, self._light.contact_m)
         return np.clip(1 - gone / self._total, _MIN_FACTOR, 1).astype(np.float32)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.progress import progress, say
 from studiorecon.render.room_light import read_light
-from studiorecon.render.shading import shading
+from studiorecon.render.shading import build_shading
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.files import write_npz
 from studiorecon.signature import Written
@@ -26,7 +26,7 @@ def run(manifest: Path, files: SceneFiles, light: Path, shade: Written) -> None:
     All are empty if the ``light`` was not kept.
     """
     (room, _), people = files.room(), files.people()
-    found = shading(read_light(light), room, people, people, files.things())
+    found = build_shading(read_light(light), room, people, people, files.things())
     times = evenly_spread(read_manifest(manifest).frames, MOMENTS)
     if found is None:
         say("shade: no light explains the shadows, so people cast none")

@@ -12,7 +12,7 @@ import numpy as np
 
 from studiorecon.arrays import evenly_spread
 from studiorecon.body.avatar.avatar_files import Avatar
-from studiorecon.body.capsules import Occluder, occluder
+from studiorecon.body.capsules import Occluder, build_occluder
 from studiorecon.geometry import rotations
 from studiorecon.geometry.floor import FLOOR_M
 from studiorecon.render.room_light import Light, LitPoints
@@ -50,12 +50,12 @@ class Shading:
     things: Sequence[RigidObject] = ()
 
     def factor(self, frame: float) -> Float[np.ndarray, " M"]:
-        """Float32 factors on the plates' colours of the Gaussians ``at`` at a (fractional) frame; see ``dim``."""
+        """Float32 factors on the plates' colours of the Gaussians ``at`` at a frame; see ``dim_gaussians``."""
         left = self.lit.left(_bodies(self.casters, self.things, frame)) / self.usual
         return (1 - self.facing * (1 - left)).astype(np.float32)
 
 
-def shading(
+def build_shading(
     light: Light,
     room: Gaussians,
     people: Sequence[Avatar],
@@ -69,9 +69,9 @@ def shading(
     """
     if not light.kept or not (people or things):
         return None
-    facing = facing_up(room, light.floor_m)
+    facing = upward_share(room, light.floor_m)
     at = np.flatnonzero(facing > _MIN_FACING)
-    casters = [(person, occluder(person.model, person.betas)) for person in filmed]
+    casters = [(person, build_occluder(person.model, person.betas)) for person in filmed]
     last = filmed[0].frames - 1 if filmed else len(things[0].centres_m) - 1 if things else 0
     moments = evenly_spread(last + 1, _MOMENTS)
     lit = LitPoints(light, room.means_m[at])
@@ -81,7 +81,7 @@ def shading(
         at,
         facing[at],
         usual,
-        [(person, occluder(person.model, person.betas)) for person in people],
+        [(person, build_occluder(person.model, person.betas)) for person in people],
         things,
     )
 
@@ -102,7 +102,7 @@ def _bodies(
     return [*posed, *(thing.capsule(frame) for thing in things)]
 
 
-def facing_up(room: Gaussians, floor_m: float) -> Float[np.ndarray, " N"]:
+def upward_share(room: Gaussians, floor_m: float) -> Float[np.ndarray, " N"]:
     """1 on the floor, on low furniture the squared vertical part of the shortest axis, else 0.
 
     Shadows were measured on the floor: surfaces with another direction get other light, and stay unchanged.
@@ -115,7 +115,7 @@ def facing_up(room: Gaussians, floor_m: float) -> Float[np.ndarray, " N"]:
 
 
 @numba.njit(nogil=True, **KERNEL)
-def dim(sh, at, factor, before, parameters):
+def dim_gaussians(sh, at, factor, before, parameters):
     """Writes harmonics (N, K, 3) of colours multiplied by ``factor`` into the blocks of the Gaussians ``at``.
 
     The factor applies to all directions of view. A colour is 0.5 plus its harmonics, so the half is multiplied as well.

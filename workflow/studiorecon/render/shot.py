@@ -15,19 +15,25 @@ import numpy as np
 from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
-from studiorecon.footage.streams import writing
+from studiorecon.footage.streams import parallel_writers
 from studiorecon.footage.video import to_bytes, write_lossless
 from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.progress import progress, say
-from studiorecon.render.composite import Composite, millimetres, truth_levels
+from studiorecon.render.composite import Composite, to_millimetres, truth_levels
 from studiorecon.render.composite_renderer import CompositeRenderer
 from studiorecon.render.draw_settings import DrawSettings
 from studiorecon.render.look_at_targets import LookAtTargets
-from studiorecon.render.planning import plan
+from studiorecon.render.planning import plan_steps
 from studiorecon.render.replacement import replace_people
 from studiorecon.render.room_light import read_light
-from studiorecon.render.shading import shading
-from studiorecon.render.statistics import PictureStatistics, angles_deg, nearby_obstacles, shares, write_ledger
+from studiorecon.render.shading import build_shading
+from studiorecon.render.statistics import (
+    PictureStatistics,
+    angles_deg,
+    nearby_obstacles,
+    provenance_shares,
+    write_ledger,
+)
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.path import PathStep, write_path
@@ -68,12 +74,12 @@ def find_targets(people: Sequence[Avatar], cameras: Sequence[Camera], frames: in
     return LookAtTargets(pelvis, facing, present, centre_m, frames, fps, reach_m)
 
 
-def picture(
+def draw_step(
     canvas: CompositeRenderer, step: PathStep, background_rgb: tuple[float, float, float]
 ) -> tuple[Integer[np.ndarray, "H W 3"], Integer[np.ndarray, "H W"], Integer[np.ndarray, "H W"]]:
     """Uint8 picture, uint8 truth map and uint16 depth in millimetres of one step."""
     rendering, shares = canvas.draw(step.camera, step.frame, background_rgb)
-    return to_bytes(rendering.rgb), truth_levels(shares), millimetres(rendering.depth_m)
+    return to_bytes(rendering.rgb), truth_levels(shares), to_millimetres(rendering.depth_m)
 
 
 def read_composite(
@@ -85,7 +91,7 @@ def read_composite(
     """
     (static, classes), people, things = files.room(), files.people(), files.things()
     cast = replace_people(people, shots.get(shot, {}).get("replace", {}), shot, stand_ins)
-    shade = shading(read_light(light[0]), static, cast, people, things) if light else None
+    shade = build_shading(read_light(light[0]), static, cast, people, things) if light else None
     names = {person.person for person in cast}
     return Composite(static, classes, cast, shade, things, [person for person in people if person.person not in names])
 
@@ -118,7 +124,7 @@ def run(
     everybody = typing.cast("list[Avatar]", [*scene.people, *scene.absent])  # as read_composite made them
     captured = sorted(everybody, key=lambda person: person.person)
     subjects = find_targets(captured, training, capture.frames, capture.fps)
-    steps = plan(
+    steps = plan_steps(
         shot, settings.shots, settings.width, settings.clearance_m, training, held_out, subjects, scene.background
     )
     say(
@@ -139,10 +145,12 @@ def run(
     around = zip(angles_deg(steps, training, subjects.scene_m), nearby_obstacles(steps, scene, settings.clearance_m))
     entries = []
     writers = [partial(write_lossless, target, fps=capture.fps) for target in (video, truth, depth)]
-    with writing([_of_frames(writer) for writer in writers]) as put:
+    with parallel_writers([_of_frames(writer) for writer in writers]) as put:
         for index, (step, (angle, near)) in enumerate(zip(progress(steps, f"pictures of {shot}"), around)):
-            rgb, truth_map, depth_mm = picture(canvas, step, settings.background_rgb)
-            entries.append(PictureStatistics(index, step.segment, step.frame, *shares(truth_map), float(angle), near))
+            rgb, truth_map, depth_mm = draw_step(canvas, step, settings.background_rgb)
+            entries.append(
+                PictureStatistics(index, step.segment, step.frame, *provenance_shares(truth_map), float(angle), near)
+            )
             put(rgb, truth_map, depth_mm)
     write_path(path, steps, capture.fps)
     write_ledger(ledger, entries)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Time = Literal["stretch", "loop", "swing", "hold"] | float
 
 
-def every_frame(cameras: Sequence[Camera], frames: int) -> list[PathStep]:
+def all_frames_path(cameras: Sequence[Camera], frames: int) -> list[PathStep]:
     """Each camera × each frame; the segment is the camera's name.
 
     All pictures have the largest width and height of the cameras; a camera's own picture is the top left part.
@@ -45,7 +45,7 @@ def usual_focal(cameras: Sequence[Camera], width: int) -> float:
     return width * float(np.mean([np.mean(camera.focal_px) / camera.wh[0] for camera in cameras]))
 
 
-def looking_at(eye_m: Float[np.ndarray, " 3"], target_m: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
+def look_at_pose(eye_m: Float[np.ndarray, " 3"], target_m: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
     """Camera_from_world of a level camera at ``eye_m`` whose optical axis meets ``target_m``."""
     transform = np.eye(4)
     transform[:3, :3] = look_at(eye_m, target_m).T
@@ -63,7 +63,7 @@ def level_step(
 ) -> PathStep:
     """One picture of size ``wh`` by a level camera with the target in its middle."""
     intrinsics = np.array([[focal_px, 0, wh[0] / 2], [0, focal_px, wh[1] / 2], [0, 0, 1.0]])
-    return PathStep(Camera(name, wh, intrinsics, looking_at(eye_m, target_m)), float(frame), "00")
+    return PathStep(Camera(name, wh, intrinsics, look_at_pose(eye_m, target_m)), float(frame), "00")
 
 
 def film_times(kind: Time, pictures: int, frames: int) -> Float[np.ndarray, " pictures"]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.render.composite import TRUTH_LEVELS, Composite, blocked
+from studiorecon.render.composite import TRUTH_LEVELS, Composite, is_blocked
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_table
 from studiorecon.scene.path import PathStep
@@ -41,7 +41,7 @@ class PictureStatistics:
     near: str
 
 
-def shares(truth: Integer[np.ndarray, "H W"]) -> tuple[float, float, float]:
+def provenance_shares(truth: Integer[np.ndarray, "H W"]) -> tuple[float, float, float]:
     """Measured, inferred and invented share of a truth map (H, W) uint8."""
     counted = np.bincount(truth.ravel(), minlength=256)[TRUTH_LEVELS] / truth.size
     return float(counted[0]), float(counted[1]), float(counted[2])
@@ -60,7 +60,7 @@ def angles_deg(
 def nearby_obstacles(steps: Sequence[PathStep], scene: Composite, clearance_m: float) -> list[str]:
     """Per picture, the obstacle closer to the camera than ``clearance_m``: a person at that time, or the room."""
     eyes = np.array([step.camera.centre_m for step in steps])
-    in_room = blocked(eyes, scene.background, clearance_m)
+    in_room = is_blocked(eyes, scene.background, clearance_m)
     names = []
     for step, eye, room in zip(steps, eyes, in_room):
         reached = [

@@ -39,7 +39,7 @@ def appearance_decisions(avatars: Sequence[Path]) -> dict[str, Decision | None]:
     return {path.stem: read_decision(path) for path in avatars}
 
 
-def appearance(found: Mapping[str, Decision | None], threshold: float) -> Decision:
+def decide_appearance_network(found: Mapping[str, Decision | None], threshold: float) -> Decision:
     """One decision from the people's own: that of the strongest case; without any it reports ``threshold``."""
     asked = {name: (d.value, d) for name, d in found.items() if d is not None and d.value is not None}
     if not asked:
@@ -54,7 +54,7 @@ def appearance(found: Mapping[str, Decision | None], threshold: float) -> Decisi
     return replace(most, obeyed_by=TEMPORAL_APPEARANCE.obeyed_by, detail=detail)
 
 
-def of_films(files: Sequence[Path]) -> list[Decision]:
+def film_decisions(files: Sequence[Path]) -> list[Decision]:
     """The films' decisions, one per effect of ``FILMED``: from the film with the strongest case for it."""
     found = [read_decisions(path) for path in files]
     made = []
@@ -75,8 +75,8 @@ def run(
 ) -> None:
     """Write the decisions of human training and of all ``films``."""
     limit = {e.name: e.threshold for e in TRAINED} | dict(settings.thresholds)
-    measured = appearance(appearance_decisions(avatars), limit["temporal_appearance"])
-    made = [*apply_forced([measured], settings.force), *of_films(films)]
+    measured = decide_appearance_network(appearance_decisions(avatars), limit["temporal_appearance"])
+    made = [*apply_forced([measured], settings.force), *film_decisions(films)]
     for decision in made:
         say(f"{decision.effect}: {decision.verdict}; {decision.reason}")
     write_decisions(decisions, made)

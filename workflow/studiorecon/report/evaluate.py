@@ -26,7 +26,7 @@ from studiorecon.progress import progress, say
 from studiorecon.report.metrics.bodies import compare_bodies
 from studiorecon.report.metrics.bootstrap import Bootstrap
 from studiorecon.report.metrics.definitions import NO_LPIPS, PROTOCOL, SEEN_BY, definitions, provenance
-from studiorecon.report.metrics.distance import TOO_SMALL, Net, no_flip, opened
+from studiorecon.report.metrics.distance import TOO_SMALL, Net, missing_flip_reason, open_lpips
 from studiorecon.report.metrics.estimated import SOURCE, EstimatedFiles, estimated_regions
 from studiorecon.report.metrics.films import ScoredFilmFiles, ScoredFilms
 from studiorecon.report.metrics.folders import digest
@@ -43,7 +43,7 @@ from studiorecon.report.metrics.measures import (
     summaries,
 )
 from studiorecon.report.metrics.overlap import overlap
-from studiorecon.report.metrics.truth import Truth, read_truth, regions
+from studiorecon.report.metrics.truth import Truth, read_truth, truth_regions
 from studiorecon.report.sections.pictures import truth_shares
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import common_start
@@ -92,7 +92,7 @@ def missing_reasons(have_regions: bool, have_truth: bool, net: str) -> dict[str,
     reasons |= dict.fromkeys(people, moving)
     reasons |= dict.fromkeys(TEMPORAL, "needs at least two frames of 24 pixels a side")
     reasons |= dict.fromkeys(("temporal_l1_seen", "temporal_l1_unseen"), region)
-    reasons["flip"] = no_flip()
+    reasons["flip"] = missing_flip_reason()
     reasons["lpips"] = NO_LPIPS if net == "none" else TOO_SMALL
     return reasons | dict.fromkeys(("ssim", "ssim_3dgs"), "pictures are under 11 pixels a side")
 
@@ -136,7 +136,7 @@ def score_pictures(
     for camera in progress(scored.cameras if scored.films else [], "cameras"):
         masks: Iterator[Mapping[str, np.ndarray]] = repeat({})
         if truth is not None and views:
-            masks = regions(views, camera, training, truth.first_frame, frames, *tolerances)
+            masks = truth_regions(views, camera, training, truth.first_frame, frames, *tolerances)
         elif estimated.film_depth:
             start, all_tolerances = scored.starts[camera.name], (settings.seen_tolerance, *settings.seen_sensitivity)
             masks = estimated_regions(estimated, people, camera, scored.training, start, frames, all_tolerances)
@@ -211,7 +211,9 @@ def run(
     scored = films.read()
     exact = read_truth(truth[0], common_start(scored.capture.footage)) if truth else None
     with one_thread():
-        distance = opened(settings.lpips, lpips, threads, "set report.lpips to none", where) if scored.films else None
+        distance = (
+            open_lpips(settings.lpips, lpips, threads, "set report.lpips to none", where) if scored.films else None
+        )
         fitted = [read_person(path) for path in people.fits]
         found = score_pictures(scored, exact, estimated, fitted, settings, distance)
     nothing = {name: {measure: missing_measure(_NO_HELD_OUT) for measure in NAMES} for name in ("raw", "enhanced")}

@@ -51,7 +51,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Made:
+class ResultFiles:
     """Files of ``results/<scene>``, by the names that its rules give those of cameras and films (``shots``)."""
 
     folder: Path
@@ -96,7 +96,7 @@ class RunFiles:
     licences: Place
 
 
-def strips(made: Made, frames: int, enhanced: bool, settings: Settings) -> tuple[str, list[str]]:
+def comparison_strips(made: ResultFiles, frames: int, enhanced: bool, settings: Settings) -> tuple[str, list[str]]:
     """A slider, and rows for a few frames of every held-out camera: photo, render, enhanced picture, difference."""
     render, final_film = made.folder / "render/heldout.mkv", made.folder / "enhance/heldout.mkv"
     steps, _ = read_path(made.folder / "render/heldout.json")
@@ -104,7 +104,7 @@ def strips(made: Made, frames: int, enhanced: bool, settings: Settings) -> tuple
     for video in made.each("capture/{}.mkv", made.held_out):
         camera = video.stem
         first = next(i for i, step in enumerate(steps) if step.segment == camera)
-        for frame in spread(frames, settings.strip_frames):
+        for frame in spread_frames(frames, settings.strip_frames):
             photo, raw = read_frame(video, frame), read_frame(render, first + frame)
             final = read_frame(final_film, first + frame)
             raw, final = (picture[: photo.shape[0], : photo.shape[1]] for picture in (raw, final))
@@ -121,14 +121,14 @@ def strips(made: Made, frames: int, enhanced: bool, settings: Settings) -> tuple
 
 def player(poster: Path, page: Path) -> str:
     """A link with the player's picture; it opens ``player.html`` in the page's folder by a relative address."""
-    address = html.text(Path(os.path.relpath(poster.with_suffix(".html"), page.parent)).as_posix())
+    address = html.escaped(Path(os.path.relpath(poster.with_suffix(".html"), page.parent)).as_posix())
     picture_bgr = read_image(poster, cv2.IMREAD_COLOR, CURE)
     caption = "The scene in 3D: orbit, jump to a camera, stop time, show which pixels are measured or invented."
     figure = html.figure(html.jpeg(picture_bgr[..., ::-1], 1600), caption)
     return f'<a class="open" href="{address}"><b>▶ Open the scene</b>{figure}</a>'
 
 
-def spread(frames: int, wanted: int) -> list[int]:
+def spread_frames(frames: int, wanted: int) -> list[int]:
     """``wanted`` frames spread over a clip without its ends; fewer when the clip is shorter."""
     return [int(frame) for frame in evenly_spread(frames, wanted + 2)[1:-1]] if wanted else []
 
@@ -160,7 +160,7 @@ def mask_pictures(videos: Sequence[Path], masks: Sequence[Path], frame: int, wid
     ]
 
 
-def truth_section(made: Made, metrics: Mapping[str, Any], width: int) -> list[str]:
+def truth_section(made: ResultFiles, metrics: Mapping[str, Any], width: int) -> list[str]:
     """Three pictures of every film, tinted by provenance."""
     rows = []
     for shot in made.shots:
@@ -172,9 +172,9 @@ def truth_section(made: Made, metrics: Mapping[str, Any], width: int) -> list[st
         steps = len(read_path(path)[0])
         figures = [
             html.figure(html.jpeg(truth_picture(read_frame(truth, i), read_frame(render, i)), width), f"picture {i}")
-            for i in spread(steps, 3)
+            for i in spread_frames(steps, 3)
         ]
-        rows.append(f"<p>Shot <b>{html.text(render.stem)}</b>: {html.text(caption)}</p>" + html.row(figures))
+        rows.append(f"<p>Shot <b>{html.escaped(render.stem)}</b>: {html.escaped(caption)}</p>" + html.row(figures))
     lead = "Blue: seen by a camera. Yellow: inferred from its surroundings. Red: invented, seen by no camera."
     return [html.heading("Measured, inferred, invented", lead), *rows]
 
@@ -190,7 +190,7 @@ def run_cost(benchmarks: Path) -> dict[str, Any]:
     return spent
 
 
-def films_section(made: Made, frames: int, enhanced: bool, settings: Settings) -> tuple[list[str], list[str]]:
+def films_section(made: ResultFiles, frames: int, enhanced: bool, settings: Settings) -> tuple[list[str], list[str]]:
     """The films with the slider between photo and picture, and the strips of the held-out cameras."""
     after = ", enhanced" if enhanced else ""
     films = [
@@ -198,13 +198,13 @@ def films_section(made: Made, frames: int, enhanced: bool, settings: Settings) -
     ]
     slider, rows = "", list[str]()
     if "heldout" in made.shots and made.held_out:
-        slider, rows = strips(made, frames, enhanced, settings)
+        slider, rows = comparison_strips(made, frames, enhanced, settings)
     shown = [*films[:1], slider, *([html.row(films[1:], 2)] if films[1:] else [])]
     return [html.heading("Films"), *shown] if films else [], rows
 
 
 def people_section(
-    made: Made,
+    made: ResultFiles,
     frames: int,
     measured: Mapping[str, Any],
     people: PeopleFiles,
@@ -212,34 +212,38 @@ def people_section(
 ) -> list[str]:
     """The section on people: joint errors, presence over time, people left out by association, and masks."""
     bodies = [read_person(path) for path in people.fits]
-    parts = [sections.people(measured), timeline.surety(bodies, measured["jitter"])]
+    parts = [sections.joint_errors_table(measured), timeline.certainty_table(bodies, measured["jitter"])]
     if people.identities:
         names, whose = [person.name for person in bodies], read_identities(people.identities[0])
         found = [read_detections(path) for path in people.detections]
-        parts.append(timeline.strip(timeline.frames_with_detections(found, whose, names, frames), names))
-    parts += [sections.left_out(read(path, _SHOWN, lambda held: held["left_out"])) for path in people.association]
+        parts.append(timeline.timeline_strip(timeline.frames_with_detections(found, whose, names, frames), names))
+    parts += [
+        sections.left_out_people(read(path, _SHOWN, lambda held: held["left_out"])) for path in people.association
+    ]
     if people.masks:
         videos = [made.folder / "capture" / f"{mask.stem}.mkv" for mask in people.masks]
         parts.append(html.row(mask_pictures(videos, people.masks, frames // 2, width), min(len(videos), 4)))
     return parts
 
 
-def room_section(made: Made, width: int) -> list[str]:
+def room_section(made: ResultFiles, width: int) -> list[str]:
     """The section on the room: plate and depth of each camera."""
     plates, depths = made.each("plates/{}.png", made.cameras), made.each("depth/{}.exr", made.cameras)
     lead = "Each camera's view without people, and its depth."
     return [html.heading("The room", lead), html.row(room_pictures(plates, depths, width), min(len(plates), 4))]
 
 
-def cameras_section(made: Made, measured: Mapping[str, Any], decided: Sequence[Mapping[str, Decision]]) -> list[str]:
+def cameras_section(
+    made: ResultFiles, measured: Mapping[str, Any], decided: Sequence[Mapping[str, Decision]]
+) -> list[str]:
     """The section on cameras: how well they explain the keypoints, and how much of the stage they see."""
     sheet_bgr = read_image(made.folder / "cameras/refinement.png", cv2.IMREAD_COLOR, CURE)
     sheet = html.jpeg(sheet_bgr[..., ::-1], 1600)
     refinement = read(made.folder / "cameras/refinement.json", _SHOWN)
     return [
-        sections.cameras(refinement, sheet),
-        sections.overlap(measured["rig"]),
-        sections.coverage(decided),
+        sections.cameras_table(refinement, sheet),
+        sections.overlap_table(measured["rig"]),
+        sections.coverage_table(decided),
     ]
 
 
@@ -264,7 +268,7 @@ def run(
     spent = run_cost(ran.benchmarks)
     write_json(costs, spent)
     names = tuple(camera.name for camera in read_model(model.parent)), tuple(f.camera for f in capture.held_out)
-    made = Made(manifest.parents[1], *names, tuple(film.stem for film in films))
+    made = ResultFiles(manifest.parents[1], *names, tuple(film.stem for film in films))
     width, decided = settings.picture_width, [read_decisions(path) for path in measures.decisions]
     recognised = read(measures.recognition[0], _SHOWN) if measures.recognition else {}
     ledgers = made.each("render/{}.tsv", made.shots)
@@ -277,22 +281,22 @@ def run(
         *shown,
         html.heading("Against the held-out cameras", lead),
         *rows,
-        sections.numbers(measured, spent),
-        sections.measures(measured),
-        sections.paper(measured, recognised, measures.paper),
+        sections.main_numbers(measured, spent),
+        sections.measures_table(measured),
+        sections.paper_comparison_table(measured, recognised, measures.paper),
         *people_section(made, capture.frames, measured, people, width),
         *truth_section(made, measured, width),
         *room_section(made, width),
         *cameras_section(made, measured, decided),
-        verdicts.decisions(decided, spent),
+        verdicts.decisions_table(decided, spent),
         sections.cost_and_quality(measured, spent, chosen),
-        sections.costs(spent),
+        sections.costs_table(spent),
         appendix.delivery_links(poster.parent, page),
-        appendix.warnings([*read_warnings(ran.logs), *of_films]),
-        appendix.links(made.folder, page, files, ledgers),
-        sections.settings(ran.configuration),
+        appendix.warnings_section([*read_warnings(ran.logs), *of_films]),
+        appendix.data_links(made.folder, page, files, ledgers),
+        sections.settings_table(ran.configuration),
         terms.licences(json.loads(ran.configuration), ran.licences),
-        appendix.versions(measured["provenance"], spent["machine"]),
+        appendix.versions_section(measured["provenance"], spent["machine"]),
     ]
     first = [sections.head(capture.scene, capture, len(made.cameras), measured), player(poster, page)]
     content = [*first, html.contents(body), *body]

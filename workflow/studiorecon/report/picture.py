@@ -17,7 +17,7 @@ import numpy as np
 from studiorecon.footage.video import read_frame, read_frames
 from studiorecon.images.encoded import jpeg
 from studiorecon.progress import say
-from studiorecon.scene.files import complete
+from studiorecon.scene.files import atomic_path
 
 if TYPE_CHECKING:
     from jaxtyping import Integer
@@ -46,6 +46,6 @@ def run(videos: list[Path], film: Path, picture: Path, frame: int = 0, views: in
     count = sum(1 for _ in read_frames(film))
     chosen = [read_frame(film, int(i)) for i in (np.arange(views) * count) // views + count // (2 * views)]
     made = overview([read_frame(video, frame) for video in videos], chosen)
-    with complete(picture) as partial:
+    with atomic_path(picture) as partial:
         partial.write_bytes(jpeg(made, 85))
     say(f"{len(videos)} photos and {len(chosen)} views are in {picture}")

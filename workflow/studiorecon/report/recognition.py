@@ -21,7 +21,7 @@ from studiorecon.detector.tracking import keypoints_with_confidence
 from studiorecon.footage.video import read_frames_from
 from studiorecon.progress import progress, say
 from studiorecon.report.metrics.films import ScoredFilmFiles
-from studiorecon.report.metrics.pck import TruePerson, score
+from studiorecon.report.metrics.pck import TruePerson, score_keypoints
 from studiorecon.scene.files import write_json
 from studiorecon.signature import Written
 
@@ -57,7 +57,7 @@ def run(files: ScoredFilmFiles, networks: list[Path], recognition: Written) -> N
                     points = [one[:, :2] for one in detect_keypoints(detector, drawn, worth)]
                 compared.append((drawn, points))
                 found[name].append((points, people))
-    scores = {name: with_reason(score(pictures)) for name, pictures in found.items()}
+    scores = {name: add_reason(score_keypoints(pictures)) for name, pictures in found.items()}
     nothing = {"pck_0.05": None, "pck_0.1": None, "detection_rate": None, "reason": "no film shows a camera's own view"}
     for name, one in scores.items():
         if one["people"]:
@@ -71,7 +71,7 @@ def run(files: ScoredFilmFiles, networks: list[Path], recognition: Written) -> N
     )
 
 
-def with_reason(scored: dict[str, Any]) -> dict[str, Any]:
+def add_reason(scored: dict[str, Any]) -> dict[str, Any]:
     """The scores, with the reason when no person counted."""
     return scored | {"reason": None if scored["people"] else "the detector finds no person in the photos"}
 

@@ -27,7 +27,7 @@ from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.progress import progress, say
 from studiorecon.report.metrics.bootstrap import Bootstrap
 from studiorecon.report.metrics.definitions import PROTOCOL, definitions, provenance
-from studiorecon.report.metrics.distance import TOO_SMALL, no_flip, opened
+from studiorecon.report.metrics.distance import TOO_SMALL, missing_flip_reason, open_lpips
 from studiorecon.report.metrics.folders import cameras_in, digest, read_folder_frames, read_masks
 from studiorecon.report.metrics.measures import (
     FLIP_EVERY,
@@ -106,7 +106,7 @@ def reasons(have_masks: bool, have_lpips: bool) -> dict[str, str]:
     found |= dict.fromkeys(
         TEMPORAL, "needs at least two frames of 24 pixels a side and 256 pixels whose flow leads back"
     )
-    found["flip"] = no_flip()
+    found["flip"] = missing_flip_reason()
     found["lpips"] = TOO_SMALL if have_lpips else _NO_WEIGHTS
     found |= dict.fromkeys(("temporal_l1_seen", "temporal_l1_unseen"), _NO_DEPTH)
     return found | dict.fromkeys(("ssim", "ssim_3dgs"), "pictures are under 11 pixels a side")
@@ -128,7 +128,7 @@ def score(renders: Path, truth: Path, masks: Path | None, lpips: Path | None = N
     for camera in alone:
         say(f"camera {camera} is in one folder only and is left out")
     net: Literal["none", "alex"] = "none" if lpips is None else "alex"
-    distance = None if lpips is None else opened(net, lpips, 1, "leave --lpips out")
+    distance = None if lpips is None else open_lpips(net, lpips, 1, "leave --lpips out")
     with one_thread(), ThreadPoolExecutor(max_workers=max(1, min(len(common), os.cpu_count() or 1))) as pool:
         jobs = {c: pool.submit(score_camera, c, left[c], right[c], covers.get(c), distance) for c in common}
         measured = {camera: job.result() for camera, job in progress(list(jobs.items()), "cameras")}

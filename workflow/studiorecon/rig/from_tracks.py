@@ -18,7 +18,7 @@ import numpy as np
 from studiorecon.geometry.bundle import BundleResult, BundleSettings, LensPrior, adjust_with_lenses
 from studiorecon.geometry.relative_pose import (
     essential_matrix,
-    in_front,
+    is_in_front,
     relative_pose,
     reprojection_distances,
     resection,
@@ -211,7 +211,9 @@ def _voted(
     essential, votes = essential_matrix(rotation, translation), {}
     for (i, j), both in shared.items():
         one, two = first[i][both], second[j][both]
-        agreed = int(((np.abs(sampson(essential, one, two)) < unit) & in_front(rotation, translation, one, two)).sum())
+        agreed = int(
+            ((np.abs(sampson(essential, one, two)) < unit) & is_in_front(rotation, translation, one, two)).sum()
+        )
         if agreed >= _AGREE * both.sum():
             votes[i, j] = agreed
     matched: list[tuple[int, int]] = []

@@ -15,7 +15,7 @@ import numpy as np
 
 from studiorecon.arrays import evenly_spread
 from studiorecon.geometry.triangulation import Limits, triangulate
-from studiorecon.keypoints.coordinate_readings import affine, apply_reading, sizes, turned
+from studiorecon.keypoints.coordinate_readings import affine, apply_reading, size_readings, turned_readings
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
 from studiorecon.progress import warn
 from studiorecon.rig.bundle import contradicted_share
@@ -210,7 +210,7 @@ def _readings(
             yield _Reading(cause, f"bring the footage or keypoints of {camera.name}", cameras[k], seen)
     check_video = "bring its video and keypoints from the calibrated camera"
     pixels = affine(1, 1)
-    mirrored, *others = [*turned(camera.wh, pixels, pixels), *sizes(camera.wh, 0.0)]
+    mirrored, *others = [*turned_readings(camera.wh, pixels, pixels), *size_readings(camera.wh, 0.0)]
     across = apply_reading(mirrored.film_from_recorded, seen)
     yield _Reading("its video were mirrored", check_video, camera, across[:, :, _OTHER_SIDE])
     yield _Reading(f"its keypoints were {mirrored.words}", check_video, camera, across)

@@ -119,7 +119,7 @@ def paths_under(description: dict[str, Any], key: str) -> list[str] | None:
     return found
 
 
-def anybody(description: dict[str, Any]) -> bool:
+def has_people(description: dict[str, Any]) -> bool:
     """False where ``people`` says that the room is empty."""
     given = description.get("people", 1)
     if given in (False, "none"):

@@ -18,10 +18,10 @@ from studiorecon.errors import UserError
 from studiorecon.scene.user_files import read_json, read_rows
 
 __all__ = [
-    "complete",
-    "one_each",
+    "atomic_path",
     "read_json",
     "read_table",
+    "require_one_each",
     "write_json",
     "write_npz",
     "write_table",
@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 
-def one_each(cameras: Sequence[object], **files: Sequence[object]) -> None:
+def require_one_each(cameras: Sequence[object], **files: Sequence[object]) -> None:
     """Raises UserError unless every kind has one file per camera; the kinds are named in words."""
     if any(len(several) != len(cameras) for several in files.values()):
         counted = ", ".join(f"{len(several)} {kind.replace('_', ' ')}" for kind, several in files.items())
@@ -38,7 +38,7 @@ def one_each(cameras: Sequence[object], **files: Sequence[object]) -> None:
 
 
 @contextmanager
-def complete(path: Path) -> Iterator[Path]:
+def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary path in the same folder with the same suffix; renamed to ``path`` when the block ends without error.
 
     Operating-system errors in the block name ``path``: errors of writes to an open file otherwise name no file.
@@ -58,7 +58,7 @@ def complete(path: Path) -> Iterator[Path]:
 
 def write_text(path: Path, text: str) -> None:
     """Write text, completely or not at all."""
-    with complete(path) as partial:
+    with atomic_path(path) as partial:
         partial.write_text(text, encoding="utf-8")
 
 
@@ -69,13 +69,13 @@ def write_json(path: Path, value: Any) -> None:
 
 def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write a compressed npz, completely or not at all."""
-    with complete(path) as partial, open(partial, "wb") as file:
+    with atomic_path(path) as partial, open(partial, "wb") as file:
         np.savez_compressed(file, **arrays)
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
     """Write a tab-separated table with a header line."""
-    with complete(path) as partial, open(partial, "w", newline="", encoding="utf-8") as file:
+    with atomic_path(path) as partial, open(partial, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, delimiter="\t", lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(rows)

@@ -14,7 +14,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.progress import say, warn
-from studiorecon.scene.files import complete
+from studiorecon.scene.files import atomic_path
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.step_files import CURE
 from studiorecon.scene.user_files import read_bytes
@@ -52,7 +52,7 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
         "end_header",
         "",
     ]
-    with complete(path) as partial, open(partial, "wb") as file:
+    with atomic_path(path) as partial, open(partial, "wb") as file:
         file.write("\n".join(header).encode("ascii"))
         file.write(np.ascontiguousarray(np.concatenate(columns, axis=1), dtype="<f4").tobytes())
 

@@ -37,17 +37,17 @@ def check_path(path: Path) -> Path:
     return path
 
 
-def composed(name: str) -> str:
+def compose_unicode(name: str) -> str:
     """``name`` with composed letters: macOS stores u and a mark for ü."""
     return unicodedata.normalize("NFC", name)
 
 
 def fold_name(name: str) -> str:
     """``name`` in the form for comparison: composed letters, without case."""
-    return composed(name).casefold()
+    return compose_unicode(name).casefold()
 
 
-def of_the_system(path: Path) -> bool:
+def is_system_file(path: Path) -> bool:
     """Whether a file or folder is one that operating systems and file servers add to a user's folder."""
     return path.name.startswith((".", "._", "@ea", "$")) or path.name.casefold() in _OF_THE_SYSTEM
 

@@ -14,7 +14,7 @@ _MAX_NAMED = 3
 _MAX_LISTED = 10_000
 
 
-def natural(name: str) -> list[tuple[int, str]]:
+def natural_sort_key(name: str) -> list[tuple[int, str]]:
     """The sorting key of a name: runs of digits compare as numbers, frame_2 before frame_10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
 
@@ -22,7 +22,7 @@ def natural(name: str) -> list[tuple[int, str]]:
 def pictures_in(folder: Path) -> list[Path]:
     """The pictures of a folder in the order of their numbers, without hidden files."""
     found = (p for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith("."))
-    return sorted(found, key=lambda path: (natural(path.stem), path.name))
+    return sorted(found, key=lambda path: (natural_sort_key(path.stem), path.name))
 
 
 def missing_numbers(files: Sequence[Path]) -> list[int]:
@@ -46,7 +46,7 @@ def missing_numbers(files: Sequence[Path]) -> list[int]:
     return list(islice((n for a, b in pairwise(numbers) for n in range(a + step, b, step)), _MAX_LISTED))
 
 
-def gaps_named(files: Sequence[Path]) -> str:
+def missing_numbers_text(files: Sequence[Path]) -> str:
     """The missing numbers in words (``3, 4, 9 and 5 more``); empty when none is missing."""
     missing = missing_numbers(files)
     more = len(missing) - _MAX_NAMED

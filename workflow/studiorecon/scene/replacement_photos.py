@@ -18,7 +18,7 @@ def is_photo(source: str) -> bool:
     return Path(source).suffix.lower() in _PHOTOS
 
 
-def stranger(photo: str) -> str:
+def stranger_name(photo: str) -> str:
     """The name of the person in a photo: ``stranger_anna`` for ``photos/anna.jpg``; UserError for an unusable one."""
     stem = Path(photo).stem
     if not _PLAIN.fullmatch(stem):
@@ -29,12 +29,12 @@ def stranger(photo: str) -> str:
     return f"stranger_{stem}"
 
 
-def strangers(sources: Iterable[str]) -> dict[str, str]:
+def photos_of_strangers(sources: Iterable[str]) -> dict[str, str]:
     """Stranger → photo for the sources in shots' ``replace``; UserError for two photos with the same name."""
     found: dict[str, str] = {}
     for photo in sources:
-        if is_photo(photo) and found.setdefault(stranger(photo), photo) != photo:
+        if is_photo(photo) and found.setdefault(stranger_name(photo), photo) != photo:
             raise UserError(
-                f"replace names {found[stranger(photo)]} and {photo}: rename one, their people share a name"
+                f"replace names {found[stranger_name(photo)]} and {photo}: rename one, their people share a name"
             )
     return found

@@ -7,7 +7,7 @@ import importlib.util
 from typing import TYPE_CHECKING, Literal
 
 from studiorecon.errors import UserError
-from studiorecon.machine.gpu import claim
+from studiorecon.machine.gpu import claim_gpu
 from studiorecon.progress import say
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def _missing_for_cuda() -> str:
                 f"the package {name}, which is not installed (uv sync --inexact --extra "
                 "gpu, or pip install 'studiorecon[gpu]')"
             )
-    claim()
+    claim_gpu()
     import torch
 
     return (

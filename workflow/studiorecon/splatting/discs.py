@@ -17,7 +17,7 @@ DISC_WIDTH = 0.6
 """A disc's standard deviation as a share of the spacing of discs: neighbours just overlap."""
 
 
-def discs(
+def make_discs(
     points_m: Num[np.ndarray, "N 3"],
     normals: Num[np.ndarray, "N 3"],
     rgb: Num[np.ndarray, "N 3"],

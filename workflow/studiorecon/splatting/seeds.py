@@ -12,7 +12,7 @@ from studiorecon.geometry.depth_surface import points_and_normals
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.splatting.discs import discs
+from studiorecon.splatting.discs import make_discs
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Num
@@ -50,11 +50,13 @@ def seeds_from_depth(
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     facing = np.maximum(np.abs(np.sum(normals[at] * rays, axis=1)), 0.2)
     spacing_m = depth_m[at] / np.mean(camera.focal_px) * stride
-    made = discs(points[at], normals[at], rgb[at], spacing_m * size / np.sqrt(facing), FLATNESS, opacity, sh_degree)
+    made = make_discs(
+        points[at], normals[at], rgb[at], spacing_m * size / np.sqrt(facing), FLATNESS, opacity, sh_degree
+    )
     return made, np.stack(at, axis=1)
 
 
-def finest(
+def finest_pixels(
     cameras: Sequence[Camera], depths_m: Sequence[Num[np.ndarray, "H W"]], known: Sequence[Bool[np.ndarray, "H W"]]
 ) -> list[Bool[np.ndarray, "H W"]]:
     """``known`` pixels of every camera whose surface no other camera shows at a higher resolution.
@@ -108,4 +110,4 @@ def random_volume(
     )
     points[: count // 4, 2] = 0.0
     grey = np.full((count, 3), 0.5)
-    return discs(points, np.tile([0.0, 0.0, 1.0], (count, 1)), grey, size_m, 1.0, _FAINT, sh_degree)
+    return make_discs(points, np.tile([0.0, 0.0, 1.0], (count, 1)), grey, size_m, 1.0, _FAINT, sh_degree)

@@ -13,7 +13,7 @@ from studiorecon.scene.people import Person
 from studiorecon.studio.clothing import OUTFITS, body_texture
 from studiorecon.studio.description import Description
 from studiorecon.studio.meshes import Mesh, Texture, lathe, sphere
-from studiorecon.studio.performance import PARTS, perform, shape
+from studiorecon.studio.performance import PARTS, perform, random_betas
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -46,7 +46,7 @@ class Actors:
         self.fps = description.fps
         self.actors = []
         for number in range(description.people):
-            betas = shape(description.seed, number)
+            betas = random_betas(description.seed, number)
             poses, trans_m = perform(PARTS[number], body, betas, times_s)
             self.actors.append(Actor(number, betas, poses, trans_m, body_texture(OUTFITS[number], body)))
         # Faces around every vertex, to average their normals: (V, F) sparse.

@@ -13,7 +13,7 @@ from studiorecon.geometry.distortion import distort
 from studiorecon.scene.camera import Lens
 from studiorecon.studio.description import Effects
 from studiorecon.studio.meshes import Mesh
-from studiorecon.studio.rig import directions
+from studiorecon.studio.rig import ray_directions
 from studiorecon.studio.room import HEIGHT_M, LAMPS_M
 from studiorecon.studio.tracing import Tracer, lamp_points, radiance
 
@@ -54,9 +54,9 @@ class Backdrop:
         return self.mean.reshape(self.lens.wh[1], self.lens.wh[0], 3)
 
 
-def backdrop(lens: Lens, solids: list[Mesh], supersampling: int) -> Backdrop:
+def trace_backdrop(lens: Lens, solids: list[Mesh], supersampling: int) -> Backdrop:
     """The empty room, traced through a lens."""
-    rays = directions(lens, supersampling).astype(np.float32)
+    rays = ray_directions(lens, supersampling).astype(np.float32)
     tracer = Tracer(solids)
     lamps = [lamp_points(s, len(rays)) for s in range(len(rays))]
     depth, colour, seen = (

@@ -132,7 +132,7 @@ def reach_knee(
     return knee, -np.cross(along, bend)
 
 
-def frame(down: Float[np.ndarray, "... 3"], left: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3 3"]:
+def bone_frame(down: Float[np.ndarray, "... 3"], left: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3 3"]:
     """Rotations whose columns are: left made orthogonal, along the bone, and their cross product."""
     down = down / np.linalg.norm(down, axis=-1, keepdims=True)
     left = left - down * np.sum(left * down, axis=-1, keepdims=True)

@@ -70,7 +70,7 @@ def box_texture(texture: UvTexture, seed: int) -> Texture:
     return paint
 
 
-def plain(colour: tuple[float, float, float]) -> Texture:
+def plain_texture(colour: tuple[float, float, float]) -> Texture:
     """One colour everywhere."""
 
     def paint(points: np.ndarray, normals: np.ndarray) -> np.ndarray:

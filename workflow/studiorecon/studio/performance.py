@@ -13,7 +13,7 @@ import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.geometry import rotations
-from studiorecon.studio.gait import FootTrack, Path, foot_track, frame, pelvis_distance, reach_knee
+from studiorecon.studio.gait import FootTrack, Path, bone_frame, foot_track, pelvis_distance, reach_knee
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -54,7 +54,7 @@ PARTS = (
 )
 
 
-def shape(seed: int, number: int) -> Float[np.ndarray, " 10"]:
+def random_betas(seed: int, number: int) -> Float[np.ndarray, " 10"]:
     """Betas of one person: people alternate between tall and short, the rest is drawn within one standard deviation."""
     rng = np.random.default_rng([seed, 21, number])
     betas = np.clip(rng.normal(0, 0.5, 10), -1, 1)
@@ -98,8 +98,8 @@ def perform(
         knee_m, hinge = reach_knee(
             hip_m, ankles[side], _length(thigh), _length(shin), foot_frames[side][:, :, 2] + forward + outward
         )
-        hip_global = frame(knee_m - hip_m, hinge) @ frame(thigh, _LEFT).T
-        knee_global = frame(ankles[side] - knee_m, hinge) @ frame(shin, _LEFT).T
+        hip_global = bone_frame(knee_m - hip_m, hinge) @ bone_frame(thigh, _LEFT).T
+        knee_global = bone_frame(ankles[side] - knee_m, hinge) @ bone_frame(shin, _LEFT).T
         local[:, hip] = _transposed(root) @ hip_global
         local[:, knee] = _transposed(hip_global) @ knee_global
         local[:, ankle] = _transposed(knee_global) @ foot_frames[side] @ _turn(_LEFT, feet[side].pitch_rad)

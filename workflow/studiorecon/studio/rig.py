@@ -97,7 +97,7 @@ def sync_offsets_frames(description: Description) -> dict[str, float]:
     return {n: most * float(rng.uniform(-1, 1)) if n in description.training else 0.0 for n in description.names}
 
 
-def directions(lens: Lens, supersampling: int) -> Float[np.ndarray, "S N 3"]:
+def ray_directions(lens: Lens, supersampling: int) -> Float[np.ndarray, "S N 3"]:
     """World directions of the S = n² rays of every pixel, one metre of z-depth long; S = 1 is the pixel's centre."""
     width, height = lens.wh
     steps = (np.arange(supersampling) + 0.5) / supersampling

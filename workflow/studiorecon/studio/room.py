@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from studiorecon.studio import textures
-from studiorecon.studio.meshes import Mesh, Texture, box, box_texture, lathe, plain, pose_on_floor, quad
+from studiorecon.studio.meshes import Mesh, Texture, box, box_texture, lathe, plain_texture, pose_on_floor, quad
 
 HALF_X_M, HALF_Y_M, HEIGHT_M = 4.2, 3.6, 3.0
 # Centre and half-size of the two luminous panels in the ceiling; tracing.py samples the same rectangles.
@@ -19,7 +19,7 @@ LAMP_BELOW_CEILING_M = 0.06
 LAMP_RADIANCE = 2.5
 
 
-def room(seed: int, glossy_floor: float) -> list[Mesh]:
+def build_room(seed: int, glossy_floor: float) -> list[Mesh]:
     """All solids of the room; furniture is shifted a little and every texture drawn from the seed."""
     return _shell(seed, glossy_floor) + _furniture(seed, np.random.default_rng(seed))
 
@@ -49,7 +49,7 @@ def _shell(seed: int, glossy_floor: float) -> list[Mesh]:
     ]
     for k, (cx, cy, hx, hy) in enumerate(LAMPS_M):
         where = pose_on_floor((cx, cy, HEIGHT_M - LAMP_BELOW_CEILING_M))
-        lamp = box(f"lamp {k}", (2 * hx, 2 * hy, LAMP_BELOW_CEILING_M - 0.001), where, plain((0.9, 0.9, 0.88)))
+        lamp = box(f"lamp {k}", (2 * hx, 2 * hy, LAMP_BELOW_CEILING_M - 0.001), where, plain_texture((0.9, 0.9, 0.88)))
         solids.append(
             Mesh(lamp.name, lamp.vertices_m, lamp.faces, lamp.texture, lamp.world_from_solid, emission=LAMP_RADIANCE)
         )

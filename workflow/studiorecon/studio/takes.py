@@ -19,7 +19,7 @@ import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.footage.exr import write_depth
-from studiorecon.footage.streams import Writer, writing
+from studiorecon.footage.streams import Writer, parallel_writers
 from studiorecon.footage.video import write_lossless, write_watchable
 from studiorecon.images.encoded import write_png
 from studiorecon.keypoints.layouts import LAYOUTS
@@ -29,9 +29,9 @@ from studiorecon.studio import rig
 from studiorecon.studio.actors import Actors
 from studiorecon.studio.description import Description
 from studiorecon.studio.detections import detect, openpose_json
-from studiorecon.studio.film import backdrop, render_frame, touched_pixels
+from studiorecon.studio.film import render_frame, touched_pixels, trace_backdrop
 from studiorecon.studio.meshes import Mesh
-from studiorecon.studio.room import room
+from studiorecon.studio.room import build_room
 from studiorecon.studio.sensor import Sensor, camera_sensor, develop
 from studiorecon.studio.tracing import Tracer
 from studiorecon.studio.truth import TruthFrames
@@ -113,9 +113,9 @@ def _pictures(films: Films) -> Iterator[None]:
     offset = rig.sync_offsets_frames(described)[films.lenses[0].name]
     times_s = (np.arange(described.frames) + offset) / described.fps
     troupe = Actors(described, BodyModel.load(films.body), times_s)
-    solids = room(described.seed, described.effects.glossy_floor)
+    solids = build_room(described.seed, described.effects.glossy_floor)
     cameras = [_Camera(films, lens, troupe, solids) for lens in films.lenses]
-    with writing([writer for camera in cameras for writer in camera.writers()]) as put:
+    with parallel_writers([writer for camera in cameras for writer in camera.writers()]) as put:
         for frame in range(described.frames):
             moving, values = troupe.at(frame)
             tracer = Tracer(solids + moving)
@@ -137,7 +137,7 @@ class _Camera:
         self._films, self._lens, self._solids = films, lens, solids
         self._sensor = camera_sensor(described, lens.name)
         self._training = lens.name in described.training
-        self._backdrop = backdrop(lens, solids, described.supersampling)
+        self._backdrop = trace_backdrop(lens, solids, described.supersampling)
         self._truth = TruthFrames(lens, solids, described.truth)
         self._detector = np.random.default_rng([described.seed, 31, described.names.index(lens.name)])
         self._keypoints_m, self._soles_m = troupe.keypoints_m(LAYOUTS[LAYOUT].keypoints), troupe.soles_m()

@@ -151,7 +151,7 @@ class TracedSurface:
     mirror: Float[np.ndarray, " N"]
 
 
-def surfaces(
+def hit_surfaces(
     solids: Sequence[Mesh], hits: Hits, origins_m: Float[np.ndarray, "... 3"], directions: Float[np.ndarray, "N 3"]
 ) -> TracedSurface:
     """Surfaces at the hits, all of which must have hit a solid; evaluated solid by solid."""
@@ -189,7 +189,7 @@ def radiance(
     bounces: int = 1,
 ) -> Float[np.ndarray, "N 3"]:
     """Light along the rays: diffuse under the lamps and the room's reflected light, plus one mirror bounce."""
-    surface = surfaces(solids, hits, origins_m, directions)
+    surface = hit_surfaces(solids, hits, origins_m, directions)
     light = lamp_light(surface.points_m, surface.normals, lamps, tracer) + ambient_light(
         surface.points_m, surface.normals
     )

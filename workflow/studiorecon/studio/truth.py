@@ -15,7 +15,7 @@ from studiorecon.scene.files import write_npz
 from studiorecon.studio.description import TruthOptions
 from studiorecon.studio.film import centre_m, project
 from studiorecon.studio.meshes import Mesh
-from studiorecon.studio.rig import directions
+from studiorecon.studio.rig import ray_directions
 from studiorecon.studio.tracing import Tracer
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class TruthFrames:
         self.lens = replace(lens, distortion=np.zeros_like(lens.distortion))
         self.options = options
         self.first_moving = len(solids)
-        self._rays = directions(self.lens, 1)[0]
+        self._rays = ray_directions(self.lens, 1)[0]
         self._shape = (lens.wh[1], lens.wh[0])
         self.room_depth_m = Tracer(solids).cast(centre_m(lens), self._rays).distance.reshape(self._shape)
         self.masks: list[np.ndarray] = []

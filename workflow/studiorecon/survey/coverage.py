@@ -23,14 +23,14 @@ def stage_points(cameras: Sequence[Camera], step_m: float, height_m: float) -> F
 
     It is a disc about the point nearest to all optical axes, as wide as the nearest camera's distance.
     """
-    centre, radius_m = stage(cameras)
+    centre, radius_m = stage_disc(cameras)
     along = np.arange(-radius_m, radius_m + 1e-9, step_m)
     x, y, z = np.meshgrid(along, along, np.arange(step_m / 2, height_m, step_m), indexing="ij")
     points = np.stack([x, y, z], axis=-1).reshape(-1, 3)
     return points[np.hypot(points[:, 0], points[:, 1]) <= radius_m] + np.array([centre[0], centre[1], 0.0])
 
 
-def stage(cameras: Sequence[Camera]) -> tuple[Float[np.ndarray, " 2"], float]:
+def stage_disc(cameras: Sequence[Camera]) -> tuple[Float[np.ndarray, " 2"], float]:
     """Horizontal centre that the cameras look at, and the distance of the nearest of them."""
     positions = np.array([c.centre_m[:2] for c in cameras])
     directions = np.array([c.forward[:2] for c in cameras])
@@ -66,7 +66,7 @@ def visible_points(
     return seen
 
 
-def from_two_sides(
+def has_parallax(
     points_m: Float[np.ndarray, "N 3"], cameras: Sequence[Camera], seen: Bool[np.ndarray, "C N"], least_deg: float
 ) -> Bool[np.ndarray, " N"]:
     """Whether at least two cameras see the point from directions at least ``least_deg`` apart (T01)."""
@@ -84,7 +84,7 @@ def mean_pair_deg(cameras: Sequence[Camera]) -> float:
 
     This is the reading U56 of cameras said to be so many degrees apart: four on an even ring have 120.
     """
-    centre, _ = stage(cameras)
+    centre, _ = stage_disc(cameras)
     offsets = np.array([c.centre_m[:2] - centre for c in cameras])
     azimuths = np.degrees(np.arctan2(offsets[:, 1], offsets[:, 0]))
     first, second = np.triu_indices(len(cameras), 1)

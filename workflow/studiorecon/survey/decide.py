@@ -18,14 +18,14 @@ from studiorecon.progress import say
 from studiorecon.rig.body_points import tracks
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import apply_forced, write_decisions
-from studiorecon.scene.files import one_each
+from studiorecon.scene.files import require_one_each
 from studiorecon.scene.people import Detections, read_detections, read_identities, read_people
 from studiorecon.scene.room import read_room
 from studiorecon.signature import Written
 from studiorecon.survey.clips import read_film
 from studiorecon.survey.effect_decisions import Settings, decide_effects
 from studiorecon.survey.effects import EARLY, EFFECTS
-from studiorecon.survey.evidence import Evidence, Material, Recordings
+from studiorecon.survey.evidence import Evidence, Recordings, SurveyInput
 from studiorecon.survey.exposures import ExposureView
 
 __all__ = ["Settings", "run"]
@@ -50,7 +50,7 @@ def run(
     Effects write their own files to the ``artefacts`` of the same name.
     """
     cameras, capture = read_model(model.parent), read_manifest(manifest)
-    one_each(cameras, videos=videos, plates=plates, depth_maps=depths, files_of_keypoints=detections or cameras)
+    require_one_each(cameras, videos=videos, plates=plates, depth_maps=depths, files_of_keypoints=detections or cameras)
     found = [read_detections(path) for path in detections]
     names = read_people(people[0]) if people else None
     whose = read_identities(identities[0]) if identities else {}
@@ -70,7 +70,7 @@ def run(
         for video, camera, own in zip(videos, cameras, own_points)
     ]
     followed = tracks(found, whose, names or [], capture.frames, settings.min_confidence)
-    material = Material(cameras, names, views, films, followed, read_room(room_box).standing_m, capture.fps)
+    material = SurveyInput(cameras, names, views, films, followed, read_room(room_box).standing_m, capture.fps)
     by_file = {path.name: path for path in artefacts}
     evidence = Evidence(material, settings)
     early = {d.effect: d for d in decide_effects(evidence, settings.thresholds, settings.force)}

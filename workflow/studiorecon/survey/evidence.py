@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.footage.stills import shrink
+from studiorecon.footage.stills import shrink_plate
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.exposure import Overlap
 from studiorecon.images.plate import noise_levels
@@ -20,7 +20,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 from studiorecon.survey import scene_change, stillness
 from studiorecon.survey.clips import Film, halve_film
-from studiorecon.survey.exposures import MIN_PIXELS, ExposureView, disagreement, overlaps
+from studiorecon.survey.exposures import MIN_PIXELS, ExposureView, camera_overlaps, gain_disagreement
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -60,7 +60,7 @@ class Recordings:
 
 
 @dataclass(frozen=True)
-class Material:
+class SurveyInput:
     """A scene before training.
 
     Attributes:
@@ -106,7 +106,7 @@ class SmallFilm:
 class Evidence:
     """The material, and values that several effects share; each is computed once, at its first use."""
 
-    material: Material
+    material: SurveyInput
     sampling: Sampling
 
     @property
@@ -122,12 +122,12 @@ class Evidence:
     @cached_property
     def light(self) -> list[tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]]:
         """Per camera the log brightness of the light over time, and its standard error."""
-        return [stillness.light(film.pictures, film.free) for film in self.halves]
+        return [stillness.room_brightness(film.pictures, film.free) for film in self.halves]
 
     @cached_property
     def overlaps(self) -> tuple[list[Overlap], list[float]]:
         """Colour ratios of pairs of cameras on surfaces that both see, and their standard errors."""
-        return overlaps(self.material.views, self.sampling.depth_tolerance, MIN_PIXELS)
+        return camera_overlaps(self.material.views, self.sampling.depth_tolerance, MIN_PIXELS)
 
     @cached_property
     def gains(self) -> tuple[float, float, Float[np.ndarray, "V 3"]]:
@@ -135,7 +135,7 @@ class Evidence:
         found, errors = self.overlaps
         if not found:
             return np.nan, np.nan, np.ones((len(self.material.views), 3))
-        return disagreement(len(self.material.views), found, errors)
+        return gain_disagreement(len(self.material.views), found, errors)
 
     @cached_property
     def small_films(self) -> list[SmallFilm]:
@@ -144,10 +144,10 @@ class Evidence:
         for small, view, (drift, _) in zip(self.halves, self.material.views, self.light, strict=True):
             hw = small.pictures.shape[1:3]
             wh = (hw[1], hw[0])
-            plate, measured = shrink(view.rgb, view.measured, wh)
+            plate, measured = shrink_plate(view.rgb, view.measured, wh)
             rows, columns = (((np.arange(n) + 0.5) * full / n).astype(int) for n, full in zip(hw, view.depth_m.shape))
             free = small.free & measured
-            ratio = scene_change.relative(small.pictures, plate, drift, free)
+            ratio = scene_change.log_ratio_to_plate(small.pictures, plate, drift, free)
             noise = noise_levels(small.pictures)
             depth_m = view.depth_m[rows][:, columns]
             found.append(SmallFilm(small, view.camera.resized(wh), plate, depth_m, free, ratio, noise))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.geometry.statistics import SIGMA_OF_MAD
-from studiorecon.images.exposure import Overlap, compare, solve_gains
+from studiorecon.images.exposure import Overlap, compare_colours, solve_gains
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
 
@@ -42,7 +42,9 @@ class ExposureView:
         return points_m, self.rgb[::_STRIDE, ::_STRIDE].reshape(-1, 3)[known]
 
 
-def overlaps(views: Sequence[ExposureView], tolerance: float, least_pixels: int) -> tuple[list[Overlap], list[float]]:
+def camera_overlaps(
+    views: Sequence[ExposureView], tolerance: float, least_pixels: int
+) -> tuple[list[Overlap], list[float]]:
     """Colour ratios of every pair of cameras on surfaces of depths equal to ``tolerance``, and standard errors."""
     found, errors = [], []
     for i, first in enumerate(views):
@@ -55,14 +57,14 @@ def overlaps(views: Sequence[ExposureView], tolerance: float, least_pixels: int)
             rgb, within = sample(second.rgb, there[None])
             measured, _ = sample(second.measured, there[None], "nearest")
             same = inside[0] & within[0] & measured[0] & (z > 0) & (np.abs(surface[0] - z) <= tolerance * z)
-            overlap = compare(i, j, colours[same], rgb[0][same], least_pixels)
+            overlap = compare_colours(i, j, colours[same], rgb[0][same], least_pixels)
             if overlap is not None:
                 found.append(overlap)
                 errors.append(_standard_error(colours[same], rgb[0][same], overlap))
     return found, errors
 
 
-def disagreement(
+def gain_disagreement(
     cameras: int, found: Sequence[Overlap], errors: Sequence[float]
 ) -> tuple[float, float, Float[np.ndarray, "V 3"]]:
     """Largest |gain − 1| over cameras and channels, that camera's standard error, and the gains (cameras, 3)."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.geometry.floor import floor_points, is_near
-from studiorecon.geometry.statistics import NOTHING, Estimate, share
+from studiorecon.geometry.statistics import NOTHING, Estimate, share_estimate
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _MIN_RING_PX, _MIN_FREE = 200, 0.3
 _MIN_LEVEL, _VISIBLE_LEVELS = 4.0, 6.0
 
 
-def relative(
+def log_ratio_to_plate(
     pictures: Integer[np.ndarray, "T H W 3"],
     plate: Float[np.ndarray, "H W 3"],
     light_log: Float[np.ndarray, " T"],
@@ -54,7 +54,7 @@ def relative(
     return ratio - np.where(np.any(free, axis=0)[None, ..., None], usual, np.float32(0))
 
 
-def floor_ring(
+def floor_near_feet(
     camera: Camera, depth_m: Float[np.ndarray, "H W"], floor_m: float, feet_m: Float[np.ndarray, "P T 3"]
 ) -> Bool[np.ndarray, "T H W"]:
     """Floor within 1 m of any foot; ``camera`` has the size of ``depth_m``, ``feet_m`` is NaN where unknown."""
@@ -90,7 +90,7 @@ def shadow_share(
             dark |= cv2.morphologyEx(picture.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
     if ever.sum() < _MIN_RING_PX:
         return NOTHING
-    return share(int((dark & ever).sum()), int(ever.sum()), int(ever.sum()) / _PATCH_PX)
+    return share_estimate(int((dark & ever).sum()), int(ever.sum()), int(ever.sum()) / _PATCH_PX)
 
 
 def moving_share(

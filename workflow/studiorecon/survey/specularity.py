@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from studiorecon.arrays import require
-from studiorecon.geometry.statistics import NOTHING, Estimate, share
+from studiorecon.geometry.statistics import NOTHING, Estimate, share_estimate
 from studiorecon.images.channels import channel_sum
 from studiorecon.images.exposure import BRIGHTEST, DARKEST
 from studiorecon.images.warp import sample
@@ -29,7 +29,7 @@ _MISPLACED_PX = 1.5
 _FLOOR = 0.01
 
 
-def varying_share(colours: Float[np.ndarray, "V N 3"], noise: Float[np.ndarray, "V N"]) -> Estimate:
+def specular_share(colours: Float[np.ndarray, "V N 3"], noise: Float[np.ndarray, "V N"]) -> Estimate:
     """Share of points whose brightness varies between views more than its noise allows in one case out of a hundred.
 
     ``colours`` after exposure correction, NaN where a view does not see the point; ``noise``: standard deviation of the
@@ -48,10 +48,10 @@ def varying_share(colours: Float[np.ndarray, "V N 3"], noise: Float[np.ndarray, 
     mean = (weight * value).sum(axis=0) / weight.sum(axis=0)
     statistic = (weight * (value - mean) ** 2).sum(axis=0)
     varies = statistic > scipy.special.chdtri(count[enough] - 1, 1 - _LIMIT)
-    return share(int(varies.sum()), int(enough.sum()), enough.sum() / 4)
+    return share_estimate(int(varies.sum()), int(enough.sum()), enough.sum() / 4)
 
 
-def covisible(
+def covisible_colours(
     views: Sequence[ExposureView], gains: Float[np.ndarray, "V 3"], noise: float, tolerance: float
 ) -> tuple[Float[np.ndarray, "V N 3"], Float[np.ndarray, "V N"]]:
     """Colours of static points that several views see, divided by ``gains``, and their noise.

@@ -82,7 +82,7 @@ def _median_vector(vectors: np.ndarray) -> tuple[float, float]:
     return float(np.hypot(*middle)), float(np.hypot(*error))
 
 
-def light(
+def room_brightness(
     frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray, "T H W"]
 ) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]:
     """Log of the room's brightness against the first frame, and its standard error; NaN where too little is visible.

@@ -57,15 +57,15 @@ def run(
         copy_run(work / BASE, folder)
     write_text(folder / "config.yaml", yaml.safe_dump(whole, sort_keys=True, allow_unicode=True))
     target, began_s = f"results/{scene}/report/metrics.json", time.time()
-    status, output = snakemake(snakefile, folder, [target, "--cores", str(cores)], minutes)
+    status, output = run_snakemake(snakefile, folder, [target, "--cores", str(cores)], minutes)
     wall_s = time.time() - began_s
     found: dict[str, Any] = {"failed": reason_of_failure(output, folder, None if status is not None else minutes)}
     if status == 0:
-        _, summary = snakemake(snakefile, folder, [target, "--detailed-summary"], minutes)
-        found = {**scores(folder / target), **run_cost(folder, timings(summary), began_s)}
+        _, summary = run_snakemake(snakefile, folder, [target, "--detailed-summary"], minutes)
+        found = {**read_scores(folder / target), **run_cost(folder, timing_files(summary), began_s)}
     settings = dict(chosen.settings) if chosen.preset or row == BASE else {**rows[BASE].settings, **chosen.settings}
     about = {"name": row, "scene": scene, "parameter": chosen.parameter, "preset": chosen.preset, "settings": settings}
-    write_json(record, {**about, **found, "wall_s": wall_s, "machine": machine()})
+    write_json(record, {**about, **found, "wall_s": wall_s, "machine": describe_machine()})
     say(f"{row}: {found['failed'] or '{:.2f} dB, {:.0f} s'.format(found['metrics']['psnr'], found['from_nothing_s'])}")
     if row == BASE and found["failed"]:
         raise UserError(f"scene {scene}, sweep {table}: the base run failed, so no row can start: {found['failed']}")
@@ -89,7 +89,7 @@ def _link(source: str, target: str) -> None:
         shutil.copy2(source, target)
 
 
-def snakemake(snakefile: Path, folder: Path, arguments: list[str], minutes: float) -> tuple[int | None, str]:
+def run_snakemake(snakefile: Path, folder: Path, arguments: list[str], minutes: float) -> tuple[int | None, str]:
     """Exit status of Snakemake in ``folder`` (None: stopped at the limit) and its output, also kept in the folder."""
     where = ["--snakefile", str(snakefile.resolve()), "--directory", str(folder.resolve())]
     how = ["--configfile", str((folder / "config.yaml").resolve()), "--nolock", "--rerun-incomplete"]
@@ -110,7 +110,7 @@ def snakemake(snakefile: Path, folder: Path, arguments: list[str], minutes: floa
         return status, log.read()
 
 
-def timings(summary: str) -> list[Path]:
+def timing_files(summary: str) -> list[Path]:
     """Timing files of the jobs in Snakemake's ``--detailed-summary``, relative to the run's folder.
 
     A job's timing file is named as its log: ``logs/<scene>/…log`` → ``timings/<scene>/…tsv``.
@@ -144,7 +144,7 @@ def run_cost(folder: Path, paths: list[Path], began_s: float) -> dict[str, Any]:
     return {**total, "stages_s": stages, "peak_memory_mb": peak_mb}
 
 
-def scores(path: Path) -> dict[str, Any]:
+def read_scores(path: Path) -> dict[str, Any]:
     """Measures of a run's ``metrics.json`` and PSNR per camera and frame; ``failed`` says why there are none."""
     metrics = read_json(path)
     pictures = metrics["pictures"]["enhanced" if "enhanced" in metrics["pictures"] else "raw"]
@@ -171,7 +171,7 @@ def reason_of_failure(output: str, folder: Path, limit_minutes: float | None) ->
     return (output.strip().splitlines() or ["Snakemake wrote nothing"])[-1].strip()
 
 
-def machine() -> dict[str, Any]:
+def describe_machine() -> dict[str, Any]:
     """Processor, cores and Python, because seconds of two machines are not comparable."""
     info = Path("/proc/cpuinfo")
     names = re.findall(r"^model name\s*: (.*)$", info.read_text(), re.MULTILINE) if info.is_file() else []

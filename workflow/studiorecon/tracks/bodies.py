@@ -20,7 +20,7 @@ from studiorecon.footage.video import read_frames
 from studiorecon.keypoints.detections import DetectionLimits
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.resampling import at_working_moments
-from studiorecon.machine.libraries import remedy
+from studiorecon.machine.libraries import install_remedy
 from studiorecon.models.catalogue.selection import CHOICES
 from studiorecon.models.choices import DetectionSource
 from studiorecon.models.loading import adapter, load
@@ -121,7 +121,7 @@ def _rows(path: Path) -> dict[str, np.ndarray]:
         import torch
     except ModuleNotFoundError:
         raise UserError(
-            f"{path} is a torch file and torch is not installed ({remedy('torch')}); or save it as .npz"
+            f"{path} is a torch file and torch is not installed ({install_remedy('torch')}); or save it as .npz"
         ) from None
     file_size(path)
     try:

@@ -24,9 +24,9 @@ from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frame, to_float
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors
-from studiorecon.scene.files import one_each
+from studiorecon.scene.files import require_one_each
 from studiorecon.scene.people import Person
-from studiorecon.views.forward_warp import WarpSource, source
+from studiorecon.views.forward_warp import WarpSource, warp_source
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -71,7 +71,7 @@ def first_pictures(
     clothes) take the depth of the nearest pixel inside it. People without a fit, and pixels near a jump in depth, are
     not warped. Raises UserError for pictures of another size.
     """
-    one_each([p.camera for p in photos], videos=list(videos))
+    require_one_each([p.camera for p in photos], videos=list(videos))
     seen = []
     for view, (photo, video) in enumerate(zip(photos, videos)):
         picture = to_float(factors.even(photo.camera.name, read_frame(video, _FIRST)))
@@ -86,7 +86,7 @@ def first_pictures(
         if not measured:
             bodies = fill_with_nearest(standing.depth_m(photo.camera))
             depth = np.where(theirs, np.where(fitted, bodies, 0.0), photo.depth_m)
-        seen.append(source(photo.camera, picture, np.ones(photo.camera.hw, bool), depth, depth_jump))
+        seen.append(warp_source(photo.camera, picture, np.ones(photo.camera.hw, bool), depth, depth_jump))
     return [replace(s, usable=s.usable & (s.depth_m > 0)) for s in seen]
 
 

@@ -25,7 +25,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.support import EXCLUDED, support_levels
 from studiorecon.signature import Written
 from studiorecon.views.first_moment import FirstMomentPeople
-from studiorecon.views.forward_warp import WarpSource, blend
+from studiorecon.views.forward_warp import WarpSource, blend_photos
 from studiorecon.views.frame import fit_network_frame
 from studiorecon.views.synthesize import paint_holes, read_photos, read_segment
 from studiorecon.views.warp_settings import PeopleInViews, ViewSource, Warping
@@ -44,7 +44,7 @@ class Settings(ViewSource, PeopleInViews, Warping):
     dilation_px: int = 21
 
 
-def networks_sizes(synthesizer: Synthesizer) -> list[tuple[int, int]]:
+def network_sizes(synthesizer: Synthesizer) -> list[tuple[int, int]]:
     """(h, w) of this network's films; of all networks for films from other tools."""
     networks = CHOICES["views.synthesizer"].networks
     return [adapter("view synthesizer", name).hw for name in networks if synthesizer in (name, "precomputed")]
@@ -78,10 +78,10 @@ def fit_views(
     settings: Settings,
 ) -> Iterator[tuple]:
     """Uint8 picture and support of every camera of the gap; ``people`` gives the mask of people in the next view."""
-    sizes = networks_sizes(settings.synthesizer)
+    sizes = network_sizes(settings.synthesizer)
     for camera, picture in zip(progress(cameras, "views"), film):
         own, inside = fit_picture(picture, camera, sizes, settings.inpaint_radius)
-        _, support, _ = blend(
+        _, support, _ = blend_photos(
             camera, photos, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg)
         )
         excluded = ~inside

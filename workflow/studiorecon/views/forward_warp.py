@@ -37,7 +37,7 @@ class WarpSource:
     usable: Bool[np.ndarray, "H W"]
 
 
-def source(
+def warp_source(
     camera: Camera,
     rgb: Float[np.ndarray, "H W 3"],
     measured: Bool[np.ndarray, "H W"],
@@ -164,7 +164,7 @@ def ray_angles_rad(
     return np.arctan2(np.linalg.norm(np.cross(here, there), axis=-1), (here * there).sum(axis=-1))
 
 
-def blend(
+def blend_photos(
     camera: Camera, sources: Sequence[WarpSource], oversampling: int, z_tolerance: float, fade_rad: float
 ) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """Float32 colour, float32 support in [0, 1] and depth (0 in holes) of several photos in one camera.

@@ -53,7 +53,7 @@ class Settings:
     )
 
 
-def plan(cameras: list[Camera], settings: Settings) -> tuple[list[PathStep], list[str]]:
+def plan_views(cameras: list[Camera], settings: Settings) -> tuple[list[PathStep], list[str]]:
     """All steps in the order of the path, and sentences on choices that had to be made."""
     centre_m, gaps = scene_centre(cameras), gaps_around(cameras)
     notes = [
@@ -88,7 +88,7 @@ def run(settings: Settings, model: Path, manifest: Path, path: Written) -> None:
     cameras = read_model(model.parent)
     if not cameras:
         raise UserError(f"{model} holds no cameras; train: [...] in capture.yaml names those to reconstruct from")
-    steps, notes = plan(cameras, settings)
+    steps, notes = plan_views(cameras, settings)
     for note in notes:
         say(note)
     write_path(path, steps, read_manifest(manifest).fps)

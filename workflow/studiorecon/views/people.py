@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.footage.video import read_frames, write_lossless
-from studiorecon.models.catalogue.registry import model as card_of
+from studiorecon.models.catalogue.registry import find_card as card_of
 from studiorecon.models.loading import load
 from studiorecon.progress import progress, say
 from studiorecon.signature import Place, Written
@@ -25,7 +25,9 @@ _FPS = 24.0
 _SOMEBODY = 255
 
 
-def anybody(maps: Iterable[Integer[np.ndarray, "H W"]], shares: list[float]) -> Iterator[Integer[np.ndarray, "H W"]]:
+def person_mask(
+    maps: Iterable[Integer[np.ndarray, "H W"]], shares: list[float]
+) -> Iterator[Integer[np.ndarray, "H W"]]:
     """255 where a label map has a person; ``shares`` receives the share of such pixels."""
     for labels in maps:
         people = labels > 0
@@ -38,5 +40,5 @@ def run(segment: str, film: Path, network: str, chunk: int, weights: Place, devi
     segmenter = load("person segmenter", network, weights, device, chunk=chunk, prompt="person")
     shares: list[float] = []
     pictures = progress(read_frames(film), f"views of segment {segment}")
-    write_lossless(people, anybody(segmenter.segment(pictures), shares), _FPS)
+    write_lossless(people, person_mask(segmenter.segment(pictures), shares), _FPS)
     say(f"segment {segment}: {card_of(network).title} sees people in {np.mean(shares):.1%} of {len(shares)} views")

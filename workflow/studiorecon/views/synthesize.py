@@ -23,11 +23,11 @@ from studiorecon.footage.video import to_bytes, write_lossless
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import read_factors
-from studiorecon.scene.files import one_each
+from studiorecon.scene.files import require_one_each
 from studiorecon.scene.path import read_path
 from studiorecon.scene.support import support_levels
 from studiorecon.signature import Written
-from studiorecon.views.forward_warp import WarpSource, blend, source
+from studiorecon.views.forward_warp import WarpSource, blend_photos, warp_source
 from studiorecon.views.warp_settings import Warping
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def synthesize_views(
 ) -> Iterator[tuple[Integer[np.ndarray, "H W 3"], Integer[np.ndarray, "H W"]]]:
     """(H, W, 3) uint8 picture and (H, W) uint8 support of every camera."""
     for camera in progress(cameras, "views"):
-        rgb, support, _ = blend(
+        rgb, support, _ = blend_photos(
             camera, photos, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg)
         )
         yield paint_holes(rgb, support, settings.inpaint_radius), support_levels(support)
@@ -62,13 +62,13 @@ def read_photos(
 ) -> list[WarpSource]:
     """The training cameras' plates divided by the ``gains``, with depth; raises UserError for a missing one."""
     cameras = read_model(model.parent)
-    one_each(cameras, plates=plates, depth_maps=depths)
+    require_one_each(cameras, plates=plates, depth_maps=depths)
     factors = read_factors(gains)
     photos = []
     for camera, plate, depth_path in zip(cameras, plates, depths):
         rgb, measured = read_plate(plate, camera.wh)
         depth_m, _ = read_depth(depth_path, camera.wh)
-        photos.append(source(camera, factors.even(camera.name, rgb), measured, depth_m, depth_jump))
+        photos.append(warp_source(camera, factors.even(camera.name, rgb), measured, depth_m, depth_jump))
     return photos
 
 

@@ -16,7 +16,7 @@ import scipy
 
 from studiorecon.arrays import require
 from studiorecon.body.avatar.posing import MAX_SH_DEGREE
-from studiorecon.body.avatar.weight_grid import strongest
+from studiorecon.body.avatar.weight_grid import strongest_weights
 from studiorecon.body.model import BodyModel
 from studiorecon.errors import UserError
 from studiorecon.scene.gaussians import Gaussians
@@ -106,7 +106,7 @@ def surface_weights(
     distance, index = scipy.spatial.cKDTree(vertices_m).query(np.asarray(points_m, np.float64), k=4)
     share = 1 / np.maximum(distance, 1e-4) ** 2
     mixed = np.einsum("nk,nkj->nj", share / share.sum(axis=1, keepdims=True), weights[index].astype(np.float64))
-    return strongest(mixed)
+    return strongest_weights(mixed)
 
 
 def _outside(model: BodyModel) -> np.ndarray:

@@ -94,7 +94,7 @@ def build_weight_grid(
     return WeightGrid(origin, spacing, mixed.reshape(resolution, resolution, resolution, -1).astype(np.float32))
 
 
-def strongest(
+def strongest_weights(
     weights: Num[np.ndarray, "N B"], keep: int = 4
 ) -> tuple[Integer[np.ndarray, "N keep"], Float[np.ndarray, "N keep"]]:
     """The ``keep`` largest weights of every row: joints, uint8, and weights, float32 summing to 1.

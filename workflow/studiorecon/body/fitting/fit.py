@@ -22,7 +22,7 @@ from studiorecon.body.fitting.basis import Basis, State
 from studiorecon.body.fitting.elimination import Equations
 from studiorecon.body.fitting.levenberg_marquardt import descend
 from studiorecon.body.fitting.problem import PointEvidence, Problem, Pulls
-from studiorecon.body.fitting.start import start
+from studiorecon.body.fitting.start import initial_pose
 from studiorecon.body.model import BodyModel
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def fit(
         return _fit_each_frame(body, names, points_m, sigma_m, settings, surface)
     frames, count = points_m.shape[:2]
     seen = np.isfinite(points_m).all(-1) & np.isfinite(sigma_m)
-    first = start(body, names, np.where(seen[..., None], points_m, 0.0), seen)
+    first = initial_pose(body, names, np.where(seen[..., None], points_m, 0.0), seen)
     valid = first.determined
     out = empty_fit(frames, count, body.shapes, valid)
     if not valid.any():

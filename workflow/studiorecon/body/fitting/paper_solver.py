@@ -18,7 +18,7 @@ import numpy as np
 from studiorecon.body.fitting import fit as fitting
 from studiorecon.body.fitting.basis import Basis, State
 from studiorecon.body.fitting.fit import Fit, FitSettings, SurfacePoints
-from studiorecon.body.fitting.start import start
+from studiorecon.body.fitting.start import initial_pose
 from studiorecon.body.model import BodyModel
 from studiorecon.body.skinning import forward_kinematics
 from studiorecon.geometry import rotations
@@ -90,7 +90,7 @@ def _together(
     """The fit of frames that fit into memory at once."""
     frames, count = points_m.shape[:2]
     seen = np.isfinite(points_m).all(-1) & np.isfinite(sigma_m)
-    first = start(body, names, np.where(seen[..., None], points_m, 0.0), seen)
+    first = initial_pose(body, names, np.where(seen[..., None], points_m, 0.0), seen)
     valid = first.determined
     out = fitting.empty_fit(frames, count, body.shapes, valid)
     if not valid.any():

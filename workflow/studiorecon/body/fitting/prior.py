@@ -75,7 +75,7 @@ def precision() -> Num[np.ndarray, "24 3"]:
     return 1.0 / deviations**2
 
 
-def bend(local: Num[np.ndarray, "F 24 3 3"]) -> Num[np.ndarray, "F 24 3"]:
+def bend_from_mean(local: Num[np.ndarray, "F 24 3 3"]) -> Num[np.ndarray, "F 24 3"]:
     """Axis-angles from the relaxed pose to ``local``."""
     return rotations.log(np.swapaxes(mean_pose(), -1, -2) @ local)
 
@@ -100,7 +100,7 @@ def beyond_limits(bent: Num[np.ndarray, "F 24 3"]) -> Num[np.ndarray, "F 24 3"]:
 
 
 def bend_derivative(bent: Num[np.ndarray, "F 24 3"]) -> Num[np.ndarray, "F 24 3 3"]:
-    """Derivative of ``bend`` by a small turn about the joint's own axes: the inverse right Jacobian of SO(3).
+    """Derivative of ``bend_from_mean`` by a small turn about the joint's own axes: the inverse right Jacobian of SO(3).
 
     I + [φ]×/2 + (1 − (θ/2) cot(θ/2)) / θ² [φ]×²; the last factor tends to 1/12 at 0.
     """

@@ -100,7 +100,7 @@ class Problem:
         units = np.sqrt(self.evidence.precision * np.einsum("fkx,fkx->fk", residual, residual))
         bound = self.pulls.huber_units
         data = self.evidence.share * np.where(units < bound, 0.5 * units**2, bound * (units - 0.5 * bound))
-        bend = prior.bend(state.local)
+        bend = prior.bend_from_mean(state.local)
         pull = self.precision * bend**2 + self.limit_precision * prior.beyond_limits(bend) ** 2
         return data.sum(1) + 0.5 * pull.sum((1, 2))
 
@@ -137,7 +137,7 @@ class Problem:
         return Normal(own, rows, shared, shared_side, world)
 
     def _add_prior(self, state: State, world: np.ndarray, own: np.ndarray, side: np.ndarray) -> None:
-        bend = prior.bend(state.local)
+        bend = prior.bend_from_mean(state.local)
         beyond = prior.beyond_limits(bend)
         rows = prior.bend_derivative(bend) @ np.swapaxes(world, -1, -2)  # of world-axis turns
         curvature = self.precision + self.limit_precision * (beyond != 0)

@@ -38,7 +38,7 @@ class Start:
     determined: Bool[np.ndarray, " T"]
 
 
-def start(
+def initial_pose(
     body: BodyModel, names: list[str], points_m: Num[np.ndarray, "T K 3"], seen: Bool[np.ndarray, "T K"]
 ) -> Start:
     """An initial pose of the mean shape from the ``seen`` keypoints; undetermined frames keep the relaxed pose."""

@@ -56,7 +56,7 @@ def accepted_formats() -> str:
     return ", ".join(f"{form.files_in_words.replace('`', '')} ({form.made_by})" for form in FORMATS.values())
 
 
-def table() -> str:
+def formats_table() -> str:
     """The formats as a table in Markdown."""
     rows = [f"| {form.files_in_words} | {form.made_by} | `{form.name}` |" for form in FORMATS.values()]
     return "\n".join(["| files in the dataset's folder | written by | `calibration.format` |", "|---|---|---|", *rows])

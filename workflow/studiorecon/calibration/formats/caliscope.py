@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from studiorecon.calibration.formats.pose2sim import TOML_FILES, camera_of_table, holds_cameras, tables
+from studiorecon.calibration.formats.pose2sim import TOML_FILES, camera_of_table, camera_tables, holds_cameras
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 
 
@@ -17,7 +17,7 @@ def recognises(files: list[Path]) -> bool:
     return (
         len(files) == 1
         and files[0].suffix == ".toml"
-        and any("cam_id" in t or "port" in t for t in tables(files[0]).values())
+        and any("cam_id" in t or "port" in t for t in camera_tables(files[0]).values())
     )
 
 
@@ -25,7 +25,7 @@ def read(files: list[Path]) -> Reading:
     """The cameras that the file does not ignore."""
     notes: list[str] = []
     cameras = []
-    for key, table in tables(files[0]).items():
+    for key, table in camera_tables(files[0]).items():
         if table.get("ignore", False):
             notes.append(f"camera {key} is marked as ignored in {files[0].name} and was left out")
             continue

@@ -17,10 +17,10 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients
 from studiorecon.camera_files.raw_camera import (
     RawCamera,
+    finite_vector,
     rigid_camera_from_world,
     rotation_from_file,
     unadjusted_intrinsics,
-    vector,
 )
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import MAX_TEXT_BYTES, read_bytes
@@ -63,7 +63,7 @@ def read(files: list[Path]) -> Reading:
                 f"{where}: R_{key} and Rot_{key} are different rotations; the file was edited by hand, write it again"
             )
         pose, scale = rigid_camera_from_world(
-            rotation, vector(_required(extri, f"T_{key}", where), f"{where}: T_{key}"), where
+            rotation, finite_vector(_required(extri, f"T_{key}", where), f"{where}: T_{key}"), where
         )
         if abs(scale - 1) > 1e-3:
             notes.append(f"camera {name}: a scale of {scale:.4g} was removed from its rotation")

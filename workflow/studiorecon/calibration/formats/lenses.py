@@ -34,9 +34,9 @@ def read_lenses(files: Sequence[Path]) -> list[RawCamera]:
         if path.suffix == ".toml":
             found += [
                 pose2sim.camera_of_table(str(table.get("name", key)), {**_NO_POSE, **table}, path, [])
-                for key, table in pose2sim.tables(path).items()
+                for key, table in pose2sim.camera_tables(path).items()
             ]
-        elif opencv_storage.holds(path) == "lenses":
+        elif opencv_storage.file_kind(path) == "lenses":
             tables = opencv_storage.camera_tables(path)
             found += [opencv_storage.read_camera(n, table, f"camera {n} in {path}") for n, table in tables.items()]
         else:
@@ -75,8 +75,10 @@ def _recognised(asked: object, path: Path) -> bool:
 
 def _holds_lenses(path: Path) -> bool:
     if path.suffix == ".toml":
-        return any("rotation" not in table and "translation" not in table for table in pose2sim.tables(path).values())
-    return opencv_storage.holds(path) == "lenses" or (path.suffix in (".yml", ".yaml") and easymocap.is_intri(path))
+        return any(
+            "rotation" not in table and "translation" not in table for table in pose2sim.camera_tables(path).values()
+        )
+    return opencv_storage.file_kind(path) == "lenses" or (path.suffix in (".yml", ".yaml") and easymocap.is_intri(path))
 
 
 def _speaks_of_cameras(path: Path) -> bool:

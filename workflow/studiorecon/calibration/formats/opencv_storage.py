@@ -21,10 +21,10 @@ from studiorecon.camera_files.lens_kinds import coefficients, model_in
 from studiorecon.camera_files.raw_camera import (
     RawCamera,
     camera_from_world_of_pose,
+    finite_vector,
     rigid_camera_from_world,
     rotation_from_file,
     unadjusted_intrinsics,
-    vector,
 )
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import file_size, read_bytes, read_xml, read_yaml
@@ -170,7 +170,9 @@ def _posed(kinds: set[str]) -> bool:
 def _pose(held: Mapping[str, Any], where: str) -> np.ndarray:
     if "rotation" in held and "translation" in held:
         rotation = rotation_from_file(held["rotation"], f"{where}: its rotation")
-        return rigid_camera_from_world(rotation, vector(held["translation"], f"{where}: its translation"), where)[0]
+        return rigid_camera_from_world(
+            rotation, finite_vector(held["translation"], f"{where}: its translation"), where
+        )[0]
     kind = "camera_from_world" if "camera_from_world" in held else "world_from_camera"
     block = numbers(held[kind], f"{where}: its pose")
     if block.size not in (12, 16):
@@ -181,7 +183,7 @@ def _pose(held: Mapping[str, Any], where: str) -> np.ndarray:
     return rigid_camera_from_world(block[:, :3], block[:, 3], where)[0]
 
 
-def holds(path: Path) -> str:
+def file_kind(path: Path) -> str:
     """``"cameras"`` with poses, ``"lenses"`` without, or ``""``: the kind of a file, by the names of its entries."""
     if path.suffix.lower() not in _SUFFIXES or file_size(path) > _MAX_BYTES:
         return ""
@@ -202,7 +204,7 @@ def _words(text: str) -> set[str]:
 
 
 def recognises(files: list[Path]) -> bool:
-    return bool(files) and all(f.suffix.lower() in _SUFFIXES and holds(f) == "cameras" for f in files)
+    return bool(files) and all(f.suffix.lower() in _SUFFIXES and file_kind(f) == "cameras" for f in files)
 
 
 def read(files: list[Path]) -> Reading:
@@ -220,6 +222,6 @@ FORMAT = CalibrationFormat(
     files=tuple((f"{folder}*{suffix}",) for folder in ("", "calibration/", "cameras/") for suffix in _SUFFIXES),
     recognises=recognises,
     read=read,
-    holds_cameras=lambda path: holds(path) == "cameras",
+    holds_cameras=lambda path: file_kind(path) == "cameras",
     file_per_camera=True,
 )

@@ -9,10 +9,10 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.lens_kinds import coefficients, model_in
 from studiorecon.camera_files.raw_camera import (
     RawCamera,
+    finite_vector,
     rigid_camera_from_world,
     rotation_from_file,
     unadjusted_intrinsics,
-    vector,
 )
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import MAX_TEXT_BYTES, read_bytes, read_toml
@@ -22,7 +22,7 @@ TOML_FILES = (("*.toml",), ("calibration/*.toml",))
 _OTHER_TABLES = {"metadata", "capture_volume", "charuco", "checkerboard"}
 
 
-def tables(path: Path) -> dict[str, dict]:
+def camera_tables(path: Path) -> dict[str, dict]:
     """The camera tables of a TOML calibration by key; also those of Caliscope's ``[cameras.N]``."""
     content = read_toml(path)
     if isinstance(content.get("cameras"), dict):
@@ -31,14 +31,14 @@ def tables(path: Path) -> dict[str, dict]:
 
 
 def recognises(files: list[Path]) -> bool:
-    return len(files) == 1 and files[0].suffix == ".toml" and any("name" in t for t in tables(files[0]).values())
+    return len(files) == 1 and files[0].suffix == ".toml" and any("name" in t for t in camera_tables(files[0]).values())
 
 
 def read(files: list[Path]) -> Reading:
     """The cameras of the file; the unit is metres for Pose2Sim, and guessed later for the rest of the family."""
     cameras = []
     notes: list[str] = []
-    for key, table in tables(files[0]).items():
+    for key, table in camera_tables(files[0]).items():
         cameras.append(camera_of_table(str(table.get("name", key)), table, files[0], notes))
     return Reading("Pose2Sim/aniposelib TOML", tuple(cameras), "unknown", tuple(notes))
 
@@ -53,7 +53,7 @@ def camera_of_table(name: str, table: dict, path: Path, notes: list[str]) -> Raw
         )
     pose, scale = rigid_camera_from_world(
         rotation_from_file(table["rotation"], f"{where}: rotation"),
-        vector(table["translation"], f"{where}: translation"),
+        finite_vector(table["translation"], f"{where}: translation"),
         where,
     )
     if abs(scale - 1) > 1e-3:

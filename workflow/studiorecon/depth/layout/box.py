@@ -81,7 +81,7 @@ def place_plane(
     return float(tried[best] + shift * step_m), float(support[best][0])
 
 
-def turned_offset(
+def offset_of_turned_plane(
     pictures: Sequence[Picture],
     voters: Sequence[Bool[np.ndarray, "H W"]],
     plane: Float[np.ndarray, " 4"],
@@ -126,7 +126,7 @@ def most_voted_offsets(
     return offsets
 
 
-def decide_face(
+def choose_face_offset(
     pictures: Sequence[Picture],
     votes: Votes,
     normal: Float[np.ndarray, " 3"],
@@ -181,13 +181,13 @@ def refine_yaw(
             c, s = np.cos(turn), np.sin(turn)
             turned = np.array([c * plane[0] - s * plane[1], s * plane[0] + c * plane[1], 0.0])
             mean, count = plane_support(
-                pictures, pixels, np.array([*turned, turned_offset(pictures, pixels, plane, turned, how)]), how
+                pictures, pixels, np.array([*turned, offset_of_turned_plane(pictures, pixels, plane, turned, how)]), how
             )
             value[k] += mean * count
     return float(turns[int(value.argmax())]) if value.any() else 0.0
 
 
-def candidates(
+def candidate_planes(
     planes: Float[np.ndarray, "L 4"], votes: Integer[np.ndarray, " L"], room_box: RoomBox, most: int, least_votes: int
 ) -> Float[np.ndarray, "K 4"]:
     """The room box's six faces, then the most voted planes inside it that are not near-copies of one another."""

@@ -12,8 +12,8 @@ from numba import njit
 
 from studiorecon.depth.layout.contact_localisation import localise_by_contact
 from studiorecon.depth.layout.primitives import Primitive
-from studiorecon.depth.layout.proposals import fronts, leg_candidates, single_view_proposals, tops
-from studiorecon.depth.layout.visibility import with_distance
+from studiorecon.depth.layout.proposals import front_proposals, leg_candidates, single_view_proposals, top_proposals
+from studiorecon.depth.layout.visibility import append_distance
 from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.depth.stereo.trial_kernels import STANDING_M
@@ -238,9 +238,13 @@ def fit_primitives(
         stood_on, gain = _widened(room, stood_on, float(room.gains(stood_on[None])[0]))
         evidence.append(gain)
         room.add(stood_on)
-    taken = np.concatenate([with_distance(room.centre, _CLEARANCE_M), free_m])
+    taken = np.concatenate([append_distance(room.centre, _CLEARANCE_M), free_m])
     proposals = np.array(
-        [primitive for source in (tops, fronts, single_view_proposals) for _, primitive in source(room, room_box)]
+        [
+            primitive
+            for source in (top_proposals, front_proposals, single_view_proposals)
+            for _, primitive in source(room, room_box)
+        ]
     ).reshape(-1, 8)
     proposals = proposals[is_allowed(proposals, room_box, taken)]
     others, legs = Proposals(least_gain / 2), Proposals(least_gain / 2)
@@ -265,7 +269,7 @@ def fit_primitives(
         if not is_leg:
             if room.contradicted(primitive):
                 middle = np.array([[*primitive[1:3], primitive[6:].mean()]])
-                refused_m = np.concatenate([refused_m, with_distance(middle, _REFUSED_M)])
+                refused_m = np.concatenate([refused_m, append_distance(middle, _REFUSED_M)])
                 continue
             primitive, gain = hill_climb(room, room_box, taken, primitive, gain, _STEPS_M[2:])
             primitive, gain = to_cylinder(room, room_box, taken, primitive, gain)

@@ -72,7 +72,7 @@ class Primitive:
         return depth_m
 
 
-def in_front(
+def depth_with_primitives(
     primitives: Sequence[Primitive], camera: Camera, depth_m: Float[np.ndarray, "H W"]
 ) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
     """Depth with every nearer primitive, and where a primitive is visible; unknown depth (0) counts as behind."""
@@ -106,11 +106,11 @@ def _meet(primitive, origin, rays, depth_m):
     normal = np.zeros(3)
     c, s = np.cos(primitive[3]), np.sin(primitive[3])
     for i in range(len(rays)):
-        depth_m[i] = max(enter(primitive, c, s, origin, rays[i], normal), 0.0)
+        depth_m[i] = max(ray_entry_length(primitive, c, s, origin, rays[i], normal), 0.0)
 
 
 @njit(cache=True)
-def enter(primitive, c, s, origin, ray, normal):
+def ray_entry_length(primitive, c, s, origin, ray, normal):
     """Length along ``ray`` at which it enters a primitive, -1 if it misses; fills the outward ``normal`` there.
 
     ``c`` and ``s`` are the cosine and sine of its yaw. A ray that starts inside misses, so that a camera inside a piece

@@ -24,7 +24,7 @@ _HIDDEN_SHARE = 0.02
 _PAPER, _INK = (245, 243, 238), (60, 60, 60)
 
 
-def edges(primitive: Primitive) -> Float[np.ndarray, "E 2 3"]:
+def primitive_edges(primitive: Primitive) -> Float[np.ndarray, "E 2 3"]:
     """End points of a primitive's edges, metres; a cylinder's rims as many short ones, and four lines up its side."""
     if primitive.kind == "box":
         plan = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * np.array(primitive.size_m) / 2
@@ -48,7 +48,7 @@ def draw_outlines(
     canvas = cv2.resize(to_bytes(picture.rgb), (_WIDTH, height), interpolation=cv2.INTER_CUBIC)
     seen_m = cv2.resize(depth_m.astype(np.float32), (_WIDTH, height), interpolation=cv2.INTER_NEAREST)
     for k, primitive in enumerate(primitives):
-        ends = edges(primitive)
+        ends = primitive_edges(primitive)
         share = np.linspace(0, 1, 65)[:, None]
         for a, b in ends:
             pixels, z = camera.project(a + share * (b - a))
@@ -61,7 +61,7 @@ def draw_outlines(
     return canvas
 
 
-def plan(
+def floor_plan(
     room_box: RoomBox, cameras: Sequence[Camera], primitives: Sequence[Primitive], height: int
 ) -> Integer[np.ndarray, "height 640 3"]:
     """The room's walls, every primitive with the height of its top in centimetres, cameras as dots."""
@@ -78,7 +78,7 @@ def plan(
 
     cv2.polylines(canvas, [at(corners)], True, _INK, 2, cv2.LINE_AA)
     for k, primitive in enumerate(primitives):
-        for a, b in at(edges(primitive)):
+        for a, b in at(primitive_edges(primitive)):
             cv2.line(canvas, tuple(map(int, a)), tuple(map(int, b)), _colour(k), 2, cv2.LINE_AA)
         where = at(np.array(primitive.centre_m)) - (8, -4)
         cv2.putText(
@@ -96,7 +96,7 @@ def plan(
     return canvas
 
 
-def sheet(
+def overview_sheet(
     pictures: Sequence[Picture],
     room_box: RoomBox,
     primitives: Sequence[Primitive],
@@ -104,7 +104,7 @@ def sheet(
 ) -> Integer[np.ndarray, "H W 3"]:
     """All photos, two to a row, and the plan last."""
     shown = [draw_outlines(picture, primitives, depth_m) for picture, depth_m in zip(pictures, depths_m)]
-    shown.append(plan(room_box, [p.camera for p in pictures], primitives, shown[0].shape[0]))
+    shown.append(floor_plan(room_box, [p.camera for p in pictures], primitives, shown[0].shape[0]))
     tallest = max(s.shape[0] for s in shown)
     shown = [cv2.copyMakeBorder(s, 0, tallest - s.shape[0], 0, 0, cv2.BORDER_CONSTANT, value=_PAPER) for s in shown]
     if len(shown) % 2:

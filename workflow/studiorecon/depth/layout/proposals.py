@@ -45,7 +45,7 @@ _MIN_UNDER_M, _POSTS_M, _POST_STEP_M = 0.3, (0.06, 0.1), 0.04
 _UNLIKE, _GAP_PX, _MIN_AREA, _MIN_ON_FLOOR = 0.2, (5, 3), 40, 3
 
 
-def advantage(
+def agreement_gain(
     room: PhotoCostVolume, points_m: Float[np.ndarray, "A B 3"], outward: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, "A B"]:
     """Gain in agreement of the best pair of cameras on surface points over the current explanation, float32.
@@ -83,7 +83,7 @@ def advantage(
     return best
 
 
-def rectangles(
+def best_rectangles(
     value: Num[np.ndarray, "A B"], sides: tuple[int, ...], standing: bool
 ) -> list[tuple[float, int, int, int, int]]:
     """Best (sum, top, left, rows, columns) of a map, overlapping ones reduced to the best; ``standing``: from row 0."""
@@ -118,7 +118,7 @@ def _overlap(one: tuple[float, int, int, int, int], other: tuple[float, int, int
     return shared / (rows * columns + height * width - shared)
 
 
-def ground(room: PhotoCostVolume, room_box: RoomBox) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+def search_bounds(room: PhotoCostVolume, room_box: RoomBox) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
     """Least and greatest coordinates, along the room box's axes, of the search for furniture.
 
     That is the room; towards a default wall, it ends where two cameras no longer resolve furniture.
@@ -130,9 +130,9 @@ def ground(room: PhotoCostVolume, room_box: RoomBox) -> tuple[Float[np.ndarray, 
     return low, high
 
 
-def tops(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
+def top_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
     """(sum, primitive (8,)) of boxes and slabs under every rectangle in plan that matches."""
-    low_m, high_m = ground(room, room_box)
+    low_m, high_m = search_bounds(room, room_box)
     middle, size = (low_m + high_m)[:2] / 2, (high_m - low_m)[:2]
     sides = tuple(round(s / _CELL_M) for s in _SIDES_M)
     # One square map, so that it can be turned about its middle.
@@ -145,13 +145,13 @@ def tops(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Floa
             np.stack([middle[0] + u, middle[1] + v, np.full(u.shape, room_box.low_m[2] + height)], axis=-1)
             @ room_box.axes
         )
-        value = np.where(within, advantage(room, points, np.array([0.0, 0.0, 1.0])), np.float32(-0.5))
+        value = np.where(within, agreement_gain(room, points, np.array([0.0, 0.0, 1.0])), np.float32(-0.5))
         for yaw in _YAWS_RAD:
             turned = cv2.warpAffine(
                 value, cv2.getRotationMatrix2D((half, half), -np.degrees(yaw), 1.0), value.shape, borderValue=-0.5
             )
             c, s = np.cos(yaw), np.sin(yaw)
-            for total, top, left, rows, columns in rectangles(turned, sides, standing=False):
+            for total, top, left, rows, columns in best_rectangles(turned, sides, standing=False):
                 a, b = (top + (rows - 1) / 2 - half) * _CELL_M, (left + (columns - 1) / 2 - half) * _CELL_M
                 at = np.array([middle[0] + c * a - s * b, middle[1] + s * a + c * b, 0]) @ room_box.axes
                 for low in (0.0, height - _SLAB_M):
@@ -172,9 +172,9 @@ def tops(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Floa
                     )
 
 
-def fronts(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
+def front_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
     """(sum, primitive (8,)) of boxes behind every rectangle in elevation that matches."""
-    low_m, high_m = ground(room, room_box)
+    low_m, high_m = search_bounds(room, room_box)
     sides = tuple(round(s / _CELL_M) for s in _SIDES_M)
     heights = room_box.low_m[2] + np.arange(
         _CELL_M / 2, min(_FRONT_HEIGHT_M, room_box.high_m[2] - room_box.low_m[2]), _CELL_M
@@ -187,9 +187,9 @@ def fronts(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Fl
         for offset in np.arange(low_m[axis] + _FRONT_STEP_M, high_m[axis], _FRONT_STEP_M):
             local = np.zeros((len(heights), len(along), 3))
             local[..., axis], local[..., other], local[..., 2] = offset, along, heights[:, None]
-            value = advantage(room, local @ room_box.axes, outward)
+            value = agreement_gain(room, local @ room_box.axes, outward)
             back = abs(offset - wall)
-            for total, _, left, rows, columns in rectangles(value, sides, standing=True):
+            for total, _, left, rows, columns in best_rectangles(value, sides, standing=True):
                 for depth in (
                     (back,) if back <= _DEPTHS_M[0] else ((back, *_DEPTHS_M) if back <= _TO_WALL_M else _DEPTHS_M)
                 ):

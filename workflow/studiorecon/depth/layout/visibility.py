@@ -35,12 +35,12 @@ _LINES_AT_ONCE = 20_000
 def joint_places(people: Sequence[Person]) -> Float[np.ndarray, "M 4"]:
     """Positions, 20 cm apart along an axis, of measured joints at any time, with a least distance of 5 cm."""
     places = np.concatenate([np.zeros((0, 3)), *(person.joints[person.valid].reshape(-1, 3) for person in people)])
-    return with_distance(
+    return append_distance(
         np.unique(np.round(places[np.isfinite(places).all(axis=1)] / _CELL_M), axis=0) * _CELL_M, _CLEARANCE_M
     )
 
 
-def with_distance(places_m: Float[np.ndarray, "M 3"], distance_m: float) -> Float[np.ndarray, "M 4"]:
+def append_distance(places_m: Float[np.ndarray, "M 3"], distance_m: float) -> Float[np.ndarray, "M 4"]:
     """Positions and the least distance of primitives from each."""
     return np.column_stack([places_m, np.full(len(places_m), distance_m)])
 
@@ -77,7 +77,7 @@ def free_ray_points(
                 crossed, lines = _once([crossed, *lines]), []
     crossed = _once([crossed, *lines])
     _, first, joints = np.unique(np.round(crossed[:, :3] / _LINE_CELL_M), axis=0, return_index=True, return_counts=True)
-    return with_distance(crossed[first[joints >= _MIN_JOINTS], :3], 0.0)
+    return append_distance(crossed[first[joints >= _MIN_JOINTS], :3], 0.0)
 
 
 def _once(lines: Sequence[np.ndarray]) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from studiorecon.depth.stereo.planes import rig_centre
 from studiorecon.depth.stereo.plates import Picture
-from studiorecon.footage.stills import shrink
+from studiorecon.footage.stills import shrink_plate
 
 # Coarse pictures suffice: a wall 4° off is 20 cm off three metres along, some two pixels at this width.
 _WIDTH = 96
@@ -58,7 +58,7 @@ def _smaller(picture: Picture) -> Picture:
     width, height = picture.camera.wh
     scale = min(1.0, _WIDTH / width)
     wh = (max(round(width * scale), 8), max(round(height * scale), 8))
-    rgb, known = shrink(picture.rgb, picture.known, wh)
+    rgb, known = shrink_plate(picture.rgb, picture.known, wh)
     return replace(picture, camera=picture.camera.resized(wh), rgb=np.ascontiguousarray(rgb, np.float32), known=known)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from studiorecon.depth.layout.primitives import enter
+from studiorecon.depth.layout.primitives import ray_entry_length
 
 # Cost of a pixel whose surface no other camera sees: between a match (about 0.1) and chance (about 0.9).
 UNSEEN = np.float32(0.5)
@@ -28,7 +28,7 @@ FIRST = 10
 
 
 @njit(cache=True)
-def warp(lens, pose, rgb, known, depth, v, o, y, x, sample):
+def warp_pixel(lens, pose, rgb, known, depth, v, o, y, x, sample):
     """Colour of a pixel's surface point in another camera into ``sample``: (flat pixel or -1, depth there)."""
     height, width = known.shape[1:]
     d = depth[v, y, x]
@@ -102,7 +102,7 @@ def window_cost(rgb, v, y, x, samples, seen, surface, top, left, half, mean_weig
 
 
 @njit(cache=True)
-def hidden(depth, o, flat, z):
+def is_hidden(depth, o, flat, z):
     return depth[o].flat[flat] < z * (1 - HIDING_SHARE) - HIDING_M
 
 
@@ -119,7 +119,7 @@ def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cos
         for y in range(height):
             for x in range(width):
                 if known[v, y, x]:
-                    at[v, o, y, x], z[v, o, y, x] = warp(lens, pose, rgb, known, depth, v, o, y, x, samples[y, x])
+                    at[v, o, y, x], z[v, o, y, x] = warp_pixel(lens, pose, rgb, known, depth, v, o, y, x, samples[y, x])
                     seen[y, x] = at[v, o, y, x] >= 0
         for y in range(height):
             for x in range(width):
@@ -131,7 +131,11 @@ def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cos
             for x in range(width):
                 total, count = 0.0, 0
                 for o in range(views):
-                    if known[v, y, x] and pair[v, o, y, x] >= 0 and not hidden(depth, o, at[v, o, y, x], z[v, o, y, x]):
+                    if (
+                        known[v, y, x]
+                        and pair[v, o, y, x] >= 0
+                        and not is_hidden(depth, o, at[v, o, y, x], z[v, o, y, x])
+                    ):
                         total += pair[v, o, y, x]
                         count += 1
                 judges[v, y, x] = count
@@ -155,7 +159,7 @@ def invert_visibility(known, depth, pair, at, z):
                         if not known[v, y, x] or pair[v, o, y, x] < 0:
                             continue
                         flat = at[v, o, y, x]
-                        if hidden(depth, o, flat, z[v, o, y, x]):
+                        if is_hidden(depth, o, flat, z[v, o, y, x]):
                             continue
                         if fill:
                             judged[o, begin[o, flat]] = (v * height + y) * width + x
@@ -174,7 +178,7 @@ def invert_visibility(known, depth, pair, at, z):
 
 
 @njit(cache=True)
-def bounds(lens, pose, primitive, v, height, width):
+def primitive_bounds(lens, pose, primitive, v, height, width):
     """Rows and columns (top, bottom, left, right) of a view that a primitive in front of the camera can cover."""
     c, s = np.cos(primitive[3]), np.sin(primitive[3])
     top, bottom, left, right = float(height), 0.0, float(width), 0.0
@@ -217,12 +221,12 @@ def bounds(lens, pose, primitive, v, height, width):
 
 
 @njit(cache=True)
-def trace(lens, pose, centre, v, y, x, primitive, c, s, ray, normal):
+def trace_primitive(lens, pose, centre, v, y, x, primitive, c, s, ray, normal):
     """(depth or -1, face 0..7) at which a pixel's ray enters a primitive; ``c``, ``s``: cosine and sine of its yaw."""
     rx, ry = (x + 0.5 - lens[v, 2]) / lens[v, 0], (y + 0.5 - lens[v, 3]) / lens[v, 1]
     for i in range(3):
         ray[i] = pose[v, 0, i] * rx + pose[v, 1, i] * ry + pose[v, 2, i]
-    d = enter(primitive, c, s, centre[v], ray, normal)
+    d = ray_entry_length(primitive, c, s, centre[v], ray, normal)
     face = 0
     if normal[2] > 0.5:
         face = 1
@@ -235,15 +239,15 @@ def trace(lens, pose, centre, v, y, x, primitive, c, s, ray, normal):
 
 
 @njit(cache=True)
-def draw(lens, pose, centre, known, depth, surface, primitive, first):
+def draw_primitive(lens, pose, centre, known, depth, surface, primitive, first):
     """Draw a primitive into depth and surface."""
     views, height, width = known.shape
     ray, normal = np.zeros(3), np.zeros(3)
     c, s = np.cos(primitive[3]), np.sin(primitive[3])
     for v in range(views):
-        top, bottom, left, right = bounds(lens, pose, primitive, v, height, width)
+        top, bottom, left, right = primitive_bounds(lens, pose, primitive, v, height, width)
         for y in range(top, bottom):
             for x in range(left, right):
-                d, face = trace(lens, pose, centre, v, y, x, primitive, c, s, ray, normal)
+                d, face = trace_primitive(lens, pose, centre, v, y, x, primitive, c, s, ray, normal)
                 if d > NEAR_M and d < depth[v, y, x] * BEFORE:
                     depth[v, y, x], surface[v, y, x] = d, first + face

@@ -17,7 +17,7 @@ _EDGE_CONTRAST = 0.05
 _MIN_PENALTY = 0.1
 
 
-def label(
+def label_planes(
     cost: Float[np.ndarray, "H W L"], rgb: Num[np.ndarray, "H W 3"], change_penalty: float
 ) -> Integer[np.ndarray, "H W"]:
     """Index of the best plane, from float32 costs and the photo.

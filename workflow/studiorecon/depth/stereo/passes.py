@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from studiorecon.depth.stereo.labelling import label
+from studiorecon.depth.stereo.labelling import label_planes
 from studiorecon.depth.stereo.matching import UNKNOWN, plane_homography, plane_inverse_depth
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.depth.sweep_settings import Matching
@@ -138,9 +138,9 @@ def plane_costs(
     return PlaneCosts(depths, cost, judged)
 
 
-def choose(picture: Picture, costs: PlaneCosts, change_penalty: float) -> PlaneLabelling:
+def choose_surfaces(picture: Picture, costs: PlaneCosts, change_penalty: float) -> PlaneLabelling:
     """The labelling of one picture: the surface of least cost at every pixel, smooth except at the photo's edges."""
-    chosen = label(costs.cost, picture.rgb, change_penalty)
+    chosen = label_planes(costs.cost, picture.rgb, change_penalty)
     pick = chosen[..., None]
     depth_m = np.take_along_axis(np.moveaxis(costs.depths_m, 0, -1), pick, axis=-1)[..., 0]
     return PlaneLabelling(
@@ -151,7 +151,7 @@ def choose(picture: Picture, costs: PlaneCosts, change_penalty: float) -> PlaneL
     )
 
 
-def explain(
+def label_picture(
     picture: Picture,
     planes: Float[np.ndarray, "L 4"],
     depths: Float[np.ndarray, "L H W"],
@@ -160,7 +160,9 @@ def explain(
     settings: PassSettings,
 ) -> PlaneLabelling:
     """The labelling of one picture by ``plane_costs`` alone."""
-    return choose(picture, plane_costs(picture, planes, depths, scores, others, settings), settings.refine_penalty)
+    return choose_surfaces(
+        picture, plane_costs(picture, planes, depths, scores, others, settings), settings.refine_penalty
+    )
 
 
 @njit(cache=True)

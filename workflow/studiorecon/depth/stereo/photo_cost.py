@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.depth.stereo.kernels import FIRST, draw, explain_all, invert_visibility
+from studiorecon.depth.stereo.kernels import FIRST, draw_primitive, explain_all, invert_visibility
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.depth.stereo.self_dissimilarity import foreground_log_odds
-from studiorecon.depth.stereo.trial_kernels import gains
+from studiorecon.depth.stereo.trial_kernels import trial_gains
 from studiorecon.scene.room import RoomBox
 
 if TYPE_CHECKING:
@@ -152,7 +152,9 @@ class PhotoCostVolume:
     def shown(self, primitive: Float[np.ndarray, " 8"]) -> Integer[np.ndarray, " V"]:
         """Number of pixels of every view that would show a primitive."""
         depth_m, surface, own = self.depth.copy(), self.surface.copy(), FIRST + 10 * len(self.primitives)
-        draw(self.lens, self.pose, self.centre, self.known, depth_m, surface, np.asarray(primitive, np.float64), own)
+        draw_primitive(
+            self.lens, self.pose, self.centre, self.known, depth_m, surface, np.asarray(primitive, np.float64), own
+        )
         return ((surface >= own) & self.known).sum(axis=(1, 2))
 
     def _gains_and_costs(self, primitives: Float[np.ndarray, "N 8"], looks: bool) -> Float[np.ndarray, "N 3"]:
@@ -170,7 +172,7 @@ class PhotoCostVolume:
             odds,
         )
         tried = np.ascontiguousarray(primitives, np.float64)
-        return gains(self._photos, explained, self.half, self.mean_weight, self.floor_m, tried)
+        return trial_gains(self._photos, explained, self.half, self.mean_weight, self.floor_m, tried)
 
     @property
     def _photos(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -181,7 +183,9 @@ class PhotoCostVolume:
         self.primitives = np.ascontiguousarray(primitives, np.float64).reshape(-1, 8)
         self.depth[:], self.surface[:] = self.bare
         for k, primitive in enumerate(self.primitives):
-            draw(self.lens, self.pose, self.centre, self.known, self.depth, self.surface, primitive, FIRST + 10 * k)
+            draw_primitive(
+                self.lens, self.pose, self.centre, self.known, self.depth, self.surface, primitive, FIRST + 10 * k
+            )
         explain_all(
             *self._photos,
             self.depth,

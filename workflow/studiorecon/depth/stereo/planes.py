@@ -77,7 +77,7 @@ def wall_yaw(
     return float(peak % (np.pi / 2)), float(smooth.max() / weight.sum())
 
 
-def hypotheses(
+def plane_hypotheses(
     centre_m: Float[np.ndarray, " 3"],
     yaw_rad: float,
     floor_m: float,

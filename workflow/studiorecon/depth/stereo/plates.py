@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 
 from studiorecon.depth.stereo.matching import UNKNOWN, correlation, plane_depth
-from studiorecon.footage.stills import read_plate, shrink
+from studiorecon.footage.stills import read_plate, shrink_plate
 from studiorecon.images.channels import channel_sum
-from studiorecon.images.exposure import compare, solve_gains
+from studiorecon.images.exposure import compare_colours, solve_gains
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.files import one_each
+from studiorecon.scene.files import require_one_each
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -84,13 +84,13 @@ class Picture:
 
 def read_pictures(cameras: Sequence[Camera], plates: Sequence[Path], width: int) -> list[Picture]:
     """The plates at most ``width`` pixels wide; raises UserError when a plate does not have its camera's size."""
-    one_each(cameras, plates=plates)
+    require_one_each(cameras, plates=plates)
     pictures = []
     for camera, path in zip(cameras, plates):
         rgb, measured = read_plate(path, camera.wh)
         scale = min(1.0, width / camera.wh[0])
         wh = (max(round(camera.wh[0] * scale), 8), max(round(camera.wh[1] * scale), 8))
-        pictures.append(Picture(camera.resized(wh), *shrink(rgb, measured, wh)))
+        pictures.append(Picture(camera.resized(wh), *shrink_plate(rgb, measured, wh)))
     return pictures
 
 
@@ -121,7 +121,7 @@ def floor_and_gains(
         depth_m = pictures[i].depth(np.array([0.0, 0.0, 1.0, floor_m]), near_m, far_m)
         points = pictures[i].camera.unproject(pictures[i].camera.pixel_centres(), depth_m)[agree]
         colours, inside = sample(pictures[j].rgb, pictures[j].camera.project(points)[0][None])
-        overlap = compare(i, j, pictures[i].rgb[agree][inside[0]], colours[0][inside[0]], _MIN_PIXELS)
+        overlap = compare_colours(i, j, pictures[i].rgb[agree][inside[0]], colours[0][inside[0]], _MIN_PIXELS)
         if overlap is not None:
             overlaps.append(overlap)
     return floor_m, solve_gains(len(pictures), overlaps), len(overlaps)
@@ -151,7 +151,7 @@ def surface_gains(
             same = inside[0] & (np.abs(seen[0] - z) < _SAME_DEPTH * np.where(z > 0, z, np.nan))
             colours = sample(cv2.blur(other.rgb, (window, window)), pixels[None])[0][0]
             mine = cv2.blur(picture.rgb, (window, window))[known]
-            overlap = compare(i, j, mine[same], colours[same], _MIN_PIXELS)
+            overlap = compare_colours(i, j, mine[same], colours[same], _MIN_PIXELS)
             if overlap is not None:
                 overlaps.append(overlap)
     return solve_gains(len(pictures), overlaps), len(overlaps)

@@ -15,10 +15,10 @@ from studiorecon.depth.stereo.kernels import (
     HIDING_SHARE,
     NEAR_M,
     UNSEEN,
-    bounds,
-    hidden,
-    trace,
-    warp,
+    is_hidden,
+    primitive_bounds,
+    trace_primitive,
+    warp_pixel,
     window_cost,
 )
 
@@ -31,7 +31,7 @@ _CLEAR_FOOT, _BELOW, _BESIDE, STANDING_M = 0.5, 2, 2, 0.03
 
 
 @njit(cache=True, parallel=True)
-def gains(photos, explained, half, mean_weight, floor_m, primitives):
+def trial_gains(photos, explained, half, mean_weight, floor_m, primitives):
     """(N, 3) decrease of the cost of all pixels with each of N primitives (N, 8) added alone, and two parts of it.
 
     These are, for pixels that show it and that another camera judges, the decrease and the cost before. ``photos``:
@@ -83,11 +83,11 @@ def _gain(photos, explained, half, mean_weight, floor_m, primitive):
     c, s = np.cos(primitive[3]), np.sin(primitive[3])
     touched = np.zeros((views, 4), np.int64)
     for v in range(views):
-        top, bottom, left, right = bounds(lens, pose, primitive, v, height, width)
+        top, bottom, left, right = primitive_bounds(lens, pose, primitive, v, height, width)
         touched[v, 0], touched[v, 1], touched[v, 2], touched[v, 3] = height, 0, width, 0
         for y in range(top, bottom):
             for x in range(left, right):
-                d, face = trace(lens, pose, centre, v, y, x, primitive, c, s, ray, normal)
+                d, face = trace_primitive(lens, pose, centre, v, y, x, primitive, c, s, ray, normal)
                 if d > NEAR_M and d < depth[v, y, x] * BEFORE:
                     trial[v, y, x], number[v, y, x] = d, 1 + face
                     touched[v, 0], touched[v, 1] = min(touched[v, 0], y), max(touched[v, 1], y + 1)
@@ -117,13 +117,13 @@ def _gain(photos, explained, half, mean_weight, floor_m, primitive):
                 for x in range(columns):
                     seen[y, x] = False
                     if number[v, y + top, x + left] > 0 and known[v, y + top, x + left]:
-                        flat[y, x], there[y, x] = warp(
+                        flat[y, x], there[y, x] = warp_pixel(
                             lens, pose, rgb, known, trial, v, o, y + top, x + left, samples[y, x]
                         )
                         seen[y, x] = flat[y, x] >= 0
             for y in range(rows):
                 for x in range(columns):
-                    if not seen[y, x] or hidden(depth, o, flat[y, x], there[y, x]):
+                    if not seen[y, x] or is_hidden(depth, o, flat[y, x], there[y, x]):
                         continue
                     before = trial[o].flat[flat[y, x]]
                     if before > 0 and before < there[y, x] * (1 - HIDING_SHARE) - HIDING_M:
@@ -171,7 +171,7 @@ def _gain(photos, explained, half, mean_weight, floor_m, primitive):
                         continue
                     before = trial[o].flat[at[v, o, y, x]]
                     gone = before > 0 and before < z[v, o, y, x] * (1 - HIDING_SHARE) - HIDING_M
-                    if hidden(depth, o, at[v, o, y, x], z[v, o, y, x]):
+                    if is_hidden(depth, o, at[v, o, y, x], z[v, o, y, x]):
                         continue
                     if gone:
                         lost = True

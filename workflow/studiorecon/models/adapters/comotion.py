@@ -19,9 +19,15 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.models import smpl
-from studiorecon.models.adapters.pi3 import probability
+from studiorecon.models.adapters.pi3 import sigmoid
 from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, require_finite, staged_weights
+from studiorecon.models.catalogue.preflight import (
+    attribute,
+    import_upstream,
+    require_finite,
+    staged_weights,
+    torch_device,
+)
 from studiorecon.models.protocols import Bodies
 from studiorecon.progress import warn
 
@@ -108,7 +114,7 @@ def postprocess(
         apart = np.median(np.linalg.norm(joints[:, None] - detected_px[None], axis=-1), axis=-1)
         nearest = apart.argmin(axis=1)
         lies_on = apart[np.arange(len(joints)), nearest] <= _SAME * np.maximum(size, 1.0)
-        sure = np.where(lies_on, np.maximum(probability(logits)[nearest], UNSEEN), UNSEEN)
+        sure = np.where(lies_on, np.maximum(sigmoid(logits)[nearest], UNSEEN), UNSEEN)
     return Bodies(
         tracks=own["id"].astype(np.int64) - 1,
         shapes=own["betas"].astype(np.float64),
@@ -120,7 +126,7 @@ def postprocess(
     )
 
 
-def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[tuple[int, Bodies]]:
+def read_bodies(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[tuple[int, Bodies]]:
     """(frame, bodies) from arrays with one row per person and frame; ``where`` names them in messages.
 
     Needed: id, frame_idx, pose (72), betas (10), trans (3), pred_2d (27, 2) in working pixels, pred_3d (27, 3); conf
@@ -176,7 +182,7 @@ class Comotion:
             # Upstream unpickles SMPL's file unchecked, and would run any code in it.
             body = weights / "smpl/SMPL_NEUTRAL.pkl"
             import_upstream(card, "comotion_demo.utils.smpl_kinematics").pickle = _Arrays(body)
-            self._device = device(card, where, _LOWER)
+            self._device = torch_device(card, where, _LOWER)
             self._network = attribute(card, module, "CoMotion")(use_coreml=False, pretrained=True)
         except (FileNotFoundError, AssertionError) as error:
             reason = next(iter(str(error).splitlines()), "no reason given")
@@ -190,7 +196,7 @@ class Comotion:
     @staticmethod
     def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[tuple[int, Bodies]]:
         """The stored bodies; see ``models.protocols.BodyEstimator``."""
-        return stored(rows, where)
+        return read_bodies(rows, where)
 
     def bodies(
         self, frames: Iterable[Integer[np.ndarray, "H W 3"]], intrinsics: Num[np.ndarray, "3 3"]
@@ -201,10 +207,10 @@ class Comotion:
             if not started:
                 self._network.init_tracks(frame.shape[:2])
                 started = True
-            yield postprocess(*estimated(self._network, *preprocess(frame, intrinsics)))
+            yield postprocess(*estimate_frame(self._network, *preprocess(frame, intrinsics)))
 
 
-def estimated(
+def estimate_frame(
     network: Any, picture: Integer[np.ndarray, "3 H W"], intrinsics: Float[np.ndarray, "2 3"]
 ) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], Num[np.ndarray, "n 27 2"], Num[np.ndarray, " n"]]:
     """State of the track slots, and points and logits of the detections, of the next frame of a clip."""

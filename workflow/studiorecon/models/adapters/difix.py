@@ -15,7 +15,13 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.images.sizes import as_float, pad_to_multiple, resample
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, require_finite, staged_weights
+from studiorecon.models.catalogue.preflight import (
+    attribute,
+    import_upstream,
+    require_finite,
+    staged_weights,
+    torch_device,
+)
 from studiorecon.models.protocols import Moment
 
 if TYPE_CHECKING:
@@ -120,7 +126,7 @@ class Difix:
         pipeline = attribute(card, import_upstream(card, "pipeline_difix"), "DifixPipeline")
         import torch
 
-        self._device, self._seed = device(card, where, _LOWER), seed
+        self._device, self._seed = torch_device(card, where, _LOWER), seed
         # Upstream trains in bfloat16 and shows float32; float16 overflows to black pictures.
         kind = torch.bfloat16 if self._device.type == "cuda" else torch.float32
         self._pipeline = pipeline.from_pretrained(
@@ -133,10 +139,10 @@ class Difix:
         self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
     ) -> Float[np.ndarray, "H W 3"]:
         """The repaired picture; see ``models.protocols.Enhancer``. Camera and depth of ``moment`` are not used."""
-        return postprocess(denoised(self._pipeline, *preprocess(image, reference), self._seed, self._device), image)
+        return postprocess(denoise(self._pipeline, *preprocess(image, reference), self._seed, self._device), image)
 
 
-def denoised(
+def denoise(
     pipeline: Any, picture: Float[np.ndarray, "1 3 h w"], photo: Float[np.ndarray, "1 3 h w"], seed: int, where: Any
 ) -> Float[np.ndarray, "1 3 h w"]:
     """Float32 from upstream's pipeline; the generator restarts, so that earlier pictures have no influence."""

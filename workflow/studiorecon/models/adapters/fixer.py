@@ -13,12 +13,12 @@ from studiorecon.images.sizes import as_float, resample
 from studiorecon.models.adapters import difix
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import (
-    arrays_alone,
+    arrays_only,
     attribute,
-    device,
     import_upstream,
     require_finite,
     staged_weights,
+    torch_device,
 )
 from studiorecon.models.protocols import Moment
 
@@ -82,7 +82,7 @@ class Fixer:
     def __init__(self, card: Card, weights: Path, where: str, seed: int = 0) -> None:
         folder = staged_weights(card, weights) / "fixer"
         module = import_upstream(card, "pix2pix_turbo_nocond_cosmos_base_faster_tokenizer")
-        self._device = device(card, where, _LOWER)
+        self._device = torch_device(card, where, _LOWER)
         import torch
 
         # Upstream keeps the paths of its base model in a module's constant; there is no argument for them.
@@ -90,7 +90,7 @@ class Fixer:
         config.dit_path = str(folder / "base/model_fast_tokenizer.pt")
         config.tokenizer["vae_pth"] = str(folder / "base/tokenizer_fast.pth")
         network = attribute(card, module, "Pix2Pix_Turbo")
-        with arrays_alone(card):
+        with arrays_only(card):
             self._model = network(
                 pretrained_path=str(folder / "pretrained/pretrained_fixer.pkl"),
                 timestep=STEP,

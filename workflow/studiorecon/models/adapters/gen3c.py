@@ -19,7 +19,7 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.models.adapters.gen3c_request import CHUNK, HW, check_evidence, check_form, evidence
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import arrays_alone, attribute, device, import_upstream, staged_weights
+from studiorecon.models.catalogue.preflight import arrays_only, attribute, import_upstream, staged_weights, torch_device
 from studiorecon.models.protocols import KeyFrame
 from studiorecon.scene.camera import Camera
 
@@ -106,7 +106,7 @@ def depth_scale(depths: Sequence[Float[np.ndarray, "H W"]]) -> float:
     return scale if farthest <= 100 else scale * 100 / farthest
 
 
-def order(key_frames: Sequence[KeyFrame], start: Camera) -> list[int]:
+def order_key_frames(key_frames: Sequence[KeyFrame], start: Camera) -> list[int]:
     """Indices of the key frames, first the one at the path's start, which alone seeds the film.
 
     Raises UserError when the path starts at none.
@@ -137,7 +137,7 @@ def preprocess(key_frames: Sequence[KeyFrame], path: Sequence[Camera]) -> dict[s
     for camera in (*(k.camera for k in key_frames), *path):
         if camera.hw != HW:
             raise ValueError(f"camera {camera.name} is {camera.hw}, expected {HW}")
-    frames = [key_frames[i] for i in order(key_frames, path[0])]
+    frames = [key_frames[i] for i in order_key_frames(key_frames, path[0])]
     scale = depth_scale([np.where(k.usable, k.depth_m, 0) for k in frames])
     usable = [k.usable & np.isfinite(k.depth_m) & (k.depth_m > 0) & np.isfinite(k.rgb).all(axis=-1) for k in frames]
     return {
@@ -217,10 +217,10 @@ class Gen3c:
         cache = import_upstream(card, "cosmos_predict1.diffusion.inference.cache_3d")
         self._cache = attribute(card, cache, "Cache3D_BufferSelector")
         self._filters = {"filter_points_threshold": filter_points_threshold, "foreground_masking": foreground_masking}
-        self._device = device(card, where, _LOWER, None if offload else _WITHOUT_OFFLOAD_GB)
+        self._device = torch_device(card, where, _LOWER, None if offload else _WITHOUT_OFFLOAD_GB)
         # The paper uses no prompts: without the encoder 45 GB of weights are saved. Guardrail and prompt upsampler are
         # off as in GEN3C's own script; the licence's clause on guardrails is on the card.
-        with arrays_alone(card):
+        with arrays_only(card):
             self._pipeline = pipeline(
                 inference_type="video2world",
                 checkpoint_dir=str(folder),
@@ -264,7 +264,7 @@ class Gen3c:
     def views(self, request: dict[str, Shaped[np.ndarray, " ..."]]) -> Iterator[Integer[np.ndarray, "t 704 1280 3"]]:
         """The film in parts (t, 704, 1280, 3) uint8 as they are generated, without the frames that chunks share."""
         cache = warp_cache(partial(self._cache, **self._filters), request, self._device)
-        yield from chunks(self._pipeline.generate, cache, request, self._device)
+        yield from generate_chunks(self._pipeline.generate, cache, request, self._device)
 
 
 def warp_cache(selector: Any, request: dict[str, Shaped[np.ndarray, " ..."]], where: Any) -> Any:
@@ -286,7 +286,7 @@ def warp_cache(selector: Any, request: dict[str, Shaped[np.ndarray, " ..."]], wh
     )
 
 
-def chunks(
+def generate_chunks(
     generate: Any, cache: Any, request: dict[str, Shaped[np.ndarray, " ..."]], where: Any
 ) -> Iterator[Shaped[np.ndarray, " ..."]]:
     """The chunks of upstream's ``generate``: the first is seeded with key frame 0, each other with the frame before

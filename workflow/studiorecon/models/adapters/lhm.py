@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.pickles import require_safe_pickles
-from studiorecon.models.catalogue.preflight import device, import_upstream, staged_weights
+from studiorecon.models.catalogue.preflight import import_upstream, staged_weights, torch_device
 from studiorecon.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ class Lhm:
         # Upstream unpickles bodies, hands and faces unchecked.
         require_safe_pickles(p for p in sorted((weights / "lhm").rglob("*")) if p.suffix in (".pkl", ".npz"))
         module = import_upstream(card, "LHM")
-        device(card, where, _LOWER)
+        torch_device(card, where, _LOWER)
         self._checkout = Path(next(iter(module.__path__))).parent
 
     def avatar(self, photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"]) -> Gaussians:
@@ -170,7 +170,7 @@ class Lhm:
             folder = Path(name)
             write_png(folder / "person.png", preprocess(photo, mask))
             command = command_for(folder / "person.png", folder / "out")
-            return postprocess(read_ply(made(command, self._checkout, folder / "out")))
+            return postprocess(read_ply(result_file(command, self._checkout, folder / "out")))
 
 
 def command_for(picture: Path, out: Path) -> list[str]:
@@ -197,7 +197,7 @@ def command_for(picture: Path, out: Path) -> list[str]:
     ]
 
 
-def made(command: list[str], checkout: Path, out: Path) -> Path:
+def result_file(command: list[str], checkout: Path, out: Path) -> Path:
     """The one .ply that a finished command wrote; raises UserError, with the command's last line, without one."""
     import subprocess
 

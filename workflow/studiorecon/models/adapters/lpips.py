@@ -20,7 +20,7 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.errors import UserError
-from studiorecon.machine.libraries import remedy
+from studiorecon.machine.libraries import install_remedy
 from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.protocols import SMALLEST_MEASURED_PX
 
@@ -157,7 +157,7 @@ class Lpips:
         """The distance of two tensors in [0, 1], (1, 3, h, w), sides at least 16, rescaled to [−1, 1] (U12)."""
         total = 0.0
         for ours, theirs, head in zip(self._features(2 * rendered - 1), self._features(2 * target - 1), self._heads):
-            total = total + (head * (normalised(ours) - normalised(theirs)) ** 2).sum(dim=1).mean()
+            total = total + (head * (normalise_features(ours) - normalise_features(theirs)) ** 2).sum(dim=1).mean()
         return total
 
     def _features(self, picture: Any) -> Sequence[Any]:
@@ -201,7 +201,7 @@ class Lpips:
         return torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))[None].to(self._heads[0])
 
 
-def normalised(features: Any) -> Any:
+def normalise_features(features: Any) -> Any:
     """Features over their length per pixel; epsilon is inside the root, whose slope at 0 is infinite (I06)."""
     return features / (features.square().sum(dim=1, keepdim=True) + NORM_EPSILON).sqrt()
 
@@ -221,7 +221,7 @@ def read_lpips(
         import torch
     except ModuleNotFoundError:
         raise UserError(
-            f"LPIPS needs the package torch, which is not installed ({remedy('torch')}); get it or {without}"
+            f"LPIPS needs the package torch, which is not installed ({install_remedy('torch')}); get it or {without}"
         ) from None
     torch.set_num_threads(threads)
     read = []

@@ -17,7 +17,13 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.models.adapters.pi3 import LOWER, postprocess, preprocess
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, require_finite, staged_weights
+from studiorecon.models.catalogue.preflight import (
+    attribute,
+    import_upstream,
+    require_finite,
+    staged_weights,
+    torch_device,
+)
 from studiorecon.models.protocols import Reconstruction
 
 if TYPE_CHECKING:
@@ -63,7 +69,7 @@ class MapAnything:
 
     def __init__(self, card: Card, weights: Path, where: str) -> None:
         folder = staged_weights(card, weights) / "mapanything"
-        self._device = device(card, where, LOWER)
+        self._device = torch_device(card, where, LOWER)
         network = attribute(card, import_upstream(card, "mapanything.models"), "MapAnything")
         checkout = Path(next(iter(import_upstream(card, "dinov2").__path__))).parent
         try:
@@ -77,7 +83,7 @@ class MapAnything:
     def reconstruct(self, pictures: Sequence[Integer[np.ndarray, "H W 3"]], names: Sequence[str]) -> Reconstruction:
         """Cameras and depth; see ``models.protocols.PoseAndDepth``."""
         tensor, taken = preprocess(pictures)
-        made = inferred(self._network, tensor, self._device)
+        made = infer(self._network, tensor, self._device)
         for what, values in zip(("points", "confidence", "poses"), made):
             require_finite(CARD, what, values)
         return postprocess(*made, taken, names, metric=True)
@@ -106,7 +112,7 @@ def encoder_from(checkout: Path) -> Iterator[None]:
         hub.load = fetched
 
 
-def inferred(
+def infer(
     network: Any, tensor: Float[np.ndarray, "N 3 h w"], where: Any
 ) -> tuple[Float[np.ndarray, "N h w 3"], Float[np.ndarray, "N h w"], Float[np.ndarray, "N 4 4"]]:
     """Camera-frame points, confidence and world-from-camera poses of pictures.

@@ -15,7 +15,7 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.images.sizes import as_float
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, staged_weights
+from studiorecon.models.catalogue.preflight import attribute, import_upstream, staged_weights, torch_device
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
@@ -110,7 +110,7 @@ class Moge:
     def __init__(self, card: Card, weights: Path, where: str) -> None:
         file = staged_weights(card, weights) / card.weights[0].path
         network = attribute(card, import_upstream(card, _MODULES[card.name]), "MoGeModel")
-        self._card, self._device = card, device(card, where, "set depth.source to embedded")
+        self._card, self._device = card, torch_device(card, where, "set depth.source to embedded")
         try:
             self._network = network.from_pretrained(str(file)).to(self._device).eval()
         except (KeyError, TypeError, RuntimeError) as error:
@@ -121,10 +121,10 @@ class Moge:
     def depth(self, picture: Integer[np.ndarray, "H W 3"], focal_px: float | None) -> Float[np.ndarray, "H W"]:
         """Depth of one picture; see ``models.protocols.MonocularDepth``."""
         field = fov_deg(focal_px, picture.shape[1]) if focal_px else None
-        return postprocess(*inferred(self._network, preprocess(picture), field, self._device), self._card)
+        return postprocess(*infer(self._network, preprocess(picture), field, self._device), self._card)
 
 
-def inferred(
+def infer(
     network: Any, picture: Float[np.ndarray, "3 H W"], field_deg: float | None, where: Any, **options: Any
 ) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
     """Depth, +inf outside the mask, and the mask, from upstream's ``infer``; half precision on a GPU only."""

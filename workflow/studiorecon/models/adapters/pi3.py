@@ -18,7 +18,13 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.images.sizes import as_float, resample
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, require_finite, staged_weights
+from studiorecon.models.catalogue.preflight import (
+    attribute,
+    import_upstream,
+    require_finite,
+    staged_weights,
+    torch_device,
+)
 from studiorecon.models.protocols import Reconstruction
 from studiorecon.scene.camera import Camera
 
@@ -140,13 +146,13 @@ def preprocess(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> tuple[Float[
     return np.stack(tensors), taken
 
 
-def probability(logits: Num[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
+def sigmoid(logits: Num[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
     """Sigmoid that does not overflow."""
     small = np.exp(-np.abs(logits.astype(np.float64)))
     return np.where(logits >= 0, 1 / (1 + small), small / (1 + small)).astype(np.float32)
 
 
-def edges(depth: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
+def depth_edges(depth: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     """Pixels whose depth differs from that of one of eight neighbours by more than ``EDGE`` of it.
 
     Upstream's newer rule also needs a jump of the normal; this one drops more of floors seen at a grazing angle.
@@ -156,7 +162,7 @@ def edges(depth: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     return cv2.morphologyEx(depth, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > EDGE * np.abs(depth)
 
 
-def focal(points: Float[np.ndarray, "h w 3"], weight: Num[np.ndarray, "h w"]) -> tuple[float, float]:
+def fit_focal(points: Float[np.ndarray, "h w 3"], weight: Num[np.ndarray, "h w"]) -> tuple[float, float]:
     """Focal length, px, that projects camera-frame points to their pixels by weighted least squares, and the residual.
 
     The principal point is in the middle; the residual is the median distance of a pixel and its point's projection.
@@ -195,14 +201,14 @@ def postprocess(
         rows, columns = slice(inset.top, inset.top + height), slice(inset.left, inset.left + width)
         own, sure = own[rows, columns], sure[rows, columns]
         depth = own[..., 2]
-        usable = (sure > CONFIDENT) & (depth > 0) & ~edges(depth)
+        usable = (sure > CONFIDENT) & (depth > 0) & ~depth_edges(depth)
         if usable.sum() < _MIN_POINTS:
             raise UserError(
                 f"the network is sure of {int(usable.sum())} pixels of camera {name}: its picture "
                 "shares nothing with the others; leave it "
                 "out with train: [...] in capture.yaml"
             )
-        length, residual = focal(own, np.where(usable, sure, 0))
+        length, residual = fit_focal(own, np.where(usable, sure, 0))
         intrinsics = np.array([[length, 0, width / 2], [0, length, height / 2], [0, 0, 1.0]])
         cameras.append(
             Camera(name, (width, height), intrinsics, _rigid(np.linalg.inv(first @ pose.astype(np.float64))))
@@ -226,7 +232,7 @@ class Pi3:
 
     def __init__(self, card: Card, weights: Path, where: str) -> None:
         file = staged_weights(card, weights) / card.weights[0].path
-        self._card, self._device = card, device(card, where, LOWER)
+        self._card, self._device = card, torch_device(card, where, LOWER)
         network = attribute(card, import_upstream(card, f"pi3.models.{card.name}"), card.title)
         state = attribute(card, import_upstream(card, "safetensors.torch"), "load_file")(str(file))
         self._network = network()
@@ -244,13 +250,13 @@ class Pi3:
     def reconstruct(self, pictures: Sequence[Integer[np.ndarray, "H W 3"]], names: Sequence[str]) -> Reconstruction:
         """Cameras and depth; see ``models.protocols.PoseAndDepth``."""
         tensor, taken = preprocess(pictures)
-        made = inferred(self._network, tensor, self._device)
+        made = infer(self._network, tensor, self._device)
         for what, values in zip(("points", "confidence", "poses"), made):
             require_finite(self._card, what, values)
         return postprocess(*made, taken, names, metric=self._card is PI3X)
 
 
-def inferred(
+def infer(
     network: Any, tensor: Float[np.ndarray, "N 3 h w"], where: Any
 ) -> tuple[Float[np.ndarray, "N h w 3"], Float[np.ndarray, "N h w"], Float[np.ndarray, "N 4 4"]]:
     """Camera-frame points, confidence after the sigmoid and world-from-camera poses of pictures."""
@@ -261,7 +267,7 @@ def inferred(
     with torch.inference_mode(), torch.autocast(kind, dtype=half, enabled=kind == "cuda"):
         made = network(torch.from_numpy(tensor)[None].to(where))
     points, logits, poses = (made[key][0].float().cpu().numpy() for key in ("local_points", "conf", "camera_poses"))
-    return points, probability(logits[..., 0]), poses
+    return points, sigmoid(logits[..., 0]), poses
 
 
 ADAPTER = Pi3

@@ -11,7 +11,13 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, require_finite, staged_weights
+from studiorecon.models.catalogue.preflight import (
+    attribute,
+    import_upstream,
+    require_finite,
+    staged_weights,
+    torch_device,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer
@@ -101,7 +107,7 @@ class Raft:
         build = attribute(card, import_upstream(card, "torchvision.models.optical_flow"), "raft_large")
         import torch
 
-        self._device = device(card, where, "set enhance.flow to dis")
+        self._device = torch_device(card, where, "set enhance.flow to dis")
         self._network = build(weights=None, progress=False)
         try:
             self._network.load_state_dict(torch.load(file, map_location="cpu", weights_only=True))
@@ -116,10 +122,10 @@ class Raft:
     ) -> Float[np.ndarray, "H W 2"]:
         """Optical flow; see ``models.protocols.Flow``."""
         pair, fitted = preprocess(first, second)
-        return postprocess(require_finite(CARD, "flow", estimated(self._network, pair, self._device)), fitted)
+        return postprocess(require_finite(CARD, "flow", estimate_flow(self._network, pair, self._device)), fitted)
 
 
-def estimated(
+def estimate_flow(
     network: Any, pair: Float[np.ndarray, "2 3 h w"], where: Any, updates: int = 12
 ) -> Float[np.ndarray, "2 h w"]:
     """Float32 flow from the first to the second of float32 pictures in [-1, 1], after ``updates`` refinements."""

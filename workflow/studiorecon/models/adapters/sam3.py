@@ -16,7 +16,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
-from studiorecon.models.catalogue.preflight import attribute, device, import_upstream, staged_weights
+from studiorecon.models.catalogue.preflight import attribute, import_upstream, staged_weights, torch_device
 from studiorecon.progress import warn
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def match_labels(known: Integer[np.ndarray, "H W"], again: Integer[np.ndarray, "
     return found
 
 
-def joined(chunks: Iterable[list[Integer[np.ndarray, "H W"]]]) -> Iterator[Integer[np.ndarray, "H W"]]:
+def join_chunks(chunks: Iterable[list[Integer[np.ndarray, "H W"]]]) -> Iterator[Integer[np.ndarray, "H W"]]:
     """Uint16 per frame from label maps of chunks that share a frame: 0 = nobody, else the person's number from 1."""
     last, numbered = None, 0
     for chunk in chunks:
@@ -150,7 +150,7 @@ class Sam3:
         network, processor = (attribute(card, module, name) for name in ("Sam3VideoModel", "Sam3VideoProcessor"))
         import torch
 
-        self._device, self._chunk, self._prompt = device(card, where, _LOWER), chunk, prompt
+        self._device, self._chunk, self._prompt = torch_device(card, where, _LOWER), chunk, prompt
         kind = torch.bfloat16 if self._device.type == "cuda" else torch.float32
         self._network = network.from_pretrained(folder, dtype=kind, local_files_only=True).to(self._device).eval()
         self._processor = processor.from_pretrained(folder, local_files_only=True)
@@ -161,13 +161,13 @@ class Sam3:
 
     def segment(self, frames: Iterable[Integer[np.ndarray, "H W 3"]]) -> Iterator[Integer[np.ndarray, "H W"]]:
         """Masks of people; see ``models.protocols.PersonSegmenter``."""
-        return joined(
-            tracked(self._network, self._processor, part, self._prompt, self._device)
+        return join_chunks(
+            track_people(self._network, self._processor, part, self._prompt, self._device)
             for part in preprocess(frames, self._chunk)
         )
 
 
-def tracked(
+def track_people(
     network: Any, processor: Any, frames: list[Integer[np.ndarray, "H W 3"]], prompt: str, where: Any
 ) -> list[Integer[np.ndarray, "H W"]]:
     """Int64 label map of every frame of one chunk, by upstream's video session; its frames stay in main memory."""
@@ -178,10 +178,10 @@ def tracked(
         video=frames, inference_device=where, inference_state_device="cpu", video_storage_device="cpu", dtype=kind
     )
     processor.add_text_prompt(session, prompt)
-    return labelled(network, processor, session, len(frames), frames[0].shape[:2], torch)
+    return session_labels(network, processor, session, len(frames), frames[0].shape[:2], torch)
 
 
-def labelled(
+def session_labels(
     network: Any, processor: Any, session: Any, count: int, hw: tuple[int, int], torch: Any
 ) -> list[Integer[np.ndarray, "H W"]]:
     """Label maps of a session's ``count`` frames in order; the network may report them late, or not without people."""

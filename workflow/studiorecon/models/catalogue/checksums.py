@@ -27,7 +27,7 @@ def digest(file: Path, algorithm: str = "sha256") -> str:
     return total.hexdigest()
 
 
-def blob(file: Path) -> str:
+def git_blob_hash(file: Path) -> str:
     """The hash that git, and so a hub, assigns to a small file's content."""
     import hashlib
 
@@ -53,7 +53,7 @@ def write_pins(folder: Path, pins: dict[str, Any]) -> None:
     partial.replace(folder / PINS)
 
 
-def code_in(folder: Path, files: Iterable[WeightFile]) -> list[WeightFile]:
+def repository_code(folder: Path, files: Iterable[WeightFile]) -> list[WeightFile]:
     """Code that was downloaded with a whole repository (``snapshot``), and that its client runs to load the network."""
     found = []
     for file in (file for file in files if file.how == "snapshot"):

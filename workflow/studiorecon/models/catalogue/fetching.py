@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.errors import UserError
-from studiorecon.machine.libraries import remedy
+from studiorecon.machine.libraries import install_remedy
 from studiorecon.models.catalogue.card import WeightFile
-from studiorecon.models.catalogue.checksums import blob
-from studiorecon.models.catalogue.sandbox import may_fetch
+from studiorecon.models.catalogue.checksums import git_blob_hash
+from studiorecon.models.catalogue.sandbox import allow_fetching
 from studiorecon.progress import warn
 
 _PATIENCE_S = 60.0
@@ -28,7 +28,7 @@ def fetch(file: WeightFile, folder: Path) -> str:
 
     Raises UserError with the steps for a person to take.
     """
-    may_fetch()
+    allow_fetching()
     target = folder / file.path
     target.parent.mkdir(parents=True, exist_ok=True)
     _room_for(file, folder)
@@ -73,7 +73,7 @@ def _client(name: str, file: WeightFile) -> Any:
     except ModuleNotFoundError:
         raise UserError(
             f"to fetch {file.path} the package {name.split('.')[0]} is needed, which "
-            f"is not installed ({remedy(name)}); "
+            f"is not installed ({install_remedy(name)}); "
             f"or get the file by hand from {file.source} {file.repository}".rstrip()
         ) from None
 
@@ -99,7 +99,7 @@ def _from_hub(file: WeightFile, target: Path) -> str:
     address = hub.hf_hub_url(file.repository, file.remote, revision=file.revision)
     stated = str(hub.get_hf_file_metadata(address).etag or "")
     # For large files the hub states the SHA-256, for small ones git's hash of their content.
-    if len(stated) == 40 and stated != blob(target):
+    if len(stated) == 40 and stated != git_blob_hash(target):
         raise UserError(f"{target} is not what its publisher has; delete it and run this again")
     return stated if len(stated) == 64 else ""
 
@@ -109,7 +109,7 @@ def _published(hub: Any, file: WeightFile, place: Path) -> None:
     about = hub.HfApi().model_info(file.repository, revision=file.revision, files_metadata=True)
     for entry in about.siblings:
         path = place / entry.rfilename
-        if not entry.lfs and path.is_file() and entry.blob_id != blob(path):
+        if not entry.lfs and path.is_file() and entry.blob_id != git_blob_hash(path):
             raise UserError(
                 f"{path} is not what {file.repository} has at {file.revision[:12]}; delete it and run this again"
             )

@@ -17,8 +17,8 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import Card
-from studiorecon.models.catalogue.checksums import PINS, code_in, read_pins, verify, write_pins
-from studiorecon.models.catalogue.sandbox import confine
+from studiorecon.models.catalogue.checksums import PINS, read_pins, repository_code, verify, write_pins
+from studiorecon.models.catalogue.sandbox import confine_process
 from studiorecon.progress import say, warn
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def staged_weights(card: Card, folder: Path) -> Path:
         if file.path not in pins and not (file.sha256 or file.md5):
             say(f"{folder / file.path} is new: its checksum is recorded and verified from now on")
         pins[file.path] = verify(folder, file, pins)
-    for file in code_in(folder, card.weights):
+    for file in repository_code(folder, card.weights):
         if file.path not in pins:
             raise UserError(
                 f"{folder / file.path} is code that {card.title} would run, and its checksum is not recorded; read "
@@ -58,7 +58,7 @@ def staged_weights(card: Card, folder: Path) -> Path:
             write_pins(folder, pins)
         except OSError as error:
             warn(f"{folder / PINS} cannot be written ({error.strerror}): files are hashed again next time")
-    confine()
+    confine_process()
     return folder
 
 
@@ -87,7 +87,7 @@ def attribute(card: Card, module: Any, wanted: str) -> Any:
 
 
 @contextmanager
-def arrays_alone(card: Card) -> Iterator[None]:
+def arrays_only(card: Card) -> Iterator[None]:
     """Context for upstream's loading: a checkpoint with more than arrays (``sandbox``) gives a UserError."""
     try:
         yield
@@ -98,7 +98,7 @@ def arrays_alone(card: Card) -> Iterator[None]:
         ) from None
 
 
-def device(card: Card, wanted: str, lower: str, needed: float | None = None) -> Any:
+def torch_device(card: Card, wanted: str, lower: str, needed: float | None = None) -> Any:
     """The torch device to run a network on, after a check of its free memory; ``wanted``: "auto", "cuda" or "cpu".
 
     "auto" takes a GPU, and the CPU only for networks that need none. Raises UserError when there is no such GPU, or

@@ -40,18 +40,18 @@ for _module in MODULES:
         MODELS[_card.name], _MODULE_OF[_card.name] = _card, f"models.{_module}"
 
 
-def model(name: str) -> Card:
+def find_card(name: str) -> Card:
     """The card of ``name``; raises KeyError with the known names for an unknown one."""
     if name not in MODELS:
         raise KeyError(f"no model is called {name!r}; there are {', '.join(MODELS)}")
     return MODELS[name]
 
 
-def of_kind(*kinds: Kind) -> list[Card]:
+def cards_of_kind(*kinds: Kind) -> list[Card]:
     """All models of these kinds, kind after kind, in the order of the list."""
     return [card for kind in kinds for card in MODELS.values() if card.kind == kind]
 
 
 def adapter_module(name: str) -> str:
-    """The module, below ``studiorecon``, of the adapter of model ``name``; raises KeyError as ``model``."""
-    return _MODULE_OF[model(name).name]
+    """The module, below ``studiorecon``, of the adapter of model ``name``; raises KeyError as ``find_card``."""
+    return _MODULE_OF[find_card(name).name]

@@ -17,12 +17,12 @@ ARRAYS_ONLY = {"TORCH_FORCE_WEIGHTS_ONLY_LOAD": "1"}
 """With it ``torch.load`` reads tensors and plain containers from a file, and refuses anything else."""
 
 
-def confine() -> None:
+def confine_process() -> None:
     """Forbid this process, and those it starts, to fetch anything or to unpickle anything but arrays."""
     os.environ.update(OFFLINE | SILENT | ARRAYS_ONLY)
 
 
-def may_fetch() -> None:
+def allow_fetching() -> None:
     """Allow this process to fetch; only ``snakemake weights`` does that."""
     for variable in OFFLINE:
         os.environ.pop(variable, None)

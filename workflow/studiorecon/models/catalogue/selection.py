@@ -9,7 +9,7 @@ from typing import Any
 
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import Kind
-from studiorecon.models.catalogue.registry import MODELS, adapter_module, of_kind
+from studiorecon.models.catalogue.registry import MODELS, adapter_module, cards_of_kind
 from studiorecon.scene.replacement_photos import is_photo
 
 
@@ -25,7 +25,7 @@ class Choice:
     @property
     def networks(self) -> tuple[str, ...]:
         """Names of the networks that can be chosen."""
-        return tuple(card.name for card in of_kind(*self.kinds))
+        return tuple(card.name for card in cards_of_kind(*self.kinds))
 
     @property
     def values(self) -> tuple[str, ...]:
@@ -64,11 +64,11 @@ _PERCEPTUAL = ("background.training.lpips.weight", "humans.losses.lpips.weight")
 
 def select_networks(config: Mapping[str, Any]) -> list[tuple[str, str]]:
     """(setting, model) for every setting that selects an upstream network, in the order data flows."""
-    found = [(where, str(value)) for where in (POINTS, *CHOICES) if (value := at(config, where)) in MODELS]
-    found += [(where, "lpips") for where in _PERCEPTUAL if (at(config, where) or 0) > 0]
-    if (net := at(config, _MEASURED)) in _NETS:
+    found = [(where, str(value)) for where in (POINTS, *CHOICES) if (value := setting_at(config, where)) in MODELS]
+    found += [(where, "lpips") for where in _PERCEPTUAL if (setting_at(config, where) or 0) > 0]
+    if (net := setting_at(config, _MEASURED)) in _NETS:
         found.append((_MEASURED, _NETS[net]))
-    films = (at(config, "render.shots") or {}).items()
+    films = (setting_at(config, "render.shots") or {}).items()
     photos = [name for name, film in films if any(map(is_photo, (film or {}).get("replace", {}).values()))]
     found += [(f"render.shots.{name}.replace", CANONICAL) for name in photos]
     # Only the bundled body and SMPL's are supported, so any other file is SMPL's.
@@ -82,17 +82,17 @@ def adapter_modules(step: str, config: Mapping[str, Any]) -> list[str]:
     """Modules of the adapters that ``"stage.step"`` runs under this configuration, by name and without import."""
     if step == "report.page":  # shows every card
         return sorted({adapter_module(name) for _, name in select_networks(config)})
-    names = [str(at(config, where)) for where, choice in CHOICES.items() if step in choice.steps]
+    names = [str(setting_at(config, where)) for where, choice in CHOICES.items() if step in choice.steps]
     # Networks of another stage's setting, which the rule passes on.
-    names += [str(at(config, "depth.source"))] if step == "people.lift" else []
-    names += [str(at(config, f"enhance.{key}")) for key in ("enhancer", "flow") if step == "background.refined"]
-    names += [str(at(config, "masks.source"))] if step == "views.people" else []
+    names += [str(setting_at(config, "depth.source"))] if step == "people.lift" else []
+    names += [str(setting_at(config, f"enhance.{key}")) for key in ("enhancer", "flow") if step == "background.refined"]
+    names += [str(setting_at(config, "masks.source"))] if step == "views.people" else []
     names += [CANONICAL] if step == "humans.canonical" else []
     own = {"models.adapters.onnx_depth"} if step == "depth.network" and "onnx" in names else set()
     return sorted({adapter_module(name) for name in names if name in MODELS} | own)
 
 
-def at(config: Mapping[str, Any], where: str) -> Any:
+def setting_at(config: Mapping[str, Any], where: str) -> Any:
     """The value of a setting with a dotted name; None for a missing one."""
     value: Any = config
     for key in where.split("."):

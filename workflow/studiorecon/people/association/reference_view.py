@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from studiorecon.keypoints.tracking import match
+from studiorecon.keypoints.tracking import match_detections
 from studiorecon.people.association.affinity import AssociationLimits
 from studiorecon.people.association.track_pairs import track_pairs
 from studiorecon.scene.camera import Camera
@@ -48,6 +48,6 @@ def star_groups(
                     shown[n, person] = frame > start or node[0] == reference
             affinity = now.affinity[new] @ shown / np.maximum(shown.sum(0), 1)
             # No affinity is no match, whatever the assignment (A03, A13).
-            owner |= {nodes[new[i]]: k for i, k in match(1 - affinity, 1.0)}
+            owner |= {nodes[new[i]]: k for i, k in match_detections(1 - affinity, 1.0)}
     groups = [sorted(node for node, k in owner.items() if k == person) for person in range(people)]
     return [g for g in groups if len({v for v, _ in g}) >= 2]

@@ -57,7 +57,7 @@ def inside_sigma_share(
     return float((np.linalg.norm((fitted - true)[known], axis=-1) <= radius).mean())
 
 
-def match(
+def match_people(
     fitted: Mapping[str, tuple[Float[np.ndarray, "T 24 3"], Bool[np.ndarray, " T"]]],
     true: Mapping[str, Float[np.ndarray, "T 24 3"]],
 ) -> dict[str, str]:
@@ -88,7 +88,7 @@ def compare_bodies(
 
     Frames with a non-finite joint count as not measured; ``not_finite`` is their number.
     """
-    pairs = match(fitted, true)
+    pairs = match_people(fitted, true)
     people = {}
     for name, other in pairs.items():
         joints, valid = fitted[name]

@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from studiorecon.images.flip import SMALLEST_PX, available
+from studiorecon.images.flip import SMALLEST_PX, is_available
 from studiorecon.models.protocols import SMALLEST_MEASURED_PX, PerceptualDistance
 
 NO_PACKAGE = "flip-evaluator does not load: it has no wheel for every Python and machine"
@@ -14,12 +14,12 @@ TOO_SMALL = f"pictures are under {SMALLEST_MEASURED_PX} pixels a side"
 Net = Literal["none", "alex", "vgg"]
 
 
-def no_flip() -> str:
+def missing_flip_reason() -> str:
     """The reason why ꟻLIP is null."""
-    return f"pictures are under {SMALLEST_PX} pixels a side" if available() else NO_PACKAGE
+    return f"pictures are under {SMALLEST_PX} pixels a side" if is_available() else NO_PACKAGE
 
 
-def opened(net: Net, weights: Path, threads: int, without: str, device: str = "cpu") -> PerceptualDistance | None:
+def open_lpips(net: Net, weights: Path, threads: int, without: str, device: str = "cpu") -> PerceptualDistance | None:
     """LPIPS on ``net`` and a torch ``device``, or None when none is selected.
 
     Raises UserError when its files are not in the folder ``weights``, and says how to continue ``without``.

@@ -17,7 +17,7 @@ from studiorecon.footage.video import read_frames
 from studiorecon.images.warp import sample
 from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
 from studiorecon.report.metrics.identity_scores import identity_scores
-from studiorecon.report.metrics.pck import TruePerson, score
+from studiorecon.report.metrics.pck import TruePerson, score_keypoints
 from studiorecon.report.metrics.truth import TrueView, true_pixels
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -157,4 +157,4 @@ def score_bodies_in_pictures(
         projected = [(camera.project(joints)[0], valid) for joints, valid in fitted.values()]
         for frame, people in enumerate(true_people(views[camera.name], camera, joints_m, first_frame, frames)):
             pictures.append(([p[frame] for p, valid in projected if frame < len(valid) and valid[frame]], people))
-    return score(pictures)
+    return score_keypoints(pictures)

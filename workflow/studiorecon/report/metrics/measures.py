@@ -13,19 +13,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.arrays import mean_of_measured
-from studiorecon.images.flip import available, flip
+from studiorecon.images.flip import flip, is_available
 from studiorecon.images.flow import dis_flow, grey_levels
 from studiorecon.images.metrics import (
     PSNR_CAP_DB,
     change_maps,
     colour_corrected_psnr,
     error_map,
-    levels,
     mean_inside,
     psnr_from_error_map,
     ssim,
     ssim_3dgs,
     ssim_map,
+    to_levels,
 )
 from studiorecon.images.temporal import forward_backward_consistent
 from studiorecon.models.protocols import PerceptualDistance
@@ -74,7 +74,7 @@ def measure_picture(
         "ssim": ssim(similarity),
         "ssim_3dgs": ssim_3dgs(similarity),
         "psnr_colour_corrected": colour_corrected_psnr(prediction, photo),
-        "lpips": None if distance is None else distance.measured(levels(prediction), levels(photo)),
+        "lpips": None if distance is None else distance.measured(to_levels(prediction), to_levels(photo)),
         "flip": flip(prediction, photo) if flipped else None,
         NOT_FINITE: 0.0 if prediction.dtype == np.uint8 else float((~np.isfinite(prediction)).sum()),
     }
@@ -130,7 +130,7 @@ class Flicker:
                     measured[pair] = found
                 values[name] = dict(measured[pair])
         self._grey, self._photo, self._alike = grey, photo, alike
-        self._pictures = {name: levels(picture) for name, picture in pictures.items()}
+        self._pictures = {name: to_levels(picture) for name, picture in pictures.items()}
         return values
 
     def _changed(
@@ -184,7 +184,7 @@ def measure_sequence(
     flicker = Flicker(flow_preset)
     found: dict[str, list[dict[str, float | None]]] = {}
     for t, (photo, versions, masks) in enumerate(frames):
-        flipped = t % FLIP_EVERY == 0 and available()
+        flipped = t % FLIP_EVERY == 0 and is_available()
         moving = flicker.measure(photo, versions, masks)
         still: dict[str, dict[str, float | None]] = {}
         for name, first in first_identical(versions).items():

@@ -33,7 +33,7 @@ class TruePerson:
     box_wh: tuple[float, float]
 
 
-def similarity(found: Float[np.ndarray, "K 2"], person: TruePerson) -> float:
+def keypoint_similarity(found: Float[np.ndarray, "K 2"], person: TruePerson) -> float:
     """Object keypoint similarity in [0, 1]: mean over visible points of exp(−d² / (2 s² k²)), s² the box's area.
 
     A missing point (NaN) has similarity 0. It is also 0 when no point of the person is visible or the box is empty.
@@ -49,17 +49,17 @@ def similarity(found: Float[np.ndarray, "K 2"], person: TruePerson) -> float:
     )
 
 
-def match(found: Sequence[Float[np.ndarray, "K 2"]], people: Sequence[TruePerson]) -> dict[int, int]:
+def match_predictions(found: Sequence[Float[np.ndarray, "K 2"]], people: Sequence[TruePerson]) -> dict[int, int]:
     """{index of a true person: index of its prediction}, one to one, similarity at least 0.3, with the largest sum."""
     if not len(found) or not len(people):
         return {}
-    table = np.array([[similarity(points, person) for points in found] for person in people])
+    table = np.array([[keypoint_similarity(points, person) for points in found] for person in people])
     admissible = table >= DETECTED_OKS
     rows, columns = scipy.optimize.linear_sum_assignment(np.where(admissible, -table, 1.0))
     return {int(r): int(c) for r, c in zip(rows, columns) if admissible[r, c]}
 
 
-def correct(found: Float[np.ndarray, "K 2"] | None, person: TruePerson, alpha: float) -> tuple[int, int] | None:
+def count_correct(found: Float[np.ndarray, "K 2"] | None, person: TruePerson, alpha: float) -> tuple[int, int] | None:
     """(right, counted) visible keypoints within ``alpha`` × the box's longer side; None below 16 pixels (V03).
 
     A missing or NaN prediction is wrong; for an undetected person (``found`` None) all are wrong.
@@ -75,7 +75,9 @@ def correct(found: Float[np.ndarray, "K 2"] | None, person: TruePerson, alpha: f
     return int((distance <= alpha * side).sum()), counted
 
 
-def score(pictures: Sequence[tuple[Sequence[Float[np.ndarray, "K 2"]], Sequence[TruePerson]]]) -> dict[str, Any]:
+def score_keypoints(
+    pictures: Sequence[tuple[Sequence[Float[np.ndarray, "K 2"]], Sequence[TruePerson]]],
+) -> dict[str, Any]:
     """PCK@0.05, PCK@0.1 and detection rate over pictures of (predictions, true people); None when nothing counted.
 
     PCK pools keypoints; people whose box is under 16 pixels or who show no keypoint are skipped and counted.
@@ -85,7 +87,7 @@ def score(pictures: Sequence[tuple[Sequence[Float[np.ndarray, "K 2"]], Sequence[
     for found, people in pictures:
         usable = [p for p in people if max(p.box_wh) >= SMALLEST_SIDE_PX and p.visible.any()]
         skipped += len(people) - len(usable)
-        pairs = match(found, usable)
+        pairs = match_predictions(found, usable)
         detected, total = detected + len(pairs), total + len(usable)
         for index, person in enumerate(usable):
             points = found[pairs[index]] if index in pairs else None
@@ -96,7 +98,7 @@ def score(pictures: Sequence[tuple[Sequence[Float[np.ndarray, "K 2"]], Sequence[
                 else int((~np.isfinite(points[person.visible]).all(axis=-1)).sum())
             )
             for alpha in ALPHAS:
-                hits = correct(points, person, alpha)
+                hits = count_correct(points, person, alpha)
                 assert hits is not None, "people who are too small were left out above"
                 right[alpha] += hits[0]
     result: dict[str, Any] = {f"pck_{alpha:g}": right[alpha] / counted if counted else None for alpha in ALPHAS}

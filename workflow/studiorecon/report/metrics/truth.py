@@ -110,7 +110,7 @@ def is_visible(
     return [possible & (gap <= tolerance * found) for tolerance in tolerances], pixels
 
 
-def regions(
+def truth_regions(
     views: dict[str, TrueView],
     camera: Camera,
     training: Sequence[str],

@@ -59,7 +59,7 @@ def _ranges(pictures: Sequence[int]) -> str:
     return ", ".join(parts[:5]) + (" …" if len(parts) > 5 else "")
 
 
-def warnings(found: Sequence[tuple[str, str]]) -> str:
+def warnings_section(found: Sequence[tuple[str, str]]) -> str:
     """The section of warnings that a reader needs before trusting the result."""
     title = "Warnings"
     if not found:
@@ -67,7 +67,7 @@ def warnings(found: Sequence[tuple[str, str]]) -> str:
     return html.heading(title, f"Warnings of this run: {len(found)}.") + html.table(["step", "what"], found)
 
 
-def versions(provenance: Mapping[str, Any], machine: Mapping[str, str]) -> str:
+def versions_section(provenance: Mapping[str, Any], machine: Mapping[str, str]) -> str:
     """The libraries and machine behind the numbers."""
     rows = machine | provenance["libraries"]
     rows |= {
@@ -90,22 +90,22 @@ def delivery_links(folder: Path, page: Path) -> str:
     for group, names in sorted(groups.items()):
         opened = [name for name in names if not name.startswith("keypoints/") and not name.endswith(".png")]
         linked = [
-            f'<a href="{html.text(Path(os.path.relpath(folder / name, page.parent)).as_posix())}">'
-            f"{html.text(name.removeprefix(f'{group}/'))}</a>"
+            f'<a href="{html.escaped(Path(os.path.relpath(folder / name, page.parent)).as_posix())}">'
+            f"{html.escaped(name.removeprefix(f'{group}/'))}</a>"
             for name in opened
         ]
         more = [f"{len(names) - len(opened)} more files"] if len(names) > len(opened) else []
-        items.append(f"<li>{html.text(f'{group}/: ' if group else '')}{', '.join([*linked, *more])}</li>")
+        items.append(f"<li>{html.escaped(f'{group}/: ' if group else '')}{', '.join([*linked, *more])}</li>")
     lead = "In deliver/; README.txt there explains each file."
     return html.heading("Files for other programs", lead) + f"<ul>{''.join(items)}</ul>"
 
 
-def links(results: Path, page: Path, files: Sequence[Path], ledgers: Sequence[Path]) -> str:
+def data_links(results: Path, page: Path, files: Sequence[Path], ledgers: Sequence[Path]) -> str:
     """Relative links to data of the scene in ``results``; they work while the page stays in its folder."""
     rows = [(path, _FILES[path.relative_to(results).as_posix()]) for path in files]
     rows += [(path, f"provenance of every picture of shot {path.stem}") for path in ledgers]
     items = []
     for path, what in rows:
         address, name = Path(os.path.relpath(path, page.parent)).as_posix(), path.relative_to(results).as_posix()
-        items.append(f'<li><a href="{html.text(address)}">{html.text(name)}</a>: {html.text(what)}</li>')
+        items.append(f'<li><a href="{html.escaped(address)}">{html.escaped(name)}</a>: {html.escaped(what)}</li>')
     return html.heading("The numbers as files", "In the results folder.") + f"<ul>{''.join(items)}</ul>"

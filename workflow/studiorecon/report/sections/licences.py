@@ -9,7 +9,7 @@ from typing import Any
 
 from studiorecon.models.catalogue.checksums import read_pins
 from studiorecon.models.catalogue.registry import MODELS
-from studiorecon.models.catalogue.selection import CHOICES, at, licence_rows
+from studiorecon.models.catalogue.selection import CHOICES, licence_rows, setting_at
 from studiorecon.pages import html
 
 _ORDER = ("yes", "with conditions", "unknown", "no")
@@ -24,7 +24,7 @@ _VERDICTS = {
 def verdict(configuration: Mapping[str, Any]) -> str:
     """The strictest of "yes", "with conditions", "unknown", "no" over everything that a whole configuration uses."""
     found = [row["commercial"] for row in licence_rows(configuration)]
-    found += ["unknown" for where in CHOICES if at(configuration, where) == "precomputed"]
+    found += ["unknown" for where in CHOICES if setting_at(configuration, where) == "precomputed"]
     return max(found, key=_ORDER.index, default="yes")
 
 
@@ -55,7 +55,7 @@ def licences(configuration: Mapping[str, Any], folder: Path) -> str:
     brought = [
         (where, "files brought by the user", "", "unknown", "unknown", "", "")
         for where in CHOICES
-        if at(configuration, where) == "precomputed"
+        if setting_at(configuration, where) == "precomputed"
     ]
     if rows or brought:
         header = ("setting", "network", "code", "weights", "commercial use", "upstream", "SHA-256 of weights")

@@ -55,7 +55,7 @@ def paper_rows(path: Path) -> dict[str, dict[str, tuple[float, str]]]:
     return rows
 
 
-def table(
+def paper_comparison(
     metrics: Mapping[str, Any],
     recognised: Mapping[str, Any],
     path: Path,

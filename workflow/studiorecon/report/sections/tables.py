@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.pages import html
-from studiorecon.report.sections.paper import table as paper_table
+from studiorecon.report.sections.paper import paper_comparison as paper_table
 from studiorecon.report.sections.quality_summary import quality_summary
 from studiorecon.scene.capture import Manifest
 from studiorecon.scene.decisions import Decision
@@ -58,7 +58,7 @@ _MEASURES = (
 )
 
 
-def shown(value: float | None, digits: int, unit: str = "") -> str:
+def format_value(value: float | None, digits: int, unit: str = "") -> str:
     """A number for readers; a value that was not measured is never shown as zero."""
     return MISSING if value is None else f"{value:.{digits}f} {unit}".strip()
 
@@ -88,26 +88,26 @@ def head(scene: str, capture: Manifest, cameras: int, metrics: Mapping[str, Any]
     held_out = len(capture.held_out)
     about = f"{cameras} training cameras, {held_out} held out, {capture.frames} frames at {capture.fps:g} per second."
     return (
-        f'<h1>{html.text(scene)}</h1><p class="lead">{html.text(quality_summary(metrics))}</p>'
-        f'<p class="soft">{html.text(about)}</p>'
+        f'<h1>{html.escaped(scene)}</h1><p class="lead">{html.escaped(quality_summary(metrics))}</p>'
+        f'<p class="soft">{html.escaped(about)}</p>'
     )
 
 
-def numbers(metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
+def main_numbers(metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
     """The main numbers for a reader."""
     people, versions = metrics["bodies"].get("people") or {}, version_names(metrics)
     entries = []
     for version in reversed(versions):
         found = metrics["pictures"].get(version, {}).get("psnr", {})
         of = "" if len(versions) == 1 else ", enhanced" if version == "enhanced" else ", raw render"
-        entries.append((shown(found.get("value"), 2, "dB"), f"PSNR at held-out cameras{of}"))
+        entries.append((format_value(found.get("value"), 2, "dB"), f"PSNR at held-out cameras{of}"))
     joints = f"mean joint error in the world, {len(people)} people" if people else "mean joint error"
-    entries.append((shown(metrics["bodies"]["mpjpe_world_mm"], 0, "mm"), joints))
+    entries.append((format_value(metrics["bodies"]["mpjpe_world_mm"], 0, "mm"), joints))
     entries.append((duration(spent["total"]["seconds"]), "all jobs, one after the other"))
     return html.tiles(entries)
 
 
-def measures(metrics: Mapping[str, Any]) -> str:
+def measures_table(metrics: Mapping[str, Any]) -> str:
     """The table of picture measures, raw next to enhanced where they differ, with expandable values per camera."""
     rows = []
     reasons: dict[str, list[str]] = {}
@@ -119,24 +119,24 @@ def measures(metrics: Mapping[str, Any]) -> str:
         change = [] if len(versions) == 1 else [""]
         if change and raw["value"] is not None and final["value"] is not None:
             change = [f"{final['value'] - raw['value']:+.{digits}f}"]
-        rows.append([title, *(shown(entry["value"], digits, unit) for entry in found), *change, meaning])
+        rows.append([title, *(format_value(entry["value"], digits, unit) for entry in found), *change, meaning])
         if photo is not None:
             rows[-1][-1] += f" (the photos themselves: {photo:.{digits}f})"
         if final["value"] is None and final["reason"]:
             reasons.setdefault(final["reason"], []).append(title.rstrip(" ↑↓"))
     notes = "".join(
-        f"<p class=soft>Not measured: {html.text(', '.join(n))}: {html.text(r)}.</p>" for r, n in reasons.items()
+        f"<p class=soft>Not measured: {html.escaped(', '.join(n))}: {html.escaped(r)}.</p>" for r, n in reasons.items()
     )
     of_each = [(version, measure, digits) for version in versions for measure, digits in (("psnr", 2), ("ssim", 4))]
     each = [
-        [camera, *(shown(_camera(pictures, version, measure, camera), d) for version, measure, d in of_each)]
+        [camera, *(format_value(_camera(pictures, version, measure, camera), d) for version, measure, d in of_each)]
         for camera in pictures.get(versions[-1], {}).get("psnr", {}).get("cameras", {})
     ]
     header = [f"{version if len(versions) > 1 else ''} {measure.upper()}".strip() for version, measure, _ in of_each]
     per_camera = html.table(["camera", *header], each, numeric=range(1, 1 + len(header))) if each else ""
     # A note on scores of cameras that were moved or whose pose could not be checked.
     notes += "".join(
-        f"<p class=soft>{html.text(c['sentence'][:1].upper() + c['sentence'][1:])}.</p>"
+        f"<p class=soft>{html.escaped(c['sentence'][:1].upper() + c['sentence'][1:])}.</p>"
         for c in metrics.get("held_out_cameras", ())
         if c["turned_deg"] or not c["checked"]
     )
@@ -145,15 +145,15 @@ def measures(metrics: Mapping[str, Any]) -> str:
     return table + per_camera + notes
 
 
-def paper(metrics: Mapping[str, Any], recognised: Mapping[str, Any], rows: Path) -> str:
+def paper_comparison_table(metrics: Mapping[str, Any], recognised: Mapping[str, Any], rows: Path) -> str:
     """This run as a row of the paper's tables, with a plain note that the paper's methods ran on other captures."""
     lead = "The paper measured its methods on other data: the columns show usual values and do not rank the methods."
     header, lines = paper_table(metrics, recognised, rows, version_names(metrics))
     table = html.table(header, lines, numeric=range(1, len(header) - 1))
-    return f"<details><summary>Compared with the paper's tables</summary><p>{html.text(lead)}</p>{table}</details>"
+    return f"<details><summary>Compared with the paper's tables</summary><p>{html.escaped(lead)}</p>{table}</details>"
 
 
-def people(metrics: Mapping[str, Any]) -> str:
+def joint_errors_table(metrics: Mapping[str, Any]) -> str:
     """Joint errors per person."""
     bodies = metrics["bodies"]
     parts = [
@@ -164,7 +164,7 @@ def people(metrics: Mapping[str, Any]) -> str:
     ]
     names = ("mpjpe_world_mm", "mpjpe_pelvis_mm", "mpjpe_similarity_mm")
     rows = [
-        [name, entry["true_person"], str(entry["frames"]), *(shown(entry[n], 1, "mm") for n in names)]
+        [name, entry["true_person"], str(entry["frames"]), *(format_value(entry[n], 1, "mm") for n in names)]
         for name, entry in bodies["people"].items()
     ]
     if rows:
@@ -172,14 +172,14 @@ def people(metrics: Mapping[str, Any]) -> str:
             html.table(["person", "true person", "frames", "world", "pelvis", "similarity"], rows, numeric=(2, 3, 4, 5))
         )
     else:
-        parts.append(f"<p>Joint errors are {MISSING}: {html.text(bodies['reason'])}.</p>")
+        parts.append(f"<p>Joint errors are {MISSING}: {html.escaped(bodies['reason'])}.</p>")
     for key, sentence in (("missed", "True people without a fit"), ("invented", "Fitted people who are not real")):
         if bodies[key]:
-            parts.append(f"<p>{sentence}: {html.text(', '.join(bodies[key]))}.</p>")
+            parts.append(f"<p>{sentence}: {html.escaped(', '.join(bodies[key]))}.</p>")
     return "".join(parts)
 
 
-def left_out(those: Sequence[Mapping[str, Any]]) -> str:
+def left_out_people(those: Sequence[Mapping[str, Any]]) -> str:
     """The short list of people that association left out, with reason and remedy; empty without any."""
     if not those:
         return ""
@@ -202,17 +202,17 @@ def left_out(those: Sequence[Mapping[str, Any]]) -> str:
     return html.heading("Left out", lead) + html.table(header, rows, raw=(4,))
 
 
-def cameras(doctor: Any, sheet: str) -> str:
+def cameras_table(doctor: Any, sheet: str) -> str:
     """How well the cameras explain the keypoints, and the contact sheet."""
     lead = "How well the calibration explains the keypoints."
     errors = zip(
         doctor.get("cameras", ()), doctor.get("before_px_per_camera") or (), doctor.get("after_px_per_camera") or ()
     )
-    rows = [[name, shown(before, 2, "px"), shown(after, 2, "px")] for name, before, after in errors]
+    rows = [[name, format_value(before, 2, "px"), format_value(after, 2, "px")] for name, before, after in errors]
     header = ["camera", "reprojection error as calibrated", "as used"]
     return (
         html.heading("Cameras", lead)
-        + "".join(f"<p><b>{html.text(d)}</b></p>" for d in (doctor.get("calibration") or {}).get("doubts") or ())
+        + "".join(f"<p><b>{html.escaped(d)}</b></p>" for d in (doctor.get("calibration") or {}).get("doubts") or ())
         + (html.table(header, rows, numeric=(1, 2)) if rows else "")
         + _edges(doctor.get("edges"))
         + html.figure(sheet, "contact sheet of all cameras")
@@ -231,27 +231,32 @@ def _edges(edge: Any) -> str:
         )
     else:
         said = f"differ from {off}, {edge['off_sigmas']:.1f} of their standard deviations: no camera was refined"
-    return f"<p class=soft>{html.text(f'The straight edges of the room {said}.')}</p>"
+    return f"<p class=soft>{html.escaped(f'The straight edges of the room {said}.')}</p>"
 
 
-def coverage(decided: Sequence[Mapping[str, Decision]]) -> str:
+def coverage_table(decided: Sequence[Mapping[str, Decision]]) -> str:
     """Shares of the stage that one, two, … training cameras see, by the survey; empty without its measurement."""
     shares = next((d["view_synthesis"].detail.get("seen_by") for d in decided if "view_synthesis" in d), None)
     if not shares:
         return ""
     rows = [[f"{count} or more", f"{share:.0%}", html.bar(share)] for count, share in enumerate(shares, start=1)]
     lead = "Share of the stage, from the floor to the height of people, by the number of training cameras that see it."
-    return f"<p>{html.text(lead)}</p>" + html.table(["cameras", "share", ""], rows, numeric=(1,), raw=(2,))
+    return f"<p>{html.escaped(lead)}</p>" + html.table(["cameras", "share", ""], rows, numeric=(1,), raw=(2,))
 
 
-def overlap(rig: Mapping[str, Any]) -> str:
+def overlap_table(rig: Mapping[str, Any]) -> str:
     """The overlap of the training cameras, next to the paper's table; empty for a single camera."""
     if rig["position_deg"] is None:
         return ""
     rows = [
         ["training cameras", str(rig["training_cameras"]), "4", "3"],
-        ["between any two cameras, about the scene's middle", shown(rig["position_deg"], 0, "°"), "117 °", "17 °"],
-        ["from an optical axis to the nearest other", shown(rig["viewing_deg"], 0, "°"), "70 °", "28 °"],
+        [
+            "between any two cameras, about the scene's middle",
+            format_value(rig["position_deg"], 0, "°"),
+            "117 °",
+            "17 °",
+        ],
+        ["from an optical axis to the nearest other", format_value(rig["viewing_deg"], 0, "°"), "70 °", "28 °"],
     ]
     return html.table(["angle", "here", "the paper's captures", "its prior work's"], rows, numeric=(1, 2, 3))
 
@@ -259,23 +264,25 @@ def overlap(rig: Mapping[str, Any]) -> str:
 def cost_and_quality(metrics: Mapping[str, Any], spent: Mapping[str, Any], budget: Mapping[str, Any]) -> str:
     """The cost and scores of this run in one sentence and three numbers, with the prediction of its ``budget``."""
     if spent["reason"]:
-        return html.heading("What accuracy costs") + f"<p>{MISSING}: {html.text(spent['reason'])}.</p>"
+        return html.heading("What accuracy costs") + f"<p>{MISSING}: {html.escaped(spent['reason'])}.</p>"
     seconds = {stage: entry["seconds"] or 0.0 for stage, entry in spent["stages"].items()}
     dearest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
     share = sum(seconds[stage] for stage in dearest) / (sum(seconds.values()) or 1.0)
     final = metrics["pictures"].get("enhanced", metrics["pictures"].get("raw", {})).get("psnr", {})
-    psnr = shown(final.get("value"), 2, "dB")
+    psnr = format_value(final.get("value"), 2, "dB")
     parts = ", ".join(f"{stage} {duration(seconds[stage])}" for stage in dearest)
     took = duration(spent["total"]["seconds"])
     sentence = f"On this machine: {took} → {psnr} at held-out cameras; {100 * share:.0f} % of it is {parts}."
     tiles = [
         (psnr, "PSNR at held-out cameras"),
         (duration(spent["total"]["seconds"]), "all jobs, one after the other"),
-        (shown(spent["total"]["peak_memory_mb"], 0, "MB"), "memory of the largest job"),
+        (format_value(spent["total"]["peak_memory_mb"], 0, "MB"), "memory of the largest job"),
     ]
     lead = "snakemake sweep measures what other settings cost and gain on this scene."
-    cost = f"<p>{html.text(_bought(budget, spent))}</p>" if budget else ""
-    return html.heading("What accuracy costs", lead) + f"<p><b>{html.text(sentence)}</b></p>" + html.tiles(tiles) + cost
+    cost = f"<p>{html.escaped(_bought(budget, spent))}</p>" if budget else ""
+    return (
+        html.heading("What accuracy costs", lead) + f"<p><b>{html.escaped(sentence)}</b></p>" + html.tiles(tiles) + cost
+    )
 
 
 def _bought(budget: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
@@ -289,11 +296,11 @@ def _bought(budget: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
     )
 
 
-def costs(spent: Mapping[str, Any]) -> str:
+def costs_table(spent: Mapping[str, Any]) -> str:
     """Seconds per stage as bars, with memory and the rules on demand."""
     lead = "Wall seconds of all jobs of a stage, added up; stages may have run at the same time."
     if spent["reason"]:
-        return html.heading("Where the time went") + f"<p>{MISSING}: {html.text(spent['reason'])}.</p>"
+        return html.heading("Where the time went") + f"<p>{MISSING}: {html.escaped(spent['reason'])}.</p>"
     longest = max((stage["seconds"] or 0 for stage in spent["stages"].values()), default=0) or 1
     rows = [
         [
@@ -301,20 +308,20 @@ def costs(spent: Mapping[str, Any]) -> str:
             f"{stage['count']:.0f}",
             duration(stage["seconds"]),
             html.bar((stage["seconds"] or 0) / longest),
-            shown(stage["peak_memory_mb"], 0, "MB"),
+            format_value(stage["peak_memory_mb"], 0, "MB"),
         ]
         for name, stage in spent["stages"].items()
     ]
     total = spent["total"]
     rows.append(
-        ["all", f"{total['count']:.0f}", duration(total["seconds"]), "", shown(total["peak_memory_mb"], 0, "MB")]
+        ["all", f"{total['count']:.0f}", duration(total["seconds"]), "", format_value(total["peak_memory_mb"], 0, "MB")]
     )
     by_rule = [
         [
             f"{stage}.{rule}",
             f"{entry['count']:.0f}",
             duration(entry["seconds"]),
-            shown(entry["peak_memory_mb"], 0, "MB"),
+            format_value(entry["peak_memory_mb"], 0, "MB"),
         ]
         for stage, parts in spent["stages"].items()
         for rule, entry in parts["rules"].items()
@@ -328,7 +335,7 @@ def costs(spent: Mapping[str, Any]) -> str:
     )
 
 
-def settings(configuration: str) -> str:
+def settings_table(configuration: str) -> str:
     """Every setting of the run, a line each."""
     return html.heading("Settings") + html.folded(
         "All settings of this run", "\n".join(_lines(json.loads(configuration), ""))

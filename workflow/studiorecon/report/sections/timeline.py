@@ -32,7 +32,7 @@ def frames_with_detections(
     return seen
 
 
-def strip(seen: Mapping[str, Bool[np.ndarray, "P F"]], people: Sequence[str]) -> str:
+def timeline_strip(seen: Mapping[str, Bool[np.ndarray, "P F"]], people: Sequence[str]) -> str:
     """A row of bars per camera, one bar per person, coloured as in the overlay films; rejected tracks are grey."""
     if not seen:
         return ""
@@ -43,21 +43,21 @@ def strip(seen: Mapping[str, Bool[np.ndarray, "P F"]], people: Sequence[str]) ->
     for camera, rows in seen.items():
         parts.append(
             f'<text x="0" y="{top + lanes * _BAR / 2 + 4:.1f}" font-size="14" '
-            f'fill="currentColor">{html.text(camera)}</text>'
+            f'fill="currentColor">{html.escaped(camera)}</text>'
         )
         for lane, row in enumerate(rows):
             name = people[lane] if lane < len(people) else "no person"
             colour = "rgb({},{},{})".format(*(person_colour(lane) if lane < len(people) else NOBODY))
-            for first, last in runs(row):
+            for first, last in true_runs(row):
                 x, y, width = _LEFT + first * step, top + lane * _BAR, (last - first) * step
                 parts.append(
                     f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{_BAR - 2}" fill="{colour}">'
-                    f"<title>{html.text(name)}, frames {first} to {last - 1}</title></rect>"
+                    f"<title>{html.escaped(name)}, frames {first} to {last - 1}</title></rect>"
                 )
                 if lane < len(people) and width > 40:
                     parts.append(
                         f'<text x="{x + 4:.1f}" y="{y + _BAR - 3:.1f}" font-size="8" '
-                        f'fill="#000">{html.text(name)}</text>'
+                        f'fill="#000">{html.escaped(name)}</text>'
                     )
         top += lanes * _BAR + _GAP
     words = f"people seen by each camera in {frames} frames"
@@ -69,13 +69,13 @@ def strip(seen: Mapping[str, Bool[np.ndarray, "P F"]], people: Sequence[str]) ->
     )
 
 
-def runs(row: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
+def true_runs(row: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
     """[first, last) of every stretch of True in (T,) bool."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]
 
 
-def surety(people: Sequence[Person], jitter: Mapping[str, Mapping[str, Any]]) -> str:
+def certainty_table(people: Sequence[Person], jitter: Mapping[str, Mapping[str, Any]]) -> str:
     """A table of people: frames measured, frames present, uncertainty of the joints, and jitter."""
     if not people:
         return ""

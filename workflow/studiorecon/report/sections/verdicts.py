@@ -16,7 +16,7 @@ _WIDTH, _HEIGHT = 120, 14
 _STAGES = {"people": ("people", "masks", "humans"), "view_synthesis": ("views",), "enhancement": ("enhance",)}
 
 
-def decisions(found: Sequence[Mapping[str, Decision]], spent: Mapping[str, Any]) -> str:
+def decisions_table(found: Sequence[Mapping[str, Decision]], spent: Mapping[str, Any]) -> str:
     """A row for every effect, in the order of the first file; a later file's decision replaces an earlier one.
 
     ``spent`` is the run's cost by stage: the cost of an effect's own jobs is the saving of leaving it out.
@@ -48,7 +48,7 @@ def gauge(decision: Decision) -> str:
     measured = (decision.interval[0], decision.value, decision.interval[1])
     low, at, high = (_WIDTH * float(np.clip(v / decision.threshold / 2, 0, 1)) for v in measured)
     middle = _HEIGHT / 2
-    words = html.text(f"{_brief(decision.value, decision.unit)} against {_brief(decision.threshold, decision.unit)}")
+    words = html.escaped(f"{_brief(decision.value, decision.unit)} against {_brief(decision.threshold, decision.unit)}")
     return (
         f'<svg width="{_WIDTH}" height="{_HEIGHT}" role="img" aria-label="{words}">'
         f'<line x1="0" x2="{_WIDTH}" y1="{middle}" y2="{middle}" stroke="var(--line)"/>'

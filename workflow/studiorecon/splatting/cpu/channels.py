@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @njit(parallel=True, **KERNEL)
-def paint(values, visible, field, splats):
+def write_record_fields(values, visible, field, splats):
     """Writes values (N, 3) into three fields of the visible splats' records (N·16), from ``field`` on."""
     for i in prange(len(values)):
         if visible[i]:
@@ -24,7 +24,7 @@ def paint(values, visible, field, splats):
 
 
 @njit(parallel=True, **KERNEL)
-def collect(planes, first, image):
+def copy_planes(planes, first, image):
     """Copies up to three drawn planes (3 or more, H, W) into the channels of ``image`` (H, W, C) from ``first`` on."""
     height, width, channels = image.shape
     for y in prange(height):
@@ -33,7 +33,7 @@ def collect(planes, first, image):
                 image[y, x, first + channel] = planes[channel, y, x]
 
 
-def in_threes(values: Num[np.ndarray, "N C"]) -> list[Float[np.ndarray, "N 3"]]:
+def split_into_threes(values: Num[np.ndarray, "N C"]) -> list[Float[np.ndarray, "N 3"]]:
     """(N, C) → arrays of float32, the last padded with zeros."""
     count, channels = values.shape
     if channels % 3 == 0:

@@ -32,7 +32,7 @@ from studiorecon.splatting.conventions import (
 from studiorecon.splatting.cpu import blocks, tiles
 from studiorecon.splatting.cpu.blocks import BlockedGaussians, aligned_zeros
 from studiorecon.splatting.cpu.camera_vector import camera_vector
-from studiorecon.splatting.cpu.channels import collect, in_threes, paint
+from studiorecon.splatting.cpu.channels import copy_planes, split_into_threes, write_record_fields
 from studiorecon.splatting.cpu.forward import LANE_OFFSETS, blend, blend_more
 from studiorecon.splatting.cpu.planes import gradients_into_planes, planes_to_images
 from studiorecon.splatting.cpu.projection import project
@@ -145,16 +145,16 @@ class Rasteriser:
         background_rgb: Sequence[float],
     ) -> np.ndarray:
         """The result of ``draw``, and values (N, C) blended like colours, (H, W, C) float32."""
-        threes = in_threes(values)
+        threes = split_into_threes(values)
         self.draw(blocked, camera, background_rgb, threes[0] if threes else None)
         image = np.empty((*self.planes.shape[1:], values.shape[1]), np.float32)
         if threes:
-            collect(self._more, 0, image)
+            copy_planes(self._more, 0, image)
         if len(threes) > 1:
             splats, planes = self._splats.copy(), np.empty_like(self.planes)
             lists = (self._starts, self._pairs, self._touched, self._ends)
             for index, three in enumerate(threes[1:], start=1):
-                paint(three, self.visible, RED, splats)
+                write_record_fields(three, self.visible, RED, splats)
                 blend(
                     self.threads,
                     *self._grid,
@@ -165,7 +165,7 @@ class Rasteriser:
                     planes,
                     self._ticket,
                 )
-                collect(planes, 3 * index, image)
+                copy_planes(planes, 3 * index, image)
         return image
 
     def backward(
@@ -277,7 +277,7 @@ class Rasteriser:
         if three is None:
             blend(*tables, self._ticket)
         else:
-            paint(three, visible, MORE, splats)
+            write_record_fields(three, visible, MORE, splats)
             self._more = np.empty((3, *self.planes.shape[1:]), np.float32)
             blend_more(*tables, self._more, self._ticket)
         return self.planes

@@ -80,7 +80,7 @@ class DeviceView:
     refused: torch.Tensor
 
 
-def view(
+def draw_view(
     parameters: dict[str, torch.Tensor],
     camera: Camera,
     background_rgb: torch.Tensor,
@@ -214,7 +214,7 @@ class GsplatRasteriser:
             rgb = np.broadcast_to(np.asarray(background_rgb, np.float32), (*hw, 3)).copy()
             rendering = Rendering(rgb, np.zeros(hw, np.float32), np.zeros(hw, np.float32))
         else:
-            self._view = view(
+            self._view = draw_view(
                 self._leaves,
                 camera,
                 self._background,
@@ -242,7 +242,7 @@ class GsplatRasteriser:
             return np.zeros((*self._camera.hw, values.shape[1]), np.float32)
         with torch.no_grad():
             painted = torch.tensor(np.nan_to_num(values.astype(np.float32)), device=self._place)
-            drawn = view(
+            drawn = draw_view(
                 self._leaves,
                 self._camera,
                 self._background,

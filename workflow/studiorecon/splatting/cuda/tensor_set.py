@@ -18,7 +18,7 @@ import torch
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.conventions import OPACITY, QUATERNION, SCALE, SH
 from studiorecon.splatting.cuda.adam import Adam
-from studiorecon.splatting.cuda.rasterise import FIELDS, DeviceView, Rasterization, gsplat_function, view
+from studiorecon.splatting.cuda.rasterise import FIELDS, DeviceView, Rasterization, draw_view, gsplat_function
 from studiorecon.splatting.train import density
 from studiorecon.splatting.train.schedule import TrainingSettings, degree_at, rates_at
 from studiorecon.splatting.train.targets import DrawOrder, Target, TargetSizes
@@ -146,7 +146,7 @@ class TensorSet:
     def _view(self, target: Target, degree: int) -> DeviceView:
         behind = torch.tensor(target.background_rgb, dtype=torch.float32, device=self._place)
         near_m, function = self._settings.near_m, self._function
-        return view(self.leaves, target.camera, behind, near_m, degree=degree, antialias=False, function=function)
+        return draw_view(self.leaves, target.camera, behind, near_m, degree=degree, antialias=False, function=function)
 
     def _image(self, target: Target) -> tuple[torch.Tensor, torch.Tensor]:
         """Colours (3, H, W) and weight (H, W) of a target on the device; masked colours may be NaN."""

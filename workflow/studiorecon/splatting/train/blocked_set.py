@@ -42,7 +42,7 @@ class BlockedSet:
         extent_m: float,
         threads: int | None,
     ) -> None:
-        self.state, self.adam = state.start(initial), BlockAdam(settings.adam_epsilon)
+        self.state, self.adam = state.initial_state(initial), BlockAdam(settings.adam_epsilon)
         self._settings, self._rng, self._extent_m = settings, rng, extent_m
         self.rasteriser = Rasteriser(near_m=settings.near_m, threads=threads)
         self._targets, self.order = TargetSizes(targets), DrawOrder([target.share for target in targets], rng)

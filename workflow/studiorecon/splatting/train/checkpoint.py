@@ -21,7 +21,7 @@ import numba
 import numpy as np
 
 from studiorecon.progress import say
-from studiorecon.scene.files import complete
+from studiorecon.scene.files import atomic_path
 
 if TYPE_CHECKING:
     from jaxtyping import Shaped
@@ -54,7 +54,7 @@ class Checkpoint:
         """Write arrays and JSON facts; uncompressed, because this happens during training."""
         stored: dict[str, Any] = {_FACTS: np.array(json.dumps({"mark": self._mark, **facts}))}
         named: dict[str, Any] = dict(arrays)
-        with complete(self.path) as partial, open(partial, "wb") as file:
+        with atomic_path(self.path) as partial, open(partial, "wb") as file:
             np.savez(file, **stored, **named)
         self._last = time.monotonic()
 

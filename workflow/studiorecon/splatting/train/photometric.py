@@ -37,7 +37,7 @@ class PhotometricTerms:
     psnr_db: float
 
 
-class Memory:
+class BufferPool:
     """Zeroed buffers by name, for pictures of many sizes that are used once: allocation costs as much as the loss."""
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ class Memory:
         return zeros
 
 
-class _Fresh(Memory):
+class _Fresh(BufferPool):
     def zeros(self, name: str, count: int) -> np.ndarray:
         return aligned_zeros(count)
 
@@ -64,7 +64,7 @@ class Photometric:
     the SSIM windows of their neighbours: the target's colours replace them.
     """
 
-    def __init__(self, hw: tuple[int, int], l1: float, ssim: float, memory: Memory | None = None) -> None:
+    def __init__(self, hw: tuple[int, int], l1: float, ssim: float, memory: BufferPool | None = None) -> None:
         self.hw, self.l1, self.ssim = hw, float(l1), float(ssim)
         self._memory = memory or _Fresh()
         self._wide = similarity.padded_width(hw[1])
@@ -134,6 +134,6 @@ class Photometric:
         return PhotometricTerms(self.l1 * absolute + self.ssim * dissimilarity, absolute, dissimilarity, float(psnr_db))
 
 
-def flat(image: Num[np.ndarray, "H W"] | None) -> Float[np.ndarray, " C"]:
+def flatten_image(image: Num[np.ndarray, "H W"] | None) -> Float[np.ndarray, " C"]:
     """An image in the kernels' layout: (H·W,) float32, empty for None."""
     return np.zeros(0, np.float32) if image is None else np.ascontiguousarray(image, np.float32).reshape(-1)

@@ -43,7 +43,7 @@ class TrainingState:
     gradient_count: Float[np.ndarray, " p"]
 
 
-def start(gaussians: Gaussians) -> TrainingState:
+def initial_state(gaussians: Gaussians) -> TrainingState:
     """The state before the first step."""
     n = gaussians.count
     moments = np.zeros(0, np.float32)
@@ -95,7 +95,7 @@ def restore_state(arrays: Mapping[str, Shaped[np.ndarray, " ..."]]) -> TrainingS
     return TrainingState(blocked, laid["raw"], laid["first"], laid["second"], *rest)
 
 
-def finite(gaussians: Gaussians) -> Bool[np.ndarray, " N"]:
+def finite_mask(gaussians: Gaussians) -> Bool[np.ndarray, " N"]:
     """Gaussians without NaN or infinite values."""
     arrays = (gaussians.means_m, gaussians.quaternions, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh)
     return np.all([np.isfinite(array).all(axis=tuple(range(1, array.ndim))) for array in arrays], axis=0)

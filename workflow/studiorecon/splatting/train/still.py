@@ -17,7 +17,7 @@ from studiorecon.splatting.train.blocked_set import BlockedSet
 from studiorecon.splatting.train.checkpoint import Checkpoint
 from studiorecon.splatting.train.perceptual import Perceptual
 from studiorecon.splatting.train.schedule import TrainingSettings
-from studiorecon.splatting.train.state import finite
+from studiorecon.splatting.train.state import finite_mask
 from studiorecon.splatting.train.targets import Target
 from studiorecon.splatting.train.terms import active_terms
 from studiorecon.splatting.train.trainer import train
@@ -74,7 +74,7 @@ def train_still(
     targets.
     """
     initial = initial.with_sh_degree(settings.sh_degree)
-    given = np.flatnonzero(finite(initial))
+    given = np.flatnonzero(finite_mask(initial))
     if len(given) == 0 or not targets:
         raise UserError(
             f"{label}: there are {len(given)} finite Gaussians and {len(targets)} images; training needs some of both"
@@ -91,7 +91,7 @@ def train_still(
     psnr_db = train(subject, terms, (first, last), rng, label=label, checkpoint=checkpoint, previews=previews)
     back = np.argsort(subject.source, kind="stable")
     trained, source = subject.gaussians().take(back), given[subject.source[back]]
-    kept, refused = finite(trained), subject.refused
+    kept, refused = finite_mask(trained), subject.refused
     left_out += int(np.count_nonzero(~kept))
     for count, what in ((sum(masked), "pixels of targets"), (left_out, "Gaussians"), (refused, "gradient entries")):
         if count:

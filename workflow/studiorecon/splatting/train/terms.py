@@ -21,7 +21,7 @@ import numpy as np
 from studiorecon.splatting.cpu.alpha_loss import DENSITY_OFFSET, density_terms, silhouette_terms
 from studiorecon.splatting.cpu.ssim import C1, C2, window
 from studiorecon.splatting.train.perceptual import Perceptual, PerceptualSettings, perceptual, perceptual_of_tensors
-from studiorecon.splatting.train.photometric import Memory, Photometric, PreparedTarget, flat
+from studiorecon.splatting.train.photometric import BufferPool, Photometric, PreparedTarget, flatten_image
 from studiorecon.splatting.train.targets import Target
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class L1AndSsim:
     def __init__(self, l1: float, ssim: float) -> None:
         self.l1, self.ssim = l1, ssim
         self._kernels: dict[tuple[int, int], Photometric] = {}
-        self._memory = Memory()
+        self._memory = BufferPool()
         self._prepared: dict[Hashable, PreparedTarget] = {}
         self._windowed: dict[Hashable, tuple[torch.Tensor, torch.Tensor]] = {}
         self._statistics_bytes = 0
@@ -222,7 +222,7 @@ class Density:
         used = view.planes[4].size if weight is None else int(np.count_nonzero(weight > 0))
         strength = np.float32(self.weight * (1.0 / used if used else 0.0))
         sums = np.zeros(view.planes.shape[1], np.float32)
-        density_terms(view.planes, flat(weight), strength, view.gradient, sums)
+        density_terms(view.planes, flatten_image(weight), strength, view.gradient, sums)
         return float(sums.sum(dtype=np.float64) * strength)
 
     def on_cuda(self, view: TensorView) -> torch.Tensor:

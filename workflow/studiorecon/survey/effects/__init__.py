@@ -59,7 +59,7 @@ class EffectSettings:
     force: Mapping[str, str] = force(EFFECTS)
 
 
-def table() -> str:
+def effects_table() -> str:
     """The effects as a table in Markdown."""
     rows = ["| effect | statistic | on | when on |", "|---|---|---|---|"]
     for effect in EFFECTS:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.footage.stills import shrink
-from studiorecon.geometry.statistics import Estimate, largest
+from studiorecon.footage.stills import shrink_plate
+from studiorecon.geometry.statistics import Estimate, largest_estimate
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import Decision
@@ -20,7 +20,7 @@ from studiorecon.survey.clips import read_clip_pictures
 from studiorecon.survey.effects.surveyed import Artefact, Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence, Recordings
 from studiorecon.survey.exposures import ExposureView
-from studiorecon.survey.stillness import light
+from studiorecon.survey.stillness import room_brightness
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -31,8 +31,8 @@ _TOGETHER = 64
 
 def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The largest change in any camera; the reason says that light changes in all cameras at once."""
-    names, worst = evidence.names, [largest(value[1:], error[1:]) for value, error in evidence.light]
-    estimate = largest([w.value if w.value is not None else np.nan for w in worst], [_error(w) for w in worst])
+    names, worst = evidence.names, [largest_estimate(value[1:], error[1:]) for value, error in evidence.light]
+    estimate = largest_estimate([w.value if w.value is not None else np.nan for w in worst], [_error(w) for w in worst])
     reason = "too little of the room is seen without people to compare its brightness over time"
     if estimate.value is not None:
         every = sum(1 for w in worst if w.interval is not None and w.interval[0] > threshold)
@@ -90,9 +90,9 @@ def _levels(
         # Light varies over more than a few pixels: half of the survey's size suffices.
         pictures, free, _ = read_clip_pictures(path, camera, wanted, found, longest_px // 2)
         wh = (pictures.shape[2], pictures.shape[1])
-        rgb, measured = shrink(view.rgb, view.measured, wh)
+        rgb, measured = shrink_plate(view.rgb, view.measured, wh)
         plate = np.rint(np.clip(rgb, 0, 1) * 255).astype(np.uint8)
-        yield light(np.concatenate([plate[None], pictures]), np.concatenate([measured[None], free]))[0][1:]
+        yield room_brightness(np.concatenate([plate[None], pictures]), np.concatenate([measured[None], free]))[0][1:]
 
 
 EFFECT = SurveyedEffect(

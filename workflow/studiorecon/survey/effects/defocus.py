@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.geometry.statistics import NOTHING, SIGMA_OF_MAD, Estimate, median
+from studiorecon.geometry.statistics import NOTHING, SIGMA_OF_MAD, Estimate, median_estimate
 from studiorecon.images.channels import channel_sum
 from studiorecon.survey.effects.surveyed import Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
@@ -99,7 +99,7 @@ def edge_blur_px(rgb: Float[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H 
     ratio = (slope[edge] / softer[edge]).astype(np.float64)
     widths = np.sort(_AGAIN_PX / np.sqrt(ratio**2 - 1))
     sharpest = widths[: max(int(_SHARPEST * len(widths)), 1)]
-    return median(sharpest[::_TOGETHER], _MIN_EDGES // (4 * _TOGETHER))
+    return median_estimate(sharpest[::_TOGETHER], _MIN_EDGES // (4 * _TOGETHER))
 
 
 def _neighbours(slope: np.ndarray, axis: int) -> np.ndarray:

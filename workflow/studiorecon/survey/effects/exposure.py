@@ -43,10 +43,10 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
 
 def write(path: Path, decision: Decision, evidence: Evidence, recordings: Recordings) -> None:
     """Write the factors that pictures are divided by."""
-    write_factors(path, gains_called_for(decision))
+    write_factors(path, active_gains(decision))
 
 
-def gains_called_for(exposure: Decision) -> Mapping[str, Float[np.ndarray, "1 3"]]:
+def active_gains(exposure: Decision) -> Mapping[str, Float[np.ndarray, "1 3"]]:
     """Camera → gains to divide pictures by; none unless the verdict is on, nor for cameras that cannot be compared."""
     if not exposure.called_for:
         return {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from studiorecon.geometry.statistics import largest
+from studiorecon.geometry.statistics import largest_estimate
 from studiorecon.survey.effects.surveyed import Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
 from studiorecon.survey.stillness import block_shifts, worst_shift
@@ -23,7 +23,7 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
         value, error = worst_shift(np.stack(shifts))
         values.append(value * film.scale)
         errors.append(error * film.scale)
-    estimate = largest(values, errors)
+    estimate = largest_estimate(values, errors)
     reason = "the room has too little texture to see whether cameras move"
     if estimate.value is not None:
         reason = (

@@ -7,7 +7,7 @@ from studiorecon.geometry.statistics import NOTHING
 from studiorecon.rig.body_points import in_world
 from studiorecon.survey.effects.surveyed import Measurement, SurveyedEffect
 from studiorecon.survey.evidence import LIMITS, Evidence
-from studiorecon.survey.scene_change import floor_ring, largest_estimate, shadow_share
+from studiorecon.survey.scene_change import floor_near_feet, largest_estimate, shadow_share
 
 _ANKLES = ("left_ankle", "right_ankle")
 
@@ -20,7 +20,7 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
     for small in evidence.small_films:
         times = small.film.times
         theirs = feet[:, times].transpose(0, 2, 1, 3).reshape(-1, len(times), 3)
-        ring = floor_ring(small.camera, small.depth_m, material.floor_m, theirs)
+        ring = floor_near_feet(small.camera, small.depth_m, material.floor_m, theirs)
         found.append(shadow_share(small.ratio, small.free, ring, small.film.runs) if ring.any() else NOTHING)
     value, interval, name = largest_estimate(evidence.names, found)
     reason = (

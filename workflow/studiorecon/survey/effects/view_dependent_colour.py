@@ -11,10 +11,10 @@ from studiorecon.images.plate import noise_levels
 from studiorecon.scene.decisions import Decision
 from studiorecon.scene.files import write_json
 from studiorecon.splatting.cpu.harmonics import degree_supported
-from studiorecon.survey.coverage import stage
+from studiorecon.survey.coverage import stage_disc
 from studiorecon.survey.effects.surveyed import Artefact, Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence, Recordings
-from studiorecon.survey.specularity import covisible, varying_share
+from studiorecon.survey.specularity import covisible_colours, specular_share
 
 # Plates are medians of many pictures: their noise is a picture's over the root of about this many.
 _PLATE_PICTURES = 16
@@ -27,10 +27,10 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
     """
     material, sampling = evidence.material, evidence.sampling
     noise = float(np.median([noise_levels(f.pictures) for f in material.films])) / 255 / np.sqrt(_PLATE_PICTURES)
-    colours, errors = covisible(material.views, evidence.gains[2], noise, sampling.depth_tolerance)
-    centre = np.array([*stage(material.cameras)[0], material.floor_m + sampling.height_m / 2])
+    colours, errors = covisible_colours(material.views, evidence.gains[2], noise, sampling.depth_tolerance)
+    centre = np.array([*stage_disc(material.cameras)[0], material.floor_m + sampling.height_m / 2])
     degree = degree_supported(np.array([c.centre_m - centre for c in material.cameras]))
-    estimate = varying_share(colours, errors)
+    estimate = specular_share(colours, errors)
     reason = "too few surface points are seen by two cameras to compare their colours"
     if estimate.value is not None:
         reason = (

@@ -8,7 +8,7 @@ import numpy as np
 from studiorecon.geometry.camera_path import gaps_around
 from studiorecon.scene.effects import COVERED_DEG
 from studiorecon.scene.names import segment_name
-from studiorecon.survey.coverage import PARALLAX_DEG, from_two_sides, stage_points, visible_points
+from studiorecon.survey.coverage import PARALLAX_DEG, has_parallax, stage_points, visible_points
 from studiorecon.survey.effects.surveyed import Measurement, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
 
@@ -26,7 +26,7 @@ def measure(evidence: Evidence, threshold: float) -> Measurement:
         return Measurement(None, None, reason)
     depths_m = [view.depth_m for view in evidence.material.views]
     seen = visible_points(points, cameras, depths_m, sampling.depth_tolerance)
-    sides = from_two_sides(points, cameras, seen, PARALLAX_DEG)
+    sides = has_parallax(points, cameras, seen, PARALLAX_DEG)
     gaps = gaps_around(cameras)
     parts = {}
     for number, gap in enumerate(gaps):
