@@ -55,6 +55,28 @@ def test_every_lens_kind_of_transforms_is_read_as_what_it_is(tmp_path, top, fram
     assert np.allclose(camera.distortion, expected)
 
 
+@pytest.mark.parametrize(("angles", "focal"), [({"x": 1.2}, (935.5, 935.5)), ({"x": 1.2, "y": 1.0}, (935.5, 878.6))])
+def test_angles_of_view_give_focal_lengths(tmp_path, angles, focal):
+    path = transforms(tmp_path, {f"camera_angle_{axis}": angle for axis, angle in angles.items()})
+    content = {k: v for k, v in json.loads(path.read_text()).items() if k != "fl_x"}
+    path.write_text(json.dumps(content))
+    intrinsics = read_calibration([path]).cameras[0].intrinsics
+    assert np.allclose(intrinsics[[0, 1], [0, 1]], focal, atol=0.1)
+    path.write_text(json.dumps({k: v for k, v in content.items() if k != "camera_angle_x"}))
+    with pytest.raises(UserError, match="has no fl_x or camera_angle_x; write it there"):
+        read_calibration([path])
+
+
+def test_tables_without_names_are_called_after_their_keys(tmp_path):
+    tables = [
+        f"[{key}]\nsize = [1280, 704]\nmatrix = [[900.0, 0.0, 640.0], [0.0, 900.0, 352.0], [0.0, 0.0, 1.0]]\n"
+        "distortions = [0.0, 0.0, 0.0, 0.0, 0.0]\nrotation = [0.1, 0.2, 0.3]\ntranslation = [0.0, 0.0, 4.0]\n"
+        for key in ("left", "right")
+    ]
+    (tmp_path / "Calib.toml").write_text("".join(tables))
+    assert [c.name for c in read_calibration([tmp_path / "Calib.toml"]).cameras] == ["left", "right"]
+
+
 @pytest.mark.parametrize(
     "model", ["FISHEYE624", "EQUIRECTANGULAR", "ORTHOPHOTO", "THIN_PRISM_FISHEYE", "VR180_L", "new"]
 )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from studiorecon.detect import chapters
 from studiorecon.detect import keypoints as step
+from studiorecon.errors import UserError
 from studiorecon.keypoints import motion
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
@@ -205,6 +206,15 @@ def test_a_long_film_is_compared_in_frames_that_are_sought(
     if not refusal:
         right = own.recorded.keypoints[own.recorded.frame == 300][0]
         np.testing.assert_allclose(keypoints[np.flatnonzero(frame == 300)[0]], right, atol=1e-6)
+
+
+def test_people_before_frames_are_named_and_read_once_exchanged(takes: list[Take], tmp_path: Path) -> None:
+    own = takes[0]
+    film = write_video(tmp_path / "a.mp4", np.array(own.pictures))
+    people = people_of(own, 0, len(own.pictures))
+    with pytest.raises(UserError, match="exchange the first two axes"):
+        read_from_files(tmp_path, film, [people.transpose(1, 0, 2, 3)])
+    assert len(read_from_files(tmp_path, film, [people])[1]) == len(own.recorded.frame)
 
 
 @pytest.mark.parametrize("exchanged", [False, True])

@@ -69,6 +69,17 @@ def mmpose(second: dict[str, Any]) -> Write:
     return js([{"frame_id": 0, **shown}, {"frame_id": 1, **shown}, {"frame_id": 2, **shown} | second])
 
 
+def folder(name: str, content: str) -> Write:
+    def write(where: Path) -> Path:
+        (where / "cam").mkdir(exist_ok=True)
+        for frame in range(FRAMES):
+            (where / "cam" / name.format(frame)).write_text(content)
+        return where / "cam"
+
+    return write
+
+
+OPENPOSE = json.dumps({"people": [{"pose_keypoints_2d": flat(18)}]})
 LANDMARK = {"x": 0.5, "y": 0.5, "visibility": 0.9}
 
 
@@ -109,6 +120,12 @@ ROWS: dict[str, tuple[Write, str, Write]] = {
     "scores apart": (mmpose({"instances": [{"keypoints": person()[:, :2].tolist(), "keypoint_scores": [1]}]}),
                      "one for each", mmpose({})),
     "a landmark's name": (mediapipe({"X": 0.5}), "write what MediaPipe returns", mediapipe()),
+    "text in a folder": (folder("cam_{}.txt", "0 0.5"), "one .json per picture", folder("cam_{}.json", OPENPOSE)),
+    "columns of two lengths": (
+        js([[{"keypoints": {"x": [1.0, 2.0], "y": [1.0]}}]]),
+        "one of each per keypoint",
+        js([[{"keypoints": dict(zip(("x", "y", "visible"), person().T.tolist()))}] for _ in range(FRAMES)]),
+    ),
     "landmarks in pixels": (mediapipe({"x": 640.0, "y": 300.0}), "shares, 0 to 1", mediapipe()),
 }  # fmt: skip
 
@@ -135,6 +152,21 @@ def test_a_keypoint_file_changed_as_advised_is_read(
     people, message = read(done(tmp_path / "after"), capsys)
     assert people == FRAMES
     assert not message
+
+
+@pytest.mark.parametrize(("separator", "point"), [(";", ","), ("\t", ".")])
+def test_tables_of_other_languages_are_read(separator: str, point: str, tmp_path: Path) -> None:
+    usual = deeplabcut()(tmp_path)
+    wanted = read_keypoints(usual).keypoints
+    usual.write_text(usual.read_text().replace(",", separator).replace(".", point))
+    np.testing.assert_array_equal(read_keypoints(usual).keypoints, wanted)
+
+
+def test_a_folder_within_the_camera_s_folder_is_read(tmp_path: Path) -> None:
+    below = folder("cam_{}_keypoints.JSON", OPENPOSE)(tmp_path).rename(tmp_path / "json")
+    (tmp_path / "cam").mkdir()
+    below.rename(tmp_path / "cam/json")
+    assert read_keypoints(tmp_path / "cam").pictures.tolist() == list(range(FRAMES))
 
 
 @pytest.mark.parametrize(

@@ -78,19 +78,23 @@ def camera_name(frame: dict[str, Any]) -> str:
 
 def _camera(lens: dict[str, Any], source_from_file: np.ndarray, where: str) -> tuple[RawCamera, float]:
     try:
-        fx, width, height = (float(lens[k]) for k in ("fl_x", "w", "h"))
+        width, height = float(lens["w"]), float(lens["h"])
+        fx = float(lens["fl_x"]) if "fl_x" in lens else width / 2 / np.tan(float(lens["camera_angle_x"]) / 2)
         if not isinstance(lens.get("file_path", ""), str):
             raise UserError(f"{where}: its file_path is {short_text(lens['file_path'])}; it must name the picture")
         pose = np.asarray(lens["transform_matrix"], dtype=np.float64)
     except KeyError as error:
-        raise UserError(f"{where} has no {error.args[0]}") from None
+        missing = str(error.args[0]).replace("camera_angle_x", "fl_x or camera_angle_x")
+        raise UserError(f"{where} has no {missing}; write it there") from None
     if pose.shape not in ((4, 4), (3, 4)):
         raise UserError(f"{where}: its transform_matrix is {pose.shape}, expected (4, 4)")
     if not np.isfinite(pose).all():
         raise UserError(f"{where}: its transform_matrix holds numbers that are not finite; calibrate this camera again")
     if width % 1 or height % 1:
         raise UserError(f"{where}: its w and h are {width:g} and {height:g}; sizes are whole numbers of pixels")
-    fy, cx, cy = float(lens.get("fl_y", fx)), float(lens.get("cx", width / 2)), float(lens.get("cy", height / 2))
+    across = lens.get("camera_angle_y")
+    fy = float(lens.get("fl_y", height / 2 / np.tan(float(across) / 2) if across else fx))
+    cx, cy = float(lens.get("cx", width / 2)), float(lens.get("cy", height / 2))
     model = model_in(lens, where)
     # distortion_params, if a file has them, are in nerfstudio's own order k1 k2 k3 k4 p1 p2.
     listed = dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), lens.get("distortion_params") or ()))

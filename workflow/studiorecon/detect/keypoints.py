@@ -102,6 +102,12 @@ def _compared(
     if not len(given.frame):
         warn(f"{path} ({given.program}) holds no person: camera {camera} only shows the room")
         return _none(given.program, layout), []
+    most = int(np.unique(given.frame, return_counts=True)[1].max())
+    if 2 * len(given.pictures) < filmed.frames < 2 * most:
+        raise UserError(
+            f"{path} holds {most} people in {len(given.pictures)} frames, and the film has {filmed.frames} frames: "
+            "exchange the first two axes, frames come before people"
+        )
     numbers = possible_numberings(given.pictures, filmed.frames, filmed.fps, first_frame, given.counted)
     shown = np.concatenate([one.frame_of[np.isin(given.pictures, given.frame)] for one in numbers.possible])
     motion = motion_in(filmed, int(shown.min()), int(shown.max()))

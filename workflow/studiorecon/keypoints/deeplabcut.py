@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _COORDS = ("x", "y", "likelihood")
+_SEPARATORS = (",", ";", "\t")
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 # Other programs' words for the same part: MediaPipe, OpenPose (RBigToe), AlphaPose.
 _WORDS = {
@@ -72,9 +73,14 @@ def canonical_name(part: str) -> str:
 
 def _table(path: Path) -> tuple[list[str], list[tuple[str, str, int]], list[tuple[int, list[str]]]]:
     """Names of parts, (individual, part, coordinate) of every column, and (line, cells) of every frame."""
-    reader = csv.reader(io.StringIO(read_text(path), newline=""))
+    text = read_text(path)
+    # Excel writes semicolons, and decimal commas, where the language has these.
+    separator = max(_SEPARATORS, key=text.partition("\n")[0].count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
     try:
         lines = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
+        if separator != ",":
+            lines = [(line, [cell.replace(",", ".") for cell in cells]) for line, cells in lines]
     except csv.Error as error:
         raise UserError(f"{path}, line {reader.line_num}: not a table ({error})") from None
     header: dict[str, list[str]] = {}

@@ -63,7 +63,13 @@ def people_in(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]],
 
 
 def _points(given: Any, person: Mapping[Any, Any], where: str) -> np.ndarray:
-    """Keypoints of one person: triples, flat or in rows, or pairs with ``keypoint_scores``; NaN without scores."""
+    """Keypoints of one person: triples, flat or in rows, pairs with ``keypoint_scores``, or Ultralytics' columns; NaN
+    without scores."""
+    if isinstance(given, Mapping) and {"x", "y"} <= given.keys():
+        columns = [numbers(given[k], f"{where}: {k}", finite=False) for k in ("x", "y", "visible") if k in given]
+        if any(column.shape != columns[0].shape or column.ndim != 1 for column in columns):
+            raise UserError(f"{where}: x, y and visible have different lengths; one of each per keypoint is needed")
+        given = np.column_stack(columns).tolist()
     points = numbers(given, f"{where}: keypoints", finite=False)
     points = points[0] if points.ndim == 3 and len(points) == 1 else points
     if points.ndim == 2 and points.shape[1] == 2:

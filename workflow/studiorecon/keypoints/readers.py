@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 FORMATS = {
     "`<camera>/*.json` or `<camera>_json/*.json`, one a picture": "OpenPose, EasyMocap, AlphaPose, MMPose, "
     "MediaPipe by Pose2Sim",
-    "`<camera>.json`": "AlphaPose, Detectron and COCO results, MMPose's demo and inferencer, easy_ViTPose, MediaPipe's "
-    "own results",
+    "`<camera>.json`": "AlphaPose, Detectron and COCO results, MMPose's demo and inferencer, easy_ViTPose, "
+    "Ultralytics (a list of `to_json()`), MediaPipe's own results",
     "`<camera>.csv` or `<camera>DLC_….csv`, one animal or several": "DeepLabCut, MediaPipe by Pose2Sim",
     "`<camera>.npz`: `keypoints` (frames, people, points, 3), of one person (frames, points, 3)": "anything else",
 }
@@ -129,8 +129,15 @@ def _usable(keypoints: Num[np.ndarray, "D K 3"], path: Path) -> Float[np.ndarray
 
 
 def _folder(path: Path) -> Pictures:
-    # Folders also hold *.json.old and the like: the suffix must match exactly.
-    files = sorted(f for f in path.iterdir() if f.suffix == ".json" and not f.name.startswith("."))
+    held = sorted(f for f in path.iterdir() if not f.name.startswith("."))
+    files = [f for f in held if f.suffix.lower() == ".json"]
+    if not files and len(held) == 1 and held[0].is_dir():
+        return _folder(held[0])
+    if held and not files:
+        raise UserError(
+            f"{path} holds {held[0].name}{' and more' * (len(held) > 1)}, but no .json file: bring one .json per "
+            f"picture, or one file for the video ({path.name}.json, .csv or .npz)"
+        )
     found, programs = dict[int, list[Any]](), set()
     for number, file in zip(number_names([f.stem for f in files], str(path)) if files else [], files):
         people, program = people_in(read_json(file), str(file))

@@ -31,7 +31,12 @@ def camera_tables(path: Path) -> dict[str, dict]:
 
 
 def recognises(files: list[Path]) -> bool:
-    return len(files) == 1 and files[0].suffix == ".toml" and any("name" in t for t in camera_tables(files[0]).values())
+    """Tables without a name are called after their keys; Caliscope's have cam_id or port."""
+    return (
+        len(files) == 1
+        and files[0].suffix == ".toml"
+        and not all("name" not in t and ("cam_id" in t or "port" in t) for t in camera_tables(files[0]).values())
+    )
 
 
 def read(files: list[Path]) -> Reading:
