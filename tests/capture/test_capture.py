@@ -19,8 +19,7 @@ from studiorecon.footage.video import read_frame, read_stack, write_lossless
 from studiorecon.scene.capture import Footage, read_footage, read_manifest, write_footage
 from studiorecon.scene.clocks import write_clocks
 
-from tests.made.clocks import as_counted
-from tests.made.footage import WH, calibrated, footage, smooth_pictures, write_video
+from tests.made.footage import WH, as_counted, calibrated, footage, smooth_pictures, write_video
 
 
 @pytest.fixture

@@ -15,15 +15,18 @@ from studiorecon.body.model import BodyModel
 from studiorecon.calibration.files import read_calibration
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.deliver import camera_files, export, keypoint_files
+from studiorecon.deliver.finished import read_finished, require_finite
 from studiorecon.errors import UserError
 from studiorecon.footage.video import write_lossless
 from studiorecon.keypoints.readers import read_keypoints
-from studiorecon.scene.files import read_json
-from studiorecon.scene.gaussians_ply import read_ply
+from studiorecon.scene.files import read_json, write_npz
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.gaussians_ply import read_ply, write_ply
+from studiorecon.scene.path import PathStep, write_path
 from studiorecon.scene.people import Detections, write_detections, write_identities
 
 from tests.made.delivered import options
-from tests.made.scene import FPS, FRAMES, avatar, ring, room, write_scene
+from tests.made.scene import FPS, FRAMES, avatar, render_options, replace_gaussians, ring, room, write_scene
 from tests.made.steps import call
 
 
@@ -176,3 +179,44 @@ def test_who_comes_later_is_not_in_the_still_picture_and_alone_as_they_came(root
     np.testing.assert_array_equal(files["people/p1.ply"].means_m, second.posed(3).means_m)
     assert files["people/p1.ply"].logit_opacities.min() > 0
     np.testing.assert_array_equal(files["people/p0.ply"].means_m, first.posed(0).means_m)
+
+
+# ---- The finished scene in memory equals its files, and broken Gaussians are refused before they are delivered ----
+
+TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
+
+
+@pytest.fixture
+def files(tmp_path: Path, root: Path) -> dict:
+    cameras = write_scene(tmp_path, root, people=2, filmed=False)["training"]
+    write_path(tmp_path / "render/orbit.json", [PathStep(cameras[0], 1.5, "00")], FPS)
+    given = render_options(tmp_path, "orbit", people=2)
+    return {name: given[name] for name in TAKEN} | {"paths": [tmp_path / "render/orbit.json"]}
+
+
+def test_the_marks_of_another_room_are_refused(files: dict) -> None:
+    write_npz(files["provenance"], {"provenance": np.zeros(3, np.uint8)})
+    with pytest.raises(UserError, match=r"provenance\.npz .*\(3,\)"):
+        call(read_finished, **files)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("whose", ["background", "p1"])
+def test_a_gaussian_that_is_no_number_is_refused_in_one_sentence(files: dict, whose: str) -> None:
+    path = files["background"] if whose == "background" else files["gaussians"][1]
+    own = read_ply(path)
+    means = own.means_m.copy()
+    means[5, 1] = np.nan
+    broken = replace(own, means_m=means)
+    if whose == "background":
+        write_ply(path, broken)
+    else:
+        replace_gaussians(path, files["avatars"][1], broken)
+    with pytest.raises(UserError, match=rf"{path.name} holds 1 Gaussians.*number 5"):
+        call(read_finished, **files)
+
+
+def test_an_infinite_logit_is_an_opacity() -> None:
+    zeros = np.zeros((2, 3))
+    own = Gaussians(zeros, np.ones((2, 4)), zeros, np.array([np.inf, -np.inf]), np.zeros((2, 1, 3)))
+    assert require_finite(own, Path("x.ply")) is own

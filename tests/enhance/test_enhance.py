@@ -28,8 +28,7 @@ from studiorecon.scene.factors import Factors, write_factors
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.path import PathStep, read_path
 
-from tests.made.enhance import SEARCH
-from tests.made.enhance_limits import PAPER
+from tests.made.enhance_limits import PAPER, SEARCH
 from tests.made.scene import FRAMES, GAINS, enhance_options, refilmed, render_options, ring, write_scene
 from tests.made.steps import call
 

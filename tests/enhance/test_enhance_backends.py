@@ -22,8 +22,7 @@ from studiorecon.scene.path import PathStep
 
 from tests.made.enhance_folder import VIEW, panning
 from tests.made.enhance_folder import write_pictures as write
-from tests.made.enhance_limits import PAPER
-from tests.made.flow import textured
+from tests.made.enhance_limits import PAPER, textured
 
 
 @pytest.mark.parametrize("name", ["raft", "difix", "fixer"])

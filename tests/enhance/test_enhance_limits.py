@@ -15,8 +15,7 @@ from studiorecon.models.adapters import raft
 from studiorecon.recursive.injection import Injection, confidence, history_weights, inject, whole_levels
 from studiorecon.recursive.sequence import check_gain
 
-from tests.made.enhance_limits import PAPER
-from tests.made.flow import textured
+from tests.made.enhance_limits import PAPER, textured
 
 SHAPE = (24, 32, 3)
 

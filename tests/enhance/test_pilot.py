@@ -23,7 +23,7 @@ from studiorecon.scene.decisions import read_decisions
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.path import PathStep
 
-from tests.made.enhance import SEARCH
+from tests.made.enhance_limits import SEARCH
 from tests.made.scene import enhance_options, render_options, ring, write_scene
 from tests.made.steps import call
 

@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 import pytest
 from studiorecon.camera_files.raw_camera import camera_from_world_of_pose, intrinsics_matrix, rigid_camera_from_world
+from studiorecon.geometry import rotations
 from studiorecon.geometry.bundle import BundleSettings
+from studiorecon.geometry.crop_hypotheses import for_square_pixels
 from studiorecon.geometry.distortion import distort, undistort
 from studiorecon.geometry.triangulation import triangulate
-from studiorecon.scene.camera import Camera
+from studiorecon.scene.camera import Camera, Lens
 
 from tests.made.cameras import LIMITS, adjust, look_at, ring, seen
 
@@ -128,3 +133,82 @@ def test_beyond_the_fold_there_is_no_answer(radius):
     back, valid = undistort(np.array([radius, 0.0]), "opencv", np.array([-0.3, 0, 0, 0, 0]))
     assert not valid
     assert np.isnan(back).all()
+
+
+# ---- Geometry against other people's: OpenCV, COLMAP and scipy ----
+
+
+def cloud(count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3)) + np.array([0, 0, 1])
+
+
+def test_projection_is_opencvs() -> None:
+    camera, points = ring()[1], cloud(200)
+    turn = cv2.Rodrigues(camera.rotation_camera_from_world.copy())[0]
+    np.testing.assert_allclose(rotations.log(camera.rotation_camera_from_world), turn.ravel(), atol=1e-12)
+    theirs = cv2.projectPoints(points, turn, camera.camera_from_world[:3, 3], camera.intrinsics, np.zeros(5))[
+        0
+    ].reshape(-1, 2)
+    pixels, depth = camera.project(points)
+    np.testing.assert_allclose(pixels, theirs, atol=1e-9)
+    np.testing.assert_allclose(camera.unproject(pixels, depth), points, atol=1e-12)
+
+
+def test_projection_and_triangulation_are_colmaps() -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    cameras, points = ring(), cloud(60, 1)
+    lens = pycolmap.Camera(model="PINHOLE", width=1280, height=704, params=[1000, 1000, 640, 352])
+    pixels = seen(cameras, points)
+    exact = np.stack(
+        [lens.img_from_cam(points @ c.camera_from_world[:3, :3].T + c.camera_from_world[:3, 3]) for c in cameras]
+    )
+    np.testing.assert_allclose(pixels, exact, atol=1e-9)
+    found = triangulate(pixels[:2], np.ones((2, 60)), cameras[:2], LIMITS, solver="dlt")
+    rays = [lens.cam_from_img(pixels[v]) for v in range(2)]
+    for n in range(60):
+        theirs = pycolmap.triangulate_point(
+            cameras[0].camera_from_world[:3],
+            cameras[1].camera_from_world[:3],
+            *(np.append(r[n], 1.0) / np.hypot(1, np.linalg.norm(r[n])) for r in rays),
+        )
+        assert np.linalg.norm(found.points_m[n] - theirs) < 1e-9
+
+
+# ---- A calibration of a film whose pixels are not square may be for the picture as stored, or as shown ----
+
+STORED, SHOWN = (240, 180), (320, 180)
+FOR_SHOWN = Lens(
+    "a",
+    SHOWN,
+    np.array([[228.0, 0, 160.0], [0, 228.0, 90.0], [0, 0, 1]]),
+    "opencv",
+    np.array([-0.1, 0.02, 0, 0, 0]),
+    np.eye(4),
+    np.eye(2, 3),
+)
+
+
+def for_stored(scale: float = 1.0, sized: bool = True) -> Lens:
+    wh = tuple(round(side * scale) for side in STORED) if sized else (0, 0)
+    return replace(FOR_SHOWN, wh=wh, intrinsics=np.diag([0.75 * scale, scale, 1.0]) @ FOR_SHOWN.intrinsics)
+
+
+@pytest.mark.parametrize("lens", [FOR_SHOWN, for_stored(), replace(FOR_SHOWN, wh=(0, 0)), for_stored(sized=False)])
+def test_both_are_the_same_camera(lens: Lens) -> None:
+    square, note = for_square_pixels(lens, STORED, SHOWN)
+    np.testing.assert_allclose(square.intrinsics, FOR_SHOWN.intrinsics)
+    assert square.wh in (SHOWN, (0, 0))
+    assert "240×180" in note
+    assert "320×180" in note
+
+
+def test_a_calibration_of_another_scale_is_known_by_its_shape() -> None:
+    square, _ = for_square_pixels(for_stored(2.0), STORED, SHOWN)
+    assert square.wh == (640, 360)
+    np.testing.assert_allclose(square.intrinsics, np.diag([2.0, 2.0, 1.0]) @ FOR_SHOWN.intrinsics)
+
+
+def test_square_pixels_and_the_user_s_own_maps_stay() -> None:
+    mapped = replace(for_stored(), calibration_from_video=np.array([[2.0, 0, 0], [0, 2.0, 0]]))
+    assert for_square_pixels(FOR_SHOWN, SHOWN, SHOWN) == (FOR_SHOWN, "")
+    assert for_square_pixels(mapped, STORED, SHOWN) == (mapped, "")

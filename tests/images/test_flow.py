@@ -10,7 +10,7 @@ from studiorecon.errors import UserError
 from studiorecon.images import flow
 from studiorecon.images.warp import warp
 
-from tests.made.flow import textured
+from tests.made.enhance_limits import textured
 
 
 @pytest.mark.parametrize("shift", [(5, 0), (-3, 4)])

@@ -9,6 +9,7 @@ import pytest
 import torch
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from studiorecon.images import metrics
+from studiorecon.images.channels import channel_max, channel_sum
 from studiorecon.images.flow import is_flow_consistent
 from studiorecon.images.temporal import forward_backward_consistent
 from studiorecon.images.warp import warp
@@ -157,3 +158,17 @@ def test_where_a_flow_leads_back_is_the_published_rule() -> None:
     assert 0.2 < ours.mean() < 0.95
     assert (ours != expected).mean() < 0.01, "OpenCV reads the reverse flow at 1/32 of a pixel"
     assert not ours[5, 5]
+
+
+# ---- Sums and maxima over channels are numpy's own, to the bit ----
+
+
+@pytest.mark.parametrize("shape", [(37, 53, 3), (5, 2), (2, 3, 4, 7), (0, 4, 3)])
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_numpys_own_reductions_to_the_bit(shape: tuple[int, ...], kind: type) -> None:
+    rng = np.random.default_rng(0)
+    picture = (rng.normal(size=shape) * 10.0 ** rng.integers(-6, 6, shape)).astype(kind)
+    if picture.size:
+        picture.flat[0], picture.flat[-1] = np.nan, -np.inf
+    assert channel_sum(picture).tobytes() == picture.sum(axis=-1).tobytes()
+    assert channel_max(picture).tobytes() == picture.max(axis=-1).tobytes()

@@ -11,8 +11,7 @@ from studiorecon.models.protocols import Moment
 from studiorecon.recursive.sequence import enhance_sequence
 from studiorecon.scene.path import PathStep
 
-from tests.made.enhance import SEARCH
-from tests.made.enhance_limits import PAPER
+from tests.made.enhance_limits import PAPER, SEARCH
 from tests.made.scene import ring
 
 VIEW = ring([0], "view", wh=(96, 64))[0]

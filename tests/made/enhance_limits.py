@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import cv2
+import numpy as np
+from studiorecon.recursive.flows import DisFlow
 from studiorecon.recursive.injection import Injection
 
 PAPER = Injection(
@@ -18,3 +21,11 @@ PAPER = Injection(
     check=True,
     cut_share=0.1,
 )
+
+
+SEARCH = DisFlow("medium")
+
+
+def textured(shape: tuple[int, int], seed: int, sigma_px: float = 2.0) -> np.ndarray:
+    noise = cv2.GaussianBlur(np.random.default_rng(seed).random(shape).astype(np.float32), (0, 0), sigma_px)
+    return np.rint(255 * (noise - noise.min()) / np.ptp(noise)).astype(np.uint8)

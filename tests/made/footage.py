@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage
+from studiorecon.scene.clocks import Clock, Clocks
 from studiorecon.scene.files import write_json
 
 WH = (96, 64)
@@ -77,3 +78,8 @@ def footage(
 ) -> Footage:
     intrinsics = [[80.0, 0, wh[0] / 2], [0, 80, wh[1] / 2], [0, 0, 1]]
     return Footage(camera, held_out, wh, intrinsics, fps, frames, 0, f"videos/{camera}.mp4", "", wh, 0, 0.0, [])
+
+
+def as_counted(camera: str, fps: float, first: int, frames: int) -> Clocks:
+    """One camera whose working frames are its frames ``first`` … ``first`` + ``frames`` - 1."""
+    return Clocks(fps, first / fps, frames, (Clock(camera, fps, first + frames),))

@@ -6,6 +6,7 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from studiorecon.footage.frames import read_stills, seek_frames
 from studiorecon.footage.source import open_source
 from studiorecon.footage.video import write_watchable
 from studiorecon.plan.discovery import open_dataset
+from studiorecon.plan.make import make_plan
 
 GB = 10**9
 
@@ -265,3 +267,52 @@ def test_cameras_named_on_a_mac_have_composed_letters(made: Callable[..., Path])
     found = open_dataset(made(f"videos/{apart}.mp4 videos/b.mp4 keypoints/Überkopf.json keypoints/b.json"))
     assert set(found.footage) == {"b", "Überkopf"}
     assert set(found.keypoints) == {"b", "Überkopf"}
+
+
+# ---- Missing files that settings name are refused before the first job, and accepted once they exist ----
+
+
+def orbit(**more: Any) -> dict[str, Any]:
+    return {"render": {"shots": {"a": {"kind": "orbit", **more}}}}
+
+
+NAMED = {
+    "body": lambda file: {"body": file},
+    "a stand-in": lambda file: orbit(replace={"p0": file}),
+    "a camera path": lambda file: {"render": {"shots": {"a": {"kind": "path", "file": file}}}},
+    "a reference": lambda file: orbit(reference=file),
+    "identities": lambda file: {"people": {"identities": file}},
+}
+
+
+@pytest.mark.parametrize("changed", NAMED.values(), ids=NAMED)
+@pytest.mark.parametrize("kind", ["missing", "folder", "dangling"])
+def test_a_named_file_that_is_not_there_is_refused(
+    configured: Callable[..., dict[str, Any]],
+    home: Path,
+    tmp_path: Path,
+    changed: Callable[[str], dict[str, Any]],
+    kind: str,
+) -> None:
+    file = tmp_path / "named.npz"
+    config = configured(**changed(str(file)))
+    if kind == "folder":
+        file.mkdir()
+    if kind == "dangling":
+        file.symlink_to("nowhere")
+    with pytest.raises(UserError, match=r"named\.npz"):
+        make_plan(config, home)
+    if kind == "folder":
+        file.rmdir()
+    file.unlink(missing_ok=True)
+    file.touch()
+    make_plan(config, home)
+
+
+@pytest.mark.parametrize("scene", ["studio", "body"])
+def test_a_scene_does_not_take_the_folder_of_what_scenes_share(
+    configured: Callable[..., dict[str, Any]], home: Path, scene: str
+) -> None:
+    with pytest.raises(UserError, match="--config scene=NAME"):
+        make_plan(configured(scene=scene), home)
+    make_plan(configured(scene=f"{scene}1"), home)

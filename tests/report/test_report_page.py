@@ -11,11 +11,14 @@ import subprocess
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from studiorecon.errors import UserError
 from studiorecon.pages.run_summary import read_warnings
-from studiorecon.report.sections import appendix, comparison_slider, timeline
+from studiorecon.report import strict
+from studiorecon.report.sections import appendix, comparison_slider, tables, timeline
 from studiorecon.report.sections import tables as sections
 from studiorecon.report.sections.quality_summary import quality_summary
 from studiorecon.scene.decisions import Decision
@@ -337,3 +340,47 @@ def test_in_how_many_frames_somebody_is_there_stands_beside_how_many_were_measur
     assert "frames present" in shown
     cells = [re.findall(r"<td[^>]*>([^<]*)</td>", row) for row in shown.split("<tr>")[2:]]
     assert [row[:3] for row in cells] == [["p0", "3 of 9", "all"], ["p1", "3 of 9", "5"]]
+
+
+# ---- The section on cameras of the report's page ----
+
+CONTRADICTED = {"cameras": ["cam1", "<b>"], "off_deg": 2.37, "off_sigmas": 4.8, "believed": False}
+
+
+def said(edges: dict[str, Any] | None) -> str:
+    return tables.cameras_table({} if edges is None else {"edges": edges}, "sheet.png").split("<img")[0]
+
+
+def test_what_the_room_s_edges_say_stands_before_and_after() -> None:
+    moved = said({**CONTRADICTED, "believed": True, "off_after_deg": 0.19, "between_deg": 2.56})
+    assert "contradicted the rotation between cam1 and &lt;b&gt; by 2.4°; after refinement by 0.2°" in moved
+    assert "±2.6° (95 %)" in moved
+    stayed = said(CONTRADICTED)
+    assert "2.4°, 4.8 of their" in stayed
+    assert "no camera was refined" in stayed
+    assert "straight edges" not in said(None)
+
+
+# ---- With strict, a run in which any step warned ends with all the warnings as one error ----
+
+
+def test_warnings_of_all_steps_are_one_error(tmp_path: Path) -> None:
+    write_text(tmp_path / "logs/detect/people/cam2.log", "looked\nwarning: camera cam2: nobody was found\n")
+    write_text(
+        tmp_path / "logs/people/associate.log", "warning: somebody was left out\nwarning: somebody was left out\n"
+    )
+    with pytest.raises(UserError) as refused:
+        strict.run(tmp_path / "index.html", tmp_path / "logs", tmp_path / "strict.txt")
+    told = str(refused.value).splitlines()
+    assert told[0].startswith("2 warnings, treated as errors (strict)")
+    assert told[1:] == [
+        "detect.people.cam2: camera cam2: nobody was found",
+        "people.associate: somebody was left out",
+    ]
+    assert not (tmp_path / "strict.txt").exists()
+
+
+def test_without_warnings_it_passes(tmp_path: Path) -> None:
+    write_text(tmp_path / "logs/plates/clean/cam1.log", "a plate of which 99 % were seen; no warning: none\n")
+    strict.run(tmp_path / "index.html", tmp_path / "logs", tmp_path / "strict.txt")
+    assert (tmp_path / "strict.txt").is_file()
