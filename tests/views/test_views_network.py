@@ -23,7 +23,6 @@ from studiorecon.models.catalogue.card import Card
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors
 from studiorecon.scene.path import read_path, write_path
-from studiorecon.scene.people import Person
 from studiorecon.scene.support import EXCLUDED, support_weight
 from studiorecon.views import fitted, generate, request
 from studiorecon.views import path as views_path
@@ -32,6 +31,7 @@ from studiorecon.views.first_moment import FirstMomentPeople, first_pictures
 from studiorecon.views.frame import fit_network_frame
 from studiorecon.views.synthesize import read_photos
 
+from tests.made.fitted import fitted
 from tests.made.networks import room_views
 from tests.made.room import write_capture
 
@@ -205,18 +205,7 @@ def someone(files: tuple, root: Path) -> tuple[Path, Path, list[Path], list[Path
     poses = np.zeros((2, 72))
     poses[:, :3] = upright_global_orientation(0.4)
     trans, betas = np.tile([0.2, -0.1, 0.95], (2, 1)), np.zeros(10)
-    person = Person(
-        "p0",
-        model.identity,
-        24.0,
-        poses,
-        trans,
-        betas,
-        model.joints(poses, betas, trans),
-        np.ones(2, bool),
-        np.zeros((2, 24)),
-        True,
-    )
+    person = fitted("p0", model.identity, 24.0, 2, poses=poses, trans=trans, joints=model.joints(poses, betas, trans))
     write_person(folder / "p0.npz", person)
     standing = FirstMomentPeople([person], model)
     videos, masks = [], []
