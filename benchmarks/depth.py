@@ -170,20 +170,8 @@ def measure(room: Room, values: dict, pictures: Path | None, network: list[np.nd
             sweep.run(load(sweep.Settings, values, "depth"), camera.name, model, plates, path)
         lap()
         walls.run(load(walls.Settings, values, "depth"), model, plates, sweeps, folder / "box.json")
-        room_box.run(
-            load(room_box.Settings, values, "depth"),
-            model,
-            plates,
-            sweeps,
-            folder / "box.json",
-            [],
-            [],
-            [],
-            box,
-            primitives,
-            folder / "primitives.png",
-            passes,
-        )
+        files = folder / "box.json", [], [], [], box, primitives, folder / "primitives.png", passes
+        room_box.run(load(room_box.Settings, values, "depth"), model, plates, sweeps, *files)
         lap()
         settings, estimates = load(refine.Settings, values, "depth"), [[] for _ in maps]
         for camera, numbers, paths in zip(room.cameras, network or [], estimates):

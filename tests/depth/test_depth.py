@@ -59,20 +59,8 @@ def estimate(folder: Path, cameras: list[Camera], plates: list[Path], section: d
         sweep.run(load(sweep.Settings, section, "depth"), camera.name, model, plates, path)
     box, primitives, passes = folder / "room.json", folder / "primitives.json", folder / "passes.npz"
     walls.run(load(walls.Settings, section, "depth"), model, plates, sweeps, folder / "box.json")
-    room_box.run(
-        load(room_box.Settings, section, "depth"),
-        model,
-        plates,
-        sweeps,
-        folder / "box.json",
-        [],
-        [],
-        [],
-        box,
-        primitives,
-        folder / "primitives.png",
-        passes,
-    )
+    files = folder / "box.json", [], [], [], box, primitives, folder / "primitives.png", passes
+    room_box.run(load(room_box.Settings, section, "depth"), model, plates, sweeps, *files)
     maps = []
     for camera in cameras:
         out = folder / f"{camera.name}.exr"
