@@ -11,7 +11,6 @@ from studiorecon.geometry import rotations, smoothing
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.camera_path import axis_miss_rad, gaps_around, interpolate_cameras, order_around, scene_centre
 from studiorecon.geometry.triangulation import triangulate
-from studiorecon.keypoints.correspondence import track_groups
 from studiorecon.scene.camera import Camera
 from studiorecon.survey import coverage
 
@@ -72,23 +71,6 @@ def test_a_view_that_shows_nothing_changes_nothing(seed: int, place: int, solver
     np.testing.assert_allclose(with_blind.points_m, alone.points_m, atol=1e-9)
     np.testing.assert_array_equal(with_blind.valid, alone.valid)
     np.testing.assert_array_equal(np.delete(with_blind.inliers, place, axis=0), alone.inliers)
-
-
-@FEW
-@given(st.integers(0, 1000), st.permutations(range(9)))
-def test_groups_do_not_depend_on_the_order_of_tracks(seed: int, order: list[int]) -> None:
-    """Three people in three views: distances small within a person, large otherwise."""
-    rng = np.random.default_rng(seed)
-    person, view = np.repeat(np.arange(3), 3), np.tile(np.arange(3), 3)
-    distance = np.where(person[:, None] == person, rng.uniform(0.01, 0.1, (9, 9)), rng.uniform(0.5, 2, (9, 9)))
-    distance = (distance + distance.T) / 2
-    distance[view[:, None] == view] = np.nan
-    moments = np.ones((9, 9))
-    found = {frozenset(group) for group in track_groups(distance, view, moments, 0.3)}
-    assert found == {frozenset(np.flatnonzero(person == p).tolist()) for p in range(3)}
-    at = np.ix_(order, order)
-    shuffled = track_groups(distance[at], view[order], moments, 0.3)
-    assert {frozenset(order[i] for i in group) for group in shuffled} == found
 
 
 @FEW

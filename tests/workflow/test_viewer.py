@@ -82,50 +82,21 @@ def test_a_page_is_served(viewer: Viewer, target: str) -> None:
     assert headers["Referrer-Policy"] == "no-referrer"
 
 
-@pytest.mark.parametrize(
-    "target",
-    [
-        "/",
-        "//",
-        "*",
-        "/TOKEN",
-        "/TOKEN/",
-        "/TOKEN/other",
-        "/TOKEN/enhance",
-        "/TOKEN/enhance/",
-        "/TOKEN/report/index.html/",
-        "/TOKEN/%00",
-        "/TOKEN/report/index.html%00",
-        "/%00/report/index.html",
-        "/TOKEN/../../secret.txt",
-        "/TOKEN/%2e%2e/%2e%2e/secret.txt",
-        "/TOKEN/..%2f..%2fsecret.txt",
-        "/TOKEN/..\\..\\secret.txt",
-        "/TOKEN/..%5c..%5csecret.txt",
-        "/TOKEN/report/../report/index.html",
-        "/TOKEN//etc/passwd",
-        "/TOKEN/%2fetc/passwd",
-        "/TOKEN/%ff%fe",
-        "/TOKEN/%",
-        "/TOKEN/" + "x" * 5000,
-        "/TOKENx/report/index.html",
-        "/xTOKEN/report/index.html",
-        "/report/index.html",
-        "http://127.0.0.1:1/TOKEN/report/index.html",
-        "http://[/TOKEN/report/index.html",
-        "//host/%2e%2e",
-        "//TOKEN.host/%2e%2e",
-        "/TOKEN//host/%2e%2e",
-        "/TOKEN/dangling",
-        "/TOKEN/loop",
-        "/TOKEN/pipe",
-        "/TOKEN/secret",
-        "/TOKEN/above/secret.txt",
-        "/TOKEN/outside",
-    ],
-)
+# Addresses that lead out of the folder, to nothing, or to no file.
+ELSEWHERE = r"""
+/ // * /TOKEN /TOKEN/ /TOKEN/other /TOKEN/enhance /TOKEN/enhance/ /TOKEN/report/index.html/ /TOKEN/%00
+/TOKEN/report/index.html%00 /%00/report/index.html /TOKEN/../../secret.txt /TOKEN/%2e%2e/%2e%2e/secret.txt
+/TOKEN/..%2f..%2fsecret.txt /TOKEN/..\..\secret.txt /TOKEN/..%5c..%5csecret.txt
+/TOKEN/report/../report/index.html /TOKEN//etc/passwd /TOKEN/%2fetc/passwd /TOKEN/%ff%fe /TOKEN/%
+/TOKENx/report/index.html /xTOKEN/report/index.html /report/index.html
+http://127.0.0.1:1/TOKEN/report/index.html http://[/TOKEN/report/index.html //host/%2e%2e //TOKEN.host/%2e%2e
+/TOKEN//host/%2e%2e /TOKEN/dangling /TOKEN/loop /TOKEN/pipe /TOKEN/secret /TOKEN/above/secret.txt
+/TOKEN/outside
+"""
+
+
 @pytest.mark.parametrize("method", ["GET", "HEAD"])
-def test_nothing_else_is(viewer: Viewer, scene: Path, target: str, method: str) -> None:
+def test_nothing_else_is(viewer: Viewer, scene: Path, method: str) -> None:
     (scene / "dangling").symlink_to("nothing")
     (scene / "loop").symlink_to("loop")
     (scene / "secret").symlink_to(scene.parents[1] / "secret.txt")
@@ -135,11 +106,10 @@ def test_nothing_else_is(viewer: Viewer, scene: Path, target: str, method: str) 
     outside.write_text("another site")
     (scene / "outside").symlink_to(outside.parent)
     os.mkfifo(scene / "pipe")
-    status, headers, content = answered(viewer, target, method=method)
-    assert status == 404
-    assert "Location" not in headers
-    assert (method == "GET") == bool(content)
-    assert viewer.token.encode() not in content
+    for target in [*ELSEWHERE.split(), "/TOKEN/" + "x" * 5000]:
+        status, headers, content = answered(viewer, target, method=method)
+        assert (status, "Location" in headers, bool(content)) == (404, False, method == "GET"), target
+        assert viewer.token.encode() not in content
 
 
 def test_links_within_the_folder_are_followed(viewer: Viewer, scene: Path) -> None:
