@@ -22,7 +22,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, Person
 from studiorecon.scene.room import RoomBox
 
-from tests.made.fitted import fitted
+from tests.made.fitted import fitted_person
 from tests.made.room import Room, made_room, photograph, ring
 
 BOX = Primitive("box", (0.3, -0.2), 0.5, (0.8, 0.4), 0.1, 0.9, 0.0)
@@ -222,7 +222,7 @@ def test_nothing_is_put_where_somebody_walked_or_a_camera_is(
     assert not contains_any(numbers, append_distance(np.stack([p.camera.centre_m for p in pictures]), 0.0)).any()
     joints = np.tile(place, (3, 24, 1))
     joints[1], joints[2, 0] = 9.0, np.nan
-    person = fitted("p0", "mpfb", 30.0, 3, joints=joints, valid=np.array([True, False, True]))
+    person = fitted_person("p0", "mpfb", 30.0, 3, joints=joints, valid=np.array([True, False, True]))
     places = joint_places([person])
     assert len(places) == 1
     assert np.abs(places[0, :3] - place).max() <= 0.1 + 1e-9
@@ -231,7 +231,7 @@ def test_nothing_is_put_where_somebody_walked_or_a_camera_is(
 
 def seen_person(camera: Camera, joints_m: np.ndarray, frames: int = 4) -> tuple[Person, Detections]:
     """A person who stands still, and what ``camera`` sees of them: surely, but for the last keypoint."""
-    person = fitted("p0", "mpfb", 30.0, frames, joints=np.tile(joints_m, (frames, 1, 1)))
+    person = fitted_person("p0", "mpfb", 30.0, frames, joints=np.tile(joints_m, (frames, 1, 1)))
     keypoints = np.tile(np.column_stack([camera.project(joints_m)[0], np.full(24, 0.9)]), (frames, 1, 1))
     keypoints[:, -1, 2] = 0.1
     return person, Detections(camera.name, "smpl", np.arange(frames), np.zeros(frames, int), keypoints)

@@ -11,7 +11,7 @@ from studiorecon.body.person_files import write_person
 from studiorecon.deliver.export import Settings
 from studiorecon.footage.video import write_watchable
 
-from tests.made.fitted import fitted
+from tests.made.fitted import fitted_person
 from tests.made.scene import FPS, FRAMES, render_options
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,7 +22,7 @@ def options(folder: Path, people: int) -> dict:
     identity = BodyModel.load(render_options(folder, "orbit", people)["body"]).identity
     fits = [folder / f"people/p{i}.npz" for i in range(people)]
     for fit in fits:
-        write_person(fit, fitted(fit.stem, identity, FPS, FRAMES))
+        write_person(fit, fitted_person(fit.stem, identity, FPS, FRAMES))
     write_watchable(folder / "enhance/orbit.mp4", [np.zeros((32, 32, 3), np.uint8)] * 2, FPS)
     render = render_options(folder, "orbit", people)
     return {

@@ -7,7 +7,7 @@ import numpy as np
 from studiorecon.scene.people import Person
 
 
-def fitted(name: str, body: str, fps: float, frames: int, **said: np.ndarray) -> Person:
+def fitted_person(name: str, body: str, fps: float, frames: int, **said: np.ndarray) -> Person:
     """What is not ``said`` is 0, and every frame is valid."""
     usual = {
         "poses": np.zeros((frames, 72)),

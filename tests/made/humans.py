@@ -23,7 +23,7 @@ from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
 from studiorecon.scene.people import Person, write_people
 
-from tests.made.fitted import fitted
+from tests.made.fitted import fitted_person
 from tests.made.gaussians import rasterise
 from tests.made.scene import ring
 
@@ -101,7 +101,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, root: Path, body: BodyModel) 
         folder / "people.tsv", [("p0", FRAMES, "cam0", 1.0, "keypoints"), ("p3", FRAMES, "cam0", 1.0, "keypoints")]
     )
     joints = body.joints(poses, np.zeros(10), trans)
-    person = fitted(
+    person = fitted_person(
         "p3", body.identity, 30.0, FRAMES, poses=poses, trans=trans, joints=joints, sigma=np.full((FRAMES, 24), 0.01)
     )
     write_person(folder / "p3.npz", person)

@@ -17,7 +17,7 @@ from studiorecon.masks import segment as step
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Person
 
-from tests.made.fitted import fitted
+from tests.made.fitted import fitted_person
 
 WH = (200, 160)
 
@@ -36,7 +36,7 @@ def standing(name: str, identity: str, places_m: np.ndarray) -> Person:
     poses[:, :3] = upright_global_orientation(-np.pi / 2)
     poses[:, 16 * 3 + 2], poses[:, 17 * 3 + 2] = -1.2, 1.2
     trans = np.concatenate([places_m, np.full((len(places_m), 1), 0.95)], axis=1)
-    return fitted(name, identity, 30.0, len(poses), poses=poses, trans=trans, sigma=np.ones((len(poses), 24)))
+    return fitted_person(name, identity, 30.0, len(poses), poses=poses, trans=trans, sigma=np.ones((len(poses), 24)))
 
 
 @dataclass(frozen=True)

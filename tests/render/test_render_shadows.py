@@ -34,7 +34,7 @@ from studiorecon.splatting.cpu.blocks import block
 from studiorecon.splatting.discs import make_discs
 from studiorecon.splatting.rigid_object import RigidObject
 
-from tests.made.fitted import fitted
+from tests.made.fitted import fitted_person
 from tests.made.scene import avatar, render_options, ring, room, write_scene
 from tests.made.steps import call
 
@@ -236,7 +236,9 @@ def test_frames_in_which_nobody_was_measured_have_no_bodies(body: BodyModel) -> 
     one = walking(body)
     valid = one.valid.copy()
     valid[3] = False
-    fit = fitted("p0", body.identity, 15.0, MOMENTS, poses=one.poses, trans=one.trans, betas=one.betas, valid=valid)
+    fit = fitted_person(
+        "p0", body.identity, 15.0, MOMENTS, poses=one.poses, trans=one.trans, betas=one.betas, valid=valid
+    )
     bodies = render_light.bodies_over_time([fit], body)
     assert [len(b[0]) for b in bodies] == [0 if t == 3 else len(bodies[0][0]) for t in range(MOMENTS)]
     with pytest.raises(UserError, match="another body"):

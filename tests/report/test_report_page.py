@@ -26,7 +26,7 @@ from studiorecon.scene.files import read_json, write_json, write_table, write_te
 from studiorecon.scene.people import Detections, Person
 
 from tests.made.browser import BROWSER
-from tests.made.fitted import fitted
+from tests.made.fitted import fitted_person
 from tests.made.report import report_scene
 
 # One pixel each: a picture need not be large to be swapped.
@@ -274,7 +274,7 @@ def test_the_strip_shows_who_is_seen_when() -> None:
 def test_joint_deviations_are_those_of_measured_frames() -> None:
     valid, sigma = np.array([True, True, False]), np.full((3, 24), 0.004)
     sigma[2] = np.inf
-    person = fitted("p0", "body", 30.0, 3, valid=valid, sigma=sigma)
+    person = fitted_person("p0", "body", 30.0, 3, valid=valid, sigma=sigma)
     shown = timeline.certainty_table([person], {"p0": {"joints_mm_f2": 1.25, "pose_deg_f2": None}})
     assert "2 of 3" in shown
     assert shown.count("4.0 mm") == 2

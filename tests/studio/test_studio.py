@@ -359,11 +359,14 @@ def detected(description: Path, frames: int, body: BodyModel) -> dict[tuple[int,
     return found
 
 
-def test_detections_carry_noise_drop_outs_phantoms_and_shuffled_order(tmp_path: Path, body: BodyModel):
-    size = {"size": [480, 272]}
-    clean = detected(described(tmp_path, **size), 12, body)
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory, body: BodyModel) -> dict[tuple[int, int], list[np.ndarray]]:
+    return detected(described(tmp_path_factory.mktemp("clean"), size=[480, 272]), 12, body)
+
+
+def test_detections_carry_noise_drop_outs_phantoms_and_shuffled_order(tmp_path: Path, body: BodyModel, clean: dict):
     options = {"noise_px": 2.0, "drop_outs": 0.2, "false_positives": 1.0, "shuffled": True}
-    noisy = detected(described(tmp_path, detections=options, **size), 12, body)
+    noisy = detected(described(tmp_path, detections=options, size=[480, 272]), 12, body)
     shifts, kept, orders, phantoms = [], [], set(), 0
     for key, people in noisy.items():
         order = []
@@ -386,14 +389,12 @@ def test_detections_carry_noise_drop_outs_phantoms_and_shuffled_order(tmp_path: 
     assert {len(people) for people in clean.values()} == {2}
 
 
-def test_points_behind_somebody_else_are_unsure_or_missing(tmp_path: Path, body: BodyModel):
-    description = described(tmp_path, size=[480, 272])
-    found = detected(description, 20, body)
-    d = read_description(description)
-    troupe = Actors(d, body, np.arange(20) / 10)
+def test_points_behind_somebody_else_are_unsure_or_missing(tmp_path: Path, body: BodyModel, clean: dict):
+    d = read_description(described(tmp_path, size=[480, 272]))
+    troupe = Actors(d, body, np.arange(12) / 10)
     points = troupe.keypoints_m(LAYOUTS["body_25"].keypoints)
     hidden, confidences = 0, []
-    for (number, frame), people in found.items():
+    for (number, frame), people in clean.items():
         camera = rig.cameras(d)[number]
         moving = troupe.at(frame)[0]
         for own, other in ((0, 1), (1, 0)):

@@ -31,7 +31,7 @@ from studiorecon.views.first_moment import FirstMomentPeople, first_pictures
 from studiorecon.views.frame import fit_network_frame
 from studiorecon.views.synthesize import read_photos
 
-from tests.made.fitted import fitted
+from tests.made.fitted import fitted_person
 from tests.made.networks import room_views
 from tests.made.room import write_capture
 
@@ -205,7 +205,9 @@ def someone(files: tuple, root: Path) -> tuple[Path, Path, list[Path], list[Path
     poses = np.zeros((2, 72))
     poses[:, :3] = upright_global_orientation(0.4)
     trans, betas = np.tile([0.2, -0.1, 0.95], (2, 1)), np.zeros(10)
-    person = fitted("p0", model.identity, 24.0, 2, poses=poses, trans=trans, joints=model.joints(poses, betas, trans))
+    person = fitted_person(
+        "p0", model.identity, 24.0, 2, poses=poses, trans=trans, joints=model.joints(poses, betas, trans)
+    )
     write_person(folder / "p0.npz", person)
     standing = FirstMomentPeople([person], model)
     videos, masks = [], []
