@@ -90,11 +90,7 @@ def test_every_pixel_of_a_repaired_view_weighs_the_paper_s_share(halved: dict[st
     assert all((target.weight == np.float32(0.7)).all() for target in targets)
 
 
-def test_what_the_network_paints_is_learned(
-    halved: dict[str, Any],
-    capture: dict,
-    tmp_path: Path,
-) -> None:
+def test_what_the_network_paints_is_learned(halved: dict[str, Any], capture: dict, tmp_path: Path) -> None:
     plain, painted = tmp_path / "plain", tmp_path / "painted"
     run(halved["settings"], halved["capture"], plain)
     marks = run(halved["settings"], halved["capture"], painted, half=halved["given"])
@@ -144,11 +140,7 @@ def test_files_that_do_not_belong_together_are_refused(halved: dict[str, Any], t
         read_half([halved["given"][0], tmp_path / "other.npz", *halved["given"][2:]], 0.7)
 
 
-def test_without_views_there_is_no_half(
-    settings: Callable[..., train.Settings],
-    capture: dict,
-    tmp_path: Path,
-) -> None:
+def test_without_views_there_is_no_half(settings: Callable[..., train.Settings], capture: dict, tmp_path: Path) -> None:
     files = {name: tmp_path / name for name in ("half", "provenance", "renders", "renders_path")}
     with pytest.raises(UserError, match="it needs at least one view"):
         call(half.run, settings(), **capture, **files, working=tmp_path)

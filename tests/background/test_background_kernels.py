@@ -28,9 +28,7 @@ def compiled() -> set[tuple[str, str]]:
 
 @pytest.mark.slow
 def test_a_person_is_trained_with_the_kernels_that_were_compiled_ahead(
-    made: Made,
-    default_settings: Callable[..., dict],
-    tmp_path: Path,
+    made: Made, default_settings: Callable[..., dict], tmp_path: Path
 ) -> None:
     kernels.run(1, tmp_path / "kernels.txt")
     assert (tmp_path / "kernels.txt").is_file()

@@ -23,14 +23,7 @@ from studiorecon.render.look_at_targets import LookAtTargets
 from studiorecon.render.planning import plan_steps
 from studiorecon.scene.factors import Factors
 
-from tests.made.browser import (
-    SOFTWARE_GL,
-    Browser,
-    addresses_outside,
-    memory_limited,
-    pixels,
-    software_gl,
-)
+from tests.made.browser import SOFTWARE_GL, Browser, addresses_outside, memory_limited, pixels, software_gl
 from tests.made.player import drawn, scene_of, shade_for, write_page
 
 pytestmark = pytest.mark.browser

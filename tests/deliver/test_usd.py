@@ -33,10 +33,7 @@ def loads() -> None:
 
 def options(folder: Path, people: int) -> dict:
     given = render_options(folder, "orbit", people)
-    return {name: given[name] for name in TAKEN} | {
-        "objects": [],
-        "stage": folder / "deliver/scene.usdc",
-    }
+    return {name: given[name] for name in TAKEN} | {"objects": [], "stage": folder / "deliver/scene.usdc"}
 
 
 @pytest.mark.usefixtures("loads")

@@ -25,10 +25,7 @@ PAGES = {
 }
 # Software draws the player's picture in two seconds.
 _STANDS_S = 6.0
-PLAYER = {
-    "player": "film=orbit&picture=20&frame=20",
-    "truth": "film=orbit&picture=20&frame=20&tinted=1&skeletons=1",
-}
+PLAYER = {"player": "film=orbit&picture=20&frame=20", "truth": "film=orbit&picture=20&frame=20&tinted=1&skeletons=1"}
 
 
 def keep(browser: Browser, path: Path) -> None:

@@ -125,12 +125,7 @@ class TestPairs:
     """Two effects at once are both found."""
 
     @pytest.mark.parametrize(
-        "pair",
-        [
-            ("exposure", "view_dependent_colour"),
-            ("moving_shadows", "dynamic_objects"),
-        ],
-        ids="+".join,
+        "pair", [("exposure", "view_dependent_colour"), ("moving_shadows", "dynamic_objects")], ids="+".join
     )
     def test_both_are_found(self, pair: tuple[str, str]) -> None:
         found = decisions(scene(4, **PLANTED[pair[0]], **PLANTED[pair[1]]))

@@ -20,10 +20,7 @@ HLG, PQ, BT2020 = 18, 16, 9
 
 
 def written(
-    path: Path,
-    pictures: np.ndarray,
-    aspect: Fraction | None = None,
-    turn: tuple[int, bool] = (0, False),
+    path: Path, pictures: np.ndarray, aspect: Fraction | None = None, turn: tuple[int, bool] = (0, False)
 ) -> Path:
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=30, options={"crf": "4"})

@@ -8,12 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from studiorecon.body import skinning
-from studiorecon.geometry import (
-    camera_path,
-    lifting,
-    rotations,
-    smoothing,
-)
+from studiorecon.geometry import camera_path, lifting, rotations, smoothing
 from studiorecon.geometry.distortion import fold_radius, undistort
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.images.exposure import Overlap, solve_gains

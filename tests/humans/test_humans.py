@@ -340,10 +340,7 @@ def test_the_threshold_of_the_settings_decides_on_the_network(
 ) -> None:
     """Six frames are too few to see colours drift: how much they do is given, how it is decided is asked."""
     monkeypatch.setattr(train, "drifting_share", lambda residual: Estimate(0.3, (0.29, 0.31)))
-    runs = {
-        "default": ({}, "on"),
-        "higher": ({"temporal_appearance": 0.4}, "off"),
-    }
+    runs = {"default": ({}, "on"), "higher": ({"temporal_appearance": 0.4}, "off")}
     for name, (thresholds, verdict) in runs.items():
         folder = tmp_path / name
         folder.mkdir()

@@ -22,11 +22,7 @@ OPEN = {"thresholds", "force"}
 RULES = Path(__file__).resolve().parents[2] / "workflow/rules"
 
 
-@pytest.mark.parametrize(
-    ("path", "text_of"),
-    generate.FILES.items(),
-    ids=lambda value: getattr(value, "name", ""),
-)
+@pytest.mark.parametrize(("path", "text_of"), generate.FILES.items(), ids=lambda value: getattr(value, "name", ""))
 def test_generated_files_are_up_to_date(path: Path, text_of: Callable[[str], str]) -> None:
     there = path.read_text(encoding="utf-8")
     assert text_of(there) == there, "run: python -m studiorecon.configuration.generate"

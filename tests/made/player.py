@@ -121,11 +121,7 @@ def shade_for(scene: FinishedScene) -> Shade:
 
 
 def write_page(
-    path: Path,
-    scene: FinishedScene,
-    exposure: Factors = NONE,
-    shade: Shade | None = None,
-    videos: Sequence[Path] = (),
+    path: Path, scene: FinishedScene, exposure: Factors = NONE, shade: Shade | None = None, videos: Sequence[Path] = ()
 ) -> Path:
     """The scene's player as a file; ``videos``: what its cameras filmed."""
     held = Bytes()

@@ -54,10 +54,7 @@ def floor_view(camera: Camera, gain: float | tuple = 1.0, noise: float = 0.0, se
 
 
 def decided(
-    effect: SurveyedEffect,
-    settings: step.Settings,
-    views: list[ExposureView],
-    people: list[str] | None = None,
+    effect: SurveyedEffect, settings: step.Settings, views: list[ExposureView], people: list[str] | None = None
 ) -> Decision:
     """One effect alone, of cameras with plates and depth."""
     nobody = tracks([], {}, [], 0, 0.0)

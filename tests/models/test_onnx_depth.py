@@ -12,13 +12,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from studiorecon.errors import UserError
 from studiorecon.images.sizes import resample_corners
-from studiorecon.models.adapters.onnx_depth import (
-    DepthNetwork,
-    anything_size,
-    moge_depth,
-    moge_size,
-    resized_cubic,
-)
+from studiorecon.models.adapters.onnx_depth import DepthNetwork, anything_size, moge_depth, moge_size, resized_cubic
 from studiorecon.models.catalogue.registry import find_card
 
 from tests.made.networks import upstream_sources

@@ -8,13 +8,7 @@ from pathlib import Path
 
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.models.catalogue.preflight import (
-    arrays_only,
-    attribute,
-    import_upstream,
-    staged_weights,
-    torch_device,
-)
+from studiorecon.models.catalogue.preflight import arrays_only, attribute, import_upstream, staged_weights, torch_device
 from studiorecon.models.catalogue.registry import MODELS, cards_of_kind, find_card
 
 

@@ -64,10 +64,7 @@ def moments(
 def settings(default_settings: Callable) -> Settings:
     loaded = settings_module.load(Settings, default_settings("objects"), "objects")
     # That things turn is another file's subject.
-    turn, shape = (
-        replace(loaded.turn, gain_db=NEVER_DB),
-        replace(loaded.shape, gaussians=300, iterations=150),
-    )
+    turn, shape = (replace(loaded.turn, gain_db=NEVER_DB), replace(loaded.shape, gaussians=300, iterations=150))
     return replace(loaded, turn=turn, shape=shape)
 
 

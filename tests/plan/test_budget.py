@@ -235,12 +235,7 @@ def test_a_studio_is_planned_from_its_description_and_made_first(configured: Cal
 
 @pytest.mark.parametrize(("shown", "people", "counted"), [((), 2, False), ((0, 3), 1, True), ((2, 3, 3), 3, True)])
 def test_keypoints_say_how_many_people_two_cameras_see(
-    shown: tuple[int, ...],
-    people: int,
-    counted: bool,
-    configured: Callable[..., dict],
-    capture: Path,
-    home: Path,
+    shown: tuple[int, ...], people: int, counted: bool, configured: Callable[..., dict], capture: Path, home: Path
 ) -> None:
     for seed, film in enumerate((capture / "videos").glob("*.mp4")):
         write_video(film, smooth_pictures(6, seed=seed))

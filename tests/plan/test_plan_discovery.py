@@ -152,8 +152,7 @@ def test_films_of_every_usual_suffix_are_found(made: Callable[..., Path], suffix
 
 
 @pytest.mark.parametrize(
-    "names",
-    ["Videos/a.mp4 Videos/b.mp4", "a/x.mp4 b/x.mp4", "videos/a/1.mp4 videos/b/1.mp4", "raw/a.mp4 raw/b.mp4"],
+    "names", ["Videos/a.mp4 Videos/b.mp4", "a/x.mp4 b/x.mp4", "videos/a/1.mp4 videos/b/1.mp4", "raw/a.mp4 raw/b.mp4"]
 )
 def test_films_in_other_folders_are_found_where_it_is_clear(made: Callable[..., Path], names: str) -> None:
     assert list(open_dataset(made(names)).footage) == ["a", "b"]

@@ -127,10 +127,7 @@ def test_turns_of_any_size_go_there_and_back(direction: np.ndarray, size: str, s
 
 @CASES
 @given(
-    st.integers(0, 2**31),
-    st.sampled_from(["opencv", "fisheye"]),
-    st.tuples(*[numbers(-0.5, 0.5)] * 4),
-    powers(-6, 0.5),
+    st.integers(0, 2**31), st.sampled_from(["opencv", "fisheye"]), st.tuples(*[numbers(-0.5, 0.5)] * 4), powers(-6, 0.5)
 )
 def test_distortion_is_undone_inside_the_fold_and_refused_beyond(
     seed: int, model: str, coefficients: tuple[float, ...], reach: float

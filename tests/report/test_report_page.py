@@ -372,10 +372,7 @@ def test_warnings_of_all_steps_are_one_error(tmp_path: Path) -> None:
         strict.run(tmp_path / "index.html", tmp_path / "logs", tmp_path / "strict.txt")
     told = str(refused.value).splitlines()
     assert told[0].startswith("2 warnings, treated as errors (strict)")
-    assert told[1:] == [
-        "detect.people.cam2: camera cam2: nobody was found",
-        "people.associate: somebody was left out",
-    ]
+    assert told[1:] == ["detect.people.cam2: camera cam2: nobody was found", "people.associate: somebody was left out"]
     assert not (tmp_path / "strict.txt").exists()
 
 

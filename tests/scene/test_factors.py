@@ -60,10 +60,7 @@ def test_factors_that_cannot_be_divided_by_are_refused(broken: list, tmp_path: P
 
 def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
     (tmp_path / "decisions.json").write_text('{"decisions": []}')
-    with pytest.raises(
-        UserError,
-        match=r"decisions\.json .*decisions.*delete it",
-    ):
+    with pytest.raises(UserError, match=r"decisions\.json .*decisions.*delete it"):
         read_factors([tmp_path / "decisions.json"])
 
 

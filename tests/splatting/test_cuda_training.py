@@ -63,13 +63,7 @@ def trained_on_both(**changes: object) -> tuple[TrainedGaussians, TrainedGaussia
 
 
 # Settings, and the decibels that 40 steps reach: without wall-sized Gaussians the room keeps gaps.
-REGULARISERS = {
-    "plain": ({}, 21.0),
-    "density, scale limit": (
-        {"density": 0.05, "largest_scale_m": 0.4},
-        15.0,
-    ),
-}
+REGULARISERS = {"plain": ({}, 21.0), "density, scale limit": ({"density": 0.05, "largest_scale_m": 0.4}, 15.0)}
 
 
 @pytest.mark.parametrize(
@@ -117,14 +111,7 @@ def test_a_run_taken_up_ends_with_the_same_bytes(monkeypatch: pytest.MonkeyPatch
     settings = replace(SETTINGS, iterations=9, warmup_half_resolution=0.9, **growing)
 
     def run(checkpoint: Checkpoint | None) -> TrainedGaussians:
-        return train_on_tensors(
-            begin,
-            targets,
-            settings,
-            np.random.default_rng(0),
-            extent_m=1.0,
-            checkpoint=checkpoint,
-        )
+        return train_on_tensors(begin, targets, settings, np.random.default_rng(0), extent_m=1.0, checkpoint=checkpoint)
 
     whole, step, steps = run(None), TensorSet.step, []
 

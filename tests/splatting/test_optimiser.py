@@ -37,10 +37,7 @@ def test_the_position_code_has_all_its_digits(metres: float) -> None:
     code = encode_position(in_body_box(points, low, high))
     assert code.shape == (2000, 63)
     assert code.dtype == np.float32
-    exact = np.concatenate(
-        [truth, *(f(truth * 2.0**k) for k in range(BANDS) for f in (np.sin, np.cos))],
-        axis=1,
-    )
+    exact = np.concatenate([truth, *(f(truth * 2.0**k) for k in range(BANDS) for f in (np.sin, np.cos))], axis=1)
     assert np.sqrt(((code - exact) ** 2).mean()) < 1e-4
     assert np.abs(code - exact).max() < 1e-4
 

@@ -26,10 +26,7 @@ from tests.made.splatting_training import FIELDS, lesson
 __all__ = ["lesson"]
 
 ALWAYS = 1e-9  # seconds: a checkpoint after every step
-VARIANTS = {
-    "fixed number": {},
-    "gradient": {"densify": "gradient", "densify_every": 8, "densify_from": 8},
-}
+VARIANTS = {"fixed number": {}, "gradient": {"densify": "gradient", "densify_every": 8, "densify_from": 8}}
 
 
 class Killed(Exception):

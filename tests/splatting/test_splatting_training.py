@@ -63,14 +63,7 @@ def test_nothing_is_added_after_the_last_step(lesson: tuple[Gaussians, list[Targ
     # Naive: growth due at the last iteration is in the result untrained; on the synthetic studio that cost 6 dB on the
     # photos.
     begin, targets = lesson
-    settings = replace(
-        SETTINGS,
-        iterations=20,
-        densify="gradient",
-        densify_every=20,
-        densify_from=20,
-        densify_until=20,
-    )
+    settings = replace(SETTINGS, iterations=20, densify="gradient", densify_every=20, densify_from=20, densify_until=20)
     trained = train(begin, targets, settings, np.random.default_rng(0), extent_m=1.0, threads=1)
     np.testing.assert_array_equal(trained.source, np.arange(begin.count))
 

@@ -15,11 +15,7 @@ from studiorecon.scene.decisions import Decision, apply_forced, read_decisions
 from studiorecon.scene.room import Platform, read_room, write_room
 from studiorecon.survey import decide as step
 from studiorecon.survey.clips import halve_film, read_film, run_starts
-from studiorecon.survey.coverage import (
-    has_parallax,
-    stage_disc,
-    visible_points,
-)
+from studiorecon.survey.coverage import has_parallax, stage_disc, visible_points
 from studiorecon.survey.effect_decisions import decide_effect as of_effect
 from studiorecon.survey.effects import CLOSED_PATH, EARLY, EFFECTS, EXPOSURE, PEOPLE, VIEW_SYNTHESIS
 from studiorecon.survey.evidence import Evidence, SurveyInput
@@ -136,12 +132,7 @@ class TestStep:
         found = read_decisions(files["decisions"])
         assert list(found) == [effect.name for effect in EFFECTS]
         assert all(d.reason and d.statistic and d.calibration == "uncalibrated" for d in found.values())
-        told = {
-            "people": "on",
-            "view_synthesis": "on",
-            "closed_path": "on",
-            "exposure": "off",
-        }
+        told = {"people": "on", "view_synthesis": "on", "closed_path": "on", "exposure": "off"}
         assert {effect: found[effect].verdict for effect in told} == told
         assert "report/audit.json" in found["injection"].reason
         assert found["view_synthesis"].obeyed_by

@@ -51,9 +51,7 @@ def test_planted_gains_are_measured_and_written(gained: dict, settings: step.Set
 
 
 def test_off_measured_or_forced_writes_no_factor_and_the_same_bytes(
-    files: dict,
-    gained: dict,
-    settings: step.Settings,
+    files: dict, gained: dict, settings: step.Settings
 ) -> None:
     step.run(replace(settings, force={"exposure": "off"}), **gained)
     assert read_decisions(gained["decisions"])["exposure"].value > 0.1, "it is measured all the same"
@@ -68,9 +66,7 @@ def test_off_measured_or_forced_writes_no_factor_and_the_same_bytes(
 
 
 def test_forced_on_uses_what_was_measured_and_cannot_invent_what_was_not(
-    gained: dict,
-    settings: step.Settings,
-    capsys: pytest.CaptureFixture,
+    gained: dict, settings: step.Settings, capsys: pytest.CaptureFixture
 ) -> None:
     high = replace(settings, thresholds={**settings.thresholds, "exposure": 0.5})
     step.run(replace(high, force={"exposure": "on"}), **gained)

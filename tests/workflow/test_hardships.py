@@ -24,11 +24,7 @@ POOR = "ulimit -v {kilobytes}; exec {command}"
 # Too little memory makes some libraries end the process, or crash, and where no thread can be started numba waits for
 # ever.
 RUNS_ON = -1
-ENDED_BY_LIBRARIES = (
-    "OpenBLAS error: Memory allocation still failed",
-    "LLVM ERROR: out of memory",
-    "std::bad_alloc",
-)
+ENDED_BY_LIBRARIES = ("OpenBLAS error: Memory allocation still failed", "LLVM ERROR: out of memory", "std::bad_alloc")
 
 
 @dataclass(frozen=True)

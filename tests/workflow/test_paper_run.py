@@ -135,10 +135,7 @@ def test_the_papers_presets_run_whole_with_a_stand_in_of_every_network_that_can_
         "masks": {"source": "precomputed"} | brought["masks"],
         "views": {"synthesizer": "precomputed", "people": "bodies"} | SMALL["views"] | brought["views"],
         "people": {"fit": {"vertices": 200}},
-        "background": {
-            "training": {"iterations": 40, "lpips": {"whole": False}},
-            "refinement": {"views": 6},
-        },
+        "background": {"training": {"iterations": 40, "lpips": {"whole": False}}, "refinement": {"views": 6}},
         "humans": {"iterations": 20, "temporal": {"start": 10, "width": 16}, "losses": {"lpips": {"whole": False}}},
     }
     settings = ("--configfile", PAPER, NETWORKS, house.overlay(**(SMALL | stand_ins)))
