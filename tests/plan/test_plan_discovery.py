@@ -14,10 +14,13 @@ from studiorecon.errors import UserError
 from studiorecon.footage.chapters import write_chapters
 from studiorecon.footage.container import read_film_list
 from studiorecon.footage.frames import read_stills, seek_frames
+from studiorecon.footage.kinds import is_film
 from studiorecon.footage.source import open_source
 from studiorecon.footage.video import write_watchable
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.plan.make import make_plan
+
+from tests.made.footage import write_video
 
 GB = 10**9
 
@@ -99,6 +102,41 @@ def test_of_two_folders_the_user_chooses_as_the_sentence_says(made: Callable[...
     found = open_dataset(folder)
     assert {p.parent.name for p in found.keypoints.values()} == {chosen.partition(": ")[2]}
     assert [note.split(":")[1].split("/")[0].strip() for note in found.notes] == ["pose-2d", "pose-3d"]
+    assert "another folder could be meant" in found.notes[0]
+
+
+def test_films_deep_in_the_cameras_folders_are_found(made: Callable[..., Path]) -> None:
+    found = open_dataset(made("Videos/Cam0/InputMedia/walk/walk.mp4 Videos/Cam1/InputMedia/walk/walk.mp4"))
+    assert list(found.footage) == ["Cam0", "Cam1"]
+
+
+def test_a_download_that_did_not_end_is_no_film(tmp_path: Path) -> None:
+    film = write_video(tmp_path / "a.mp4", np.zeros((2, 32, 32, 3), np.uint8))
+    assert is_film(film.rename(tmp_path / "a.xyz"))
+    assert not is_film((tmp_path / "a.xyz").rename(tmp_path / "a.mp4.part"))
+
+
+@pytest.mark.parametrize(
+    ("files", "named"),
+    [
+        ("intri.yml extri.yml", ""),
+        ("Intri.yaml EXTRI.YML", ""),
+        ("calibration/intri.yml calibration/extri.yml", ""),
+        ("Cameras/Intri.yml Cameras/extri.yaml", ""),
+        ("other/intri.yml other/extri.yml", "other/extri.yml"),
+        ("other/intri.yml other/extri.yml", "other/intri.yml"),
+        ("calibration/intri.yml calibration/extri.yml cameras/intri.yml cameras/extri.yml", "cameras/extri.yml"),
+    ],
+)
+def test_both_files_of_a_calibration_are_found(made: Callable[..., Path], files: str, named: str) -> None:
+    folder = made(f"{FILMS} {files}")
+    if named:
+        assert not open_dataset(folder).calibration
+        (folder / "capture.yaml").write_text(f"calibration: {named}\n")
+    wanted = [name for name in files.split() if name.startswith(named.rpartition("/")[0])]
+    found = open_dataset(folder)
+    assert [path.relative_to(folder).as_posix() for path in found.calibration] == wanted
+    assert any("is taken from" in note for note in found.notes) == ("/" in files and not named)
 
 
 @pytest.mark.parametrize(

@@ -36,13 +36,15 @@ _CONTAINERS = frozenset(
 )
 # Suffixes of theirs that are for sound.
 _SOUND = frozenset({".m4a", ".m4b", ".isma", ".wma", ".ogg", ".ra"})
+# Downloads that did not end.
+_UNFINISHED = frozenset({".part", ".crdownload", ".tmp", ".download"})
 
 
 def is_film(path: Path) -> bool:
     """Whether a file is a film: by its suffix, so that a damaged one is reported, else by its content."""
     if path.suffix.lower() in film_suffixes():
         return True
-    if path.suffix.lower() in _SOUND or not path.is_file():
+    if path.suffix.lower() in _SOUND | _UNFINISHED or not path.is_file():
         return False
     try:
         with open_container(path) as container:

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from studiorecon.calibration.formats import FORMATS
@@ -37,7 +38,7 @@ from studiorecon.scene.capture_yaml import (
     read_starts,
 )
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset, colmap_files
-from studiorecon.scene.names import check_name, check_path, compose_unicode
+from studiorecon.scene.names import check_name, check_path, compose_unicode, fold_name
 from studiorecon.scene.user_files import file_size
 
 _BYTES = 1 << 20
@@ -45,6 +46,7 @@ _BYTES = 1 << 20
 _PLATES = PICTURE_SUFFIXES
 _MASKS = ("", *sorted(film_suffixes()))
 _DEPTH = (".exr",)
+_CALIBRATION_FOLDER = re.compile(r"calib|cameras?$")
 
 
 def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
@@ -110,7 +112,8 @@ def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
     dataset = replace(dataset, chapter_keypoints=keypoints_of_chapters(dataset))
     _check_there(dataset)
     left_out = unused_files(dataset, recordings.place, set(every) - set(footage))
-    return replace(dataset, notes=(*recordings.notes, *choice, *_idle_keys(description, dataset), *left_out))
+    found = [*recordings.notes, *_place_of_calibration(calibration, description, folder), *choice]
+    return replace(dataset, notes=(*found, *_idle_keys(description, dataset), *left_out))
 
 
 def _chosen_footage(
@@ -200,8 +203,40 @@ def _find_calibration(folder: Path, description: dict[str, Any]) -> tuple[Path, 
         for path in paths:
             if not path.exists():
                 raise UserError(f"capture.yaml names the calibration {path}, which does not exist")
-        return _with_rigs(paths)
-    return _with_rigs(find_calibration(folder))
+        return _with_rigs(_with_partners(paths))
+    return _with_rigs(find_calibration(folder) or _calibration_below(folder))
+
+
+def _place_of_calibration(files: Sequence[Path], description: dict[str, Any], folder: Path) -> list[str]:
+    """A sentence where the calibration was found in a folder of its own."""
+    places = {path.parent for path in files if path.parent.parent == folder}
+    chosen = "calibration" not in description and any(_CALIBRATION_FOLDER.match(fold_name(p.name)) for p in places)
+    return [f"the calibration is taken from {place.name}/" for place in places] if chosen else []
+
+
+def _with_partners(paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """The calibration's files, and the others that make one calibration with a single file."""
+    sets = [[PurePath(n).name for n in names] for form in FORMATS.values() for names in form.files if len(names) > 1]
+    whole = [_named(paths[0].parent, names) for names in sets] if len(paths) == 1 else []
+    return next((files for files in whole if paths[0] in files), paths)
+
+
+def _calibration_below(folder: Path) -> tuple[Path, ...]:
+    """The calibration in the only folder that is named after one and holds one."""
+    places = [p for p in sorted(folder.iterdir()) if p.is_dir() and _CALIBRATION_FOLDER.match(fold_name(p.name))]
+    held = [files for place in places if (files := find_calibration(place))]
+    return held[0] if len(held) == 1 else ()
+
+
+def _named(folder: Path, names: Sequence[str]) -> tuple[Path, ...]:
+    """The files of these names in ``folder``, whatever their case, and ``.yaml`` for ``.yml``; () unless all exist."""
+    own = {_folded(p.name): p for p in sorted(folder.iterdir(), reverse=True) if p.is_file()}
+    found = [folder / n if (folder / n).is_file() else own.get(_folded(n)) for n in names]
+    return tuple(path for path in found if path is not None) if all(found) else ()
+
+
+def _folded(name: str) -> str:
+    return fold_name(name).replace(".yaml", ".yml")
 
 
 def find_calibration(folder: Path) -> tuple[Path, ...]:
@@ -211,8 +246,8 @@ def find_calibration(folder: Path) -> tuple[Path, ...]:
     """
     for form in FORMATS.values():
         for names in form.files:
-            if all((folder / n).is_file() for n in names):
-                return tuple(folder / n for n in names)
+            if found := _named(folder, names):
+                return found
     patterns = [
         (p, form.holds_cameras, form.file_per_camera)
         for form in FORMATS.values()

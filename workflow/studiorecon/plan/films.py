@@ -85,14 +85,25 @@ def _films(folder: Path) -> list[Path]:
     return [p for p in sorted(folder.iterdir()) if not is_system_file(p) and not is_preview(p) and is_film(p)]
 
 
+def _only_films(folder: Path) -> list[Path]:
+    """The films of a folder, or of the only folder below it that holds some, as in OpenCap's Cam0/InputMedia/TRIAL/."""
+    own = _films(folder)
+    below = [] if own else [films for p in sorted(folder.iterdir()) if p.is_dir() and (films := _only_films(p))]
+    return below[0] if len(below) == 1 else own
+
+
 def _film_per_folder(place: Path, folder: Path, chapters: Mapping[str, Sequence[str]]) -> Recordings | None:
     """Recordings of ``<camera>/*.mp4``, one per folder; None unless two or more folders hold films."""
-    inside = {p.name: films for p in sorted(place.iterdir()) if p.is_dir() and (films := _films(p))}
+    inside = {
+        p.name: films
+        for p in sorted(place.iterdir())
+        if p.is_dir() and not is_system_file(p) and (films := _films(p) if place == folder else _only_films(p))
+    }
     if len(inside) < 2:
         return None
     found, notes = {}, [f"cameras are named by the folders of their films in {place.name}/"]
     for camera, films in inside.items():
-        several = _recordings(films, place / camera, folder, chapters)
+        several = _recordings(films, films[0].parent, folder, chapters)
         if len(several.films) > 1:
             listed = ", ".join(path.relative_to(folder).as_posix() for path in films)
             raise UserError(

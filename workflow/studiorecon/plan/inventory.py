@@ -96,6 +96,11 @@ def _reason(path: Path, dataset: Dataset, place: Path, left_out: set[str]) -> st
         if (first := next(_files(path), None)) is None:
             return "it is empty"
         if LIKE_KEYPOINTS.search(fold_name(path.name)) or path.name in ("plates", "masks", "depth"):
+            cameras = {fold_name(camera) for camera in dataset.footage}
+            fits = any(fold_name(camera_stem(entry)) in cameras for entry in path.iterdir())
+            if fits and LIKE_KEYPOINTS.search(fold_name(path.name)):
+                wanted = path.relative_to(dataset.folder).as_posix()
+                return f"another folder could be meant; if it is this one, write keypoints: {wanted} into capture.yaml"
             return f"{_NO_NAME} ({first.name}); cameras are {', '.join(dataset.footage)}"
         return _reason_of_name(path, dataset) or _reason(first, dataset, place, left_out)
     suffix = path.suffix.lower()
