@@ -137,7 +137,7 @@ def paired_lenses(
 
 
 def normalise_pose(pose: Float[np.ndarray, "4 4"], poses: str) -> Float[np.ndarray, "4 4"]:
-    """(4, 4) ``camera_from_world`` with OpenCV axes of a pose in the convention ``poses`` (see ``Settings``)."""
+    """``camera_from_world`` with OpenCV axes of a pose in the convention ``poses`` (see ``Settings``)."""
     turned = _OPENGL @ pose if poses == "opengl" else pose
     if poses.startswith("world_from_camera"):
         turned = np.linalg.inv(pose @ _OPENGL if poses.endswith("opengl") else pose)

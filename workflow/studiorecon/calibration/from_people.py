@@ -200,7 +200,7 @@ def _uncertain(
 
 
 def mean_body(body: BodyModel) -> Float[np.ndarray, "12 3"]:
-    """(12, 3) stable keypoints of the body of mean shape, metres; adults' bones, and so the scale, differ by 5 %."""
+    """Stable keypoints of the body of mean shape, metres; adults' bones, and so the scale, differ by 5 %."""
     return body.keypoints(STABLE_KEYPOINTS, np.zeros((1, 72)), np.zeros(body.shapes), np.zeros((1, 3)))[0]
 
 

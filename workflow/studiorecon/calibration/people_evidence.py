@@ -34,7 +34,7 @@ _SURE = 3.0
 def agreement(
     lenses: Sequence[Lens], sizes: Sequence[tuple[int, int]], people: Sequence[Detections]
 ) -> Float[np.ndarray, " F"]:
-    """(F,) log-likelihood ratio of people's joints in each of 24 frames, lenses against chance, summed; 0 where no rays
+    """Log-likelihood ratio of people's joints in each of 24 frames, lenses against chance, summed; 0 where no rays
     meet."""
     frames, cameras, found = _observed(lenses, sizes, people)
     total = np.zeros(len(frames))

@@ -39,7 +39,7 @@ def read_room_pictures(
 ) -> dict[str, RoomPicture]:
     """camera → the room in the pixels of its footage of ``size``; unreadable footage is skipped with a message.
 
-    ``moments``: camera → frames (T,) of its footage to use; else all of it.
+    ``moments``: camera → frames of its footage to use; else all of it.
     """
     found = {}
     for camera, path in zip(cameras, sources):

@@ -60,7 +60,7 @@ class Bodies:
     points_m: Float[np.ndarray, "G F 12 3"]
 
     def at(self, frame: int, late_frames: float) -> Float[np.ndarray, "G 12 3"]:
-        """(G, 12, 3) joints ``late_frames`` after a frame, interpolated to the next one."""
+        """Joints ``late_frames`` after a frame, interpolated to the next one."""
         here = int(np.searchsorted(self.frame, frame))
         beside = here + int(np.sign(late_frames))
         if not late_frames or not 0 <= beside < len(self.frame) or abs(self.frame[beside] - frame) != 1:

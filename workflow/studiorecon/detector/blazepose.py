@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""BlazePose: 33 landmarks, a mask and a metric guess of somebody in a region of a picture.
+"""BlazePose: 33 landmarks, a mask and a metric guess of a person in a region of a picture.
 
 Networks: Bazarevsky et al., "BlazePose: On-device Real-time Body Pose tracking" (2020) and the model card "BlazePose
-GHUM 3D" (Google, Apache-2.0), as ONNX files under resources/detector. What goes in and comes out is described there and
-was checked against the original.
+GHUM 3D" (Google, Apache-2.0), as ONNX files under resources/detector, which describes their inputs and outputs.
 """
 
 from __future__ import annotations
@@ -39,18 +38,17 @@ _HEAT_SURE = 0.5
 
 @dataclass(frozen=True)
 class Landmarks:
-    """Somebody in a region of a picture.
+    """A person's landmarks in a region of a picture.
 
     Attributes:
-        keypoints: (33, 3) x, y in pixels of the picture (centres at +0.5) and visibility 0..1 as the network gives it.
+        keypoints: x, y in pixels of the picture (centres at +0.5) and visibility 0..1 as the network gives it.
         presence: probability that somebody is there at all.
-        points_m: (33, 3) the network's guess, metres about the middle of the hips, axes of the camera (x right, y down,
+        points_m: the network's guess, metres about the middle of the hips, axes of the camera (x right, y down,
             z forward).
         mask: (MASK_PX, MASK_PX) uint8, 255 = surely this person, over the upright crop of ``region``.
-        region: what was looked at.
-        next_region: where to look in the next picture.
-        better: (33, 3) the same by a network of the user's own, with its scores; NaN where it has no such point, and
-            None where there is no such network.
+        region: the part of the picture that was given to the network.
+        next_region: the region to use in the next picture.
+        better: points and scores of the user's own network, NaN where it has no such point; None without one.
     """
 
     keypoints: Num[np.ndarray, "33 3"]
@@ -63,10 +61,10 @@ class Landmarks:
 
 
 class BlazePose:
-    """The network, on one core: cameras are looked at side by side, and the same picture gives the same numbers."""
+    """The landmark network, on one core: cameras run in parallel, and the same picture gives the same numbers."""
 
     def __init__(self, landmarks: Path, second: SecondNetwork | None = None) -> None:
-        """``second`` has the say where points are; raises UserError when a file is missing or not what it should be."""
+        """``second`` replaces the points that it also knows. Raises UserError when a file is missing or wrong."""
         self._landmarks = open_network(landmarks, "take it from a fresh copy of resources/detector")
         if (given := tuple(self._landmarks.get_inputs()[0].shape)) != (1, _CROP_PX, _CROP_PX, 3):
             raise UserError(f"{landmarks} takes an array of {given}, so it is not BlazePose")
@@ -82,8 +80,7 @@ class BlazePose:
             )
 
     def look(self, picture: Integer[np.ndarray, "H W 3"], region: Region) -> Landmarks:
-        """Landmarks of the person in ``region`` of ``picture`` (H, W, 3 uint8 RGB); ``presence`` says whether somebody
-        is."""
+        """Landmarks of the person in ``region`` of ``picture`` (RGB); ``presence`` is the probability of a person."""
         crop = sampled(picture, region, _CROP_PX)
         given = {self._landmarks.get_inputs()[0].name: crop[None] * np.float32(1 / 255)}
         points, presence, mask, heat, guess = (out[0] for out in self._landmarks.run(None, given))
@@ -105,7 +102,7 @@ class BlazePose:
         )
 
     def _better(self, picture: np.ndarray, pixels: np.ndarray) -> np.ndarray | None:
-        """(33, 3) what the second network says of somebody with landmarks at ``pixels``."""
+        """(33, 3) the second network's points and scores for the person with landmarks at ``pixels``."""
         if self._second is None:
             return None
         said = self._second.look(picture, pixels)
@@ -116,8 +113,7 @@ class BlazePose:
 
 
 def refined(points: Num[np.ndarray, "K 2"], heat: Num[np.ndarray, "64 64 K"]) -> Num[np.ndarray, "K 2"]:
-    """(K, 2) crop pixels of landmarks, moved to the middle of their heat (64, 64, K) where that is sure within three
-    cells."""
+    """Crop pixels of landmarks, moved to the centre of their heat map's peak where that is clear within three cells."""
     out = points.copy()
     for k, (x, y) in enumerate(points * (_HEAT_PX / _CROP_PX)):
         if not (0 <= x < _HEAT_PX and 0 <= y < _HEAT_PX):

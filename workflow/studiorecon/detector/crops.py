@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Square parts of pictures that somebody is looked for in."""
+"""Square regions of pictures that hold a person, and their upright crops."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _CIRCLE = 1.15
 
 @dataclass(frozen=True)
 class Region:
-    """A turned square of the picture that holds somebody.
+    """A rotated square of the picture that holds a person.
 
     Attributes:
-        centre: (2,) middle of the hips, pixels.
+        centre: middle of the hips, pixels.
         side: edge, pixels.
-        turn_rad: how far the body's up is turned clockwise from the picture's.
+        turn_rad: clockwise angle from the picture's up to the body's.
     """
 
     centre: Num[np.ndarray, " 2"]
@@ -38,29 +38,28 @@ class Region:
 
     @staticmethod
     def around(hips: Num[np.ndarray, " 2"], circle: Num[np.ndarray, " 2"]) -> Region:
-        """The region of a body from the middle of its hips (2,) and the point (2,) of the circle around it that is
-        upwards."""
+        """The region of a body from the middle of its hips and the point of the circle around it above the body."""
         towards = circle - hips
         return Region(
             hips, 2 * _REGION_SCALE * float(np.linalg.norm(towards)), float(np.arctan2(towards[0], -towards[1]))
         )
 
     def crop_from_picture(self, edge: int) -> Num[np.ndarray, "2 3"]:
-        """(2, 3) affine map of picture pixels to those of an upright crop of ``edge`` pixels, centres at +0.5 on both
+        """Affine map of picture pixels to those of an upright crop of ``edge`` pixels, centres at +0.5 on both
         sides."""
         scale, c, s = edge / self.side, np.cos(self.turn_rad), np.sin(self.turn_rad)
         linear = scale * np.array([[c, s], [-s, c]])
         return np.column_stack([linear, edge / 2 - linear @ self.centre])
 
     def in_picture(self, pixels: Num[np.ndarray, "N 2"], edge: int) -> Num[np.ndarray, "N 2"]:
-        """(N, 2) picture pixels of those of an upright crop of ``edge`` pixels."""
+        """Picture pixels of pixels of an upright crop of ``edge`` pixels."""
         affine = self.crop_from_picture(edge)
         return (pixels - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
 
 
 def region_of_body(joints: Mapping[str, Num[np.ndarray, " 2"]], wh: tuple[int, int]) -> Region | None:
-    """Where to look for somebody whose ``joints`` (name → (2,) pixels, NaN unknown) are known from elsewhere; None
-    where too few are inside the picture, or hips or shoulders are unknown."""
+    """The region of a person whose ``joints`` (name → pixels, NaN unknown) are known from elsewhere; None where too few
+    are inside the picture, or hips or shoulders are unknown."""
     at = {name: pixels for name, pixels in joints.items() if np.isfinite(pixels).all()}
     if not {"left_hip", "right_hip", "left_shoulder", "right_shoulder"} <= set(at):
         return None
@@ -74,7 +73,7 @@ def region_of_body(joints: Mapping[str, Num[np.ndarray, " 2"]], wh: tuple[int, i
 
 
 def sampled(picture: Num[np.ndarray, "H W 3"], region: Region, edge: int) -> Integer[np.ndarray, "edge edge 3"]:
-    """(edge, edge, 3) uint8 upright crop of a region, black beyond the picture; averaged where it shrinks."""
+    """Upright crop of a region, black beyond the picture; averaged where it shrinks."""
     require("picture", picture, ("H", "W", 3))
     affine = region.crop_from_picture(edge)
     # Whole-number shrinking by averages first, of the region's own surroundings only: the picture may be 4K.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is in one picture: MoveNet finds everybody, BlazePose places each one once."""
+"""People in one picture: MoveNet finds them, BlazePose places each one once."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _SHARED = [LAYOUTS[LAYOUT].keypoints.index(name) for name in _NAMES]
 
 @dataclass(frozen=True)
 class Detector:
-    """The networks: ``finder`` says who is in a picture, ``placer`` where exactly."""
+    """The two networks: ``finder`` detects the people in a picture, ``placer`` their landmarks."""
 
     finder: MoveNet
     placer: BlazePose
@@ -48,8 +48,8 @@ class Detector:
     def detect_new_people(
         self, picture: Integer[np.ndarray, "H W 3"], known: Sequence[Landmarks] = (), closely: bool = False
     ) -> list[Landmarks]:
-        """Who is in the picture (uint8 RGB) beside those already ``known`` in it; ``closely`` only looks for those who
-        are small in it, and takes up to ten times as long."""
+        """Landmarks of the people in the picture (RGB) who are not ``known`` yet; ``closely`` searches only for small
+        ones, and takes up to ten times as long."""
         wh = picture.shape[1], picture.shape[0]
         edges = [_CLOSE_PX] if closely else _SEARCHED_PX
         sightings = [one for edge in edges for one in self.finder.find(picture, edge, _MIN_SCORE)]
@@ -73,13 +73,14 @@ class Detector:
 
 
 def _is_one_of(sighting: Sighting, people: Sequence[np.ndarray]) -> bool:
-    """Whether a sighting is of somebody with the 17 points of one of ``people``."""
+    """Whether a sighting is of one of ``people`` (17 points each)."""
     others = np.array(people).reshape(-1, len(_SHARED), 3)
     return bool((distance_shares(sighting.keypoints[None], others) < _SAME_SIGHTING).any())
 
 
 def drop_overlapping(found: Iterable[Landmarks]) -> list[Landmarks]:
-    """Without those who lie on somebody surer: one person found twice, or a skeleton that jumped to another person."""
+    """The people without those who overlap a more confident one: duplicates, and skeletons that jumped to another
+    person."""
     kept: list[Landmarks] = []
     for one in sorted(found, key=lambda f: -f.presence * f.keypoints[:, 2].sum()):
         others = np.array([k.keypoints for k in kept]).reshape(-1, LANDMARKS, 3)
@@ -89,7 +90,7 @@ def drop_overlapping(found: Iterable[Landmarks]) -> list[Landmarks]:
 
 
 def is_plausible_region(region: Region, picture: Integer[np.ndarray, "H W 3"]) -> bool:
-    """Whether a region is of a size that can hold somebody, and touches the picture."""
+    """Whether a region has a size that can hold a person, and overlaps the picture."""
     height, width = picture.shape[:2]
     reach = region.side / 2
     inside = (region.centre > -reach).all() and region.centre[0] < width + reach and region.centre[1] < height + reach
@@ -99,7 +100,7 @@ def is_plausible_region(region: Region, picture: Integer[np.ndarray, "H W 3"]) -
 
 
 def detect_in_region(network: BlazePose, picture: Integer[np.ndarray, "H W 3"], region: Region) -> Landmarks | None:
-    """Who is in ``region``; None when nobody is, or the region is none."""
+    """Landmarks of the person in ``region``; None without one, or for an implausible region."""
     if not is_plausible_region(region, picture):
         return None
     seen = network.look(picture, region)
@@ -107,7 +108,7 @@ def detect_in_region(network: BlazePose, picture: Integer[np.ndarray, "H W 3"], 
 
 
 def landmark_confidence(seen: Landmarks) -> float:
-    """How sure the landmark network is: presence, visibility, and the share of visible landmarks under its mask."""
+    """Confidence of landmarks: presence, visibility, and the share of visible landmarks under the network's mask."""
     visible = seen.keypoints[seen.keypoints[:, 2] > _VISIBLE, :2]
     if not len(visible):
         return 0.0

@@ -35,11 +35,11 @@ _MIN_POINT = 0.126953125
 
 @dataclass(frozen=True)
 class Sighting:
-    """Somebody in a picture.
+    """A person that MoveNet found.
 
     Attributes:
-        score: how sure the network is, 0 to 1.
-        keypoints: (17, 3) x, y, score of COCO's points; pixels, centres at +0.5.
+        score: confidence, 0 to 1.
+        keypoints: x, y, score of COCO's points; pixels, centres at +0.5.
     """
 
     score: float
@@ -56,7 +56,7 @@ class MoveNet:
             raise UserError(f"{network} is not MoveNet; restore it from a fresh copy of resources/detector")
 
     def find(self, picture: Integer[np.ndarray, "H W 3"], longer_px: int, least: float) -> list[Sighting]:
-        """Everybody above the score ``least`` in a picture (uint8 RGB) that is shrunk to ``longer_px``."""
+        """The people above the score ``least`` in a picture (RGB) that is shrunk to ``longer_px``."""
         height, width = picture.shape[:2]
         scale = min(1.0, longer_px / max(height, width))
         size = max(1, round(width * scale)), max(1, round(height * scale))
@@ -73,7 +73,7 @@ class MoveNet:
 
 
 def people(maps: dict[str, Num[np.ndarray, "h w C"]], least: float) -> list[Sighting]:
-    """Everybody above the score ``least`` whom the maps show, surest first, in pixels of the network's input."""
+    """The people above the score ``least`` in the network's maps, most confident first, in pixels of its input."""
     middle = _sigmoid(maps["centre"][..., 0])
     # A person's score is the product of that of the middle and of the points, which is at most 1.
     highest = cv2.dilate(middle, np.ones((_PEAK_CELLS, _PEAK_CELLS)))
@@ -86,8 +86,8 @@ def people(maps: dict[str, Num[np.ndarray, "h w C"]], least: float) -> list[Sigh
 def _person(
     maps: dict[str, np.ndarray], heat: Float[np.ndarray, "h w 17"], cell: Integer[np.ndarray, " 2"], middle: float
 ) -> Sighting:
-    """The person with its middle in ``cell`` (row, column): each point is the warmest cell of the person's box, near
-    where the middle guesses it."""
+    """The person with its middle in ``cell`` (row, column): each point is the highest score in the person's box, near
+    the middle's prediction."""
     at, (rows, columns) = tuple(cell), heat.shape[:2]
     half = np.maximum(maps["box_size"][at], 0) / 2
     centre = cell + maps["box_middle"][at]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The detector as the files that a step takes."""
+"""The detector's files, as a step gets them."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class DetectorFiles:
     layout: str = "auto"
 
     def detector(self) -> Detector:
-        """Both networks; raises UserError when a file is missing or another network."""
+        """Both networks; raises UserError when a file is missing or wrong."""
         return Detector(MoveNet(self.networks[0]), self.placer())
 
     def placer(self) -> BlazePose:
-        """BlazePose, with the user's network: places people whose region is known."""
+        """BlazePose, with the user's network, for people whose region is known."""
         return BlazePose(self.networks[1], second_network(self.second, self.layout))
 
     def worth(self) -> dict[str, list[float]]:

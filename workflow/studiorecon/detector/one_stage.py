@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A network of the user's own that looks at everybody at once: RTMO, or another of its form.
+"""The user's own network for all people of a picture at once: RTMO, or another of its form.
 
-It stands where ``top_down``'s stand, behind BlazePose, and is shown a square around each person, in which it may see
-several: the one who agrees with BlazePose's landmarks counts, and where nobody does BlazePose's word stands. What such
-networks have in common, as MMDeploy exports them (Lu et al., "RTMO", 2023): a square of BGR from 0 to 255, grey beyond
-the picture; boxes with scores (1, N, 5), and points of the same people (1, N, K, 3) in pixels of the square.
+It runs after BlazePose, as ``top_down`` does, on a square around each person. The square may show several people: the
+one who agrees with BlazePose's landmarks counts, and without one BlazePose's landmarks stay. Form, as MMDeploy exports
+it (Lu et al., "RTMO", 2023): a square of BGR from 0 to 255, grey beyond the picture; boxes with scores (1, N, 5), and
+points of the same people (1, N, K, 3) in pixels of the square.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ _BOX, _POINT = 5, 3
 
 
 def is_one_stage(session: onnxruntime.InferenceSession) -> bool:
-    """Whether a network states that it answers with boxes (1, N, 5) and points (1, N, K, 3)."""
+    """Whether a network's outputs are boxes (1, N, 5) and points (1, N, K, 3)."""
     shapes = [tuple(out.shape or ()) for out in session.get_outputs()]
     return len(shapes) == 2 and {(len(shape), shape[-1]) for shape in shapes if shape} == {(3, _BOX), (4, _POINT)}
 
 
 class OneStage:
-    """The network, on one core. Raises UserError for a file that takes something else, or whose points have no name.
+    """The network, on one core. Raises UserError for a file of another form, or whose points have no name.
 
     Args:
-        session: the network as ``crops.opened`` opens it, which ``is_one_stage``.
-        path: its file, to be named.
-        layout: name of its points (``keypoints.layouts``), or "auto" where their number says it.
+        session: the opened network, for which ``is_one_stage`` holds.
+        path: its file, for messages.
+        layout: name of its points (``keypoints.layouts``), or "auto" where their number determines it.
     """
 
     def __init__(self, session: onnxruntime.InferenceSession, path: Path, layout: str) -> None:
@@ -73,8 +73,8 @@ class OneStage:
         )
 
     def look(self, picture: Num[np.ndarray, "H W 3"], landmarks: Num[np.ndarray, "33 2"]) -> Num[np.ndarray, "K 3"]:
-        """(K, 3) x, y in pixels of ``picture`` (uint8 RGB, centres at +0.5) and score in [0, 1] of the points of
-        the person with BlazePose's ``landmarks``; NaN where the network sees nobody like that."""
+        """Points x, y in pixels of ``picture`` (RGB, centres at +0.5) and score in [0, 1] for the person with
+        BlazePose's ``landmarks``; NaN where the network detects no such person."""
         low, high = landmarks.min(0), landmarks.max(0)
         side = max(_MARGIN * float((high - low).max()), 1.0)
         square = sampled(picture, Region((low + high) / 2, side, 0.0), self._edge)
@@ -102,8 +102,7 @@ class OneStage:
 
 
 def agreements(places: Num[np.ndarray, "N S 2"], landmarks: Num[np.ndarray, "S 2"]) -> Num[np.ndarray, " N"]:
-    """(N,) how well the points of N people lie on landmarks, 0 to 1: a point that is off by a tenth of the body's
-    extent counts 0.37."""
+    """Agreement of N people's points with landmarks, 0 to 1: points off by a tenth of the body's extent give 0.37."""
     if not len(landmarks):
         return np.zeros(len(places))
     reach = _NEAR_SHARE * max(float(np.linalg.norm(np.ptp(landmarks, axis=0))), 1e-6)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The user's own network behind BlazePose, whichever kind it is of."""
+"""Opens the user's own network behind BlazePose, of either kind."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ SecondNetwork = TopDown | OneStage
 
 
 def second_network(files: list[Path], layout: str) -> SecondNetwork | None:
-    """The network of a list of one file or none, with ``layout`` for its points; raises UserError for a file that is no
-    such network."""
+    """The network of a list of one file, or None for an empty list; raises UserError for a file that is no such
+    network."""
     if not files:
         return None
     (path,) = files

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A network of the user's own that looks at one person at a time: RTMPose, ViTPose, HRNet, or another of their kind.
+"""The user's own network for one person at a time: RTMPose, ViTPose, HRNet, or another of their kind.
 
-It stands behind BlazePose, which finds people, follows them and cuts them out; where both know a point, this one says
-where it is and how sure that is. What such networks have in common, as MMPose and its relatives export them: an upright
-crop, taller than wide or square, 1.25 times the box around the person; RGB less ImageNet's mean, by its deviation;
-channels before rows; and either a heat map per point (Xiao et al., 2018; ViTPose: Xu et al., 2022) or two rows of
-scores, one per axis (SimCC: Li et al., 2022; RTMPose: Jiang et al., 2023).
+It runs after BlazePose, which detects, follows and crops people, and replaces the points that both know. Form, as
+MMPose and its relatives export it: an upright crop, taller than wide or square, 1.25 times the box around the person;
+RGB normalised by ImageNet's mean and deviation; channels before rows; and either a heat map per point (Xiao et al.,
+2018; ViTPose: Xu et al., 2022) or two rows of scores, one per axis (SimCC: Li et al., 2022; RTMPose: Jiang et al.,
+2023).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _SHAPE = "one person's picture: (1, 3, height, width), height and width as numbe
 
 @dataclass(frozen=True)
 class Crop:
-    """What part of a picture the network is shown: middle (2,), and picture pixels per pixel of the crop."""
+    """The part of a picture that the network gets: middle (2,), and picture pixels per pixel of the crop."""
 
     centre: Num[np.ndarray, " 2"]
     scale: float
@@ -46,9 +46,9 @@ class TopDown:
     """The network, on one core. Raises UserError for a file that is no such network, or whose points have no name.
 
     Args:
-        session: the network as ``crops.opened`` opens it.
-        path: its file, to be named.
-        layout: name of its points (``keypoints.layouts``), or "auto" where their number says it.
+        session: the opened network.
+        path: its file, for messages.
+        layout: name of its points (``keypoints.layouts``), or "auto" where their number determines it.
     """
 
     def __init__(self, session: onnxruntime.InferenceSession, path: Path, layout: str) -> None:
@@ -74,8 +74,8 @@ class TopDown:
         self.note = path.stem
 
     def look(self, picture: Num[np.ndarray, "H W 3"], landmarks: Num[np.ndarray, "N 2"]) -> Num[np.ndarray, "K 3"]:
-        """(K, 3) x, y in pixels of ``picture`` (uint8 RGB, centres at +0.5) and score in [0, 1] of the points of
-        the person with ``landmarks``."""
+        """Points x, y in pixels of ``picture`` (RGB, centres at +0.5) and score in [0, 1] of the person with
+        ``landmarks``."""
         crop = choose_crop(landmarks, self.wh)
         edge = max(self.wh)
         square = sampled(picture, Region(crop.centre, edge * crop.scale, 0.0), edge)
@@ -90,7 +90,7 @@ class TopDown:
         return [out[0].astype(np.float64) for out in self._session.run(None, {self._input: normal})]
 
     def _points(self, answer: list[np.ndarray]) -> Num[np.ndarray, "K 3"] | None:
-        """Points in pixels of the crop and their scores; None for an answer of another kind."""
+        """Points in pixels of the crop and their scores; None for outputs of another form."""
         if len(answer) == 1 and answer[0].ndim == 3:
             return from_heat(answer[0], self.wh)
         if len(answer) == 2 and all(part.ndim == 2 for part in answer) and len(answer[0]) == len(answer[1]):
@@ -103,8 +103,7 @@ def _is_size(side: object) -> bool:
 
 
 def named(points: int, layout: str, path: Path) -> str:
-    """The layout of a network's points, as stated or as their number says; raises UserError where the two do not
-    fit."""
+    """The layout of a network's points, as stated or from their number; raises UserError where the two do not fit."""
     if layout != AUTO:
         if (wanted := len(LAYOUTS[layout].keypoints)) != points:
             raise UserError(f"{path} gives {points} points; detect.network_layout {layout} has {wanted}")
@@ -120,7 +119,7 @@ def named(points: int, layout: str, path: Path) -> str:
 
 
 def choose_crop(landmarks: Num[np.ndarray, "N 2"], wh: tuple[int, int]) -> Crop:
-    """The part of the picture around somebody's landmarks that fills a crop of ``wh`` pixels."""
+    """The part of the picture around a person's landmarks that fills a crop of ``wh`` pixels."""
     low, high = landmarks.min(0), landmarks.max(0)
     low = low - [0.0, _ABOVE_EARS * (high - low).max()]
     scale = float(((high - low) * _MARGIN / wh).max())
@@ -128,8 +127,8 @@ def choose_crop(landmarks: Num[np.ndarray, "N 2"], wh: tuple[int, int]) -> Crop:
 
 
 def from_heat(heat: Num[np.ndarray, "K H W"], wh: tuple[int, int]) -> Num[np.ndarray, "K 3"]:
-    """(K, 3) crop pixels and scores of heat maps' peaks, each to a fraction of a cell by the parabola through the
-    logarithms around it: exact for the Gaussians that such networks are trained on.
+    """Crop pixels and scores of heat maps' peaks, each to a fraction of a cell by the parabola through the logarithms
+    around it: exact for the Gaussians that such networks are trained on.
 
     The outermost cells' centres lie on those of the crop's outermost pixels (Huang et al., "The Devil is in the
     Details", 2020), as in ViTPose.
@@ -152,12 +151,12 @@ def from_heat(heat: Num[np.ndarray, "K H W"], wh: tuple[int, int]) -> Num[np.nda
 def from_rows(
     columns: Num[np.ndarray, "K X"], rows: Num[np.ndarray, "K Y"], wh: tuple[int, int]
 ) -> Num[np.ndarray, "K 3"]:
-    """(K, 3) crop pixels and scores of SimCC's two rows of scores, whose bins split every pixel alike."""
+    """Crop pixels and scores of SimCC's two rows of scores, whose bins split every pixel alike."""
     place = np.column_stack([columns.argmax(1) * (wh[0] / columns.shape[1]), rows.argmax(1) * (wh[1] / rows.shape[1])])
     return np.column_stack([place + 0.5, np.minimum(columns.max(1), rows.max(1))])
 
 
 def _peak(three: np.ndarray) -> float:
-    """Where the parabola through three values, the middle one the largest, has its peak, in steps from the middle."""
+    """Position of the peak of the parabola through three values, in steps from the middle one, which is the largest."""
     bend = three[0] - 2 * three[1] + three[2]
     return float(0.5 * (three[0] - three[2]) / bend) if bend < 0 else 0.0

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""People found and followed through the pictures of one camera.
+"""Finds people in the pictures of one camera and follows them.
 
-Every ``_LOOK_S`` people are looked for in the whole picture. Who is found is followed through the pictures after that,
-and back through those since the look before, by the landmarks themselves: they say where the body will be looked at
-next, so that most pictures cost one run of the landmark network per person. Films of more than 30 pictures a second
-cost less: landmarks between are interpolated where the pictures around show that this is exact enough.
+Every ``_LOOK_S`` the whole picture is searched. People found there are followed forwards, and backwards to the search
+before, by their landmarks, which give the region in the next picture: most pictures cost one run of the landmark
+network per person. Above 30 pictures a second, landmarks between are interpolated where the neighbouring pictures show
+that this is exact enough.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ _KEPT_S = 0.4
 
 @dataclass(frozen=True)
 class Walker:
-    """Somebody who is followed: what was last seen of them, how far their region moved in that step (2,) pixels, and
-    their number."""
+    """A person who is followed: the last landmarks, the region's motion (2,) in that step in pixels, and their
+    number."""
 
     seen: Landmarks
     step: Float[np.ndarray, " 2"]
     number: int
 
     def region(self, fps: float) -> Region:
-        """Where to look in the next picture."""
+        """The region in the next picture."""
         following = self.seen.next_region
         return replace(following, centre=following.centre + np.exp(-1 / (_KEPT_S * fps)) * self.step)
 
@@ -58,7 +58,7 @@ class Walker:
 def follow(
     network: BlazePose, picture: Integer[np.ndarray, "H W 3"], walkers: Sequence[Walker], fps: float
 ) -> list[Walker]:
-    """Those of ``walkers`` who are found again in the next picture (or the one before)."""
+    """Those of ``walkers`` who are found in the next picture (or the one before)."""
     pairs = [(w, seen) for w in walkers if (seen := detect_in_region(network, picture, w.region(fps))) is not None]
     kept = drop_overlapping([seen for _, seen in pairs])
     return [
@@ -74,7 +74,7 @@ def detect_people(
     fps: float,
     first: list[Landmarks] | None = None,
 ) -> Iterator[list[Landmarks]]:
-    """Everybody in each of the pictures, in order; ``first``: who is in the first one, where that is known."""
+    """The people in each of the pictures, in order; ``first``: those in the first picture, where they are known."""
     network, stride = detector.placer, max(1, round(fps / _PLACED_FPS))
     placed_fps = fps / stride
     walkers: list[Walker] = []
@@ -123,11 +123,11 @@ def detect_people(
 def fill_between(
     network: BlazePose, pictures: Sequence[Integer[np.ndarray, "H W 3"]], results: Sequence[dict[int, Landmarks] | None]
 ) -> list[list[Landmarks]]:
-    """Everybody in each of the pictures, of which some have ``results`` by people's numbers and others None, not the
-    first and last.
+    """The people in each of the pictures; some have ``results`` by people's numbers, the others, but
+    neither the first nor the last, None.
 
-    Between two pictures that both show somebody they are interpolated, if their way around is smooth enough for that;
-    else they are placed, as are people whom only one of the two shows.
+    Between two pictures that both show a person the landmarks are interpolated if the motion is smooth enough;
+    otherwise, and for people in one of the two only, the landmark network runs.
     """
     placed = [k for k, one in enumerate(results) if one is not None]
     known = [one or {} for one in results]
@@ -148,8 +148,8 @@ def fill_between(
 
 
 def moves_smoothly(seen: Sequence[Landmarks | None]) -> bool:
-    """Whether landmarks half-way between evenly spaced pictures, of which three are needed, are known by
-    interpolation: half-way it errs by a quarter of what it errs over twice the time."""
+    """Whether interpolation is exact enough half-way between evenly spaced pictures, of which three are needed:
+    half-way the error is a quarter of that over twice the time."""
     errors = []
     for before, now, after in zip(seen, seen[1:], seen[2:]):
         if before is None or now is None or after is None:
@@ -162,7 +162,7 @@ def moves_smoothly(seen: Sequence[Landmarks | None]) -> bool:
 
 
 def interpolate(first: Landmarks, last: Landmarks, share: float) -> Landmarks:
-    """Somebody ``share`` of the way from the first to the last."""
+    """Landmarks at ``share`` of the time between the first and the last."""
 
     def mix(a: Any, b: Any) -> Any:
         return (1 - share) * a + share * b
@@ -185,10 +185,9 @@ def interpolate(first: Landmarks, last: Landmarks, share: float) -> Landmarks:
 def keypoints_with_confidence(
     seen: Landmarks, wh: tuple[int, int], worth: dict[str, list[float]]
 ) -> Float[np.ndarray, "K 3"]:
-    """Keypoints (K, 3) of somebody in a picture of ``wh`` pixels, with confidence; those outside the picture are
-    missing.
+    """Keypoints and confidences of a person in a picture of ``wh`` pixels; those outside the picture are missing.
 
-    BlazePose's visibility becomes the confidence that ``worth`` gives it; a better network's score is one already.
+    ``worth`` maps BlazePose's visibility to confidence; scores of the user's network are used as they are.
     """
     sure = np.interp(seen.keypoints[:, 2], worth["visibility"], worth["confidence"])
     keypoints = np.column_stack([seen.keypoints[:, :2], sure])

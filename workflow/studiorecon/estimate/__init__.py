@@ -2,8 +2,8 @@
 """One maximum-a-posteriori estimate of cameras: unknowns, a list of factors, and one solver.
 
 ``unknowns``   poses and lenses of cameras, points, and whatever else a factor needs (bones, a floor)
-``factor``     what a factor is: residuals in standard deviations, and how heavy their tails are
+``factor``     a factor: residuals in standard deviations, and the tails of their distribution
 ``factors``    the factors, a file each
 ``solver``     damped Gauss-Newton on the sparse normal equations
-``intervals``  what the estimate's information matrix says about rotations, places and lenses
+``intervals``  uncertainty of rotations, positions and lenses from the information matrix
 """

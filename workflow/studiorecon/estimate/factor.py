@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A factor: what one kind of evidence says about some of the unknowns, in standard deviations."""
+"""A factor: residuals of one kind of evidence about some of the unknowns, in standard deviations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Factor(ABC):
     """M residuals of D numbers, each on K unknowns.
 
     Attributes:
-        columns: (M, K) indices of the unknowns of each residual.
+        columns: indices of the unknowns of each residual.
         freedom: degrees of freedom of Student's t distribution of the residuals: 4 where a few are gross errors; inf is
             normal.
     """
@@ -33,14 +33,14 @@ class Factor(ABC):
 
     @abstractmethod
     def residuals(self, at: Num[np.ndarray, "M K"], unknowns: Unknowns) -> Num[np.ndarray, "M D"]:
-        """(M, D) residuals, in standard deviations, at values that may be complex; ``unknowns`` has the rotations."""
+        """Residuals, in standard deviations, at values that may be complex; ``unknowns`` has the rotations."""
 
     def evaluate(self, unknowns: Unknowns) -> Num[np.ndarray, "M D"]:
-        """(M, D) residuals in standard deviations."""
+        """Residuals in standard deviations."""
         return self.residuals(unknowns.values[self.columns], unknowns)
 
     def derivatives(self, unknowns: Unknowns) -> Num[np.ndarray, "M D K"]:
-        """(M, D, K) derivatives of the residuals, by complex steps."""
+        """Derivatives of the residuals, by complex steps."""
         at = unknowns.values[self.columns].astype(np.complex128)
         found = []
         for k in range(at.shape[1]):
@@ -57,7 +57,7 @@ class Factor(ABC):
         return float(((self.freedom + residuals.shape[1]) * np.log1p(squared / self.freedom)).sum())
 
     def weights(self, residuals: Num[np.ndarray, "M D"]) -> Num[np.ndarray, " M"]:
-        """(M,) weight of each squared residual in the normal equations: small for gross errors."""
+        """Weight of each squared residual in the normal equations: small for gross errors."""
         if not np.isfinite(self.freedom):
             return np.ones(len(residuals))
         return (self.freedom + residuals.shape[1]) / (self.freedom + (residuals**2).sum(1))

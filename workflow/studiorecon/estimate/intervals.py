@@ -27,7 +27,7 @@ class Intervals:
         turn_deg, place_m: (V,) standard deviation of each number of a rotation and a position, without what all cameras
             have in common.
         focal, radial: (V,) of the log focal length and of k1.
-        between_deg: half of the 95 % interval of the rotation between the worst two cameras.
+        between_deg: half of the 95 % interval of the rotation between the least certain two cameras.
     """
 
     turn_deg: Num[np.ndarray, " V"]

@@ -37,7 +37,7 @@ class Solution:
     Attributes:
         unknowns: of most posterior probability.
         information: (F, F) sparse normal matrix of the free unknowns there.
-        free: (U,) which unknowns were free.
+        free: which unknowns were free.
         cost: twice the negative log posterior, up to a constant.
     """
 
@@ -47,8 +47,7 @@ class Solution:
     cost: float
 
     def covariance(self, first: int) -> Num[np.ndarray, "first first"]:
-        """(first, first) covariance of the ``first`` unknowns, 0 where they were fixed; undetermined directions are
-        large."""
+        """Covariance of the ``first`` unknowns, 0 where they were fixed; undetermined directions are large."""
         chosen = np.flatnonzero(self.free[:first])
         sides = np.zeros((self.information.shape[0], len(chosen)))
         sides[np.arange(len(chosen)), np.arange(len(chosen))] = 1.0
@@ -60,7 +59,7 @@ class Solution:
 def solve(
     unknowns: Unknowns, factors: Sequence[Factor], free: Bool[np.ndarray, " U"], iterations: int = 30
 ) -> Solution:
-    """The estimate by ``factors`` from ``unknowns`` on; unknowns that are not ``free`` (U,) keep their values."""
+    """The estimate by ``factors`` from ``unknowns`` on; unknowns that are not ``free`` keep their values."""
     damping, cost = _DAMPING, _cost(unknowns, factors)
     information, side = _normal_equations(unknowns, factors, free)
     for _ in range(iterations):
@@ -90,7 +89,7 @@ def _cost(unknowns: Unknowns, factors: Sequence[Factor]) -> float:
 def _normal_equations(
     unknowns: Unknowns, factors: Sequence[Factor], free: np.ndarray
 ) -> tuple[Any, Num[np.ndarray, " F"]]:
-    """Sparse JᵀWJ and (F,) JᵀWr of the free unknowns."""
+    """Sparse JᵀWJ and JᵀWr of the free unknowns."""
     place = np.full(len(free), -1)
     place[free] = np.arange(int(free.sum()))
     rows, columns, entries, sides, at = [], [], [], [], 0

@@ -25,8 +25,8 @@ class Unknowns:
     """Values of all unknowns.
 
     Attributes:
-        rotations: (V, 3, 3) camera from world; a camera's turn is a small rotation on the left of it.
-        values: (U,) all numbers; turns are 0, because steps are multiplied into ``rotations``.
+        rotations: camera from world; a camera's turn is a small rotation on the left of it.
+        values: all numbers; turns are 0, because steps are multiplied into ``rotations``.
         starts: name of a group of numbers → where it begins in ``values``.
     """
 
@@ -61,13 +61,13 @@ class Unknowns:
 
     @property
     def of_cameras(self) -> Num[np.ndarray, "V 10"]:
-        """(V, 10) numbers of the cameras."""
+        """Numbers of the cameras."""
         return self.values[: PER_CAMERA * self.views].reshape(-1, PER_CAMERA)
 
     def columns(
         self, name: str, row: Integer[np.ndarray, " M"] | int, numbers: Sequence[int] | range, width: int
     ) -> Integer[np.ndarray, "M K"]:
-        """(M, K) indices of ``numbers`` of the rows ``row`` of a group whose rows have ``width`` numbers."""
+        """Indices of ``numbers`` of the rows ``row`` of a group whose rows have ``width`` numbers."""
         return self.starts[name] + np.atleast_1d(row)[:, None] * width + np.asarray(numbers)[None]
 
     def camera(self, like: Camera, view: int) -> Camera:

@@ -46,15 +46,15 @@ class Settings(TriangulationSettings):
 
 @dataclass(frozen=True)
 class WitnessFiles:
-    """What a camera has beside its film, <camera>.npz or .png of those that have one: the detector's files ``found``
-    with their masks, and clean ``plates``; ``calibration`` says where in the footage people are."""
+    """Files of a camera beside its film, <camera>.npz or .png where they exist: the detector's files ``found`` with
+    masks, and clean ``plates``; ``calibration`` gives the frames of the footage with people."""
 
     calibration: Path | None = None
     found: list[Path] = field(default_factory=list)
     plates: list[Path] = field(default_factory=list)
 
     def of(self, cameras: Sequence[Camera], footage: Manifest) -> list[CameraEvidence | None]:
-        """Of every camera; None where there is nothing."""
+        """Evidence of every camera; None where there is none."""
         masks, pictures = ({path.stem: path for path in paths} for paths in (self.found, self.plates))
         return [
             CameraEvidence(
@@ -68,10 +68,10 @@ class WitnessFiles:
 
 @dataclass(frozen=True)
 class Associated:
-    """Who is who.
+    """Persons of all tracks.
 
     Attributes:
-        verdicts: (camera, track) → whose it is, and why.
+        verdicts: (camera, track) → person and reason.
         rows: of people.tsv.
         missed: people who were left out.
     """
@@ -87,7 +87,7 @@ class Associated:
 
 
 def as_corrected(path: Path, given: Sequence[Detections]) -> Associated:
-    """Who is who by the user's own table, which is taken as it stands."""
+    """Persons of all tracks by the user's own table, unchanged."""
     table = read_corrected(path, given)
     rows = people_table_rows(table, given)
     say(f"{len(rows)} people as corrected in {path}")

@@ -47,10 +47,9 @@ class ExpectedKeypoints:
     near_share: float = _NEAR_SHARE
 
     def at(self, frame: int, late_frames: Float[np.ndarray, " K"] | float = 0.0) -> Float[np.ndarray, "K 2"] | None:
-        """(K, 2) pixels ``late_frames`` after a frame, interpolated to the neighbouring frame; None with too few
-        joints.
+        """Pixels ``late_frames`` after a frame, interpolated to the neighbouring frame; None with too few joints.
 
-        The delay is one number or (K,), at most one frame.
+        The delay is one number or one per keypoint, at most one frame.
         """
         pixels = self.pixels[frame]
         late = np.broadcast_to(late_frames, len(pixels))
@@ -89,8 +88,7 @@ def project_expected(
 def agreement(
     keypoints: Num[np.ndarray, "K 3"], pixels: Num[np.ndarray, "K 2"], near_share: float = _NEAR_SHARE
 ) -> float:
-    """Share of the confident landmarks (K, 3) that are near their predictions (K, 2), within ``near_share`` of the
-    extent.
+    """Share of the confident landmarks that are near their predictions, within ``near_share`` of the extent.
 
     0 with too few to compare.
     """
@@ -102,8 +100,7 @@ def agreement(
 
 
 def share_on_others(keypoints: Num[np.ndarray, "K 3"], people: Sequence[Num[np.ndarray, "K 2"]], layout: str) -> float:
-    """Share of the confident landmarks (K, 3) that are near a limb of ``people`` (K, 2 each, NaN unknown); 0 with too
-    few."""
+    """Share of the confident landmarks that are near a limb of ``people`` (K, 2 each, NaN unknown); 0 with too few."""
     sure = keypoints[keypoints[:, 2] >= _SURE, :2]
     if len(sure) < _MIN:
         return 0.0
@@ -123,7 +120,7 @@ def share_on_others(keypoints: Num[np.ndarray, "K 3"], people: Sequence[Num[np.n
 
 
 def swap_left_right(layout: str, values: Num[np.ndarray, "... K C"]) -> Num[np.ndarray, "... K C"]:
-    """Values (..., K, C) of a layout's keypoints with left and right exchanged."""
+    """Values of a layout's keypoints with left and right exchanged."""
     order = np.arange(values.shape[-2])
     for left, right in LAYOUTS[layout].pairs:
         order[[left, right]] = right, left
@@ -135,7 +132,7 @@ class Plan:
     """Changes of one camera's detections before it detects again.
 
     Attributes:
-        track: (D,) tracks, some given to the person that they agree with.
+        track: tracks, some given to the person that they agree with.
         swapped, dropped: (D,) bool: left and right are to be exchanged; another person, a duplicate, or a mixture of
             two.
         looks: (frame, index of the person, detection to replace or -1) where the network is to run again.

@@ -229,7 +229,7 @@ def report_filled_frames(fitted: Person) -> None:
 
 
 def frame_ranges(chosen: Bool[np.ndarray, " T"]) -> str:
-    """``"3–5, 9"``: the frames where ``chosen`` (T,) is true."""
+    """``"3–5, 9"``: the frames where ``chosen`` is true."""
     return ", ".join(f"{first}–{last}" if last > first else f"{first}" for first, last in runs(chosen))
 
 

@@ -71,8 +71,7 @@ class Settings:
 
 
 def pelvis_pixels(seen: Detections) -> Float[np.ndarray, "D 2"]:
-    """(D, 2) pixel of each detection's pelvis: its body's own, else the middle of its hips; NaN where neither is
-    known."""
+    """Pixel of each detection's pelvis: its body's own, else the middle of its hips; NaN where neither is known."""
     layout = LAYOUTS[seen.layout]
     pixels = np.full((len(seen.frame), 2), np.nan)
     if set(_HIPS) <= set(layout.keypoints):
@@ -86,7 +85,7 @@ def pelvis_pixels(seen: Detections) -> Float[np.ndarray, "D 2"]:
 
 
 def static_pixels(hw: tuple[int, int], people: Num[np.ndarray, "P K 3"]) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: outside of the boxes around people's keypoints (P, K, 3), widened for clothes and shadows."""
+    """Outside of the boxes around people's keypoints, widened for clothes and shadows."""
     out = np.ones(hw, bool)
     for points in people:
         known = points[points[:, 2] > 0, :2]
@@ -100,8 +99,7 @@ def static_pixels(hw: tuple[int, int], people: Num[np.ndarray, "P K 3"]) -> Bool
 def align_to_first(
     predicted: Mapping[int, Float[np.ndarray, "H W"]], first_m: Float[np.ndarray, "H W"], seen: Detections
 ) -> Alignment:
-    """The one alignment of a monocular network's depth maps (H, W) by frame to the first moment's depth (H, W) in
-    metres.
+    """The one alignment of a monocular network's depth maps by frame to the first moment's depth in metres.
 
     Every frame is fitted on pixels without people in it and at the first moment; the camera is static, so its frames
     share one scale and shift.
@@ -124,7 +122,7 @@ def lift_detections(
 ) -> Detections:
     """The detections with their pelvises (u, v, z in metres) at the scene's depth, NaN where that is unknown.
 
-    ``predicted``: depth maps (H, W) by frame, of every frame with detections; ``first_m``: frame 0's own in metres.
+    ``predicted``: depth maps by frame, of every frame with detections; ``first_m``: frame 0's own in metres.
     """
     pixels = pelvis_pixels(seen)
     pelvis = np.full((len(seen.frame), 3), np.nan)

@@ -37,7 +37,7 @@ _MIN_ANGLE_RAD = 0.17
 
 
 def right_to_left(found: Detections, camera: Camera) -> Num[np.ndarray, "D 3"]:
-    """(D, 3) level unit vectors of the world from each person's right to their left, by the guess; NaN without one."""
+    """Level unit vectors of the world from each person's right to their left, by the guess; NaN without one."""
     names = LAYOUTS[found.layout].keypoints
     ends = [f"{side}_{joint}" for joint in ("shoulder", "hip") for side in ("left", "right")]
     if found.points_m is None or not set(ends) <= set(names):
@@ -52,8 +52,7 @@ def right_to_left(found: Detections, camera: Camera) -> Num[np.ndarray, "D 3"]:
 def is_left_right_swapped(
     found: Detections, camera: Camera, owners: Sequence[str], fps: float
 ) -> Bool[np.ndarray, " D"]:
-    """(D,) bool: detections whose left and right contradict the same person's neighbouring detections in this
-    camera."""
+    """Detections whose left and right contradict the same person's neighbouring detections in this camera."""
     direction, whose = right_to_left(found, camera), np.array(owners, dtype=object)
     out = np.zeros(len(found.frame), bool)
     for person in sorted({str(owner) for owner in owners if owner}):
@@ -68,7 +67,7 @@ def is_left_right_swapped(
 
 
 def guess_in_world(found: Detections, camera: Camera) -> Num[np.ndarray, "D K 3"]:
-    """(D, K, 3) world points of every detection's guess, fitted to its landmarks (linear least squares).
+    """World points of every detection's guess, fitted to its landmarks (linear least squares).
 
     NaN where too few are confident.
     """

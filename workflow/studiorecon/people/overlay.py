@@ -39,7 +39,7 @@ _NEAR_M = 0.05
 def bones_px(
     camera: Camera, joints_m: Num[np.ndarray, "24 3"]
 ) -> list[tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]]:
-    """Both ends (2,) in pixels of every bone of (24, 3) joints that is wholly in front of the camera."""
+    """Both ends in pixels of every bone of joints that is wholly in front of the camera."""
     pixels, depth = camera.project(joints_m)
     return [(pixels[a], pixels[b]) for a, b in LAYOUTS["smpl24"].edges if min(depth[a], depth[b]) > _NEAR_M]
 
@@ -52,7 +52,7 @@ def draw_frame(
     seen: Detections | None,
     identities: Mapping[tuple[str, int], str],
 ) -> Integer[np.ndarray, "H W 3"]:
-    """(H, W, 3) uint8 picture with this frame's keypoints and skeletons drawn into a copy."""
+    """Picture with this frame's keypoints and skeletons drawn into a copy."""
     canvas = np.ascontiguousarray(picture).copy()
     width = max(1, round(_THICKNESS * canvas.shape[1]))
     names = [person.name for person in people]

@@ -127,8 +127,7 @@ def cut_out(
     colour: str,
     height_px: int,
 ) -> Integer[np.ndarray, "height_px w 3"]:
-    """(height_px, w, 3) uint8: the part of ``picture`` (H, W, 3) around the keypoints (K, 3), with limbs drawn in
-    ``colour``."""
+    """The part of ``picture`` around the keypoints, with limbs drawn in ``colour``."""
     present = (keypoints[:, 2] > 0) & np.isfinite(keypoints[:, :2]).all(1)
     points = keypoints[present, :2]
     # A stray keypoint far away must not shrink the person to nothing: the box holds the middle nine tenths.

@@ -118,18 +118,18 @@ class CameraPictures:
     clocks: Clocks
 
     def late_frames(self, frame: int, pixels: Num[np.ndarray, "K 2"]) -> Float[np.ndarray, " K"]:
-        """(K,) working frames by which the picture of ``frame`` shows each of the working pixels (K, 2) late: its own
-        fraction, and its row's."""
+        """Working frames by which the picture of ``frame`` shows each of the working pixels late: its own fraction, and
+        its row's."""
         rows = np.nan_to_num(pixels[:, 1] / self.footage.wh[1], nan=0.5) - 0.5
         readout = self.clocks.of(self.footage.camera).readout_s * self.clocks.fps
         return self.clocks.late_frames(self.footage.camera)[frame] + readout * rows
 
     def in_footage(self, pixels: Num[np.ndarray, "K 2"]) -> Float[np.ndarray, "K 2"]:
-        """Pixels of the footage of working pixels (K, 2)."""
+        """Pixels of the footage of working pixels."""
         return video_from_working(pixels, self.lens, self.footage.source_wh, np.array(self.footage.intrinsics))
 
     def working(self, seen: Landmarks) -> Float[np.ndarray, "K 3"]:
-        """(K, 3) working pixels and confidence of landmarks; NaN and 0 where there are none."""
+        """Working pixels and confidence of landmarks; NaN and 0 where there are none."""
         keypoints = keypoints_with_confidence(seen, self.footage.source_wh, self.worth)
         there = keypoints[:, 2] > 0
         pixels, valid = working_from_video(

@@ -31,9 +31,9 @@ class Observations:
     Attributes:
         pixels: (V, N, 2), NaN where not seen.
         confidence: (V, N), 0 where not seen.
-        frame: (N,) working frame.
-        keypoint: (N,) index into ``STABLE_KEYPOINTS``.
-        group: (N,) which group of tracks.
+        frame: working frame.
+        keypoint: index into ``STABLE_KEYPOINTS``.
+        group: which group of tracks.
         affinity: summed affinity of all groups, 0..1 per pair: how well the cameras fit the people.
     """
 

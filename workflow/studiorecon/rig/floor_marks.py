@@ -57,8 +57,8 @@ class FloorMarks:
 
     Attributes:
         pixels: (V, N, 2), NaN where not seen; every point in two cameras at least.
-        points_m: (N, 3) by the given cameras.
-        sigma_px: (V,) sigma of a point in every camera's picture.
+        points_m: by the given cameras.
+        sigma_px: sigma of a point in every camera's picture.
         seen_by: pairs of cameras → number of points that they share.
     """
 

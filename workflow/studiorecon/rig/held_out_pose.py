@@ -45,8 +45,8 @@ class ObservedJoints:
     """N joints that the other cameras place, as one camera shows them.
 
     Attributes:
-        points_m: (N, 3) in the world.
-        pixels: (N, 2) in this camera; ``confidence`` (N,).
+        points_m: in the world.
+        pixels: in this camera; ``confidence`` (N,).
         frame, group, keypoint: (N,) frame, person, and index into ``STABLE_KEYPOINTS``.
     """
 

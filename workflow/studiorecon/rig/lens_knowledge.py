@@ -93,7 +93,7 @@ def distort_points(
     radial: Num[np.ndarray, " V"],
     view: Integer[np.ndarray, " M"],
 ) -> Num[np.ndarray, "M 2"]:
-    """Pixels (M, 2) of pinholes as the lenses of their cameras ``view`` (M,), with k1 ``radial`` (V,), distort them."""
+    """Pixels of pinholes as the lenses of their cameras ``view``, with k1 ``radial``, distort them."""
     found = pixels.copy()
     for v, camera in enumerate(cameras):
         own, focal, principal = view == v, np.array(camera.focal_px), np.array(camera.principal_px)

@@ -32,7 +32,7 @@ class RoomPicture:
 
     @cached_property
     def edges_px(self) -> Num[np.ndarray, "N 4"]:
-        """(N, 4) ends of its straight edges (``room_turns.straight_edges``), cached because every trial of cameras uses
+        """Ends of its straight edges (``room_turns.straight_edges``), cached because every trial of cameras uses
         them."""
         return straight_edges(self.grey, self.known)
 

@@ -48,10 +48,9 @@ _HELD_DEG = 1.0
 def straight_edges(
     grey: Num[np.ndarray, "H W"], known: Bool[np.ndarray, "H W"] | None = None
 ) -> Num[np.ndarray, "N 4"]:
-    """(N, 4) ends x0, y0, x1, y1 of the straight edges of ``grey`` (H, W, uint8) that are long enough for a direction.
+    """Ends x0, y0, x1, y1 of the straight edges of ``grey`` (H, W, uint8) that are long enough for a direction.
 
-    Centres of pixels are at +0.5. With ``known`` (H, W) only those where it is set. Raises ValueError for another
-    shape.
+    Centres of pixels are at +0.5. With ``known`` only those where it is set. Raises ValueError for another shape.
     """
     size = require("grey", grey, ("H", "W"))
     found = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD).detect(np.ascontiguousarray(grey))[0]

@@ -18,7 +18,7 @@ _ROOM_HEIGHT_M = 2.2
 
 
 def coverage(cameras: Sequence[Camera], middle_m: Float[np.ndarray, " 2"], radius_m: float) -> list[float]:
-    """Share of the upright cylinder around ``middle_m`` (2,), 2.2 m high, that at least 1, 2, 3, 4 cameras see."""
+    """Share of the upright cylinder around ``middle_m``, 2.2 m high, that at least 1, 2, 3, 4 cameras see."""
     x, y, z = np.meshgrid(
         *(np.linspace(-1, 1, _GRID),) * 2, np.linspace(0.05, _ROOM_HEIGHT_M, _GRID // 2), indexing="ij"
     )

@@ -2,8 +2,8 @@
 """The factors of an estimate, each with its standard deviations and their source.
 
 ``keypoints``   people's joints, and points on the floor that cameras share
-``bones``       bones keep their length; about a mean adult's
+``bones``       bones keep their length, about that of a mean adult
 ``feet``        the lower foot is on the floor
-``lenses``      what is known of a lens, and cameras of one make are alike
+``lenses``      prior knowledge of lenses; cameras of one make have similar ones
 ``edges``       the room's straight edges have three directions
 """

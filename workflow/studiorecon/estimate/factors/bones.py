@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bones keep their length while people move, and are about as long as a mean adult's."""
+"""Factors of bones: their length is constant while people move, and near a mean adult's."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ConstantBones(Factor):
     """Distances of two points from a length that is unknown: columns of two points and a log length.
 
     Attributes:
-        alike: (M,) number of bones that share this one's error, because the body is in the same place and posture.
+        alike: number of bones that share this one's error, because the body is in the same place and posture.
     """
 
     alike: Num[np.ndarray, " M"]
@@ -38,7 +38,7 @@ class ConstantBones(Factor):
 
 @dataclass(frozen=True)
 class UsualLengths(Factor):
-    """Log lengths about those of a mean adult; ``usual``: (M,) logs."""
+    """Differences of log lengths from ``usual``, the (M,) logs of a mean adult's."""
 
     usual: Num[np.ndarray, " M"]
 
@@ -55,8 +55,7 @@ def bones(
     usual_m: Num[np.ndarray, " B"],
 ) -> list[Factor]:
     """The factors of bones between points ``first`` and ``second``, of the unknown length ``kind`` in the group
-    "bones", of B lengths that are ``usual_m``;
-    ``alike`` as for ``ConstantBones``."""
+    "bones", of B lengths that are ``usual_m``; ``alike`` as for ``ConstantBones``."""
     of_ends = [unknowns.columns("points", ends, range(3), 3) for ends in (first, second)]
     columns = np.concatenate([*of_ends, unknowns.columns("bones", kind, [0], 1)], axis=1)
     lengths = unknowns.columns("bones", np.arange(len(usual_m)), [0], 1)

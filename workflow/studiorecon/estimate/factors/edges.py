@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room's straight edges run along three directions at right angles: what they say about turns and lenses."""
+"""Factor of the room's straight edges, which have three perpendicular directions, for rotations and lenses of
+cameras."""
 
 from __future__ import annotations
 
@@ -26,13 +27,13 @@ _OF_CAMERA = [*range(TURN.start, TURN.stop), LOG_FOCAL, RADIAL, *range(PRINCIPAL
 
 @dataclass(frozen=True)
 class RoomEdges(Factor):
-    """Angles of edges to their direction: columns of a camera's turn and lens, and of the group "room", a turn.
+    """Angles of edges to their direction: columns of a camera's rotation and lens, and of the group "room", a rotation.
 
     Attributes:
-        view: (M,) cameras.
-        ends_px: (M, 2, 2) of each edge, distorted pixels.
-        direction: (M, 3) in the world, before the room is turned.
-        aspect: (M,) height of a pixel's focal length over its width.
+        view: cameras.
+        ends_px: ends of each edge, distorted pixels.
+        direction: in the world, before the room is rotated.
+        aspect: height of a pixel's focal length over its width.
         sigma_rad: (M,).
     """
 
@@ -66,10 +67,8 @@ def room_edges(
     world_from_room: Num[np.ndarray, "3 3"],
     aspect: Num[np.ndarray, " V"],
 ) -> RoomEdges:
-    """The factor of edges along the room's directions ``axis``.
-
-    A direction's error is that of all its edges in a camera.
-    """
+    """The factor of edges along the room's directions ``axis``; all edges of a direction in a camera share its
+    error."""
     own = unknowns.columns("cameras", view, _OF_CAMERA, PER_CAMERA)
     room = np.repeat(unknowns.columns("room", 0, range(3), 3), len(view), axis=0)
     alike = np.bincount(view * 3 + axis)[view * 3 + axis]

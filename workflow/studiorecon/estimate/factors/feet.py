@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lower foot of somebody who stands or walks is on one flat floor."""
+"""Factor of the lower foot of people who stand or walk: it is on one flat floor."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class FeetOnFloor(Factor):
     """Heights of points above an unknown plane: columns of a point and of the group "floor" (two slopes and a height).
 
     Attributes:
-        axes: (3, 3) rows: two directions along the floor at first, and its normal.
-        alike: (M,) number of feet in the same place and posture.
+        axes: rows: two directions along the floor at first, and its normal.
+        alike: number of feet in the same place and posture.
     """
 
     axes: Num[np.ndarray, "3 3"]

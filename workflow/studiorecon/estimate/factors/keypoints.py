@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""People's joints in the pictures.
+"""Factor of people's joints in the pictures.
 
-A detector's error of a joint is partly new in every frame, and partly the same for as long as the body is seen from the
-same side. So the variance of a joint's pixels is that of the frame's noise, plus the shared one times the number of
-frames that share it: their mean is then as uncertain as it is in truth.
+A detector's error of a joint is partly new in every frame, and partly the same while the body is seen from the same
+side. So the variance of a joint's pixels is that of the frame's noise, plus the shared one times the number of frames
+that share it: their mean then has the right uncertainty.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ _NEAR_M = 0.05
 
 @dataclass(frozen=True)
 class Keypoints(Factor):
-    """Reprojection of points.
+    """Reprojection errors of points.
 
     Attributes:
-        view: (M,) camera of each.
-        pixels: (M, 2) distorted pixels.
-        sigma_px: (M,) standard deviations.
-        aspect: (M,) height of a pixel's focal length over its width.
+        view: camera of each.
+        pixels: distorted pixels.
+        sigma_px: standard deviations.
+        aspect: height of a pixel's focal length over its width.
     """
 
     view: Integer[np.ndarray, " M"]
@@ -64,8 +64,8 @@ def keypoints(
 
 
 def sides(across: Num[np.ndarray, "M 3"]) -> Integer[np.ndarray, " M"]:
-    """(M,) from which side bodies are seen, 0 … ``SIDES`` - 1, by their shoulders' direction in the camera's axes; -1
-    where it is unknown."""
+    """Side from which each body is seen, 0 … ``SIDES`` - 1, by the direction of its shoulders in the camera's axes; -1
+    unknown."""
     side = np.floor((np.arctan2(across[:, 2], across[:, 0]) + np.pi) / (2 * np.pi) * SIDES)
     return np.where(np.isfinite(side), np.clip(np.nan_to_num(side), 0, SIDES - 1), -1).astype(int)
 
@@ -73,7 +73,7 @@ def sides(across: Num[np.ndarray, "M 3"]) -> Integer[np.ndarray, " M"]:
 def point_columns(
     unknowns: Unknowns, view: Integer[np.ndarray, " M"], point: Integer[np.ndarray, " M"]
 ) -> Integer[np.ndarray, "M 13"]:
-    """(M, 13) columns of a camera and a point."""
+    """Columns of a camera and a point."""
     return np.concatenate(
         [
             unknowns.columns("cameras", view, range(PER_CAMERA), PER_CAMERA),
@@ -86,7 +86,7 @@ def point_columns(
 def project(
     at: Num[np.ndarray, "M 13"], rotations: Num[np.ndarray, "M 3 3"], aspect: Num[np.ndarray, " M"]
 ) -> Num[np.ndarray, "M 2"]:
-    """(M, 2) distorted pixels of points; one behind its camera counts as just before it."""
+    """Distorted pixels of points; one behind its camera counts as just before it."""
     from_centre = at[:, PER_CAMERA:] - at[:, CENTRE]
     x, y, z = np.moveaxis((rotations @ from_centre[..., None])[..., 0], -1, 0)
     turn = at[:, TURN]

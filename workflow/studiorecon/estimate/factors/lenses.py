@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of a lens before anybody walks in front of it, and that cameras of one make are alike."""
+"""Factors of lenses: prior knowledge, and similarity of cameras of one make."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ class KnownLens(Factor):
 class AlikeLenses(Factor):
     """Differences of one number between pairs of cameras.
 
-    ``sigma`` (M,) is that of a camera about the mean of its make, times the root of the number of cameras: then all
-    pairs together say what an unknown mean would.
+    ``sigma`` (M,) is that of a camera about the mean of its make, times the root of the number of cameras: all pairs
+    together then carry as much information as an unknown mean would.
     """
 
     sigma: Num[np.ndarray, " M"]

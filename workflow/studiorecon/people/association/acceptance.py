@@ -115,7 +115,7 @@ def _judge(
 
 
 def _keypoint_terms(group: Group, compared: Compared, rig_m: float) -> list[Term]:
-    """What a group's keypoints alone say."""
+    """Terms of a group from its keypoints alone."""
     between = np.ix_(*2 * [compared.rows(group)])
     lengths = terms.bone_lengths_m(group.points_m)
     extremities_m = terms.extremities_m(
@@ -134,8 +134,8 @@ def _keypoint_terms(group: Group, compared: Compared, rig_m: float) -> list[Term
 
 
 def rig_sigma_m(compared: Compared) -> float:
-    """Deviation of rays to one joint that the cameras themselves cause, m: how far rays of tracks that can be one
-    person usually pass each other, weighted by their time; 0 with too few."""
+    """Deviation, m, of rays to one joint due to the cameras: the usual distance of rays of tracks that can be one
+    person, weighted by their time; 0 with too few."""
     pairs = compared.pairs
     one = np.triu(pairs.affinity > 0, 1) & (np.nan_to_num(pairs.distance_m, nan=np.inf) < compared.limits.gate_m)
     apart = np.repeat(pairs.distance_m[one], pairs.moments[one])
@@ -143,7 +143,7 @@ def rig_sigma_m(compared: Compared) -> float:
 
 
 def pair_terms(groups: Sequence[Group], cameras: Sequence[Camera], fps: float) -> dict[tuple[int, int], Term]:
-    """(g, h) → what is against group g if h is a person; pairs that say nothing are left out."""
+    """(g, h) → the term against group g if h is a person; pairs without one are left out."""
     centres_m = np.array([c.centre_m for c in cameras])
     found = {}
     for (g, one), (h, other) in permutations(enumerate(groups), 2):
@@ -156,7 +156,7 @@ def pair_terms(groups: Sequence[Group], cameras: Sequence[Camera], fps: float) -
 
 
 def solve(nats: Sequence[float], pairs: dict[tuple[int, int], float]) -> Bool[np.ndarray, " G"]:
-    """(G,) which groups are accepted: the set with the largest sum of ``nats`` and of the ``pairs`` (≤ 0) within it."""
+    """Which groups are accepted: the set with the largest sum of ``nats`` and of the ``pairs`` (≤ 0) within it."""
     if not len(nats):
         return np.zeros(0, dtype=bool)
     objective = -np.array([*nats, *pairs.values()])

@@ -105,8 +105,8 @@ def affinities(
 
 
 def window_distances(positions_m: Float[np.ndarray, "M T 3"]) -> Float[np.ndarray, "M M"]:
-    """(M, M) distance of M tracks' positions (T, 3), NaN where unseen, averaged over the frames they share (A11); NaN
-    where none.
+    """Distance of M tracks' positions (T, 3), NaN where unseen, averaged over the frames they share (A11); NaN where
+    none.
 
     Averaging before the norm lets independent depth errors cancel; averaging distances would keep them.
     """

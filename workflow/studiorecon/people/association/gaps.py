@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Groups that follow each other in time joined as one person, by way, size and clothes, solved together over the clip.
+"""Groups that follow each other in time joined as one person, by path, size and clothes, solved together over the clip.
 
-For each group that ends and each that begins later: the log-likelihood ratio, in nats, that somebody came back (or was
-hidden) to that somebody else appeared. The assignment with the largest sum is taken; a ratio below 0 joins nobody.
+For each group that ends and each that begins later: the log-likelihood ratio, in nats, that the same person came back
+(or was hidden) to that another one appeared. The assignment with the largest sum is taken; a ratio below 0 joins none.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ Clothes = Callable[[Group, Group], "Float[np.ndarray, ' P']"]
 
 @dataclass(frozen=True)
 class Return:
-    """Somebody who may have returned.
+    """A possible return of a person.
 
     Attributes:
         before, after: (view, track) of a track of the group that ends, and of the one that begins.
-        left_s, back_s: when, seconds.
-        terms: way, size and clothes.
+        left_s, back_s: times, seconds.
+        terms: path, size and clothes.
         margin_nats: by how much the decision is better than the best other one.
         joined: whether the two are taken for one person.
     """
@@ -132,7 +132,7 @@ def _area_m2(groups: Sequence[Group]) -> float:
 
 
 def _way(first: Group, second: Group, before: np.ndarray, after: np.ndarray, fps: float, area_m2: float) -> Term:
-    """How near the second begins to where the first ended, for the time between them."""
+    """Term of the distance between the end of the first and the beginning of the second, for the time between them."""
     left, gone_m_s = _end(first, before[::-1], fps)
     back, came_m_s = _end(second, after, fps)
     gap_s = float((after[0] - before[-1]) / fps)
@@ -156,7 +156,7 @@ def _end(group: Group, frames: np.ndarray, fps: float) -> tuple[np.ndarray, np.n
 
 
 def _size(first: Group, second: Group) -> Term:
-    """How equal the lengths of their bones are."""
+    """Term of the difference of their bone lengths."""
     lengths = [
         {part: np.median([np.median(v) for v in values]) for part, values in bone_lengths_m(g.points_m).items()}
         for g in (first, second)
@@ -168,7 +168,7 @@ def _size(first: Group, second: Group) -> Term:
 
 
 def _worn(apart: Float[np.ndarray, " P"]) -> Term:
-    """How alike their clothes are."""
+    """Term of the difference of their clothes."""
     known = apart[np.isfinite(apart)]
     nats = sum(_COLOUR.nats(one) for one in known)
     said = f"clothes {np.median(known):.0f} apart in CIELAB" if len(known) else "clothes unknown"

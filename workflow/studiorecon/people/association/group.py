@@ -28,8 +28,8 @@ class Group:
 
     Attributes:
         members: (view, track) pairs, sorted.
-        points_m: (T, K, 3) stable keypoints, NaN where undetermined.
-        agreement: (V,) share of each view's keypoints that agree with the points, NaN where it has none.
+        points_m: stable keypoints, NaN where undetermined.
+        agreement: share of each view's keypoints that agree with the points, NaN where it has none.
         seen: (V, T) bool: the view has at least three agreeing keypoints in that frame.
     """
 
@@ -49,7 +49,7 @@ class Group:
 
     @cached_property
     def centres_m(self) -> Float[np.ndarray, "T 3"]:
-        """(T, 3) median of the determined keypoints, NaN where there are none."""
+        """Median of the determined keypoints, NaN where there are none."""
         known = np.isfinite(self.points_m).all(-1)
         centres = np.full((len(self.points_m), 3), np.nan)
         for t in np.flatnonzero(known.any(-1)):

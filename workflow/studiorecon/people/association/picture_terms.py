@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Terms of "is a person here" that pictures give: change where joints move, the detector's masks, clean plates.
+"""Terms of "is a person here" from pictures: changes where joints move, the detector's masks, clean plates.
 
-A false skeleton moves over an unchanged picture. Someone who keeps still changes no picture either, and their
-jittering keypoints look like false ones; then a camera's mask, or a difference from the empty room, speaks for them.
+A false skeleton moves over an unchanged picture. A person who keeps still changes no picture either, and their
+jittering keypoints resemble false ones; then a camera's mask, or a difference from the empty room, confirms them.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def picture_terms(
     fps: float,
     witnesses: Sequence[CameraEvidence | None],
 ) -> list[list[Term]]:
-    """Of every group what pictures say: motion, the detector's masks and confidence, clean plates."""
+    """Terms of every group from pictures: motion, the detector's masks and confidence, clean plates."""
     moved, shares = _motion(groups, cameras, videos, fps)
     out = []
     for group, nats, share in zip(groups, moved.tolist(), shares):
@@ -69,7 +69,7 @@ def picture_terms(
 def _motion(
     groups: Sequence[Group], cameras: Sequence[Camera], videos: Sequence[Path], fps: float
 ) -> tuple[Float[np.ndarray, " G"], Float[np.ndarray, "G V"]]:
-    """(G,) nats of whether pictures change where joints move, and only there, and (G, V) shares that changed.
+    """Nats of whether pictures change where joints move, and only there, and shares that changed.
 
     A camera in which nobody's motion is confirmed contradicts nobody: its film may be dark, or out of step.
     """
@@ -92,7 +92,8 @@ def _motion(
 
 
 def view_nats(counts: Num[np.ndarray, "12 2"]) -> float:
-    """What one camera's ``counts`` (12, 2) of changed places and of places, of every joint, say; 0 with too few."""
+    """Log-likelihood ratio from one camera's ``counts`` of changed places and of all places, per joint; 0 with too
+    few."""
     if counts[:, 1].sum() <= _JUMPS:
         return 0.0
     limbs = [counts[ends].sum(0) for ends in LIMB_ENDS]

@@ -39,7 +39,7 @@ class Postures:
 
     Attributes:
         joints: (D, 23, 3, 3) rotations of the monocular body's joints, or its axis-angles (D, 23, 3) as they are given.
-        limbs: (D, 12, 3) directions of limbs in the world.
+        limbs: directions of limbs in the world.
     """
 
     joints: Float[np.ndarray, "D ..."]
@@ -102,7 +102,7 @@ def limb_differences_rad(
 
 
 def limb_directions(found: Detections, camera: Camera) -> Float[np.ndarray, "D 12 3"]:
-    """(D, 12, 3) unit directions of limbs in the world; NaN for detections without a guess."""
+    """Unit directions of limbs in the world; NaN for detections without a guess."""
     names = LAYOUTS[found.layout].keypoints
     if found.points_m is None or not set(names) >= _NEEDED:
         return np.full((len(found.frame), len(_DIRECTIONS), 3), np.nan)

@@ -61,8 +61,8 @@ class RejectedPerson:
 def list_rejected(
     rejected: Sequence[tuple[Group, Sequence[Term]]], cameras: Sequence[Camera], frames: int, fps: float
 ) -> list[RejectedPerson]:
-    """The rejected groups, with reasons, the likeliest first: on which two cameras agreed for a second, or half of a
-    shorter clip, or who are within reach of 0 nats. Who was found twice is not left out."""
+    """The rejected groups, with reasons, the likeliest first: those on which two cameras agreed for a second, or half
+    of a shorter clip, or near 0 nats, without duplicates of accepted people."""
     listed = [
         (-total_nats(own), group.members, group, describe(own))
         for group, own in rejected

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Term:
-    """What one measurement says of a group.
+    """One measurement's evidence about a group.
 
     Attributes:
         name: what was measured.
@@ -124,13 +124,13 @@ def total_nats(terms: Sequence[Term]) -> float:
 
 
 def describe(terms: Sequence[Term]) -> str:
-    """The two terms that speak most against a person, as the end of a sentence."""
+    """The two terms with the strongest evidence against a person, as the end of a sentence."""
     against = sorted((term for term in terms if term.nats < 0), key=lambda term: term.nats)[:2]
     return "; ".join(f"{term.said} ({term.nats:+.1f} nats)" for term in against) or "too little is known of it"
 
 
 def duration(group: Group, fps: float) -> Term:
-    """For how long two cameras agree; half of a short clip is enough not to count against anybody."""
+    """Term of the time in which two cameras agree; half of a short clip counts against nobody."""
     seconds, clip = len(group.frames) / fps, group.seen.shape[1] / fps
     nats = _DURATION.nats(seconds)
     if seconds >= 0.5 * clip:
@@ -139,7 +139,7 @@ def duration(group: Group, fps: float) -> Term:
 
 
 def views(group: Group, cameras: Sequence[Camera]) -> Term:
-    """Who sees it of the cameras in whose picture it is; the two that see it most say nothing, being its reason."""
+    """Term of the cameras that see a group among those in whose picture it is, without the two that see it most."""
     nats, names, counted = [], [], 0
     known = np.flatnonzero(np.isfinite(group.centres_m).all(1))
     for camera, seen in zip(cameras, group.seen):
@@ -155,8 +155,8 @@ def views(group: Group, cameras: Sequence[Camera]) -> Term:
 
 
 def rays(group: Group, distance_m: Float[np.ndarray, "M M"], gate_m: float, rig_m: float) -> Term:
-    """How close rays of its members pass (``distance_m``, NaN unknown), under the rig's own ``rig_m``, and how many
-    keypoints agree."""
+    """Term of the distance of rays of its members (``distance_m``, NaN unknown), with the rig's own ``rig_m``, and of
+    the share of keypoints that agree."""
     sigma_m = float(np.hypot(_RAY_SIGMA_M, rig_m))
     gaps = distance_m[np.isfinite(distance_m)]
     share = float(np.nanmean(group.agreement)) if np.isfinite(group.agreement).any() else np.nan
@@ -171,13 +171,14 @@ def rays(group: Group, distance_m: Float[np.ndarray, "M M"], gate_m: float, rig_
 
 
 def size(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> Term:
-    """The length of its trunk."""
+    """Term of the length of its trunk."""
     trunk_m = float(np.median(lengths["trunk"][0])) if "trunk" in lengths else float("nan")
     return Term("size", _TRUNK.nats(trunk_m), f"its torso would be {trunk_m:.2f} m long")
 
 
 def proportions(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> Term:
-    """The lengths of its bones against its trunk: an animal has narrow shoulders and hips, and forelegs for arms."""
+    """Term of the lengths of its bones over its trunk: an animal has narrow shoulders and hips, and forelegs for
+    arms."""
     shares = trunk_shares(lengths)
     nats = {part: _SHARE.nats(share / _SHARES[part][0]) for part, share in shares.items()}
     off = ", ".join(f"{part} {shares[part]:.2f} of its trunk" for part in shares if nats[part] < 0)
@@ -185,14 +186,15 @@ def proportions(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> Ter
 
 
 def steadiness(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> Term:
-    """How much its bones change their lengths."""
+    """Term of the changes of its bones' lengths."""
     own = [np.median(np.abs(v - np.median(v))) / np.median(v) for values in lengths.values() for v in values]
     wavers = float(np.median(own)) if own else float("nan")
     return Term("steadiness", _STEADINESS.nats(wavers), f"its bones change their length by {wavers:.0%}")
 
 
 def posture(pose_rad: Float[np.ndarray, "M M"]) -> Term:
-    """Whether the cameras see one posture, by the detector's guess (``pose_rad`` of its members, NaN unknown)."""
+    """Term of the difference between cameras' postures, by the detector's guess (``pose_rad`` of its members, NaN
+    unknown)."""
     known = pose_rad[np.isfinite(pose_rad)]
     apart = float(np.median(known)) if len(known) else float("nan")
     return Term("posture", _POSTURE.nats(apart), f"the postures that cameras see are {np.degrees(apart):.0f}° apart")
@@ -204,7 +206,7 @@ def depth(
     lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]],
     fps: float,
 ) -> Term:
-    """Whether joints (T, 12, 3) and extremities (T, D, 3) lie in one plane: a picture, or a screen.
+    """Whether joints and extremities lie in one plane: a picture, or a screen.
 
     Joints alone do not decide: a person with spread arms is flat to 8 mm.
     """
@@ -250,7 +252,7 @@ def reflection(
 
 
 def overlap(points_m: Float[np.ndarray, "T 12 3"], other_m: Float[np.ndarray, "T 12 3"]) -> Term:
-    """Whether two skeletons (T, 12, 3) are at one place wherever both are known: one person, detected twice."""
+    """Whether two skeletons are at one place wherever both are known: one person, detected twice."""
     apart = np.linalg.norm(points_m - other_m, axis=-1)
     apart = apart[np.isfinite(apart)]
     # Arms and legs of two people are as far apart as their trunks: three places.
@@ -292,7 +294,7 @@ def trunk_shares(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> di
 
 
 def flatness_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> float:
-    """RMS distance of joints (T, K, 3) of the whole clip from their best-fitting plane; NaN where too few are known."""
+    """RMS distance of joints of the whole clip from their best-fitting plane; NaN where too few are known."""
     length = max(1, round(_CALM_S * fps))
     moments = []
     for block in np.array_split(points_m, max(1, len(points_m) // length)):
@@ -313,8 +315,7 @@ def extremities_m(
     frames: int,
     agree: Limits,
 ) -> Float[np.ndarray, "T 7 3"]:
-    """(T, 7, 3) nose, ears, heels and toes of the tracks ``members`` (view, track), NaN unless two cameras determine
-    them."""
+    """Nose, ears, heels and toes of the tracks ``members`` (view, track), NaN unless two cameras determine them."""
     pixels = np.full((len(cameras), frames, len(_DEEP), 3), [np.nan, np.nan, 0.0])
     for view, track in members:
         found = detections[view]

@@ -34,7 +34,7 @@ class TrackPairs:
     Attributes:
         view, track: (M,) camera number and track id.
         affinity: (M, M) 0..1, 0 = no link; measured: (M, M) bool, False where the two share nothing to compare.
-        forbidden: (M, M) bool: these two are not one person. moments: (M, M) number of frames in which both are seen.
+        forbidden: (M, M) bool: these two are not one person. moments: number of frames in which both are seen.
         distance_m, pose_rad: (M, M) distance of rays and angle of postures, NaN unknown.
     """
 
@@ -49,7 +49,7 @@ class TrackPairs:
 
     @property
     def detections(self) -> Integer[np.ndarray, " M"]:
-        """(M,) number of detections of each track."""
+        """Number of detections of each track."""
         return np.diagonal(self.moments)
 
     @property
@@ -105,8 +105,7 @@ def track_pairs(
 
 
 def margins(pairs: TrackPairs, groups: Sequence[Sequence[int]]) -> Float[np.ndarray, " M"]:
-    """(M,) a node's mean affinity to its own group less that to the best other group (A12); NaN for nodes in no
-    group."""
+    """A node's mean affinity to its own group less that to the best other group (A12); NaN for nodes in no group."""
     own = np.zeros((len(pairs.view), len(groups) + 1), dtype=bool)  # the last: nobody
     for g, group in enumerate(groups):
         own[list(group), g] = True

@@ -34,11 +34,10 @@ def bend_hidden_legs(
     points_m: Float[np.ndarray, "T K 3"],
     body: BodyModel,
 ) -> tuple[Float[np.ndarray, "T 24 3 3"], Bool[np.ndarray, "T 2"]]:
-    """``local`` (T, 24, 3, 3) with unseen legs bent where they would pass through the floor z = 0, and (T, 2) bool
-    which.
+    """``local`` with unseen legs bent where they would pass through the floor z = 0, and (T, 2) bool which.
 
-    ``points_m`` (T, K, 3) are the triangulated keypoints ``names``, NaN where unknown; left leg first. Frames that are
-    not finite stay.
+    ``points_m`` are the triangulated keypoints ``names``, NaN where unknown; left leg first. Frames that are not finite
+    stay.
     """
     out, bent = local.copy(), np.zeros((len(local), 2), dtype=bool)
     whole = np.isfinite(local).all((1, 2, 3)) & np.isfinite(trans_m).all(1)

@@ -45,7 +45,7 @@ class Points:
     Attributes:
         names: K keypoints the body knows.
         points_m: (T, K, 3), NaN where undetermined; ``sigma_m``: (T, K) deviation per coordinate, inf there.
-        cameras: (T,) cameras that saw the person.
+        cameras: cameras that saw the person.
     """
 
     names: list[str]
@@ -82,7 +82,7 @@ def observations(
 
 
 def off_m(names: Sequence[str], detections: Sequence[Detections]) -> Num[np.ndarray, " K"]:
-    """(K,) distance of the detectors' points from the body's, metres: the largest of the layouts' counts."""
+    """Distance of the detectors' points from the body's, metres: the largest of all layouts."""
     layouts = [LAYOUTS[name] for name in sorted({d.layout for d in detections})]
     return np.array([max((one.off_m(name) for one in layouts), default=0.0) for name in names])
 
@@ -95,7 +95,7 @@ def triangulate_keypoints(
     unverified_sigma_m: float,
     off: Num[np.ndarray, " K"] | float = 0.0,
 ) -> Points:
-    """World points of all frames at once from keypoints (V, T, K, 3).
+    """World points of all frames at once from keypoints.
 
     Those of only two cameras get ``unverified_sigma_m`` added (T13), all of them ``off`` (``off_m``).
     """

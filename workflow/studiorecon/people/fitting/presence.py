@@ -27,8 +27,7 @@ _EXACT_S = 1e-9
 
 
 def presence(measured: Bool[np.ndarray, " T"], seen: Bool[np.ndarray, " T"], fps: float) -> Bool[np.ndarray, " T"]:
-    """(T,) bool: frames in which a person is present, from frames with a ``measured`` body and frames ``seen`` by any
-    camera.
+    """Frames in which a person is present, from frames with a ``measured`` body and frames ``seen`` by any camera.
 
     They are present up to ``STAYS_S`` before and after every measured frame. A gap between two is bridged if no stretch
     of it without a sighting is longer than ``UNSEEN_S``. Otherwise they are away in all of it but those margins, since
@@ -58,7 +57,7 @@ def presence(measured: Bool[np.ndarray, " T"], seen: Bool[np.ndarray, " T"], fps
 
 
 def runs(chosen: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
-    """[first, last] of every stretch of True in (T,)."""
+    """(first, last) of every stretch of True."""
     at = np.flatnonzero(chosen)
     parts = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(at) else []
     return [(int(part[0]), int(part[-1])) for part in parts]

@@ -33,7 +33,7 @@ _SHIFT_PX, _SLOWEST_PX_S, _AT_WIDTH = 1.0, 60.0, 1280.0
 
 
 def estimate_readouts(pixels: Num[np.ndarray, "V P T J 2"], cameras: Sequence[Camera], fps: float) -> list[Readout]:
-    """The readout of every camera, from people's keypoints (V, P, T, J, 2) on the common clock, NaN where not seen."""
+    """The readout of every camera, from people's keypoints on the common clock, NaN where not seen."""
     whole = _readouts(pixels, cameras)
     middle = pixels.shape[2] // 2
     halves = [_readouts(part, cameras) for part in (pixels[:, :, :middle], pixels[:, :, middle:])]

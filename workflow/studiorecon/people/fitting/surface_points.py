@@ -93,7 +93,7 @@ def surest_detections(
 def skin_px(
     found: Detections, detection: int, camera: Camera, body: BodyModel, vertices: Integer[np.ndarray, " S"]
 ) -> Float[np.ndarray, "S 2"]:
-    """(S, 2) pixels of ``vertices`` (S,) of a network's body for one ``detection``; NaN for those behind the camera."""
+    """Pixels of ``vertices`` of a network's body for one ``detection``; NaN for those behind the camera."""
     assert found.body_root is not None
     assert found.body_pose is not None
     assert found.pelvis is not None

@@ -81,8 +81,7 @@ def sampled_frames(frames: Integer[np.ndarray, " N"], wanted: int) -> Integer[np
 
 
 def steps_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> Float[np.ndarray, " K"]:
-    """(K,) least motion for each of the points (T, K, 3) to count, metres: well beyond its wandering, at any frame
-    rate.
+    """Least motion for each of the points to count, metres: well beyond its wandering, at any frame rate.
 
     This covers noise and hasty motion: in both cases a smaller step is no evidence of a position.
     """
@@ -103,12 +102,11 @@ def motion_support(
     step_m: Float[np.ndarray, " 12"],
     camera: Camera,
 ) -> Num[np.ndarray, "12 2"]:
-    """(12, 2) how many positions that each joint of person ``who`` left or reached show a change, and how many there
-    are.
+    """How many positions that each joint of person ``who`` left or reached show a change, and how many there are.
 
-    ``pictures`` are (H, W, 3) uint8 of ``camera``, ``points_m`` (G, F, 12, 3) all people's stable keypoints in each of
-    them, NaN where unknown; ``step_m`` (12,) is the least motion of each. Every two pictures are compared, after a
-    little blur and without their median colour (exposure).
+    ``pictures`` are (H, W, 3) uint8 of ``camera``, ``points_m`` all people's stable keypoints in each of them, NaN
+    where unknown; ``step_m`` is the least motion of each. Every two pictures are compared, after a little blur and
+    without their median colour (exposure).
     """
     smooth = [normalise_picture(picture) for picture in pictures]
     pixels, depth = camera.project(points_m)
@@ -136,13 +134,13 @@ def motion_support(
 
 
 def normalise_picture(picture: Integer[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
-    """(H, W, 3) float32 of a picture (H, W, 3) uint8 after a little blur, without its median colour (exposure)."""
+    """Float32 of a picture (H, W, 3) uint8 after a little blur, without its median colour (exposure)."""
     blurred = cv2.GaussianBlur(picture, (0, 0), _BLUR_PX).astype(np.float32)
     return blurred - np.median(blurred[::4, ::4], axis=(0, 1))
 
 
 def change_threshold(apart: Float[np.ndarray, "H W"]) -> float:
-    """Grey levels from which a difference (H, W) of two pictures, NaN where unknown, is a change."""
+    """Grey levels from which a difference of two pictures, NaN where unknown, is a change."""
     usual = float(np.nanmedian(apart[::4, ::4])) if np.isfinite(apart[::4, ::4]).any() else 0.0
     return float(np.clip(_NOISES * 1.4826 * usual, _FAINTEST, _PLAIN))
 
@@ -150,8 +148,8 @@ def change_threshold(apart: Float[np.ndarray, "H W"]) -> float:
 def count_changed_places(
     apart: Float[np.ndarray, "H W"], points_m: Float[np.ndarray, "N 3"], camera: Camera
 ) -> Num[np.ndarray, "N 2"]:
-    """(N, 2) per point (N, 3): whether the difference of two pictures shows a change there, and whether it is known, as
-    0 and 1.
+    """(N, 2) per point: whether the difference of two pictures shows a change there, and whether it is known, as 0 and
+    1.
 
     ``apart`` (H, W; NaN unknown) is the difference in ``camera``; unknown points are NaN.
     """
@@ -186,10 +184,9 @@ def _outside(places: np.ndarray, bodies: np.ndarray, metre_px: np.ndarray) -> np
 def changed(
     apart: Float[np.ndarray, "H W"], places: Num[np.ndarray, "N 2"], radius: int, threshold: float
 ) -> Num[np.ndarray, "N 2"]:
-    """(N, 2) whether ``apart`` exceeds ``threshold`` within ``radius`` pixels of each position, and whether it is known
-    there.
+    """Whether ``apart`` exceeds ``threshold`` within ``radius`` pixels of each position, and whether it is known there.
 
-    Values are 0 and 1; ``apart`` (H, W) is a difference with NaN for unknown, positions are (N, 2).
+    Values are 0 and 1; ``apart`` is a difference with NaN for unknown, positions are.
     """
     counts = np.zeros((len(places), 2), dtype=int)
     for k, (column, row) in enumerate(np.floor(places).astype(int)):

@@ -44,7 +44,7 @@ def compare_clothes(cameras: Sequence[Camera], videos: Sequence[Path]) -> Clothe
 
 
 def _colours(group: Group, view: int, camera: Camera, video: Path) -> Float[np.ndarray, "P 3"]:
-    """(P, 3) median CIELAB of each part in one camera; NaN where it is not seen."""
+    """Median CIELAB of each part in one camera; NaN where it is not seen."""
     chosen = sampled_frames(np.flatnonzero(group.seen[view]), PICTURES).tolist()
     taken: list[list[np.ndarray]] = [[] for _ in _PARTS]
     for t, picture in enumerate(read_frames(video, 0, max(chosen, default=-1) + 1)):

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a camera shows of people beside motion: the detector's masks over them, and differences from the empty room."""
+"""Evidence of people in a camera's pictures beside motion: the detector's masks, and differences from the empty
+room."""
 
 from __future__ import annotations
 
