@@ -88,3 +88,25 @@ def test_people_are_looked_for_upright_and_told_in_the_films_own_pixels(
     middle, upper = np.stack([hips, head]) @ affine[:, :2].T + affine[:, 2]
     np.testing.assert_allclose(middle, MASK_PX / 2)
     np.testing.assert_allclose(upper, [MASK_PX / 2, MASK_PX / 2 - 0.4 * MASK_PX], atol=1e-6)
+
+
+@pytest.mark.parametrize(("pictures", "searched"), [(1, 1), (4, 2)])
+def test_no_picture_is_searched_twice_for_how_it_is_turned(
+    pictures: int, searched: int, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[np.ndarray] = []
+
+    class Counting(OfTheUpright):
+        def detect_new_people(self, picture: np.ndarray, known: Any = (), closely: bool = False) -> list[Landmarks]:
+            shown.extend([] if closely else [picture])
+            return super().detect_new_people(picture, known, closely)
+
+    monkeypatch.setattr(people.DetectorFiles, "detector", lambda _: Counting())
+    picture = np.zeros((120, 200, 3), np.uint8)
+    picture[30, 50], picture[70, 60] = 255, 200
+    (tmp_path / "a").mkdir()
+    for number in range(pictures):
+        cv2.imwrite(str(tmp_path / "a" / f"{number}.png"), picture)
+    people.run("a", tmp_path / "a", [], 30.0, DetectorFiles(networks(root)), tmp_path / "a.npz")
+    assert len(read_raw_detections(tmp_path / "a.npz").frame) == pictures
+    assert len(shown) == searched

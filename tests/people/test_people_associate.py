@@ -16,7 +16,6 @@ from studiorecon.errors import UserError
 from studiorecon.footage.video import write_lossless
 from studiorecon.keypoints.layout_choice import choose_layout
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.keypoints.tracking import TrackingLimits, drop_duplicates, track_ids
 from studiorecon.people import associate
 from studiorecon.scene.camera import Lens
@@ -73,57 +72,6 @@ def skeleton(x: float, y: float, size: float = 100.0, count: int = 17) -> np.nda
 
 def tracking(people_settings, **changed) -> TrackingLimits:
     return replace(people_settings(detections.Settings).tracking, **changed)
-
-
-def test_openpose_folders_are_read_by_the_last_integer_and_stray_files_and_empty_people_are_skipped(tmp_path):
-    full = {"people": [{"pose_keypoints_2d": skeleton(50, 60).reshape(-1).tolist()}, {"pose_keypoints_2d": []}]}
-    (tmp_path / "take2_cam.000000000007_keypoints.json").write_text(json.dumps(full))
-    (tmp_path / "take2_cam.000000000009_keypoints.json.old").write_text("{")
-    found = read_keypoints(tmp_path)
-    assert found.program == "OpenPose"
-    assert (found.frame.tolist(), found.keypoints.shape) == ([7], (1, 17, 3))
-
-
-@pytest.mark.parametrize("form", ["alphapose", "mmpose", "mmpose folder", "npz", "easymocap"])
-def test_every_format_gives_the_same_detection(tmp_path, form):
-    person = skeleton(50, 60)
-    if form == "alphapose":
-        path = tmp_path / "results.json"
-        path.write_text(
-            json.dumps(
-                [{"image_id": "000012.jpg", "category_id": 1, "keypoints": person.reshape(-1).tolist(), "score": 2.9}]
-            )
-        )
-    elif form == "mmpose":
-        path = tmp_path / "results.json"
-        instance = {"keypoints": person[:, :2].tolist(), "keypoint_scores": person[:, 2].tolist()}
-        path.write_text(json.dumps({"meta_info": {}, "instance_info": [{"frame_id": 13, "instances": [instance]}]}))
-    elif form == "mmpose folder":
-        path = tmp_path
-        (path / "000012.json").write_text(
-            json.dumps([{"keypoints": person[:, :2].tolist(), "keypoint_scores": person[:, 2].tolist()}])
-        )
-    elif form == "npz":
-        path = tmp_path / "points.npz"
-        everyone = np.zeros((13, 2, 17, 3))
-        everyone[12, 1] = person
-        np.savez(path, keypoints=everyone)
-    else:
-        path = tmp_path
-        (path / "000012.json").write_text(json.dumps({"annots": [{"personID": 3, "keypoints": person.tolist()}]}))
-    found = read_keypoints(path)
-    assert found.frame.tolist() == [12]
-    assert np.allclose(found.keypoints[0], person)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [("{", "not readable JSON"), ('{"people": [{"pose_keypoints_2d": [1, 2]}]}', "triples"), ('{"a": 1}', "neither")],
-)
-def test_broken_keypoint_files_are_named(tmp_path, text, message):
-    (tmp_path / "cam_0003.json").write_text(text)
-    with pytest.raises(UserError, match=f"cam_0003.*{message}|{message}"):
-        read_keypoints(tmp_path)
 
 
 def test_25_keypoints_are_told_apart_by_their_limbs():
@@ -346,20 +294,13 @@ def test_corrected_identities_replace_what_association_would_say(tmp_path, peopl
     assert "corrected" in (tmp_path / "people.tsv").read_text()
 
 
-def test_nobody_is_an_empty_table(tmp_path, people_settings):
-    people, identities = run_association(
-        tmp_path, ring(), detect(ring(), [], 1.0, np.random.default_rng(0)), people_settings(associate.Settings)
-    )
+def test_nobody_is_an_empty_table_and_it_is_said(tmp_path, people_settings, capsys):
+    found = detect(ring(), [], 1.0, np.random.default_rng(0))
+    people, identities = run_association(tmp_path, ring(), found, people_settings(associate.Settings))
     assert people == []
     assert identities == {}
     assert (tmp_path / "people.tsv").read_text() == "person\tframes\tcameras\tconfidence\tsource\tstatus\treason\n"
     assert (tmp_path / "who").is_dir(), "Snakemake waits for the folder"
-
-
-def test_keypoint_files_without_anybody_say_so(tmp_path, people_settings, capsys):
-    run_association(
-        tmp_path, ring(), detect(ring(), [], 1.0, np.random.default_rng(0)), people_settings(associate.Settings)
-    )
     told = capsys.readouterr().out
     assert "warning: no camera has a detection" in told
     assert "frames (c0, c1, c2, c3)" in told

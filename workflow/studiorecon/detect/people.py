@@ -14,7 +14,7 @@ from studiorecon.detector.film_rotation import busiest, film_from_turned, quarte
 from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.detector.tracking import detect_people, keypoints_with_confidence
 from studiorecon.errors import UserError
-from studiorecon.footage.frames import decode, read_stills, seek_frames
+from studiorecon.footage.frames import decode, seek_frames, spread_frames
 from studiorecon.footage.source import open_source
 from studiorecon.keypoints.resampling import used_range
 from studiorecon.progress import progress, say, warn
@@ -51,7 +51,7 @@ def run(
     network, worth = detector.detector(), detector.worth()
     shown = moments
     if len(moments) > _SHOW_UP:
-        shown = [moments[k] for k in busiest(read_stills(footage, moments), _SHOW_UP)]
+        shown = [moments[k] for k in busiest(spread_frames(footage, moments), _SHOW_UP)]
     turns, seen_there = quarter_turns(network, seek_frames(footage, shown))
     # Nobody is looked for twice in one picture.
     first = seen_there[0] if shown[:1] == [start] else None

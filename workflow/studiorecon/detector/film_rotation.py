@@ -34,11 +34,13 @@ def quarter_turns(
     detector: Detector, pictures: Sequence[Integer[np.ndarray, "H W 3"]]
 ) -> tuple[int, list[list[Landmarks]]]:
     """(counter-clockwise quarter turns, 0 to 3, with which ``detector`` sees people upright in ``pictures``, who is in
-    each picture turned so); 0 where no other number is clearly better."""
-    seen = [[detector.detect_new_people(picture) for picture in pictures]]
+    the first pictures turned so); 0 where no other number is clearly better."""
+    seen: list[list[list[Landmarks]]] = [[]]
+    for picture in pictures:
+        seen[0].append(detector.detect_new_people(picture))
+        if _upright(seen[0]) >= _TRUSTED * len(pictures):
+            return 0, seen[0]
     shown = [_upright(seen[0])]
-    if shown[0] >= _TRUSTED * len(pictures):
-        return 0, seen[0]
     for turns in (1, 2, 3):
         seen.append([detector.detect_new_people(rotate_picture(picture, turns)) for picture in pictures])
         shown.append(_upright(seen[turns]))

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 # Times are sums of ticks of a container's clock; its finest tick is far longer than this.
 _TICK_S = 1e-6
+# Longest film in frames that is decoded from the start (1 to 2 s); longer ones are seeked.
+_FRAMES_READ = 600
 # Ways to read a picture in grey: whole, at a half, a quarter, an eighth.
 _HALVED = (
     cv2.IMREAD_GRAYSCALE,
@@ -88,6 +90,12 @@ def read_stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[Intege
     assert form is not None
     shown = enumerate(islice(_video_frames(source), max(chosen, default=-1) + 1))
     yield from form.pictures(frame for number, frame in shown for _ in range(chosen[number]))
+
+
+def spread_frames(source: FootageSource, wanted: Sequence[int]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
+    """The frames numbered ``wanted`` (ascending), which lie far apart; those of a long film are sought."""
+    whole = max(wanted, default=0) <= _FRAMES_READ
+    return read_stills(source, wanted) if whole else iter(seek_frames(source, wanted))
 
 
 def seek_frames(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.ndarray, "H W 3"]]:

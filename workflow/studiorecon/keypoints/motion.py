@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.footage.frames import read_stills, seek_frames
+from studiorecon.footage.frames import spread_frames
 from studiorecon.footage.source import FootageSource
 from studiorecon.geometry.statistics import SIGMA_OF_MAD
 from studiorecon.progress import warn
@@ -25,8 +25,6 @@ SMALL_PX = 320
 _SIGMAS, _MIN_LEVELS = 6.0, 12.0
 # Number of pictures compared with keypoints: a few dozen show where people move.
 _PICTURES = 64
-# Longest film in frames that is decoded from the start (1 to 2 s); longer ones are seeked.
-_FRAMES_READ = 600
 # Distance in pixels at which a keypoint no longer counts as on motion; nearer ones count in part. Detectors err by a
 # percent.
 _REACH_PX = 4.0
@@ -96,9 +94,8 @@ def motion_in(source: FootageSource, first: int, last: int) -> Motion | None:
     """Motion in sampled frames from ``first`` to ``last``; None, with a warning, if the film cannot be read."""
     first, last = min(max(first, 0), source.frames - 1), min(max(last, 0), source.frames - 1)
     wanted = np.unique(np.linspace(first, max(last, first), _PICTURES).round().astype(int)).tolist()
-    look = read_stills if last <= _FRAMES_READ else seek_frames
     try:
-        pictures = [shrink_picture(picture) for picture in look(source, wanted)]
+        pictures = [shrink_picture(picture) for picture in spread_frames(source, wanted)]
     except UserError as refusal:
         warn(f"{refusal}; its keypoints are not compared with it")
         return None

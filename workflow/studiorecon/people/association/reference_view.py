@@ -31,7 +31,8 @@ def star_groups(
     owner: dict[tuple[int, int], int] = {}
     people, start, reference = 0, min(first.values(), default=0), 0  # the paper's t₀ = 0, or the first person's (U31)
     for frame in sorted(set(first.values())):
-        now = track_pairs(*([d.only(d.frame == frame) for d in own] for own in (detections, stable)), cameras, limits)
+        here, points = ([d.only(d.frame == frame) for d in own] for own in (detections, stable))
+        now = track_pairs(here, points, cameras, limits)
         nodes = now.nodes
         if frame == start:
             reference = int(np.argmax(np.bincount(now.view, minlength=len(cameras))))
