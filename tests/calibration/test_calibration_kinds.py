@@ -68,13 +68,17 @@ def test_angles_of_view_give_focal_lengths(tmp_path, angles, focal):
 
 
 def test_tables_without_names_are_called_after_their_keys(tmp_path):
-    tables = [
-        f"[{key}]\nsize = [1280, 704]\nmatrix = [[900.0, 0.0, 640.0], [0.0, 900.0, 352.0], [0.0, 0.0, 1.0]]\n"
+    path = tmp_path / "Calib.toml"
+    table = (
+        "[{}]\nsize = [1280, 704]\nmatrix = [[900.0, 0.0, 640.0], [0.0, 900.0, 352.0], [0.0, 0.0, 1.0]]\n"
         "distortions = [0.0, 0.0, 0.0, 0.0, 0.0]\nrotation = [0.1, 0.2, 0.3]\ntranslation = [0.0, 0.0, 4.0]\n"
-        for key in ("left", "right")
-    ]
-    (tmp_path / "Calib.toml").write_text("".join(tables))
-    assert [c.name for c in read_calibration([tmp_path / "Calib.toml"]).cameras] == ["left", "right"]
+    )
+    path.write_text("".join(table.format(key) for key in ("left", "right")))
+    assert [c.name for c in read_calibration([path]).cameras] == ["left", "right"]
+    for size in ('["1280", "704"]', "[1280]"):
+        path.write_text(table.format("left").replace("[1280, 704]", size))
+        with pytest.raises(UserError, match=r"camera left .*: size"):
+            read_calibration([path])
 
 
 @pytest.mark.parametrize(

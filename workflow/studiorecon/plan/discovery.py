@@ -246,8 +246,8 @@ def find_calibration(folder: Path) -> tuple[Path, ...]:
     """
     for form in FORMATS.values():
         for names in form.files:
-            if found := _named(folder, names):
-                return found
+            if whole := _named(folder, names):
+                return whole
     patterns = [
         (p, form.holds_cameras, form.file_per_camera)
         for form in FORMATS.values()

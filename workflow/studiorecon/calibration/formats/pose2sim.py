@@ -16,6 +16,7 @@ from studiorecon.camera_files.raw_camera import (
 )
 from studiorecon.errors import UserError
 from studiorecon.scene.user_files import MAX_TEXT_BYTES, read_bytes, read_toml
+from studiorecon.scene.user_values import numbers
 
 # Caliscope's cameras are in such a file too; its cards and volumes, and Pose2Sim's Config.toml, are in the same folder.
 TOML_FILES = (("*.toml",), ("calibration/*.toml",))
@@ -63,7 +64,10 @@ def camera_of_table(name: str, table: dict, path: Path, notes: list[str]) -> Raw
     )
     if abs(scale - 1) > 1e-3:
         notes.append(f"camera {name}: a scale of {scale:.4g} was removed from its rotation")
-    width, height = table.get("size", (0, 0))
+    size = numbers(table.get("size", (0, 0)), f"{where}: size")
+    if size.shape != (2,):
+        raise UserError(f"{where}: size holds {size.size} numbers; it must be width and height")
+    width, height = size.tolist()
     model = model_in(table, where)
     return RawCamera(
         name=name,
