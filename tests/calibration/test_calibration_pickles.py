@@ -54,3 +54,10 @@ def test_a_list_that_is_named_a_billion_times_is_held_once(tmp_path: Path) -> No
         assert found[0] is found[1]
         found = found[0]
     assert np.array_equal(found[0], np.eye(2))
+
+
+@pytest.mark.parametrize("number", [b"r\xff\xff\xff\x7f", b"p2147483647\n"])
+def test_a_number_beyond_the_file_reserves_no_memory(number: bytes, tmp_path: Path) -> None:
+    (tmp_path / "table.pkl").write_bytes(b"\x80\x02}" + number + b".")
+    with pytest.raises(UserError, match="numbers more values than it holds"):
+        read_pickle(tmp_path / "table.pkl")

@@ -11,6 +11,7 @@ import csv
 import io
 import json
 import math
+import pickletools
 import re
 import tokenize
 import warnings
@@ -172,6 +173,12 @@ def read_xml(path: Path) -> ElementTree.Element:
         return ElementTree.fromstring(data)
     except (ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:
         raise UserError(f"{path} is not valid XML ({first_line(error)}); {_COPY}") from None
+
+
+def refuse_pickle_bomb(data: bytes) -> None:
+    """Raises ValueError for a pickle that numbers its values beyond its own size: memory would be reserved for all."""
+    if any(op.name.endswith("PUT") and arg > len(data) for op, arg, _ in pickletools.genops(data)):
+        raise ValueError("it numbers more values than it holds")
 
 
 def read_rows(path: Path, columns: Iterable[str], delimiter: str = "\t") -> list[tuple[int, dict[str, str]]]:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.scene.user_files import first_line, read_bytes
+from studiorecon.scene.user_files import first_line, read_bytes, refuse_pickle_bomb
 
 # Errors that a damaged pickle raises.
 _BROKEN = (AttributeError, IndexError, ValueError, KeyError, TypeError, ImportError, OverflowError, RecursionError)
@@ -37,6 +37,7 @@ def read_pickle(path: Path) -> Any:
             version = np.lib.format.read_magic(stream)
             header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
             header(stream)
+        refuse_pickle_bomb(data[stream.tell() :])
         value = _made(_ArraysOnly(stream).load(), {})
     except (pickle.UnpicklingError, EOFError, MemoryError, SyntaxError, *_BROKEN) as error:
         raise UserError(

@@ -7,6 +7,7 @@ Body models are published as such files, some with arrays of chumpy, whose packa
 from __future__ import annotations
 
 import importlib
+import io
 import pickle
 import zipfile
 from collections.abc import Iterable
@@ -16,6 +17,7 @@ from typing import IO, Any
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.scene.user_files import refuse_pickle_bomb
 
 # The only names that a pickle may use, by the last part of their module: constructors of arrays and of empty objects.
 _ALLOWED = {
@@ -53,7 +55,9 @@ class _Arrays(pickle.Unpickler):
 
 def read_arrays(stream: IO[bytes]) -> Any:
     """The contents of a pickle; raises UnpicklingError unless it holds arrays only, or any error of foreign bytes."""
-    return _Arrays(stream, encoding="latin1").load()
+    data = stream.read()
+    refuse_pickle_bomb(data)
+    return _Arrays(io.BytesIO(data), encoding="latin1").load()
 
 
 def require_safe_pickles(paths: Iterable[Path]) -> None:
