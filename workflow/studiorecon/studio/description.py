@@ -210,6 +210,7 @@ def _check_ranges(d: Description, path: Path) -> None:
         ("detections.false_positives", d.detections.false_positives),
     ]
     between = [
+        ("seed", d.seed, 0, 2**63 - 1),
         ("frames", d.frames, 1, 100_000),
         ("fps", d.fps, 1, 1000),
         ("supersampling", d.supersampling, 1, 8),
@@ -220,12 +221,17 @@ def _check_ranges(d: Description, path: Path) -> None:
         ("cameras.arc_deg", d.cameras.arc_deg, 20, 330),
         ("cameras.radius_m", d.cameras.radius_m, 1.5, 3.4),
         ("cameras.hfov_deg", d.cameras.hfov_deg, 20, 120),
+        ("cameras.jitter_deg", d.cameras.jitter_deg, 0, 10),
+        *(("cameras.height_m", height, 0.2, 2.8) for height in d.cameras.height_m),
+        *(("cameras.look_at_m", place, -1, most) for place, most in zip(d.cameras.look_at_m, (1, 1, 2))),
         ("faults.exposure", d.faults.exposure, 0, 0.9),
         ("faults.white_balance", d.faults.white_balance, 0, 0.9),
         ("faults.radial_distortion", d.faults.radial_distortion, -0.3, 0.3),
         ("faults.sync_offset_frames", d.faults.sync_offset_frames, 0, 100),
         ("faults.noise_levels", d.faults.noise_levels, 0, 64),
         ("detections.noise_px", d.detections.noise_px, 0, 100),
+        ("calibration.rotation_error_deg", d.calibration.rotation_error_deg, 0, 180),
+        ("calibration.position_error_m", d.calibration.position_error_m, 0, 100),
         *((name, value, 0, 1) for name, value in share),
     ]
     for name, value, low, high in between:
