@@ -15,6 +15,7 @@ from studiorecon.configuration.overlays import check_overlay
 from studiorecon.detect import chapters
 from studiorecon.errors import UserError
 from studiorecon.machine.crash_report import FAULTS
+from studiorecon.progress import say
 
 OVERLAYS = {
     "missing": (None, "missing"),
@@ -126,3 +127,12 @@ def test_work_goes_on_where_nobody_reads_its_output(tmp_path: Path) -> None:
     os.close(writing)
     assert (done.returncode, done.stderr) == (0, b"")
     assert written.exists()
+
+
+@pytest.mark.parametrize("name", ["cam\n1", "a\rb", "\u202ecam", "cam\udcff", "\x1b[31m"])
+def test_names_of_files_cannot_change_a_sentence(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    refusal = str(UserError(f"{name}.mp4 × 2 cannot be read"))
+    assert refusal.isprintable()
+    assert refusal.endswith(".mp4 × 2 cannot be read")
+    say(f"{name}.mp4")
+    assert capsys.readouterr().out.count("\n") == 1

@@ -7,3 +7,12 @@ class UserError(Exception):
 
     The command line prints it without a traceback and exits with status 1.
     """
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(printable(sentence))
+
+
+def printable(text: str) -> str:
+    """``text`` on one line: names of files may hold line ends, marks that turn the reading direction, or bytes of
+    another encoding, which come as escapes."""
+    return "".join(c if c.isprintable() or c == "\u00a0" else ascii(c)[1:-1] for c in text)

@@ -17,6 +17,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
+from studiorecon.errors import printable
+
 T = TypeVar("T")
 
 WARNING = "warning: "
@@ -91,7 +93,7 @@ def log_to(step: str, log: Path | None) -> Iterator[None]:
 
 def say(sentence: str) -> None:
     """Print one sentence, and write it to the log of the running step."""
-    LOGGER.info(sentence)
+    LOGGER.info(printable(sentence))
 
 
 def warn(sentence: str) -> None:

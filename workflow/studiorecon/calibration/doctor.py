@@ -28,6 +28,7 @@ from studiorecon.footage.source import FootageSource, open_source
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.images.encoded import png
 from studiorecon.keypoints.detections import to_pinhole
+from studiorecon.keypoints.film_colours import colour_notes
 from studiorecon.keypoints.resampling import resample_keypoints
 from studiorecon.progress import say
 from studiorecon.rig.contact_sheet import contact_sheet
@@ -147,7 +148,8 @@ def run(
     filmed, decided = read_clocks(clocks), [read_keypoint_verdict(path) for path in sizes]
     common = usable_clocks(filmed)
     heights = {v.camera: v.wh[1] for v in decided}
-    seen = {d.camera: resample_keypoints(d, common, heights[d.camera]) for d in map(read_detections, sightings)}
+    tracked = [read_detections(path) for path in sightings]
+    seen = {d.camera: resample_keypoints(d, common, heights[d.camera]) for d in tracked}
     raw = [seen.get(c, empty_detections(c)) for c in cameras]
     moments = [common.source_frames(c) for c in cameras]
     films = [open_source(source, 0.0) for source in sources]
@@ -174,6 +176,7 @@ def run(
     asked = [c in seen or not seen for c in cameras]
     rooms = _rooms(sources, pinholes, [lenses[c] for c in cameras], moments, asked)
     notes_of_films = [sentence for v in decided for sentence in v.notes]
+    notes_of_films += colour_notes(dict(zip(cameras, films, strict=True)), tracked)
     compared = {"refused": [v.refusal for v in decided if v.refusal], "notes": notes_of_films}
     doubts = calibrated.about["doubts"] or []
     result, points = examine(pinholes, detections, about, settings, readings, described, doubts, rooms, compared)

@@ -29,6 +29,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.duplicate_films import duplicate_film_note
 from studiorecon.footage.sound_track import read_sound
 from studiorecon.footage.source import FootageSource, PictureRate, open_source, timing_irregularities
+from studiorecon.keypoints.film_colours import colour_notes
 from studiorecon.progress import progress, say, warn
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.clocks import Clock, write_clocks
@@ -326,7 +327,10 @@ def run(
         unsure = found if settings.sync == "auto" else [{"camera": c, "kind": "undetermined"} for c in cameras]
         names, promised = [f"{s.parent.name}/{s.name}" for s in sources], [s.announced for s in opened if s]
         common = replace(common, refusal=lengths_differ(made, names, unsure, promised))
-    twice = duplicate_film_note({camera: source for camera, source in zip(cameras, opened) if source is not None})
+    films = {camera: source for camera, source in zip(cameras, opened) if source is not None}
+    for sentence in colour_notes(films, map(read_detections, sightings)):
+        warn(sentence)
+    twice = duplicate_film_note(films)
     common = replace(common, refusal=twice or common.refusal)
     write_json(findings, {"sync": settings.sync, "given": dict(given), "cameras": found})
     write_clocks(clocks, common)

@@ -8,7 +8,7 @@ order:
 * ``readers`` opens a user's files (``file_numbers``, ``picture_content``, ``result_files``, ``deeplabcut``,
   ``mediapipe``);
 * ``film_check`` compares them with the film (``numbering``, ``coordinate_readings``, ``motion``, ``motion_agreement``,
-  ``unmatched``);
+  ``unmatched``), ``film_colours`` with the other films;
 * ``detections`` (undistorted, tracked), ``tracking`` (one camera), ``temporal_smoothing`` (smooths a network's jitter),
   ``resampling`` (the common clock);
 * ``correspondence``: which tracks of different cameras show the same person.
