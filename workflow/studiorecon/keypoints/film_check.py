@@ -25,12 +25,11 @@ from studiorecon.keypoints.motion_agreement import (
     Score,
     best_score,
     is_frozen,
-    is_upside_down,
     moving_keypoints,
     score_reading,
 )
 from studiorecon.keypoints.numbering import Numbering, Numberings
-from studiorecon.keypoints.unmatched import without_motion, without_people
+from studiorecon.keypoints.unmatched import upside_down, without_motion, without_people
 from studiorecon.scene.recorded_keypoints import RecordedKeypoints
 
 if TYPE_CHECKING:
@@ -52,7 +51,6 @@ _MIN_SHIFT = 2
 _OUTSIDE = 0.5
 # Shares may be somewhat beyond the border too, and slightly below 0; pixels of a film are far larger.
 _SHARES_WITHIN, _BELOW_0, _SMALLEST_PX = 3.0, -0.1, 32
-_UPSIDE_DOWN = 0.9
 
 
 @dataclass(frozen=True)
@@ -160,7 +158,7 @@ def check_against_film(recorded: RecordedKeypoints, numbers: Numberings, film: F
     layout, of_limbs = choose_layout(moved.keypoints, film.layout, film.path or f"keypoints of camera {film.camera}")
     said += [of_limbs] if of_limbs else []
     if not refusal and not (chosen.score.enough and chosen.score.lift > _LIFT):
-        said += _of_heads(recorded, LAYOUTS[layout].keypoints, film.camera)
+        said += upside_down(film.camera, recorded.keypoints, LAYOUTS[layout].keypoints)
     refusal = refusal or _outside(recorded.keypoints, chosen.reading, film)
     frame_of = chosen.numbering.frame_of - chosen.shift
     if (
@@ -377,14 +375,3 @@ def _in_film_pixels(recorded: RecordedKeypoints, reading: Reading, as_read: Read
     points = apply_reading(inverse, apply_reading(reading.film_from_recorded, recorded.keypoints[..., :2]))
     points = np.where(missing[..., None], recorded.keypoints[..., :2], points)
     return replace(recorded, keypoints=np.concatenate([points, recorded.keypoints[..., 2:]], axis=-1))
-
-
-def _of_heads(recorded: RecordedKeypoints, names: Sequence[str], camera: str) -> list[str]:
-    """A warning that everybody is upside down, where the film does not show whether they are."""
-    lower = is_upside_down(recorded.keypoints, names)
-    if len(lower) < 10 or lower.mean() < _UPSIDE_DOWN:
-        return []
-    return [
-        f"{lower.mean():.0%} of the people in the keypoints of camera {camera} have their head below their feet, "
-        "and its pictures do not show whether that is right: check that y is counted from the top"
-    ]

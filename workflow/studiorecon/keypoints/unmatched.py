@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Warns of people who walk through a film in which nothing moves, of moving films without people, and of frames without
-a record."""
+"""Warns of what has no match: people without motion or a record, motion without people, heads below feet."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.keypoints.motion import Motion
+from studiorecon.keypoints.motion_agreement import is_upside_down
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
@@ -21,6 +22,8 @@ _MIN_TALL = 0.2
 _MIN_WALKING = 0.5
 # Share of the frames that hold nobody, although as much moves in them as in the others, from which they are named.
 _MIN_UNSEEN = 0.25
+# Share of the people with their head below their feet, of whom a few may lie or be on their hands.
+_MIN_UPSIDE_DOWN = 0.9
 
 
 def without_motion(
@@ -66,4 +69,15 @@ def without_record(camera: str, recorded: Integer[np.ndarray, " P"], frames: int
     return [
         f"the keypoints of camera {camera} have no entry for frames {listed}{more} of its film's {frames}: see whether "
         "a part of them is missing"
+    ]
+
+
+def upside_down(camera: str, keypoints: Num[np.ndarray, "D K 3"], names: Sequence[str]) -> list[str]:
+    """A warning that everybody is upside down, where the film does not show whether they are."""
+    lower = is_upside_down(keypoints, names)
+    if len(lower) < 10 or lower.mean() < _MIN_UPSIDE_DOWN:
+        return []
+    return [
+        f"{lower.mean():.0%} of the people in the keypoints of camera {camera} have their head below their feet, "
+        "and its pictures do not show whether that is right: check that y is counted from the top"
     ]

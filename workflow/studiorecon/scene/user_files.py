@@ -177,7 +177,7 @@ def read_xml(path: Path) -> ElementTree.Element:
 
 def refuse_pickle_bomb(data: bytes) -> None:
     """Raises ValueError for a pickle that numbers its values beyond its own size: memory would be reserved for all."""
-    if any(op.name.endswith("PUT") and arg > len(data) for op, arg, _ in pickletools.genops(data)):
+    if any(op.name.endswith("PUT") and (arg or 0) > len(data) for op, arg, _ in pickletools.genops(data)):
         raise ValueError("it numbers more values than it holds")
 
 
