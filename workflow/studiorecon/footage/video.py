@@ -3,7 +3,7 @@
 
 Reading starts at the first frame, at any other, or is frame by frame at any time. Colour was FFV1 too. H.264 without
 quantiser and without a colour matrix keeps every bit as well and predicts from the picture before: takes and renders
-are written and read in a half to a fifth of the time (``benchmarks/codecs.py``).
+are written and read in a half to a fifth of the time.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ def triangulate(
     squared residuals. float64, every point separately: the same result in any batch and any order.
 
     ``solver``, with microseconds a point for 4 views on one core and the median / 95 % error in cm at 1 px noise on a
-    ring of 4 m with 0, 1 and 2 of 4 views 200 px off (benchmarks/geometry.py):
+    ring of 4 m with 0, 1 and 2 of 4 views 200 px off:
 
     - "robust": all pairs propose, truncated cost picks, only agreeing views refine, under the Huber norm. ≤ 10 µs; 0.38
       / 0.71, 0.45 / 0.88, 0.64 / 3.0.

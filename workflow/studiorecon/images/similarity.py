@@ -37,7 +37,7 @@ def similarity_map(
 ) -> Num[np.ndarray, "H W"]:
     """SSIM, mean over channels, of two uint8 pictures with zeros outside: 11×11 Gaussian of sigma 1.5.
 
-    ``dtype`` float32 takes two thirds of the time and moves a mean by up to about 1e-6 (``benchmarks/report.py``).
+    ``dtype`` float32 takes two thirds of the time and moves a mean by up to about 1e-6.
     Raises ValueError for pictures of two sizes: the compiled loops would read beyond the smaller one.
     """
     require("second", second, ("H", "W", "C"), require("first", first, ("H", "W", "C")))
