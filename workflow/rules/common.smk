@@ -23,7 +23,7 @@ from studiorecon.plan.memory import fit_mb, memory, room_mb
 from studiorecon.plan.decisions import one_of_pattern
 from studiorecon.plan.rule_files import Files
 from studiorecon.plan.make import make_plan
-from studiorecon.plan.films import unreadable
+from studiorecon.plan.films import unreadable_footage
 from studiorecon.plan.networks import read_images
 from studiorecon.configuration.overlays import check_overlay
 from studiorecon.configuration.schema import mistakes, coerce_types
@@ -107,7 +107,7 @@ def refuse_unreadable():
         return
     read = {str(file) for job in workflow.dag.needrun_jobs() for file in job.input}
     films = {camera: PLAN.dataset.chapters.get(camera, (film,)) for camera, film in PLAN.dataset.footage.items()}
-    if sentences := unreadable({c: [film for film in parts if str(film) in read] for c, parts in films.items()}):
+    if sentences := unreadable_footage({c: [film for film in parts if str(film) in read] for c, parts in films.items()}):
         refuse("\n".join(sentences))
 
 
