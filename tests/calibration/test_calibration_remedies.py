@@ -79,7 +79,7 @@ class Capture:
         lenses = self.lenses(folder)
         both = [to_pinhole(self.detected(lens.name), lens, self.wh) for lens in lenses]
         cameras, seen = [c for c, _ in both], [d for _, d in both]
-        rows, _ = score_conventions(cameras, seen, np.arange(0, FRAMES, 4), 0.25, LIMITS)
+        rows = score_conventions(cameras, seen, np.arange(0, FRAMES, 4), 0.25, LIMITS)
         best = max(rows, key=lambda row: row["score"])
         if best["score"] > 0.3 and best["remedy"] and best["score"] > 1.5 * rows[0]["score"]:
             raise UserError(best["remedy"])

@@ -32,7 +32,6 @@ def doctors_page(name: str) -> str:
         "people": 1,
         "footage": {name: camera},
         "facts": {name: {"field_deg": 60.0, "height_m": 2.0}},
-        "margin": {name: 1.0},
         "without_keypoints": [],
         "px_per_camera": {name: 1.0},
         "outlier_camera": None,

@@ -18,10 +18,10 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Num
 
 _LOOSE = 3.0
-_POSES_ONLY = LensPrior(0.0, 0.0)
+POSES_ONLY = LensPrior(0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -100,38 +100,73 @@ def contradicted_share(
     return float(elsewhere[found.valid].mean()) if found.valid.any() else 0.0
 
 
+@dataclass(frozen=True)
+class Agreed:
+    """N of the observations, on which cameras agree.
+
+    A detector's error of a joint is the same in every frame, so all frames of a joint count as one observation. If they
+    counted fully, that bias would outvote the calibration in directions that people hardly determine, such as all
+    cameras pitching together: observed as 10 px on marks of a real floor, for no gain on the keypoints.
+    """
+
+    pixels: Num[np.ndarray, "V N 2"]
+    weights: Num[np.ndarray, "V N"]
+    points_m: Num[np.ndarray, "N 3"]
+    used: Bool[np.ndarray, " M"]
+
+    def adjusted(
+        self,
+        start: Sequence[Camera],
+        given: Sequence[Camera] | None,
+        limits: Limits,
+        bundle: BundleSettings,
+        lens: LensPrior = POSES_ONLY,
+        units: float = 1.0,
+    ) -> BundleResult:
+        """The cameras bundle-adjusted from ``start`` with the prior at ``given``, by default at the start."""
+        huber_px = units * unit_px(start, limits)
+        return adjust_with_lenses(start, self.pixels, self.weights, self.points_m, huber_px, bundle, lens, given)
+
+
+def agreed(seen: Observations, cameras: Sequence[Camera], limits: Limits) -> Agreed | None:
+    """The observations on which three cameras agree, or both of two; None where they are too few."""
+    if not len(seen.frame):
+        return None
+    found = triangulate(seen.pixels, seen.confidence, cameras, limits)
+    used = found.verified if len(cameras) > 2 else found.valid
+    if used.sum() < 10 * len(cameras):
+        return None
+    joints = len(np.unique(seen.group[used] * len(STABLE_KEYPOINTS) + seen.keypoint[used]))
+    weights = np.where(found.inliers, seen.confidence, 0.0)[:, used] * (joints / used.sum())
+    return Agreed(seen.pixels[:, used], weights, found.points_m[used], used)
+
+
 def fit_cameras(
     cameras: Sequence[Camera],
     seen: Observations,
     limits: Limits,
     bundle: BundleSettings,
-    lens: LensPrior = _POSES_ONLY,
+    lens: LensPrior = POSES_ONLY,
     close: bool = False,
 ) -> BundleResult | None:
-    """Cameras bundle-adjusted on ``seen`` without their common drift; None where people show too little.
+    """Three or more cameras bundle-adjusted on ``seen`` without their common drift; None where people show too little.
 
-    Loose limits first, so that a wrong camera can converge (unless all are ``close``), then the usual ones. A
-    detector's error of a joint is the same in every frame, so all frames of a joint count as one observation. If they
-    counted fully, that bias would outvote the calibration in directions that people hardly determine, such as all
-    cameras pitching together: observed as 10 px on marks of a real floor, for no gain on the keypoints.
+    Loose limits first, so that a wrong camera can converge (unless all are ``close``), then the usual ones.
     """
+    if len(cameras) < 3:
+        return None
     result: BundleResult | None = None
     current = list(cameras)
     for loose in (1.0,) if close else (_LOOSE, 1.0):
         wide = replace(limits, outlier_units=limits.outlier_units * loose)
         bent = remove_radial(seen, current, result.radial) if result is not None else seen
-        found = triangulate(bent.pixels, bent.confidence, current, wide)
-        used = found.verified
-        if used.sum() < 10 * len(cameras):
+        found = agreed(bent, current, wide)
+        if found is None:
             return None
-        joints = len(np.unique(seen.group[used] * len(STABLE_KEYPOINTS) + seen.keypoint[used]))
-        weights = np.where(found.inliers, seen.confidence, 0.0)[:, used] * (joints / used.sum())
         # Every round starts at the given lenses with the poses of the last, because the priors refer to the given
         # lenses.
         start = [replace(c, intrinsics=g.intrinsics) for c, g in zip(current, cameras)]
-        result = adjust_with_lenses(
-            start, seen.pixels[:, used], weights, found.points_m[used], unit_px(start, limits), bundle, lens
-        )
+        result = replace(found, pixels=seen.pixels[:, found.used]).adjusted(start, None, limits, bundle, lens)
         current = result.cameras
     return replace(result, cameras=remove_drift(current, cameras)[0]) if result is not None else None
 

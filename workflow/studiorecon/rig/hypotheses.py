@@ -12,9 +12,9 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.geometry.triangulation import Limits, triangulate
-from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.rig.bundle import error_medians
 from studiorecon.rig.correspondences import make_observations
+from studiorecon.rig.human_size import ADULTS_M, statures_m
 from studiorecon.rig.lens_model import LensReading
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -26,8 +26,6 @@ _CLEARLY = 1.5
 # How many times better people must fit exchanged cameras: than the cameras as read, and than moved cameras, which have
 # more freedom to fit.
 _MUCH_BETTER, _BETTER = 3.0, 1.5
-_TORSO_M = (0.25, 0.9)
-MAX_MARGIN = 20.0
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 _HYPOTHESES: dict[str, Callable[[Num[np.ndarray, "4 4"]], Num[np.ndarray, "4 4"]]] = {
     "as read": lambda pose: pose,
@@ -58,14 +56,12 @@ def score_conventions(
     frames: Integer[np.ndarray, " F"],
     gate_m: float,
     limits: Limits,
-) -> tuple[list[dict[str, Any]], list[float | None]]:
-    """Every reading with its score, remedy and ``met``, and each camera's margin as read over the best other reading.
+) -> list[dict[str, Any]]:
+    """Every reading with its score, remedy and ``met``.
 
     ``met`` is the share of people's joints at which its rays meet, of three cameras where there are three. On a ring of
     cameras, rays of a wrong reading may pass close to each other as often as those of the right one, but they do not
-    meet. (The demo: scores 0.65 and 0.57, joints on which three cameras agree 82 % and none.) A camera's contribution
-    is the agreement of all cameras less that of the others. For its margin, a factor, only its own pose is read
-    differently; at most 20, None when it contributes nothing under any reading.
+    meet. (The demo: scores 0.65 and 0.57, joints on which three cameras agree 82 % and none.)
     """
     changes: dict[str, Callable[[np.ndarray], np.ndarray]] = {
         **_HYPOTHESES,
@@ -79,23 +75,7 @@ def score_conventions(
         if name.startswith("lengths") and not (score > 0 and _human_size(read, detections, frames, gate_m)):
             score = 0.0
         table.append({"hypothesis": name, "score": score, "met": met, "remedy": REMEDIES[name]})
-    margins: list[float | None] = []
-    full = _affinity(cameras, detections, frames, gate_m)
-    for v in range(len(cameras)):
-        rest = _affinity(
-            [c for k, c in enumerate(cameras) if k != v],
-            [d for k, d in enumerate(detections) if k != v],
-            frames,
-            gate_m,
-        )
-        turned = [
-            [_read(c, change) if k == v else c for k, c in enumerate(cameras)]
-            for change in list(_HYPOTHESES.values())[1:]
-        ]
-        other = max(_affinity(t, detections, frames, gate_m) for t in turned)
-        own, rival = max(full - rest, 0.0), max(other - rest, 0.0)
-        margins.append(min(own / max(rival, own / MAX_MARGIN), MAX_MARGIN) if own > 0 else 0.0 if rival > 0 else None)
-    return table, margins
+    return table
 
 
 def score_lens_model(
@@ -174,24 +154,13 @@ def _score_and_met(
     return score, float((found.verified if len(cameras) > 2 else found.valid).mean())
 
 
-def _affinity(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> float:
-    return make_observations(detections, cameras, frames, gate_m)[0].affinity
-
-
 def _human_size(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> bool:
-    """Whether upper bodies have a human length: in a world a thousand times too small all rays pass close to each
+    """Whether people are about as tall as adults: in a world a thousand times too small all rays pass close to each
     other."""
     seen, _ = make_observations(detections, cameras, frames, gate_m)
-    if not len(seen.frame):
-        return False
     close = Limits(min_confidence=0.1, huber_share=0.005, outlier_units=9.0, min_angle_deg=2.0, near_m=1e-4)
-    points = triangulate(seen.pixels, seen.confidence, cameras, close).points_m
-    place = {(g, f, k): p for g, f, k, p in zip(seen.group, seen.frame, seen.keypoint, points)}
-    ends = [(STABLE_KEYPOINTS.index(f"{s}_shoulder"), STABLE_KEYPOINTS.index(f"{s}_hip")) for s in ("left", "right")]
-    sides = [place[g, f, k] - place[g, f, b] for a, b in ends for g, f, k in place if k == a and (g, f, b) in place]
-    lengths = np.linalg.norm(np.array(sides).reshape(-1, 3), axis=-1)
-    lengths = lengths[np.isfinite(lengths)]
-    return bool(len(lengths)) and bool(_TORSO_M[0] < np.median(lengths) < _TORSO_M[1])
+    found_m = statures_m(cameras, seen, close)
+    return bool(len(found_m)) and bool(ADULTS_M[0] < np.median(found_m) < ADULTS_M[1])
 
 
 def _read(camera: Camera, change: Callable[[np.ndarray], np.ndarray]) -> Camera:

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.geometry.bundle import BundleResult, BundleSettings, LensPrior, adjust_with_lenses, remove_drift
+from studiorecon.geometry.bundle import BundleSettings, remove_drift
 from studiorecon.geometry.rotations import log
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.progress import warn
-from studiorecon.rig.bundle import error_medians
+from studiorecon.rig.bundle import agreed, error_medians
 from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.floor_alignment import align_to_floor, floor_under_feet
 from studiorecon.rig.from_tracks import propose_rigs, sightings
@@ -45,7 +45,6 @@ _ROUNDS = ((1.0, 8.0), (0.5, 4.0), (0.25, 2.0), (0.25, 1.0), (0.25, 1.0))
 _STARTS = (2, 1, 0)
 _RIG_FRAMES = 16
 _LAID = 20
-_POSES_ONLY = LensPrior(0.0, 0.0)
 # How much worse than the best a narrower prior may explain validation halves. Where cameras were not moved, the halves
 # of a real man's clip differed by 2 to 3 % between widths; where they had moved by a degree, by 9 % and more.
 ABOUT_AS_WELL = 1.05
@@ -169,10 +168,10 @@ def refine_with_wider_prior(
     rungs = [bundle, replace(bundle, prior_deg=_MIDDLE * bundle.prior_deg, prior_m=_MIDDLE * bundle.prior_m), wide]
     errors = [_unseen_error(seen, best[1], given, limits, rung) for rung in rungs]
     chosen = next((k for k, error in enumerate(errors) if error <= ABOUT_AS_WELL * min(errors)), 0)
-    used = _agreeing(seen, best[1], limits)
+    used = agreed(seen, best[1], limits)
     if chosen == 0 or used is None:
         return None
-    result = _fit(used, best[1], given, limits, 1.0, rungs[chosen])
+    result = used.adjusted(best[1], given, limits, rungs[chosen])
     room = refine_on_room(result.cameras, given, seen, rooms, limits, rungs[chosen]) if len(rooms) else None
     if room is not None and room.explained:
         result = room.adjusted
@@ -221,34 +220,6 @@ def _align_to_unmoved(found: Sequence[Camera], given: Sequence[Camera], bundle: 
     return laid
 
 
-@dataclass(frozen=True)
-class _Used:
-    pixels: Num[np.ndarray, "V N 2"]
-    weights: Num[np.ndarray, "V N"]
-    points_m: Num[np.ndarray, "N 3"]
-
-
-def _agreeing(seen: Observations, cameras: Sequence[Camera], limits: Limits) -> _Used | None:
-    """Observations on which three views agree, or both of two; all frames of a joint count as one, as in
-    ``bundle.fit_cameras``."""
-    if not len(seen.frame):
-        return None
-    found = triangulate(seen.pixels, seen.confidence, cameras, limits)
-    used = found.verified if len(cameras) > 2 else found.valid
-    if used.sum() < 10 * len(cameras):
-        return None
-    joints = len(np.unique(seen.group[used] * len(STABLE_KEYPOINTS) + seen.keypoint[used]))
-    weights = np.where(found.inliers, seen.confidence, 0.0)[:, used] * (joints / used.sum())
-    return _Used(seen.pixels[:, used], weights, found.points_m[used])
-
-
-def _fit(
-    used: _Used, start: Sequence[Camera], given: Sequence[Camera], limits: Limits, units: float, bundle: BundleSettings
-) -> BundleResult:
-    huber_px = units * unit_px(start, limits)
-    return adjust_with_lenses(start, used.pixels, used.weights, used.points_m, huber_px, bundle, _POSES_ONLY, given)
-
-
 def _converge(
     start: Sequence[Camera],
     given: Sequence[Camera],
@@ -263,10 +234,10 @@ def _converge(
     current, used = list(start), None
     for gate_m, units in rounds:
         seen, _ = make_observations(detections, current, frames, gate_m)
-        used = _agreeing(seen, current, replace(limits, huber_share=limits.huber_share * units))
+        used = agreed(seen, current, replace(limits, huber_share=limits.huber_share * units))
         if used is None:
             return 0, []
-        current = _fit(used, current, given, limits, units, bundle).cameras
+        current = used.adjusted(current, given, limits, bundle, units=units).cameras
     degrees, metres = pose_changes(current, given)
     if used is None or degrees.max() > FURTHEST_DEG or metres.max() > FURTHEST_M:
         return 0, []
@@ -277,7 +248,7 @@ def _use_all_people(
     cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
 ) -> bool:
     """Whether every camera agrees with half as many observations as the one that agrees with most."""
-    used = _agreeing(make_observations(detections, cameras, frames, gate_m)[0], cameras, limits) if cameras else None
+    used = agreed(make_observations(detections, cameras, frames, gate_m)[0], cameras, limits) if cameras else None
     counts = (used.weights > 0).sum(1) if used is not None else np.zeros(1)
     return bool(counts.min() > 0.5 * counts.max())
 
@@ -291,17 +262,17 @@ def _unseen_error(
     Points without agreement of three views (of two, if there are two) count as 3. ``found``: the cameras under the wide
     prior, from which every search starts.
     """
-    agreed = triangulate(seen.pixels, seen.confidence, found, limits)
-    counted = agreed.verified if len(found) > 2 else agreed.valid
-    kept, inliers = seen.of(counted), agreed.inliers[:, counted]
+    met = triangulate(seen.pixels, seen.confidence, found, limits)
+    counted = met.verified if len(found) > 2 else met.valid
+    kept, inliers = seen.of(counted), met.inliers[:, counted]
     early = kept.frame <= np.median(kept.frame)
     half = HALF_OF_THE_JOINTS[kept.keypoint]
     units, errors = unit_px(found, limits)[:, None], []
     for fit_on in (early, ~early, half, ~half):
-        used = _agreeing(kept.of(fit_on), found, limits)
+        used = agreed(kept.of(fit_on), found, limits)
         if used is None:
             return float("inf")
-        cameras = _fit(used, found, given, limits, 1.0, bundle).cameras
+        cameras = used.adjusted(found, given, limits, bundle).cameras
         judged, agreed_in = kept.of(~fit_on), inliers[:, ~fit_on]
         wide = replace(limits, outlier_units=limits.outlier_units * _MAX_UNITS)
         error = triangulate(judged.pixels, judged.confidence, cameras, wide).error_px / units

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.geometry.bundle import BundleResult, BundleSettings, LensPrior, adjust_with_lenses, move_camera
-from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
+from studiorecon.geometry.bundle import BundleResult, BundleSettings, move_camera
+from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
-from studiorecon.rig.bundle import error_medians
+from studiorecon.rig.bundle import Agreed, agreed, error_medians
 from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.floor_marks import FloorMarks, floor_marks
 from studiorecon.rig.room_picture import RoomPicture
@@ -40,7 +40,6 @@ _MAX_SIGMAS, CALLED_SIGMAS, _CLEARLY, PEOPLE_COST = 3.0, 2.0, 1.3, 1.15
 _MIN_KNOWN = 0.7
 # Edges determine rotations better than a prior of this sigma.
 _WIDE_DEG = 1.0
-_POSES_ONLY = LensPrior(0.0, 0.0)
 # Sigmas of errors that points on a floor which agree to a hundredth of a degree do not show: lenses, and a floor that
 # is not a plane. Edges alone agree with a laboratory's calibration to 0.3 to 0.7 degrees.
 _UNSAID_DEG, _UNSAID_BY_EDGES_DEG, _UNSAID_M = 0.1, 0.5, 0.01
@@ -184,16 +183,14 @@ def _fit(
     prior: BundleSettings,
 ) -> BundleResult:
     """People, all frames of a joint as one observation, and the floor, adjusted with other cameras as prior."""
-    pixels, weights, points_m = np.zeros((len(current), 0, 2)), np.zeros((len(current), 0)), np.zeros((0, 3))
-    if len(seen.frame):
-        found = triangulate(seen.pixels, seen.confidence, current, limits)
-        used = found.verified if len(current) > 2 else found.valid
-        joints = len(np.unique(seen.group[used] * len(STABLE_KEYPOINTS) + seen.keypoint[used]))
-        weights = np.where(found.inliers, seen.confidence, 0.0)[:, used] * (joints / max(int(used.sum()), 1))
-        pixels, points_m = seen.pixels[:, used], found.points_m[used]
-    people = len(points_m)
+    people = agreed(seen, current, limits) or _nothing(len(current))
+    count = len(people.points_m)
     if marks is not None:
-        pixels, weights, points_m = marks.joined(pixels, weights, points_m, current, limits)
-    huber_px = unit_px(current, limits)
-    result = adjust_with_lenses(current, pixels, weights, points_m, huber_px, prior, _POSES_ONLY, about)
-    return replace(result, points_m=result.points_m[:people])
+        joined = marks.joined(people.pixels, people.weights, people.points_m, current, limits)
+        people = Agreed(*joined, people.used)
+    result = people.adjusted(current, about, limits, prior)
+    return replace(result, points_m=result.points_m[:count])
+
+
+def _nothing(views: int) -> Agreed:
+    return Agreed(np.zeros((views, 0, 2)), np.zeros((views, 0)), np.zeros((0, 3)), np.zeros(0, bool))

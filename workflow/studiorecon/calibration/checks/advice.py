@@ -193,21 +193,12 @@ def _better_read(report: dict[str, Any]) -> bool:
 
 
 def _unclear(report: dict[str, Any]) -> list[str]:
-    found = []
-    for camera, margin in report["margin"].items():
-        if camera in report["without_keypoints"] or camera in report["inactive_cameras"]:
-            continue
-        if margin is None:
-            found.append(
-                f"camera {camera} shares no person with the others under any reading of its pose; "
-                "check its pose, keypoints and clock"
-            )
-        elif margin < CLEAR_MARGIN:
-            found.append(
-                f"camera {camera}: another reading of its pose fits the people "
-                f"{('better' if margin < 1 else 'nearly as well')} (margin {margin:.2f}, "
-                f"{CLEAR_MARGIN} would be clear); check its pose, or add more frames of walking people"
-            )
+    apart = [*report["without_keypoints"], *report["inactive_cameras"]]
+    found = [
+        f"camera {camera} shares no person with two others that agree; check its pose, keypoints and clock"
+        for camera, px in report["px_per_camera"].items()
+        if px is None and camera not in apart
+    ]
     # A mild lens in the other model bends people by less than the gate: those readings are compared by pixels, above.
     rows = {row["hypothesis"]: row for row in report["hypotheses"] if "median_px" not in row}
     best = rows.pop("as read")

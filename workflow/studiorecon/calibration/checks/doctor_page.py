@@ -6,9 +6,8 @@ from __future__ import annotations
 import base64
 from typing import Any
 
-from studiorecon.calibration.checks.advice import CLEAR_MARGIN, HEADLINES, edge_agreement_note
+from studiorecon.calibration.checks.advice import HEADLINES, edge_agreement_note
 from studiorecon.pages import skeleton
-from studiorecon.rig.hypotheses import MAX_MARGIN
 
 _COLOURS = {"good": "#1a7f37", "usable": "#9a6700", "check": "#9a6700", "cannot tell": "#9a6700", "wrong": "#cf222e"}
 _STYLE = """
@@ -40,8 +39,7 @@ src="{{ sheet }}"></p>
 <td>{% if bad %}<span class="bad">{{ cell }}</span>{% else %}{{ cell }}{% endif %}</td>{% endfor %}</tr>
 {% endfor %}
 </table></div>
-<p class="soft">Margin: how many times better this camera fits the people as read than with the best other convention of
-its pose; {{ clear }} or more is clear. Lag: the camera's remaining time offset from the others by people,
+<p class="soft">Lag: the camera's remaining time offset from the others by people,
 with its 95 % interval.</p>
 <h2>Possible conventions of the calibration</h2>
 <div class="scroll"><table>
@@ -57,7 +55,7 @@ with its 95 % interval.</p>
 <p>Sectors wider than 90° without a camera (counter-clockwise from x): {{ blind }}.</p>
 """
 _HEAD = (
-    *("camera", "px off", "margin", "lag, frames", "view", "height", "size", "fps", "frames", "rotation tag"),
+    *("camera", "px off", "lag, frames", "view", "height", "size", "fps", "frames", "rotation tag"),
     *("mean grey", "burnt out"),
 )
 
@@ -75,7 +73,6 @@ def page(scene: str, report: dict[str, Any], sheet_png: bytes) -> str:
         caption=_caption(report),
         head=_HEAD,
         cameras=[_camera(report, name) for name in report["footage"]],
-        clear=f"{CLEAR_MARGIN:g}",
         readings=_readings(report),
         covered=", ".join(f"{n} or more: {v:.0%}" for n, v in report["coverage"].items()),
         blind=", ".join(f"{a:.0f}° to {b % 360:.0f}°" for a, b in report["blind_sectors_deg"]) or "none",
@@ -96,10 +93,7 @@ def _caption(report: dict[str, Any]) -> str:
 
 def _camera(report: dict[str, Any], camera: str) -> list[tuple[str, bool]]:
     """A camera's cells, and whether each reports a problem."""
-    a, facts, margin = report["footage"][camera], report["facts"][camera], report["margin"][camera]
-    clear = margin is not None and margin >= CLEAR_MARGIN
-    unclear = not clear and bool(report["people"]) and camera not in report["without_keypoints"]
-    shown = "–" if margin is None else f"≥ {MAX_MARGIN:g}" if margin >= MAX_MARGIN else f"{margin:.1f}"
+    a, facts = report["footage"][camera], report["facts"][camera]
     plain = (
         f"{facts['field_deg']:.0f}°",
         f"{facts['height_m']:.2f} m",
@@ -112,7 +106,7 @@ def _camera(report: dict[str, Any], camera: str) -> list[tuple[str, bool]]:
     )
     px = _number(report["px_per_camera"][camera], ".1f")
     lag = _lag(report["sync"]["lags_frames"].get(camera))
-    return [(camera, False), (px, False), (shown, unclear), lag, *((cell, False) for cell in plain)]
+    return [(camera, False), (px, False), lag, *((cell, False) for cell in plain)]
 
 
 def _readings(report: dict[str, Any]) -> list[dict[str, Any]]:

@@ -65,7 +65,7 @@ def examine(
     fit = _fit_of_people(cameras, detections, chosen, settings)
     limit_px = settings.max_error_share * max(max(c.wh) for c in cameras)
     fps = max(float(a["fps"]) for a in about)
-    table, margins = score_conventions(cameras, detections, few, settings.gate_m, settings.limits)
+    table = score_conventions(cameras, detections, few, settings.gate_m, settings.limits)
     if people and (fit.median_px is None or fit.median_px > 0.5 * limit_px):
         table += _swapped_cameras(cameras, detections, chosen, few, fit, settings)
     table += _lens_models(lens_readings or {}, chosen, few, settings)
@@ -90,7 +90,6 @@ def examine(
         "without_keypoints": [a["camera"] for a in about if not a["keypoints"]],
         "inactive_cameras": inactive_camera_notes([d for d, a in zip(detections, about) if a["keypoints"]], fps),
         "hypotheses": table,
-        "margin": dict(zip(names, margins)),
         "outlier_camera": None if odd is None else odd.sentence(),
         "median_px": fit.median_px,
         "median_mm": fit.median_mm(cameras),
