@@ -103,7 +103,7 @@ def test_edges_that_moving_cameras_hardly_explains_move_no_camera(
     def hardly(cameras: list[Camera], *_: object) -> EdgeRefinement:
         off = edge_contradiction(cameras, edge_rotations(cameras, rooms))
         assert off is not None
-        return EdgeRefinement(truth, 0.9 * off.off_deg, 1.0, (2.0, 1.9), True)
+        return EdgeRefinement(truth, off.off_deg, 0.9 * off.off_deg, 1.0, (2.0, 1.9), True)
 
     monkeypatch.setattr(edge_acceptance, "refine_on_edges", hardly)
     found, report = by(given, observed(truth, given), rooms)

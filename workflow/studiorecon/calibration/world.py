@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.geometry.rotations import cross_matrix
+from studiorecon.geometry.rotations import turn_to_z
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -104,7 +104,7 @@ def z_up_from_world(rotations: Float[np.ndarray, "N 3 3"], wanted: str) -> tuple
     if wanted != "auto":
         axis = np.zeros(3)
         axis["xyz".index(wanted[-1])] = -1.0 if wanted.startswith("-") else 1.0
-        turn = _turn_to_z(axis)
+        turn = turn_to_z(axis)
         return (
             turn,
             None if wanted == "z" else f"the world was turned so that its {wanted} axis points up (calibration.up)",
@@ -117,23 +117,14 @@ def z_up_from_world(rotations: Float[np.ndarray, "N 3 3"], wanted: str) -> tuple
         axis = np.zeros(3)
         axis[pivot] = np.sign(up[pivot])
         name = f"{'-' if up[pivot] < 0 else '+'}{'xyz'[pivot]}"
-        return _turn_to_z(
+        return turn_to_z(
             axis
         ), f"the cameras are upright along the calibration's {name} axis: the world was turned so that it points up"
     return (
-        _turn_to_z(up),
+        turn_to_z(up),
         "the calibration's world has no axis that points up: it was turned by the "
         f"cameras' own up, {np.round(up, 3).tolist()}",
     )
-
-
-def _turn_to_z(up: np.ndarray) -> np.ndarray:
-    """(3, 3) shortest rotation that takes the unit vector ``up`` to z; half a turn about x for -z."""
-    if up[2] < -1 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    axis = np.cross(up, [0.0, 0.0, 1.0])
-    cross = cross_matrix(axis)
-    return np.eye(3) + cross + cross @ cross / (1 + up[2])
 
 
 def to_metric_world(

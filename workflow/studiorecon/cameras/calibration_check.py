@@ -108,7 +108,7 @@ class Check:
         if trial is None:
             return False
         about = limits, bundle, self.settings.lens_change
-        found = choose_lens_terms(trial.cameras, fit_on, judge_on, *about).report
+        found = choose_lens_terms(trial.cameras, fit_on, judge_on, *about)
         errors = [found[f"unseen_with_{name}_px"] for name in ("focal", "radial") if found[name]]
         return bool(errors) and min(errors) <= _ABOUT_AS_WELL * moved_px
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from studiorecon.rig.moved_cameras import pose_changes
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -18,22 +19,17 @@ def pose_and_lens_changes(
     given: Sequence[Camera], refined: Sequence[Camera], radial: Float[np.ndarray, " V"]
 ) -> list[dict[str, Any]]:
     """A row for each camera: its turn and move, the change of its focal length, and its ``radial`` term."""
-    changes = []
-    for old, new, k1 in zip(given, refined, np.broadcast_to(radial, len(given))):
-        turned = new.camera_from_world[:3, :3] @ old.camera_from_world[:3, :3].T
-        degrees = float(np.degrees(2 * np.arcsin(min(1.0, np.linalg.norm(turned - np.eye(3)) / np.sqrt(8)))))
-        moved_m = float(np.linalg.norm(new.centre_m - old.centre_m))
-        longer = new.focal_px[0] / old.focal_px[0] - 1
-        changes.append(
-            {
-                "camera": old.name,
-                "turned_deg": degrees,
-                "moved_m": moved_m,
-                "focal_longer": longer,
-                "radial_k1": float(k1),
-            }
-        )
-    return changes
+    degrees, metres = pose_changes(refined, given)
+    return [
+        {
+            "camera": old.name,
+            "turned_deg": float(turned),
+            "moved_m": float(moved),
+            "focal_longer": new.focal_px[0] / old.focal_px[0] - 1,
+            "radial_k1": float(k1),
+        }
+        for old, new, turned, moved, k1 in zip(given, refined, degrees, metres, radial, strict=True)
+    ]
 
 
 def changes_since_refinement(

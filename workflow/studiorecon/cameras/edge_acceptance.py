@@ -16,10 +16,6 @@ from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_refinement import edge_rotations
 from studiorecon.scene.camera import Camera
 
-# Share of the edges' contradiction that may be left: what moved cameras do not explain has another cause, such as
-# furniture that is not square. Of a real calibration that was 3.4° off 0.1 was left.
-_MAX_LEFT = 0.5
-
 
 def apply_edge_refinement(
     given: list[Camera],
@@ -38,12 +34,12 @@ def apply_edge_refinement(
     report = {**report, "edges": {**edges, "believed": False}}
     if not before.clear:
         return adjusted, report
-    found = refine_on_edges(given, adjusted, seen, rooms, limits, bundle)
+    found = refine_on_edges(given, adjusted, before, seen, rooms, limits, bundle)
     if found is None:
         return adjusted, report
     px = found.people_px
     off = f"{before.off_deg:.1f}° ({before.sigmas:.1f} standard deviations) off between {' and '.join(before.cameras)}"
-    if not found.believed or found.off_deg > _MAX_LEFT * before.off_deg:
+    if not found.believed:
         say(
             f"the room's straight edges are {off}, and are not used: with other cameras they would be "
             f"{found.off_deg:.1f}° off, and people's keypoints {px[1]:.2f} px, now {px[0]:.2f} px"

@@ -26,7 +26,7 @@ from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
 from studiorecon.rig.bundle import choose_lens_terms, error_medians, fit_cameras, remove_radial
 from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.correspondences import Observations, make_observations
-from studiorecon.rig.gravity import check_tilt
+from studiorecon.rig.gravity import ANKLE_HEIGHT_M, check_tilt
 from studiorecon.rig.human_size import check_human_size
 from studiorecon.rig.moved_cameras import MovedCameras, report_moved_cameras
 from studiorecon.rig.outlier_camera import warn_of_outlier_cameras
@@ -40,8 +40,6 @@ from studiorecon.signature import Written
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-
-_FOOT_HEIGHT_M = 0.08
 
 
 @dataclass(frozen=True)
@@ -188,16 +186,17 @@ def _try_refinement(
     helps = judged_after < judged_before * (1 - gain)
     best = trial.cameras if judged_after < judged_before else training
     lens = choose_lens_terms(best, fit_on, judge_on, limits, bundle, settings.lens_change)
-    report["lens"] = lens.report
-    if not (helps or lens.focal or lens.radial):
+    report["lens"] = lens
+    radial, focal = lens["radial"], lens["focal"] or lens["radial"]
+    if not (helps or focal):
         say(
             "the cameras stay unchanged: on frames outside the fit, refinement changed the median reprojection "
             f"error from {judged_before:.2f} to {judged_after:.2f} px, less than the required {gain:.0%}"
         )
         return training, seen, {**report, "reason": "refinement did not clearly help"}
     prior = LensPrior(
-        settings.lens_change.focal_sigma if lens.focal or lens.radial else 0.0,
-        settings.lens_change.radial_sigma if lens.radial else 0.0,
+        settings.lens_change.focal_sigma if focal else 0.0,
+        settings.lens_change.radial_sigma if radial else 0.0,
     )
     refined = fit_cameras(training, seen, limits, bundle, prior)
     if refined is None:
@@ -207,7 +206,7 @@ def _try_refinement(
         "reason": "refinement clearly helped",
         "changes": pose_and_lens_changes(training, refined.cameras, refined.radial),
     }
-    _log_changes(report, lens.focal or lens.radial, lens.radial)
+    _log_changes(report, focal, radial)
     return refined.cameras, remove_radial(seen, refined.cameras, refined.radial), report
 
 
@@ -240,7 +239,7 @@ def _on_floor(
     training: list[Camera], held_out: list[Camera], seen: Observations, points: np.ndarray, settings: Settings
 ) -> tuple[list[Camera], list[Camera], np.ndarray]:
     """Cameras and points moved along z so that people's ankles, at their lowest, are on the floor."""
-    floor = float(np.quantile(points[:, 2], 0.02)) - _FOOT_HEIGHT_M
+    floor = float(np.quantile(points[:, 2], 0.02)) - ANKLE_HEIGHT_M
     say(f"the floor is at people's feet: the world moved by {-floor:.3f} m along z")
     shift = np.array([0.0, 0.0, floor])
     lowered = [

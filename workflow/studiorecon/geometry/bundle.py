@@ -47,14 +47,12 @@ class BundleResult:
         radial: k1 on undistorted normalised coordinates, in addition to the distortion removed before.
         sigma: turn about camera axes (rad), centre (m), log focal length, radial term. Poses are relative to each other
             (the common rotation, translation and scale are removed); noise is the residuals' own.
-        error_units: root mean square residual per coordinate, in error units, Huber-weighted.
     """
 
     cameras: list[Camera]
     points_m: Num[np.ndarray, "N 3"]
     radial: Num[np.ndarray, " V"]
     sigma: Num[np.ndarray, "V 8"]
-    error_units: float
 
 
 @dataclass(frozen=True)
@@ -91,8 +89,7 @@ def adjust_with_lenses(
         turned = move_camera(camera, state.rotations[v], state.centres[v])
         factor = np.where(np.diag([True, True, False]), np.exp(state.lens[v, 0]), 1.0)
         found.append(replace(turned, intrinsics=camera.intrinsics * factor))
-    sigma, error = problem.accuracy(state)
-    return BundleResult(found, state.points, state.lens[:, 1].copy(), sigma, error)
+    return BundleResult(found, state.points, state.lens[:, 1].copy(), problem.accuracy(state))
 
 
 def move_camera(
@@ -253,8 +250,8 @@ class _Problem:
             mixed,
         )
 
-    def accuracy(self, state: _State) -> tuple[Num[np.ndarray, "V 8"], float]:
-        """Standard deviations without the common similarity, and the robust residual per coordinate in error units."""
+    def accuracy(self, state: _State) -> Num[np.ndarray, "V 8"]:
+        """Standard deviations without the common similarity."""
         in_camera, error, _ = self.residuals(state)
         blocks, _, point_blocks, _, mixed = self.normal_equations(state, in_camera, error)
         reduced = _reduced(blocks, _times(mixed, np.linalg.inv(point_blocks + 1e-9 * np.eye(3))), mixed)
@@ -271,7 +268,7 @@ class _Problem:
         covariance = keep @ np.linalg.inv(keep @ scaled @ keep + gauge @ gauge.T) @ keep
         sigma = np.zeros(len(unit))
         sigma[free] = np.sqrt(np.maximum(np.diag(covariance) * variance, 0.0)) * unit[free]
-        return sigma.reshape(len(blocks), 8), float(np.sqrt(variance))
+        return sigma.reshape(len(blocks), 8)
 
 
 def _gauge(state: _State) -> np.ndarray:

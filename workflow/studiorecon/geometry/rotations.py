@@ -59,6 +59,15 @@ def log(rotations: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "... 3"]:
     return factor[..., None] * q[..., 1:]
 
 
+def turn_to_z(up: Num[np.ndarray, " 3"]) -> Num[np.ndarray, "3 3"]:
+    """Shortest rotation that takes the unit vector ``up`` to z; half a turn about x for -z."""
+    if up[2] < -1 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    cross = cross_matrix(np.cross(up, [0.0, 0.0, 1.0]))
+    found: Num[np.ndarray, "3 3"] = np.eye(3) + cross + cross @ cross / (1 + up[2])
+    return found
+
+
 def angle(a: Num[np.ndarray, "... 3 3"], b: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, " ..."]:
     """Angle in radians between rotations a and b, in [0, π], without arccos. Raises ValueError for other last axes."""
     require("a", a, (..., 3, 3))

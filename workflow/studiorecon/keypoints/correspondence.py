@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 STABLE_KEYPOINTS = tuple(
     f"{s}_{j}" for j in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for s in ("left", "right")
 )
+SHOULDERS, ANKLES = ([STABLE_KEYPOINTS.index(f"{s}_{j}") for s in ("left", "right")] for j in ("shoulder", "ankle"))
 _NEAR_M = 0.1
 _MIN_SHARED = 4
 

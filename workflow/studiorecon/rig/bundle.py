@@ -186,15 +186,6 @@ def remove_radial(seen: Observations, cameras: Sequence[Camera], radial: Num[np.
     return replace(seen, pixels=pixels, confidence=confidence)
 
 
-@dataclass(frozen=True)
-class LensVerdict:
-    """The decision on lenses: which terms people require, and why."""
-
-    focal: bool
-    radial: bool
-    report: dict[str, Any]
-
-
 def choose_lens_terms(
     cameras: Sequence[Camera],
     fit_on: Observations,
@@ -202,7 +193,7 @@ def choose_lens_terms(
     limits: Limits,
     bundle: BundleSettings,
     lens: LensSettings,
-) -> LensVerdict:
+) -> dict[str, Any]:
     """Whether focal lengths, or these and a radial term, explain the validation split better than ``cameras``.
 
     ``cameras``: the best with poses only, fitted on ``fit_on``. A term is required when some camera's change is
@@ -225,4 +216,4 @@ def choose_lens_terms(
         report |= {f"unseen_with_{name}_px": after, f"{name}_sigmas": sigmas}
         if after < best * (1 - lens.gain) and sigmas >= lens.min_sigmas:
             report[name], best = True, after
-    return LensVerdict(bool(report["focal"]), bool(report["radial"]), report)
+    return report

@@ -13,14 +13,13 @@ from studiorecon.estimate.factors.keypoints import SHARED_M, sides
 from studiorecon.estimate.unknowns import PER_CAMERA
 from studiorecon.geometry.statistics import SIGMA_OF_MAD
 from studiorecon.geometry.triangulation import Limits, unit_px
-from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.keypoints.correspondence import SHOULDERS
 from studiorecon.rig.correspondences import Observations
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
 
-SHOULDERS = [STABLE_KEYPOINTS.index(f"{s}_shoulder") for s in ("left", "right")]
 # Least noise of a detector, as a share of the longer side: half a pixel of 960. Real ones are worse.
 _MIN_NOISE = 0.0005
 

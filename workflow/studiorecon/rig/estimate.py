@@ -19,9 +19,9 @@ from studiorecon.estimate.factors.lenses import alike_lenses, known_lenses
 from studiorecon.estimate.solver import Solution, solve
 from studiorecon.estimate.unknowns import LOG_FOCAL, PER_CAMERA, PRINCIPAL, RADIAL, Unknowns
 from studiorecon.geometry.triangulation import Limits, triangulate
-from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.keypoints.correspondence import ANKLES, SHOULDERS, STABLE_KEYPOINTS
 from studiorecon.rig.correspondences import Observations, make_observations
-from studiorecon.rig.detector_noise import SHOULDERS, DetectorNoise, noise_in, shared_cells
+from studiorecon.rig.detector_noise import DetectorNoise, noise_in, shared_cells
 from studiorecon.rig.floor_marks import FloorMarks
 from studiorecon.rig.from_tracks import BONES, MIN_SHARED, Rig, Sightings
 from studiorecon.rig.lens_knowledge import LensKnowledge, distort_points, straight_points, straighten
@@ -31,7 +31,6 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-_ANKLES = [STABLE_KEYPOINTS.index(f"{s}_ankle") for s in ("left", "right")]
 # Rounds of grouping people and estimating; the search ends when focal lengths change by less than this share.
 _ROUNDS, _SETTLED_SHARE = 8, 0.001
 # Multiples of the limits' outlier units: at first, while lenses are guessed, and then. The factors' tails do the rest.
@@ -281,7 +280,7 @@ def _alike(
 
 def _lower_ankles(place: np.ndarray, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points of the lower ankles, axes with people's mean direction upwards last, and a first floor in these."""
-    ends = place[:, :, [*SHOULDERS, *_ANKLES]]
+    ends = place[:, :, [*SHOULDERS, *ANKLES]]
     whole = ends[(ends >= 0).all(-1)]
     if len(whole) < 10:
         return np.zeros(0, int), np.eye(3), np.zeros(3)

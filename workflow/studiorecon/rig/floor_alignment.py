@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.geometry.bundle import move_camera
+from studiorecon.geometry.rotations import turn_to_z
 from studiorecon.geometry.triangulation import Limits, triangulate
-from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.rig.correspondences import Observations
+from studiorecon.rig.gravity import ANKLE_HEIGHT_M, lower_feet
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -33,9 +34,8 @@ _MIN_DEG, _MIN_M = 0.05, 0.003
 # place: 42 degrees, 0.44 m).
 _MAX_DEG, _MAX_M = 10.0, 0.15
 _SIGMAS = 2.0
-_ANKLES = [STABLE_KEYPOINTS.index(f"{side}_ankle") for side in ("left", "right")]
-# Height of ankles above the floor, and sigma of a detector's ankles.
-_ANKLE_HEIGHT_M, _FEET_M = 0.08, 0.015
+# Sigma of a detector's ankles.
+_FEET_M = 0.015
 
 
 @dataclass(frozen=True)
@@ -94,15 +94,8 @@ def floor_under_feet(
     if not len(seen.frame):
         return None
     found = triangulate(seen.pixels, seen.confidence, cameras, limits)
-    counted = (found.verified if len(cameras) > 2 else found.valid) & np.isin(seen.keypoint, _ANKLES)
-    order = np.lexsort([seen.frame[counted], seen.group[counted]])
-    feet_m = found.points_m[counted][order]
-    _, body = np.unique(np.stack([seen.group[counted], seen.frame[counted]])[:, order], axis=1, return_inverse=True)
-    body = body.reshape(-1)
-    # The lower foot of every body is on the floor.
-    lowest = np.lexsort([feet_m[:, 2], body])
-    feet_m = feet_m[lowest[np.unique(body[lowest], return_index=True)[1]]]
-    by_feet, by_marks = fit_floor(feet_m, feet_m[:, 2] - _ANKLE_HEIGHT_M), fit_floor(marks_m, marks_m[:, 2])
+    feet_m = lower_feet(found.points_m, seen, found.verified if len(cameras) > 2 else found.valid)
+    by_feet, by_marks = fit_floor(feet_m, feet_m[:, 2] - ANKLE_HEIGHT_M), fit_floor(marks_m, marks_m[:, 2])
     if by_feet is None:
         return None
     middle_m: np.ndarray = np.median(feet_m[:, :2], axis=0)
@@ -136,18 +129,10 @@ def align_to_floor(
         return list(cameras), 0.0, 0.0
     normal = np.array([*(-floor.slope_height[:2] if tilted else (0.0, 0.0)), 1.0])
     normal /= np.linalg.norm(normal)
-    rotation = _upright(normal)
+    rotation = turn_to_z(normal)
     about = np.array([*at_m, lift_m if lifted else 0.0])
     to = np.array([*at_m, 0.0])
     back = [
         move_camera(c, c.camera_from_world[:3, :3] @ rotation.T, rotation @ (c.centre_m - about) + to) for c in cameras
     ]
     return back, floor.tilt_deg if tilted else 0.0, lift_m if lifted else 0.0
-
-
-def _upright(normal: np.ndarray) -> np.ndarray:
-    """(3, 3) the smallest rotation that takes a unit vector to z."""
-    across = np.cross(normal, [0.0, 0.0, 1.0])
-    skew = np.array([[0, -across[2], across[1]], [across[2], 0, -across[0]], [-across[1], across[0], 0]])
-    found: np.ndarray = np.eye(3) + skew + skew @ skew / (1 + normal[2])
-    return found

@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.geometry.triangulation import Limits, triangulate
-from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.keypoints.correspondence import ANKLES, SHOULDERS, STABLE_KEYPOINTS
 from studiorecon.progress import warn
 from studiorecon.rig.correspondences import Observations
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Num
 
-_SHOULDERS = tuple(STABLE_KEYPOINTS.index(f"{s}_shoulder") for s in ("left", "right"))
-_ANKLES = tuple(STABLE_KEYPOINTS.index(f"{s}_ankle") for s in ("left", "right"))
-_ANKLE_HEIGHT_M = 0.08
+# Height of ankles above the floor.
+ANKLE_HEIGHT_M = 0.08
 # Feet in an area narrower than this do not determine the floor's slope.
 _MIN_FLOOR_M = 0.25
 _MAX_TILT_DEG = 12.0
@@ -62,6 +61,16 @@ def check_tilt(cameras: Sequence[Camera], seen: Observations, limits: Limits) ->
     return tilt
 
 
+def lower_feet(
+    points_m: Num[np.ndarray, "N 3"], seen: Observations, counted: Bool[np.ndarray, " N"]
+) -> Num[np.ndarray, "B 3"]:
+    """The lower of the ``counted`` ankles of every body, by people and frames: that foot is on the floor."""
+    of = np.flatnonzero(counted & np.isin(seen.keypoint, ANKLES))
+    of = of[np.lexsort([points_m[of, 2], seen.frame[of], seen.group[of]])]
+    first = np.unique(np.stack([seen.group[of], seen.frame[of]]), axis=1, return_index=True)[1]
+    return points_m[of[first]]
+
+
 def _upright(
     points_m: np.ndarray, group: np.ndarray, frame: np.ndarray, keypoint: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -71,7 +80,7 @@ def _upright(
     body = body.reshape(-1)
     grid = np.full((int(body.max(initial=-1)) + 1, len(STABLE_KEYPOINTS), 3), np.nan)
     grid[body, keypoint] = points_m
-    upright = grid[:, _SHOULDERS].mean(1) - grid[:, _ANKLES].mean(1)
+    upright = grid[:, SHOULDERS].mean(1) - grid[:, ANKLES].mean(1)
     return grid, upright[np.isfinite(upright).all(-1)]
 
 
@@ -91,7 +100,7 @@ def world_from_people(
     if not len(upright):
         return None
     up = _robust_direction(upright / np.linalg.norm(upright, axis=-1, keepdims=True))
-    ankles = grid[:, _ANKLES]
+    ankles = grid[:, ANKLES]
     both = np.isfinite(ankles).all((1, 2))
     lower = ankles[both][np.arange(both.sum()), (ankles[both] @ up).argmin(1)]
     normal, spread_m = _plane(lower, up)
@@ -113,7 +122,7 @@ def world_from_people(
     transform = np.eye(4)
     transform[:3, :3] = np.stack([right, np.cross(up, right), up])
     middle = np.nanmedian(points_m, axis=0)
-    floor = float(np.median(lower @ up)) - _ANKLE_HEIGHT_M
+    floor = float(np.median(lower @ up)) - ANKLE_HEIGHT_M
     transform[:3, 3] = -transform[:3, :3] @ middle
     transform[2, 3] = -floor
     return transform, how

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +12,7 @@ from studiorecon.errors import UserError
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.rig.correspondences import Observations, make_observations
+from studiorecon.rig.from_tracks import scale_camera
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -71,7 +71,7 @@ def check_units(
 ) -> None:
     """Raise UserError if nothing agrees, but cameras in another unit see people of human size."""
     for factor in _TAKEN_FOR_METRES.values():
-        smaller = [replace(c, camera_from_world=_scaled(c.camera_from_world, 1 / factor)) for c in cameras]
+        smaller = [scale_camera(c, 1 / factor) for c in cameras]
         found_m = statures_m(smaller, make_observations(detections, smaller, frames, gate_m)[0], limits)
         if len(found_m) >= MIN_BONES and ADULTS_M[0] <= (stature_m := float(np.median(found_m))) <= ADULTS_M[1]:
             raise UserError(_refusal(stature_m * factor))
@@ -90,9 +90,3 @@ def _refusal(stature_m: float) -> str:
         f"people would be {stature_m:.3g} m tall by this calibration, so its lengths are not metres{cause or ';'} "
         f"multiply calibration.scale by {factor:.4g}, which makes people {stature_m * factor:.2f} m tall"
     )
-
-
-def _scaled(pose: np.ndarray, factor: float) -> np.ndarray:
-    scaled = pose.copy()
-    scaled[:3, 3] *= factor
-    return scaled

@@ -27,7 +27,7 @@ _CLEARLY = 1.5
 # more freedom to fit.
 _MUCH_BETTER, _BETTER = 3.0, 1.5
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
-_HYPOTHESES: dict[str, Callable[[Num[np.ndarray, "4 4"]], Num[np.ndarray, "4 4"]]] = {
+POSE_READINGS: dict[str, Callable[[Num[np.ndarray, "4 4"]], Num[np.ndarray, "4 4"]]] = {
     "as read": lambda pose: pose,
     "poses are world-from-camera": np.linalg.inv,
     "axes are OpenGL's": lambda pose: _FLIP @ pose,
@@ -64,9 +64,9 @@ def score_conventions(
     meet. (The demo: scores 0.65 and 0.57, joints on which three cameras agree 82 % and none.)
     """
     changes: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-        **_HYPOTHESES,
-        "lengths are millimetres": lambda pose: _rescaled(pose, 0.001),
-        "lengths were divided by 1000": lambda pose: _rescaled(pose, 1000.0),
+        **POSE_READINGS,
+        "lengths are millimetres": lambda pose: scaled_pose(pose, 0.001),
+        "lengths were divided by 1000": lambda pose: scaled_pose(pose, 1000.0),
     }
     table: list[dict[str, Any]] = []
     for name, change in changes.items():
@@ -167,7 +167,7 @@ def _read(camera: Camera, change: Callable[[np.ndarray], np.ndarray]) -> Camera:
     return replace(camera, camera_from_world=change(camera.camera_from_world))
 
 
-def _rescaled(pose: np.ndarray, factor: float) -> np.ndarray:
+def scaled_pose(pose: np.ndarray, factor: float) -> np.ndarray:
     changed = pose.copy()
     changed[:3, 3] *= factor
     return changed
@@ -181,7 +181,7 @@ def check_conventions(
     Raises UserError when another reading clearly beats the one in use.
     """
     table: list[dict[str, Any]] = []
-    for name, change in _HYPOTHESES.items():
+    for name, change in POSE_READINGS.items():
         table.append(
             {"hypothesis": name, "score": _score([_read(c, change) for c in cameras], detections, frames, gate_m)}
         )

@@ -20,6 +20,7 @@ from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detect
 from studiorecon.progress import warn
 from studiorecon.rig.bundle import contradicted_share
 from studiorecon.rig.correspondences import Observations, make_observations
+from studiorecon.rig.hypotheses import POSE_READINGS, scaled_pose
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -50,7 +51,11 @@ _COUNT = len(STABLE_KEYPOINTS)
 _OTHER_SIDE = np.arange(_COUNT).reshape(-1, 2)[:, ::-1].reshape(-1)
 _FOCAL = np.geomspace(1 / 40, 40, 75)
 _UNITS = {"centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254, "feet": 0.3048}
-_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+_CONVENTIONS = {
+    "were world-from-camera": "poses are world-from-camera",
+    "had OpenGL's axes": "axes are OpenGL's",
+    "were world-from-camera with OpenGL's axes": "world-from-camera with OpenGL axes",
+}
 
 
 @dataclass(frozen=True)
@@ -255,14 +260,10 @@ def _offset_px(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> np.nda
 def _of_calibration(camera: Camera, seen: np.ndarray) -> Iterator[_Reading]:
     """The same, with another lens or pose in the calibration."""
     given = camera.camera_from_world
-    poses = {
-        "were world-from-camera": np.linalg.inv(given),
-        "had OpenGL's axes": _FLIP @ given,
-        "were world-from-camera with OpenGL's axes": _FLIP @ np.linalg.inv(given),
-    }
+    poses = {cause: POSE_READINGS[reading](given) for cause, reading in _CONVENTIONS.items()}
     for unit, metres in _UNITS.items():
-        poses[f"were in {unit}"] = _scaled(given, metres)
-        poses[f"were in metres, not {unit}"] = _scaled(given, 1 / metres)
+        poses[f"were in {unit}"] = scaled_pose(given, metres)
+        poses[f"were in metres, not {unit}"] = scaled_pose(given, 1 / metres)
     for cause, pose in poses.items():
         there = replace(camera, camera_from_world=pose)
         yield _Reading(f"its pose in the calibration {cause}", "correct it there", there, seen)
@@ -276,12 +277,6 @@ def _of_calibration(camera: Camera, seen: np.ndarray) -> Iterator[_Reading]:
             )
             remedy = "correct it in the calibration (pixels, not millimetres, and of the size of picture that it names)"
             yield _Reading(cause, remedy, replace(camera, intrinsics=intrinsics), seen)
-
-
-def _scaled(pose: np.ndarray, factor: float) -> np.ndarray:
-    scaled = pose.copy()
-    scaled[:3, 3] *= factor
-    return scaled
 
 
 def _same(one: np.ndarray, two: np.ndarray) -> bool:

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.geometry.bundle import BundleResult, BundleSettings, move_camera
+from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.geometry.triangulation import Limits, triangulate
-from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.rig.bundle import Agreed, agreed, error_medians
 from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.floor_marks import FloorMarks, floor_marks
+from studiorecon.rig.gravity import ANKLE_HEIGHT_M, lower_feet
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_turns import RoomTurn, room_turns
 from studiorecon.scene.camera import Camera
@@ -30,9 +31,8 @@ if TYPE_CHECKING:
 
 # Largest distance between the cameras' floors, metres: at first, and after the first refinement.
 REACH_M = (0.25, 0.12)
-_ANKLES = [STABLE_KEYPOINTS.index(f"{side}_ankle") for side in ("left", "right")]
-_ANKLE_HEIGHT_M = 0.08
-_MIN_FEET = 20
+# Bodies whose feet show the height of the floor.
+_MIN_FEET = 10
 # The floor is consistent within so many of its own sigmas. It requires a change above so many, if they exceed those
 # afterwards by this factor; people's error may grow by the last factor.
 _MAX_SIGMAS, CALLED_SIGMAS, _CLEARLY, PEOPLE_COST = 3.0, 2.0, 1.3, 1.15
@@ -158,20 +158,11 @@ def standing_area(cameras: Sequence[Camera], seen: Observations, limits: Limits)
     if len(seen.frame):
         found = triangulate(seen.pixels, seen.confidence, cameras, limits)
         counted = found.verified if len(cameras) > 2 else found.valid
-        feet = counted & np.isin(seen.keypoint, _ANKLES)
-        if feet.sum() >= _MIN_FEET:
-            # The lower foot of every body is on it.
-            _, body = np.unique(np.stack([seen.group[feet], seen.frame[feet]]), axis=1, return_inverse=True)
-            lowest = np.full(int(body.max()) + 1, np.inf)
-            np.minimum.at(lowest, body.reshape(-1), found.points_m[feet, 2])
+        feet_m = lower_feet(found.points_m, seen, counted)
+        if len(feet_m) >= _MIN_FEET:
             middle: np.ndarray = np.median(found.points_m[counted, :2], axis=0)
-            return middle, float(np.median(lowest)) - _ANKLE_HEIGHT_M
-    looked_at = []
-    for camera in cameras:
-        forward = camera.camera_from_world[2, :3]
-        away_m = -camera.centre_m[2] / forward[2] if forward[2] < -0.1 else 3.0
-        looked_at.append(camera.centre_m[:2] + forward[:2] * min(away_m, 5.0))
-    return np.median(looked_at, axis=0), 0.0
+            return middle, float(np.median(feet_m[:, 2])) - ANKLE_HEIGHT_M
+    return scene_centre(cameras)[:2], 0.0
 
 
 def _fit(

@@ -50,7 +50,7 @@ def compare_edges(
         mended, after_deg = before.clear and not after.clear, after.off_deg
         # For cameras that were moved since, the edges were already used together with people.
         if after.clear and len(seen.frame) and not (people is not None and people.elsewhere):
-            right = refine_on_edges(given, cameras, seen, rooms, limits, bundle)
+            right = refine_on_edges(given, cameras, after, seen, rooms, limits, bundle)
             if right is not None:
                 worse = right.people_px[1] / right.people_px[0] - 1
             if right is not None and right.believed:

@@ -17,6 +17,7 @@ from studiorecon.calibration.checks.edges import compare_edges
 from studiorecon.calibration.checks.refined import refined_on_people
 from studiorecon.calibration.people_evidence import FRAMES
 from studiorecon.errors import UserError
+from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
 from studiorecon.rig.bundle import AgreementLimits, CalibrationPrior, error_medians
@@ -202,5 +203,4 @@ def _volume(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, 
     if len(points):
         middle = np.median(points[:, :2], axis=0)
         return middle, float(np.quantile(np.linalg.norm(points[:, :2] - middle, axis=-1), 0.95)) + 0.5
-    looked_at = sanity.common_point(cameras)
-    return (looked_at if looked_at is not None else np.mean([c.centre_m for c in cameras], axis=0))[:2], _NOBODY_REACH_M
+    return scene_centre(cameras)[:2], _NOBODY_REACH_M

@@ -4,21 +4,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.scene.camera import Camera
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 _FIELD_DEG = (8.0, 160.0)
 _OFF_CENTRE = 0.25
 _SAME_PLACE_M = 0.05
 _ROOM_M = (0.5, 60.0)
 _HEIGHT_M = (-0.5, 12.0)
-_PARALLEL = 1e-3
 
 
 def camera_facts(cameras: Sequence[Camera]) -> dict[str, dict[str, float]]:
@@ -74,8 +70,8 @@ def _looking_elsewhere(cameras: Sequence[Camera]) -> list[str]:
         return []
     found = []
     for v, camera in enumerate(cameras):
-        point = common_point([c for k, c in enumerate(cameras) if k != v])
-        if point is None or not all(_in_picture(c, point) for k, c in enumerate(cameras) if k != v):
+        point = scene_centre([c for k, c in enumerate(cameras) if k != v])
+        if not all(_in_picture(c, point) for k, c in enumerate(cameras) if k != v):
             continue
         if not _in_picture(camera, point):
             found.append(
@@ -83,16 +79,6 @@ def _looking_elsewhere(cameras: Sequence[Camera]) -> list[str]:
                 "another camera's"
             )
     return found
-
-
-def common_point(cameras: Sequence[Camera]) -> Float[np.ndarray, " 3"] | None:
-    """(3,) point with the least squared distance to all optical axes; None when they are parallel."""
-    across = np.array([np.eye(3) - np.outer(c.forward, c.forward) for c in cameras])
-    system = across.sum(0) / len(cameras)
-    if np.linalg.eigvalsh(system)[0] < _PARALLEL:
-        return None
-    side = np.mean([a @ c.centre_m for a, c in zip(across, cameras)], axis=0)
-    return np.linalg.solve(system, side)
 
 
 def _in_picture(camera: Camera, point: np.ndarray) -> bool:
