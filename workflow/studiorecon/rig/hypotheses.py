@@ -167,7 +167,8 @@ def _read(camera: Camera, change: Callable[[np.ndarray], np.ndarray]) -> Camera:
     return replace(camera, camera_from_world=change(camera.camera_from_world))
 
 
-def scaled_pose(pose: np.ndarray, factor: float) -> np.ndarray:
+def scaled_pose(pose: Num[np.ndarray, "4 4"], factor: float) -> Num[np.ndarray, "4 4"]:
+    """The pose in a world whose lengths are multiplied by ``factor``."""
     changed = pose.copy()
     changed[:3, 3] *= factor
     return changed
