@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -116,6 +117,22 @@ def test_frames_whose_people_are_missing_are_named(takes: list[Take], part: slic
 def test_frames_without_a_record_are_named_where_no_track_bridges_them(recorded: np.ndarray, named: str) -> None:
     said = " ".join(without_record("a", recorded, 72, 14.5))
     assert (named in said) if named else not said
+
+
+@pytest.mark.parametrize("part", [slice(0, 30), slice(36, 72), slice(20, 50)])
+def test_frames_of_another_camera_are_named(takes: list[Take], part: slice) -> None:
+    own, other = takes
+    theirs = np.isin(other.recorded.frame, np.arange(72)[part])
+    kept = ~np.isin(own.recorded.frame, np.arange(72)[part])
+    frame, points = (
+        np.concatenate([getattr(own.recorded, name)[kept], getattr(other.recorded, name)[theirs]])
+        for name in ("frame", "keypoints")
+    )
+    order = np.argsort(frame, kind="stable")
+    found = verdict(own, replace(own.recorded, frame=frame[order], keypoints=points[order]), other)
+    ((first, last),) = [map(int, m) for m in re.findall(r"except in frames (\d+)–(\d+)", " ".join(found.notes))]
+    assert abs(first - part.start) <= 6
+    assert abs(last - part.stop) <= 6
 
 
 def test_an_empty_room_is_no_fault(takes: list[Take]) -> None:

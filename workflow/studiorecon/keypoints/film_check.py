@@ -29,7 +29,7 @@ from studiorecon.keypoints.motion_agreement import (
     score_reading,
 )
 from studiorecon.keypoints.numbering import Numbering, Numberings
-from studiorecon.keypoints.unmatched import upside_down, without_motion, without_people
+from studiorecon.keypoints.unmatched import upside_down, without_match, without_motion, without_people
 from studiorecon.scene.recorded_keypoints import RecordedKeypoints
 
 if TYPE_CHECKING:
@@ -315,8 +315,9 @@ class _Judge:
             shown = apply_reading(now.reading.film_from_recorded, seen.keypoints[..., :2])
             share = len(self.moving.person) / max(len(_points(seen.keypoints)), 1)
             return without_motion(camera, shown[..., 1] / self.film.wh[1], seen.keypoints, share)
-        if not (now.score.enough and now.score.lift > _LIFT):
-            return []
+        partly = without_match(camera, motion.frame, now.score.per_frame, _CHANCE, _LIFT)
+        if partly or not (now.score.enough and now.score.lift > _LIFT):
+            return partly
         recorded = now.numbering.frame_of - now.shift
         return without_people(camera, motion, recorded[np.searchsorted(seen.pictures, seen.frame)], recorded)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.keypoints.motion import Motion
-from studiorecon.keypoints.motion_agreement import is_upside_down
+from studiorecon.keypoints.motion_agreement import MIN_FRAMES, is_upside_down
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
@@ -69,6 +69,35 @@ def without_record(camera: str, recorded: Integer[np.ndarray, " P"], frames: int
     return [
         f"the keypoints of camera {camera} have no entry for frames {listed}{more} of its film's {frames}: see whether "
         "a part of them is missing"
+    ]
+
+
+def without_match(
+    camera: str, frame: Integer[np.ndarray, " S"], lift: Num[np.ndarray, " S"], chance: float, fits: float
+) -> list[str]:
+    """A warning where keypoints match the motion no better than ``chance`` in a stretch of the frames, and ``fits`` or
+    more in the others; ``lift`` of every ``frame``, NaN unknown.
+
+    The stretch is the one whose mean differs most from that of the others, by the variance between the two.
+    """
+    known = np.isfinite(lift)
+    frame, lift = frame[known], lift[known]
+    stops = np.arange(len(lift) + 1)
+    inside = stops - stops[:, None]
+    inside = np.where((inside >= MIN_FRAMES) & (len(lift) - inside >= MIN_FRAMES), inside, 0)
+    if not inside.any():
+        return []
+    outside = len(lift) - inside
+    total = np.concatenate([[0.0], np.cumsum(lift)])
+    there = (total - total[:, None]) / np.maximum(inside, 1)
+    elsewhere = (total[-1] - inside * there) / outside
+    apart = inside * outside * (elsewhere - there).clip(0) ** 2
+    first, stop = np.unravel_index(int(np.argmax(apart)), apart.shape)
+    if not (there[first, stop] < chance and elsewhere[first, stop] > fits):
+        return []
+    return [
+        f"the keypoints of camera {camera} match the motion in its pictures, except in frames {frame[first]}–"
+        f"{frame[stop - 1]}: see whether those are of another camera or take"
     ]
 
 
