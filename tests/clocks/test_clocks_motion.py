@@ -8,7 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 from studiorecon.clocks import offsets
-from studiorecon.clocks.offset_consensus import ClockVerdict, Pair, Proposal, count_contradictions
+from studiorecon.clocks.offsets import ClockVerdict
+from studiorecon.clocks.posterior import Lag, Source
 from studiorecon.clocks.timeline import Timeline
 
 FPS, SECONDS, CAMERAS = 30.0, 10.0, 9
@@ -32,9 +33,9 @@ def circling(late_s: Mapping[int, float]) -> list[np.ndarray]:
 def verdicts(monkeypatch: pytest.MonkeyPatch, late_s: Mapping[int, float], told_by_people: int) -> list[ClockVerdict]:
     """What is made of such pictures where people tell the clocks of the first ``told_by_people`` cameras."""
     energies = iter(circling(late_s))
-    in_step = [Pair(0, c, late_s.get(c, 0.0), 0.001) for c in range(1, told_by_people)]
-    monkeypatch.setattr(offsets, "people_pair", lambda *_: (in_step, {}))
-    monkeypatch.setattr(offsets.sync, "read_motion_energy", lambda _: next(energies))
+    in_step = [Lag(Source("people"), 0, c, late_s.get(c, 0.0), 0.001, 0.005) for c in range(1, told_by_people)]
+    monkeypatch.setattr(offsets.people, "people_lags", lambda *_: (in_step, {}))
+    monkeypatch.setattr(offsets.motion, "read_motion_energy", lambda _: next(energies))
     monkeypatch.setattr(offsets, "read_sound", lambda _: None)
     source = type("Source", (), {"wh": (640, 360)})()
     lines = [Timeline(FPS, round(SECONDS * FPS), 0.0)] * CAMERAS
@@ -53,12 +54,3 @@ def test_a_late_camera_is_found_by_people_whatever_motion_says(monkeypatch: pyte
     found = verdicts(monkeypatch, {3: 1.5}, told_by_people=8)
     assert found[3].kind == "found"
     assert found[3].offset_s == pytest.approx(1.5)
-
-
-def test_motion_that_is_proved_wrong_of_one_camera_only_is_not_discarded() -> None:
-    def said(*offsets_s: float | None) -> list[Proposal | None]:
-        return [None if o is None else Proposal("m", o, 0.1, 0.0, np.inf) for o in offsets_s]
-
-    assert count_contradictions(said(0.0, 1.0, 2.0, None), [said(0.0, 1.05, 5.0, 3.0)]) == (1, 3)
-    assert count_contradictions(said(4.0, 1.0, 2.0), [said(0.0, None, 5.0), said(None, 3.0, None)]) == (3, 3)
-    assert count_contradictions([], [said(0.0)]) == (0, 0)

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.clocks.offset_consensus import Proposal, combine_proposals
-from studiorecon.clocks.people_clock import people_pair
+from studiorecon.clocks.people import people_lags
 from studiorecon.scene.clocks import Clock
 
 from benchmarks.clocks import by_people, silent_films
@@ -41,15 +40,6 @@ def test_two_strangers_have_no_lag_at_ten_frames_per_second() -> None:
         rng = np.random.default_rng(draw)
         films = [Silent(camera, 20.0, own_s) for camera in ring()[:2]]
         seen = [sighted(film, (10 * draw + k,), rng) for k, film in enumerate(films)]
-        wrong += len(people_pair(seen, [Clock(d.camera, 10.0, 40) for d in seen], 10.0)[0])
+        lags = people_lags(seen, [Clock(d.camera, 10.0, 40) for d in seen], 10.0)[0]
+        wrong += any(lag.deceived < 0.05 for lag in lags)
     assert wrong <= 1
-
-
-def test_the_interval_covers_what_was_found_whatever_is_applied() -> None:
-    """A camera that is kept as filmed although 0.6 ± 0.68 frames were found may be off by 1.28."""
-    verdict = combine_proposals([Proposal("people", 0.6 / 30, 0.68 / 30, 0.0, np.inf)], 30.0, 8.0)
-    assert verdict.kind == "in step"
-    assert verdict.half_s * 30 == pytest.approx(1.28)
-    apart = combine_proposals([Proposal("people", 0.4 / 30, 0.5 / 30, 0.0, np.inf)], 30.0, 8.0, triggered=False)
-    assert apart.kind == "found"
-    assert apart.offset_s * 30 == pytest.approx(0.4)

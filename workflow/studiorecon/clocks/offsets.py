@@ -7,22 +7,18 @@ that no result depends on the clocks already.
 
 from __future__ import annotations
 
-import itertools
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from studiorecon.camera_files.calibration import read_lenses
-from studiorecon.clocks import motion_clock as sync
-from studiorecon.clocks import offset_consensus as consensus
-from studiorecon.clocks import sound
-from studiorecon.clocks.offset_consensus import HALF, ClockVerdict, Pair, Proposal
-from studiorecon.clocks.people_clock import Lenses, people_pair
-from studiorecon.clocks.rig_offsets import offsets_vs_rig
+from studiorecon.clocks import motion, people, sound
+from studiorecon.clocks.posterior import MAX_HALF_S, Offset, choose_reference, estimate_offsets
 from studiorecon.clocks.timeline import Timeline, clock_as_filmed, common_moments, read_timeline
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
@@ -34,20 +30,11 @@ from studiorecon.progress import progress, say, warn
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.clocks import Clock, write_clocks
 from studiorecon.scene.files import write_json
-from studiorecon.scene.people import Detections, read_detections
+from studiorecon.scene.people import read_detections
 from studiorecon.signature import Written
 
-if TYPE_CHECKING:
-    from jaxtyping import Float
-
-# Sound needs 3 ms a metre and the speaker's position is unknown: sigma for 1.5 m of difference between two cameras.
-_TRAVEL_S = 1.5 / 343
-# Every sound track is compared with those of so many cameras; more only cost time.
-_HUBS = 3
-# Clocks with a smaller half of the 95 % interval, seconds, are not estimated by further methods.
-_SHARP_S = 0.02
-# Cameras in which motion must be proved wrong before it is distrusted in the others.
-_PROOFS = 2
+# A smaller offset, frames, is not worth resampling; a smaller drift over the whole clip counts as none.
+_NEGLIGIBLE_FRAMES = 0.1
 
 
 @dataclass(frozen=True)
@@ -61,88 +48,70 @@ class Settings(PictureRate):
     )
 
 
-def sound_pairs(
-    sounds: Sequence[Float[np.ndarray, " N"] | None], lines: Sequence[Timeline]
-) -> tuple[list[Pair], dict[int, str]]:
-    """Pairs of cameras whose sound tracks determine a lag, and the reason for every camera without one."""
-    there = {i: s for i, s in enumerate(sounds) if s is not None}
-    reasons = {i: "its video has no sound" for i in range(len(sounds)) if i not in there}
-    wanted = [(a, b) for a, b in itertools.combinations(there, 2) if a in list(there)[:_HUBS]]
-    pairs = []
-    for a, b in progress(wanted, "sound tracks"):
-        heard = sound.compare(there[a], there[b])
-        if not heard.valid:
-            reasons.setdefault(b, heard.reason)
-            reasons.setdefault(a, heard.reason)
-            continue
-        # By the first one's clock: t_a = (1 + d) (t_b + lag - d middle), on the files' own time lines.
-        clear = abs(heard.drift_ppm) > 3 * heard.drift_sigma_ppm
-        drift = 1e-6 * heard.drift_ppm if clear else 0.0
-        offset = (1 + drift) * (lines[b].first_s + heard.lag_s - drift * heard.middle_s) - lines[a].first_s
-        pairs.append(Pair(a, b, offset, heard.sigma_s, heard.drift_ppm, heard.drift_sigma_ppm))
-    for i in {c for p in pairs for c in (p.first, p.second)}:
-        reasons.pop(i, None)
-    return pairs, reasons
+@dataclass(frozen=True)
+class ClockVerdict:
+    """What is applied to a camera's clock.
+
+    Attributes:
+        kind: "reference", "in step", "found", or "undetermined": then the camera stays as filmed.
+        offset_s, half_s, drift_ppm: to be applied, with half of the 95 % interval (inf: unknown).
+        method: the sharpest source that agrees.
+        reason: why it is undetermined.
+    """
+
+    kind: str
+    offset_s: float = 0.0
+    half_s: float = math.inf
+    drift_ppm: float = 0.0
+    method: str = ""
+    reason: str = ""
 
 
-def motion_pairs(
-    energies: Sequence[Float[np.ndarray, " T"]], clocks: Sequence[Clock], rate: float
-) -> tuple[list[Pair], dict[int, str]]:
-    """The same from the amount of change in the pictures over time."""
-    rows = [_on_a_grid(e, c, rate) for e, c in zip(energies, clocks)]
-    pairs: list[Pair] = []
-    reasons: dict[int, str] = {}
-    for a, b in itertools.combinations(range(len(rows)), 2):
-        lag = sync.compare(rows[a], rows[b], rate)
-        if lag.valid:
-            pairs.append(Pair(a, b, -lag.rows / rate, lag.sigma_rows / rate))
-        else:
-            reasons.setdefault(a, lag.reason)
-            reasons.setdefault(b, lag.reason)
-    for i in {c for p in pairs for c in (p.first, p.second)}:
-        reasons.pop(i, None)
-    return pairs, reasons
+def applied_clock(offset: Offset, fps: float, seconds: float, triggered: bool = True) -> ClockVerdict:
+    """What is applied of an estimated offset: in step where the interval does not exclude the camera as filmed.
 
-
-def _on_a_grid(energy: np.ndarray, clock: Clock, rate: float) -> np.ndarray:
-    if len(energy) < 2 or (not clock.times_s and abs(clock.fps - rate) < 1e-6):
-        return energy
-    own = clock.own_s[: len(energy) + 1]
-    middles = (own[1:] + own[:-1])[: len(energy)] / 2
-    per_second = energy[: len(middles)] / np.maximum(np.diff(own)[: len(energy)], 1e-6) / rate
-    return np.interp(np.arange(0.5 / rate, own[-1], 1 / rate), middles, per_second)
+    Where cameras were not ``triggered`` together there is no such prior: then any estimated offset counts, however
+    small.
+    """
+    if not math.isfinite(offset.half_s):
+        return ClockVerdict("undetermined", reason="no estimate")
+    if offset.rival_s is not None:
+        both = f"{signed(offset.seconds)} s and {signed(offset.rival_s)} s"
+        return ClockVerdict("undetermined", reason=f"{both} explain the estimates about equally well")
+    if offset.half_s > MAX_HALF_S:
+        return ClockVerdict("undetermined", reason=f"the estimate is only known to ± {offset.half_s:.2f} s")
+    drift = offset.drift_ppm if abs(offset.drift_ppm) * 1e-6 * seconds * fps > _NEGLIGIBLE_FRAMES else 0.0
+    # An interval wider than a frame determines a frame and no fraction; and a fraction may be too small to matter.
+    whole = round(offset.seconds * fps) / fps
+    beside = abs(offset.seconds - whole) * fps
+    on_the_beat = not drift and (offset.half_s > 1 / fps or beside <= _NEGLIGIBLE_FRAMES)
+    applied = whole if on_the_beat else offset.seconds
+    if not drift and abs(offset.seconds) <= max(offset.half_s if triggered else 0.0, _NEGLIGIBLE_FRAMES / fps):
+        applied = 0.0
+    # The interval around the applied value still covers the estimated one.
+    half_s = offset.half_s + abs(applied - offset.seconds)
+    return ClockVerdict("found" if drift or applied else "in step", applied, half_s, drift)
 
 
 def clock_sentence(
-    camera: str,
-    verdict: ClockVerdict,
-    proposals: Sequence[Proposal],
-    why: Mapping[str, str],
-    reference: str,
-    fps: float,
+    camera: str, verdict: ClockVerdict, alone: Mapping[str, Offset], why: Mapping[str, str], reference: str, fps: float
 ) -> str:
-    """One sentence about one camera's clock, with all proposals."""
-    text = [f"{p.method} {_signed(p.offset_s)} ± {p.half_s:.3f} s" for p in proposals]
-    text += [f"{method}: {reason}" for method, reason in why.items()]
+    """One sentence about one camera's clock, with the estimate of every source ``alone``."""
+    text = [f"{source} {signed(o.seconds)} ± {o.half_s:.3f} s" for source, o in alone.items()]
+    text += [f"{source}: {reason}" for source, reason in why.items()]
     if verdict.kind == "in step":
         return f"{camera}: in step with {reference} within {verdict.half_s:.3f} s ({'; '.join(text)})"
     if verdict.kind == "found":
-        frames = verdict.offset_s * fps
-        way = "after" if frames > 0 else "before"
-        drift = (
-            f", its clock {abs(verdict.drift_ppm):.0f} ppm {'slow' if verdict.drift_ppm > 0 else 'fast'}"
-            if verdict.drift_ppm
-            else ""
-        )
+        frames, ppm = verdict.offset_s * fps, verdict.drift_ppm
+        drift = f", its clock {abs(ppm):.0f} ppm {'slow' if ppm > 0 else 'fast'}" if ppm else ""
         return (
-            f"{camera}: started {abs(verdict.offset_s):.3f} ± {verdict.half_s:.3f} s "
-            f"({abs(frames):.2f} frames) {way} {reference}{drift} "
-            f"({'; '.join(text)})"
+            f"{camera}: started {abs(verdict.offset_s):.3f} ± {verdict.half_s:.3f} s ({abs(frames):.2f} frames) "
+            f"{'after' if frames > 0 else 'before'} {reference}{drift} ({'; '.join(text)})"
         )
     return f"{camera}: time offset undetermined: {verdict.reason} ({'; '.join(text) or 'nothing to compare'})"
 
 
-def _signed(seconds: float) -> str:
+def signed(seconds: float) -> str:
     return f"{'+' if seconds >= 0 else '−'}{abs(seconds):.3f}"
 
 
@@ -156,103 +125,48 @@ def estimate_clocks(
 ) -> tuple[list[ClockVerdict], list[dict[str, Any]], int]:
     """A verdict with its evidence for every camera, and the index of the reference; ``lenses`` may be given."""
     clocks = [clock_as_filmed(c, line) for c, line in zip(cameras, lines)]
-    rate = float(np.median([c.fps for c in clocks]))
-    count = len(cameras)
-    pairs: dict[str, list[Pair]] = {}
+    rate, count = float(np.median([c.fps for c in clocks])), len(cameras)
     why: dict[str, dict[int, str]] = {}
-    sounds = [read_sound(path) if source else None for path, source in zip(paths, sources)]
-    pairs["sound"], why["sound"] = sound_pairs(sounds, lines)
+    heard, why["sound"] = sound.sound_lags([read_sound(p) if s else None for p, s in zip(paths, sources)], lines)
     sized = {c: (lenses[c], source.wh) for c, source in zip(cameras, sources) if source and c in lenses}
     seen = [read_detections(p) for p in sightings]
-    pairs["people"], why["people"] = people_pair(seen, clocks, rate, sized)
-    votes = [sum(any(c in (p.first, p.second) for p in pairs[m]) for m in pairs) for c in range(count)]
-    if min(votes) < 2:
-        energies = [sync.read_motion_energy(s) if s else np.zeros(0) for s in progress(sources, "motion")]
-        pairs["motion"], why["motion"] = motion_pairs(energies, clocks, rate)
-    reference, proposed = _proposed(pairs, count)
-    # Motion in a picture depends on the viewpoint: a person who walks in a circle is nearest to one camera after the
-    # other. Where people or sound disprove motion in most cameras, it is distrusted in the others.
-    others = [p for m, p in proposed.items() if m != "motion"]
-    wrong, both = consensus.count_contradictions(proposed.get("motion", []), others)
-    if wrong >= _PROOFS and 2 * wrong > both:
-        told_wrong = f"it contradicts people or sound in {wrong} of {both} cameras, so it counts in none"
-        pairs["motion"], why["motion"] = [], dict.fromkeys(range(count), told_wrong)
-        reference, proposed = _proposed(pairs, count)
-    # Where one method covers part of the chain and another the rest.
-    every = [p for found in pairs.values() for p in found]
-    together = consensus.solve_offsets("several", every, count, reference, _TRAVEL_S)
-    verdicts, findings = [], []
-    owns = [
-        [p for p in (proposed[m][c] for m in pairs) if p is not None] or [p for p in (together[c],) if p is not None]
-        for c in range(count)
-    ]
-    owns = joint_refinement(owns, reference, clocks, seen, sized)
+    met, why["people"] = people.people_lags(seen, clocks, rate, sized)
+    lags = heard + met
+    if any(len({lag.source for lag in lags if c in (lag.first, lag.second)}) < 2 for c in range(count)):
+        energies = [motion.read_motion_energy(s) if s else np.zeros(0) for s in progress(sources, "motion")]
+        moved, why["motion"] = motion.motion_lags(energies, clocks, rate)
+        lags += moved
+    reference = choose_reference(lags, count)
+    together = estimate_offsets(lags, count, reference)
+    names = list(dict.fromkeys(lag.source.name for lag in lags))
+    alone = {n: estimate_offsets([lag for lag in lags if lag.source.name == n], count, reference) for n in names}
+    seconds = [clock.own_s[-1] for clock in clocks]
     # A camera that was clearly not started with the others: there was no common trigger.
-    triggered = not any(
-        consensus.combine_proposals(own, rate, clocks[c].own_s[-1]).kind == "found"
-        for c, own in enumerate(owns)
-        if c != reference
-    )
+    others = [c for c in range(count) if c != reference]
+    triggered = not any(applied_clock(together[c], rate, seconds[c]).kind == "found" for c in others)
+    verdicts, findings = [], []
     for c, camera in enumerate(cameras):
-        own = owns[c]
-        verdict = (
-            ClockVerdict("reference", 0.0, 0.0)
-            if c == reference
-            else consensus.combine_proposals(own, rate, clocks[c].own_s[-1], triggered)
-        )
-        reasons = {
-            m: why[m].get(c, "nothing links it with the reference camera") for m in pairs if proposed[m][c] is None
-        }
-        sentence = (
-            f"{camera}: reference of the time offsets"
-            if c == reference
-            else clock_sentence(camera, verdict, own, reasons, cameras[reference], rate)
-        )
+        if c == reference:
+            verdict, mine, reasons = ClockVerdict("reference", 0.0, 0.0), {}, {}
+            sentence = f"{camera}: reference of the time offsets"
+        else:
+            verdict = applied_clock(together[c], rate, seconds[c], triggered)
+            mine = {n: offsets[c] for n, offsets in alone.items() if math.isfinite(offsets[c].half_s)}
+            agree = {n: o.half_s for n, o in mine.items() if abs(o.seconds - together[c].seconds) <= 2 * o.half_s}
+            if agree and verdict.kind != "undetermined":
+                verdict = replace(verdict, method=min(agree, key=agree.__getitem__))
+            reasons = {
+                n: reason.get(c, "nothing links it with the reference camera")
+                for n, reason in why.items()
+                if n not in mine
+            }
+            sentence = clock_sentence(camera, verdict, mine, reasons, cameras[reference], rate)
+        proposals = [{"method": n} | asdict(o) for n, o in mine.items()]
         verdicts.append(verdict)
         findings.append(
-            {
-                "camera": camera,
-                **asdict(verdict),
-                "sentence": sentence,
-                "proposals": [] if c == reference else [asdict(p) for p in own],
-                "without": {} if c == reference else reasons,
-            }
+            {"camera": camera, **asdict(verdict), "sentence": sentence, "proposals": proposals, "without": reasons}
         )
     return verdicts, findings, reference
-
-
-def joint_refinement(
-    owns: Sequence[list[Proposal]], reference: int, clocks: Sequence[Clock], seen: Sequence[Detections], lenses: Lenses
-) -> list[list[Proposal]]:
-    """The proposals of every camera; all cameras of ``lenses`` together replace people's and motion's pairs where they
-    are sharper. ``clocks`` are as filmed."""
-    best = [min(own, key=lambda p: p.half_s, default=None) for own in owns]
-    unsure = [c for c, p in enumerate(best) if c != reference and clocks[c].camera in lenses]
-    if all((p := best[c]) is not None and p.half_s <= _SHARP_S for c in unsure):
-        return list(owns)
-    set_so = [replace(c, offset_s=p.offset_s, drift_ppm=p.drift_ppm) if p else c for c, p in zip(clocks, best)]
-    late = offsets_vs_rig(set_so, seen, lenses)
-    if late is None:
-        return list(owns)
-    asked = []
-    for c, own in enumerate(owns):
-        half_s = HALF * float(np.hypot(late.sigma_s[c], late.sigma_s[reference]))
-        # NaN where undetermined.
-        if c != reference and half_s < (p.half_s if (p := best[c]) else np.inf):
-            offset_s = set_so[c].offset_s + float(late.seconds[c] - late.seconds[reference])
-            together = Proposal("all cameras", offset_s, half_s, set_so[c].drift_ppm, np.inf)
-            own = [p for p in own if p.method == "sound"] + [together]
-        asked.append(own)
-    return asked
-
-
-def _proposed(pairs: Mapping[str, Sequence[Pair]], count: int) -> tuple[int, dict[str, list[Proposal | None]]]:
-    """The reference camera, and every method's proposals for every camera."""
-    reference = consensus.choose_reference(pairs, count)
-    systematic_s = {"sound": _TRAVEL_S}
-    return reference, {
-        m: consensus.solve_offsets(m, found, count, reference, systematic_s.get(m, 0.0)) for m, found in pairs.items()
-    }
 
 
 def lengths_differ(
@@ -371,6 +285,6 @@ def _compare_with_given(
         given_s = given.get(reference, 0.0) / fps[reference] - given.get(camera, 0.0) / fps[camera]
         if abs(given_s - f["offset_s"]) > f["half_s"] + 1 / fps[camera]:
             warn(
-                f"starts in capture.yaml puts {camera} {_signed(given_s)} s after {reference}, which is "
+                f"starts in capture.yaml puts {camera} {signed(given_s)} s after {reference}, which is "
                 f"used; but {f['sentence']}"
             )
