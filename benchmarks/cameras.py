@@ -40,7 +40,7 @@ from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people import fit
-from studiorecon.people.fitting.points import Points, observations, triangulate_keypoints
+from studiorecon.people.fitting.points import Points, person_keypoints, triangulate_keypoints
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import read_json
@@ -214,7 +214,7 @@ def the_man(
     outcome, cost = timed(lambda: refine.decide(cameras, [], seen, 100, 30.0, True, refining))
     body = BodyModel.load(ROOT / "resources/body.npz")
     everybody = {(d.camera, int(t)): "p0" for d in seen for t in np.unique(d.track)}
-    names, keypoints = observations("p0", seen, everybody, body, 100)
+    names, keypoints = person_keypoints("p0", seen, everybody, body, 100)
     settings = loaded(fit.Settings)
     points = _lifted(names, keypoints, outcome.training, settings)
     person, _ = fit.fit_person("p0", points, body, 60.0, settings)

@@ -34,7 +34,7 @@ from studiorecon.footage.video import write_lossless
 from studiorecon.keypoints.tracking import drop_duplicates, track_ids
 from studiorecon.people import associate, fit
 from studiorecon.people.association.acceptance import identities_from_keypoints
-from studiorecon.people.fitting.points import observations, triangulate_keypoints
+from studiorecon.people.fitting.points import person_keypoints, triangulate_keypoints
 from studiorecon.report.metrics.identity_scores import identity_scores
 from studiorecon.scene.files import read_json, read_table, write_json
 from studiorecon.scene.people import PEOPLE_COLUMNS, Detections
@@ -96,7 +96,7 @@ def measured(
     shared = np.arange(0, frames, 24) // every  # pictures that every rate has
     errors, speeds = [], []
     for name in names:
-        keypoint_names, keypoints = observations(name, found, identities, body, count)
+        keypoint_names, keypoints = person_keypoints(name, found, identities, body, count)
         points = triangulate_keypoints(
             keypoint_names, keypoints, take.cameras, fitting.triangulation, fitting.fit.unverified_sigma_m
         )

@@ -23,7 +23,7 @@ from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.keypoints.motion import SMALL_PX, Motion, measure_motion
 from studiorecon.keypoints.numbering import possible_numberings
 from studiorecon.keypoints.readers import read_keypoints
-from studiorecon.rig.lens_model import as_model
+from studiorecon.rig.lens_model import reinterpret_lens
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.people import Detections
 
@@ -116,7 +116,10 @@ def test_people_and_motion_show_what_was_already_undistorted(straight_keypoints,
         read = Lens.from_json(json.loads(json.dumps(lens.as_json(), default=list)))
         np.testing.assert_array_equal(read.of_keypoints.distortion, lens.of_keypoints.distortion)
         # The doctor tries the other model too.
-        assert as_model(lens, "fisheye").of_keypoints.distortion.tolist() == lens.of_keypoints.distortion[:4].tolist()
+        assert (
+            reinterpret_lens(lens, "fisheye").of_keypoints.distortion.tolist()
+            == lens.of_keypoints.distortion[:4].tolist()
+        )
     assert any("already undistorted" in note for note in chosen.notes) == (straight_keypoints or films_are_straight)
     # The remedy in that sentence.
     assert all((lens.of_keypoints.distortion == WIDE).all() for lens in found(lens="opencv").lenses)

@@ -14,7 +14,7 @@ from studiorecon.calibration import choose, files
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.camera_files.colmap import read_model, write_model
 from studiorecon.cameras import held_out, refine
-from studiorecon.cameras.held_out import Bodies, describe
+from studiorecon.cameras.held_out import Bodies, pose_sentence
 from studiorecon.capture import frames, manifest
 from studiorecon.clocks.timeline import clock_as_filmed, common_moments, read_timeline
 from studiorecon.configuration import settings as settings_module
@@ -93,8 +93,8 @@ def test_too_little_leaves_the_camera_unchecked_and_says_so() -> None:
     found = estimate_held_out_pose(given, seen.of(np.arange(len(seen.frame)) < 40), LIMITS, BUNDLE, GAIN)
     assert not found.checked
     assert found.camera is given
-    assert "unchecked" in describe("c4", found, 5)
-    assert "no person is expected" in describe("c4", found, 0)
+    assert "unchecked" in pose_sentence("c4", found, 5)
+    assert "no person is expected" in pose_sentence("c4", found, 0)
 
 
 def test_a_late_picture_is_compared_with_where_people_were_then() -> None:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, Landmarks
-from studiorecon.detector.crops import Region, sampled
+from studiorecon.detector.crops import Region, sample_region
 from studiorecon.detector.frame_detection import Detector
 from studiorecon.detector.movenet import MoveNet, Sighting
 from studiorecon.detector.network_files import DetectorFiles
@@ -74,7 +74,7 @@ def test_a_crop_shows_what_the_region_covers(side: float, turn_rad: float) -> No
         cv2.LINE_AA,
         8,
     )
-    crop = sampled(picture, region, 256)[..., 0].astype(float)
+    crop = sample_region(picture, region, 256)[..., 0].astype(float)
     rows, columns = np.mgrid[0:256, 0:256] + 0.5
     middle = np.array([(crop * columns).sum(), (crop * rows).sum()]) / crop.sum()
     np.testing.assert_allclose(middle, [160, 90], atol=0.6)

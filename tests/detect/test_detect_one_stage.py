@@ -13,7 +13,7 @@ import onnxruntime
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 from studiorecon.detector.blazepose import BlazePose
-from studiorecon.detector.one_stage import OneStage, agreements
+from studiorecon.detector.one_stage import OneStage, landmark_agreements
 from studiorecon.detector.second_network import second_network
 from studiorecon.detector.top_down import TopDown
 from studiorecon.errors import UserError
@@ -158,9 +158,9 @@ def test_beyond_the_picture_it_is_grey(tmp_path: Path, monkeypatch: pytest.Monke
 def test_agreement_is_a_share_of_the_body() -> None:
     body = np.array([[0.0, 0.0], [0.0, 100.0]])
     off = np.array([0.0, 10.0, 50.0])[:, None, None] * [1.0, 0.0]
-    np.testing.assert_allclose(agreements(body + off, body), [1, np.exp(-1), np.exp(-25)])
-    np.testing.assert_allclose(agreements(10 * (body + off), 10 * body), agreements(body + off, body))
-    assert agreements(np.zeros((2, 0, 2)), np.zeros((0, 2))).tolist() == [0, 0]
+    np.testing.assert_allclose(landmark_agreements(body + off, body), [1, np.exp(-1), np.exp(-25)])
+    np.testing.assert_allclose(landmark_agreements(10 * (body + off), 10 * body), landmark_agreements(body + off, body))
+    assert landmark_agreements(np.zeros((2, 0, 2)), np.zeros((0, 2))).tolist() == [0, 0]
 
 
 def test_it_stands_behind_the_detector_like_any_other(root: Path, tmp_path: Path) -> None:

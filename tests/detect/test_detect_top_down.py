@@ -14,7 +14,7 @@ from onnx import TensorProto, helper, numpy_helper
 from studiorecon.detector.blazepose import BlazePose, Landmarks
 from studiorecon.detector.crops import Region
 from studiorecon.detector.second_network import second_network
-from studiorecon.detector.top_down import TopDown, choose_crop, from_heat, from_rows
+from studiorecon.detector.top_down import TopDown, choose_crop, points_from_heat_maps, points_from_simcc
 from studiorecon.detector.tracking import keypoints_with_confidence
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
@@ -117,14 +117,14 @@ def test_a_heat_map_s_peak_is_found_between_cells() -> None:
     cells = (truth - 0.5) * (np.array([48, 64]) - 1) / (np.array(WH) - 1)
     y, x = np.mgrid[0:64, 0:48]
     heat = np.exp(-((x - cells[:, 0, None, None]) ** 2 + (y - cells[:, 1, None, None]) ** 2) / (2 * 2.0**2))
-    np.testing.assert_allclose(from_heat(0.8 * heat, WH)[:, :2], truth, atol=1e-6)
-    assert from_heat(np.zeros((1, 64, 48)), WH)[0, 2] == 0
+    np.testing.assert_allclose(points_from_heat_maps(0.8 * heat, WH)[:, :2], truth, atol=1e-6)
+    assert points_from_heat_maps(np.zeros((1, 64, 48)), WH)[0, 2] == 0
 
 
 def test_rows_of_scores_are_read_by_their_bins() -> None:
     columns, rows = np.zeros((2, 384)), np.zeros((2, 512))
     columns[0, 101], rows[0, 400], columns[1, 0], rows[1, 511] = 0.9, 0.7, 0.2, 0.4
-    np.testing.assert_allclose(from_rows(columns, rows, WH), [[51.0, 200.5, 0.7], [0.5, 256.0, 0.2]])
+    np.testing.assert_allclose(points_from_simcc(columns, rows, WH), [[51.0, 200.5, 0.7], [0.5, 256.0, 0.2]])
 
 
 def test_a_crop_holds_everybody_s_head_whatever_their_shape() -> None:

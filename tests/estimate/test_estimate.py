@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from studiorecon.estimate.factor import Factor
-from studiorecon.estimate.factors.bones import bones
+from studiorecon.estimate.factors.bones import bone_factors
 from studiorecon.estimate.factors.edges import room_edges
 from studiorecon.estimate.factors.feet import feet_on_floor
-from studiorecon.estimate.factors.keypoints import Keypoints, keypoints
+from studiorecon.estimate.factors.keypoints import Keypoints, keypoint_factor
 from studiorecon.estimate.factors.lenses import alike_lenses, known_lenses
-from studiorecon.estimate.intervals import intervals
+from studiorecon.estimate.intervals import camera_intervals
 from studiorecon.estimate.solver import Solution, solve
 from studiorecon.estimate.unknowns import LOG_FOCAL, PER_CAMERA, RADIAL, Unknowns
 from studiorecon.geometry.distortion import distort
@@ -46,7 +46,7 @@ def pixels() -> np.ndarray:
 def seen(unknowns: Unknowns, aspect: np.ndarray = ASPECT, off_px: float = 0.0, sigma_px: float = 2.0) -> Keypoints:
     view, point = EVERY
     noise = np.random.default_rng(2).normal(0, off_px, (len(view), 2))
-    return keypoints(unknowns, view, point, pixels()[view, point] + noise, np.full(len(view), sigma_px), aspect)
+    return keypoint_factor(unknowns, view, point, pixels()[view, point] + noise, np.full(len(view), sigma_px), aspect)
 
 
 def along_edges(unknowns: Unknowns) -> Factor:
@@ -56,8 +56,10 @@ def along_edges(unknowns: Unknowns) -> Factor:
 
 FACTORS: dict[str, Callable[[Unknowns], Factor]] = {
     "keypoints": seen,
-    "bones": lambda u: bones(u, np.arange(6), np.arange(6, 12), np.arange(6) % 2, np.ones(6), np.array([0.5, 0.4]))[0],
-    "usual lengths": lambda u: bones(u, np.arange(2), np.arange(2), np.arange(2), np.ones(2), np.ones(2))[1],
+    "bones": lambda u: bone_factors(
+        u, np.arange(6), np.arange(6, 12), np.arange(6) % 2, np.ones(6), np.array([0.5, 0.4])
+    )[0],
+    "usual lengths": lambda u: bone_factors(u, np.arange(2), np.arange(2), np.arange(2), np.ones(2), np.ones(2))[1],
     "feet": lambda u: feet_on_floor(u, np.arange(9), np.eye(3), np.ones(9)),
     "known lenses": lambda u: known_lenses(u, np.ones((4, 4)), np.ones((4, 4))),
     "alike lenses": lambda u: alike_lenses(u, ["a", "b", "a", "a"])[1],
@@ -112,7 +114,7 @@ def test_what_was_held_stays_and_has_no_covariance() -> None:
 
 
 def test_intervals_grow_with_the_noise_and_hold_the_truth() -> None:
-    little, much = (intervals(estimated(off_px)) for off_px in (1.0, 4.0))
+    little, much = (camera_intervals(estimated(off_px)) for off_px in (1.0, 4.0))
     assert much.between_deg > 2 * little.between_deg
     off = estimated(4.0).unknowns.of_cameras[:, RADIAL] - K1
     assert (np.abs(off) < 4 * much.radial).all()

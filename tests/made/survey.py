@@ -12,7 +12,7 @@ from studiorecon.configuration.settings import load
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import write_lossless
 from studiorecon.images.plate import write_plate
-from studiorecon.rig.body_points import tracks
+from studiorecon.rig.body_points import person_tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.decisions import Decision
@@ -57,7 +57,7 @@ def decided(
     effect: SurveyedEffect, settings: step.Settings, views: list[ExposureView], people: list[str] | None = None
 ) -> Decision:
     """One effect alone, of cameras with plates and depth."""
-    nobody = tracks([], {}, [], 0, 0.0)
+    nobody = person_tracks([], {}, [], 0, 0.0)
     evidence = Evidence(SurveyInput([v.camera for v in views], people, views, [], nobody, 0.0, 30.0), settings)
     found = effect.measure(evidence, effect.threshold)
     return effect.decide(found.value, found.interval, found.reason, detail=found.detail)

@@ -19,7 +19,7 @@ from studiorecon.people.association.affinity import affinities, window_distances
 from studiorecon.people.association.group import Group
 from studiorecon.people.association.grouping import Compared, group_tracks, track_margins
 from studiorecon.people.association.postures import joint_differences_rad, parameter_differences_rad
-from studiorecon.people.association.track_pairs import TrackPairs, margins, track_pairs
+from studiorecon.people.association.track_pairs import TrackPairs, node_margins, track_pairs
 from studiorecon.rig.correspondences import make_observations
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -77,7 +77,7 @@ def pair_recall(groups, planted: dict[tuple[int, int], int]) -> float:
 @pytest.mark.parametrize("shape", [(0, 3), (3, 0), (0, 0)], ids=lambda s: f"A01-{s[0]}x{s[1]}")
 def test_nobody_matches_nobody(shape):  # A01 naive: max over empty raises
     assert match_detections(np.zeros(shape), 1.0) == []
-    assert margins(TrackPairs(*np.zeros((2, 0), int), *np.zeros((6, 0, 0))), []).shape == (0,)
+    assert node_margins(TrackPairs(*np.zeros((2, 0), int), *np.zeros((6, 0, 0))), []).shape == (0,)
     assert window_distances(np.zeros((0, 5, 3))).shape == (0, 0)
 
 
@@ -334,7 +334,7 @@ def test_a12_close_people_are_undecided_in_one_frame_and_told_apart_in_many(
             pairs = match_detections(1 - found, 1.0)
             full = np.zeros((4, 4))
             full[:2, 2:], full[2:, :2] = found, found.T
-            preferred = margins(
+            preferred = node_margins(
                 TrackPairs(view, track, ~alone, full, alone, np.full((4, 4), frames), *np.full((2, 4, 4), np.nan)),
                 [[a, 2 + b] for a, b in pairs],
             )

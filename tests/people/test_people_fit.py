@@ -21,7 +21,7 @@ from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people import fit
-from studiorecon.people.fitting.points import Points, observations, triangulate_keypoints
+from studiorecon.people.fitting.points import Points, person_keypoints, triangulate_keypoints
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.files import write_npz
@@ -89,7 +89,7 @@ def detect(body: BodyModel, made: Made, noise_px: float, seed: int = 0, layout: 
 def solve(body: BodyModel, made: Made, detections: list[Detections], section: dict[str, Any], views: int = 4) -> Person:
     settings = settings_module.load(fit.Settings, section, "people")
     identities = {(d.camera, 0): "p0" for d in detections}
-    names, keypoints = observations("p0", detections[:views], identities, body, FRAMES)
+    names, keypoints = person_keypoints("p0", detections[:views], identities, body, FRAMES)
     return fit.fit_person("p0", lifted(names, keypoints, made.cameras[:views], settings), body, FPS, settings)[0]
 
 
@@ -133,7 +133,7 @@ def test_the_solver_of_the_triangulation_is_a_setting(body: BodyModel, made: Mad
         section = default_settings("people")
         section = {**section, "triangulation": {**section["triangulation"], "solver": solver}}
         options = settings_module.load(fit.Settings, section, "people")
-        known, keypoints = observations("p0", detections, {(d.camera, 0): "p0" for d in detections}, body, FRAMES)
+        known, keypoints = person_keypoints("p0", detections, {(d.camera, 0): "p0" for d in detections}, body, FRAMES)
         points = lifted(known, keypoints, made.cameras, options)
         truth = body.keypoints(right, made.poses, BETAS, made.trans)
         wrong = np.linalg.norm(points.points_m[:, [known.index(n) for n in right]] - truth, axis=-1)
@@ -331,7 +331,7 @@ def test_real_balancing_man_is_fitted_to_two_centimetres(real_data: Path, body: 
                 keypoints[frame, at, 2] = np.minimum(found[at, 2], 1)
         views.append(Detections(name, "body_25b", np.arange(100), np.zeros(100, dtype=np.int64), keypoints))
     settings = settings_module.load(fit.Settings, default_settings("people"), "people")
-    names, keypoints = observations("p0", views, {(c.name, 0): "p0" for c in cameras}, body, 100)
+    names, keypoints = person_keypoints("p0", views, {(c.name, 0): "p0" for c in cameras}, body, 100)
     points = lifted(names, keypoints, cameras, settings)
     person, result = fit.fit_person("p0", points, body, 60.0, settings)
     assert person.valid.mean() > 0.98
@@ -352,7 +352,7 @@ def test_who_walks_in_or_comes_back_is_there_while_measured_and_told_when_not(
         detections = detect(body, made, 1)
         for d, own in zip(detections, (seen | seen_by_one, seen, seen, seen)):
             d.keypoints[~own] = [np.nan, np.nan, 0]
-        names, keypoints = observations("p0", detections, {(d.camera, 0): "p0" for d in detections}, body, FRAMES)
+        names, keypoints = person_keypoints("p0", detections, {(d.camera, 0): "p0" for d in detections}, body, FRAMES)
         points = lifted(names, keypoints, made.cameras, settings)
         return fit.fit_person("p0", points, body, 5.0, settings)[0]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from studiorecon.footage.video import write_lossless
 from studiorecon.people import associate
-from studiorecon.people.association.acceptance import identities_from_keypoints, solve
+from studiorecon.people.association.acceptance import choose_groups, identities_from_keypoints
 from studiorecon.scene.camera import Camera
 
 from tests.defaults import loaded
@@ -92,10 +92,10 @@ def test_a_return_that_nothing_decides_is_two_names_and_a_question(capsys):
 
 
 def test_groups_that_exclude_each_other_are_chosen_together() -> None:
-    assert solve([], {}).tolist() == []
-    assert solve([1.0, -1.0], {}).tolist() == [True, False]
+    assert choose_groups([], {}).tolist() == []
+    assert choose_groups([1.0, -1.0], {}).tolist() == [True, False]
     # The best one alone is worth less than the two that it excludes.
     pairs = {(0, 1): -30.0, (0, 2): -30.0}
-    assert solve([5.0, 3.0, 3.0], pairs).tolist() == [False, True, True]
-    assert solve([7.0, 3.0, 3.0], pairs).tolist() == [True, False, False]
-    assert solve([5.0, 4.0], {(1, 0): -3.0}).tolist() == [True, True], "some overlap of two sure people"
+    assert choose_groups([5.0, 3.0, 3.0], pairs).tolist() == [False, True, True]
+    assert choose_groups([7.0, 3.0, 3.0], pairs).tolist() == [True, False, False]
+    assert choose_groups([5.0, 4.0], {(1, 0): -3.0}).tolist() == [True, True], "some overlap of two sure people"

@@ -236,4 +236,4 @@ def test_a_depth_of_another_view_is_refused(tmp_path: Path, monkeypatch: pytest.
 
 def test_cameras_in_one_place_say_nothing_of_a_metre() -> None:
     with pytest.raises(UserError, match="the scale of its depth is unknown; go by rays"):
-        first_depth.metres_per_metre(rig()[:1], rig(), "go by rays")
+        first_depth.network_scale(rig()[:1], rig(), "go by rays")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from studiorecon.geometry import rotations
 from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
-from studiorecon.people.fitting.presence import STAYS_S, UNSEEN_S, fill_gaps, presence, runs
+from studiorecon.people.fitting.presence import STAYS_S, UNSEEN_S, fill_gaps, presence, true_runs
 
 RATES = (10.0, 30.0, 60.0)
 LENGTH_S = 20.0
@@ -24,7 +24,7 @@ def during(fps: float, *spans_s: tuple[float, float]) -> np.ndarray:
 
 
 def spans_s(chosen: np.ndarray, fps: float) -> list[tuple[float, float]]:
-    return [(round(first / fps, 6), round(last / fps, 6)) for first, last in runs(chosen)]
+    return [(round(first / fps, 6), round(last / fps, 6)) for first, last in true_runs(chosen)]
 
 
 @pytest.mark.parametrize("fps", RATES)
@@ -64,7 +64,7 @@ def test_what_holds_of_every_clip(flags: tuple, fps: float, rare: int) -> None:
     assert (presence(measured, seen | more, fps) >= there).all(), "nobody is away for being seen"
     assert (presence(measured | more, seen, fps) >= there).all()
     at = np.flatnonzero(measured)
-    for first, last in runs(there):
+    for first, last in true_runs(there):
         own = at[(at >= first) & (at <= last)]
         assert len(own), "nobody is there without a measurement"
         assert (own[0] - first) / fps <= STAYS_S
@@ -72,7 +72,7 @@ def test_what_holds_of_every_clip(flags: tuple, fps: float, rare: int) -> None:
         known = np.flatnonzero(measured | seen)
         known = known[(known >= own[0]) & (known <= own[-1])]
         assert len(known) < 2 or np.diff(known).max() / fps <= max(UNSEEN_S, 2 * STAYS_S)
-    for first, last in runs(~there):
+    for first, last in true_runs(~there):
         # What is left out is long enough to be an absence, or lies at an end of the clip.
         assert first == 0 or last == len(there) - 1 or (last - first + 2 + 2 * int(STAYS_S * fps)) / fps > UNSEEN_S
 

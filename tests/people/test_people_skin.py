@@ -70,7 +70,7 @@ def whose(found: list[Detections]) -> dict[tuple[str, int], str]:
 
 def joints_off_m(body: BodyModel, truth, cameras, found, settings: fit.Settings) -> float:
     """Mean error of the joints after the step's own arithmetic."""
-    names, keypoints = fit.observations("p0", found, whose(found), body, FRAMES)
+    names, keypoints = fit.person_keypoints("p0", found, whose(found), body, FRAMES)
     points = fit.triangulate_keypoints(
         names, keypoints, cameras, settings.triangulation, settings.fit.unverified_sigma_m
     )

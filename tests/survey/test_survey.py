@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import gaps_around
-from studiorecon.rig.body_points import tracks
+from studiorecon.rig.body_points import person_tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import Decision, apply_forced, read_decisions
 from studiorecon.scene.room import Platform, read_room, write_room
@@ -76,7 +76,7 @@ class TestCoverage:
         """Cameras close together except for two gaps, of 33 and of 80 degrees."""
         cameras = ring([0, 20, 40, 60, 93, 173, 193, 213, 233, 253, 273, 293, 313, 333], focal_px=40)
         views = [blank(camera) for camera in cameras]
-        nobody = tracks([], {}, [], 0, 0.0)
+        nobody = person_tracks([], {}, [], 0, 0.0)
         evidence = Evidence(SurveyInput(cameras, None, views, [], nobody, 0.0, 30.0), settings)
 
         found = of_effect(VIEW_SYNTHESIS, evidence, VIEW_SYNTHESIS.threshold)

@@ -33,7 +33,7 @@ from studiorecon.keypoints.resampling import resample_keypoints
 from studiorecon.progress import say
 from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.hypotheses import LENS_READINGS
-from studiorecon.rig.lens_model import LensReading, as_model
+from studiorecon.rig.lens_model import LensReading, reinterpret_lens
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import ClockFinding, Clocks, read_clock_findings, read_clocks
@@ -162,7 +162,7 @@ def run(
     say_about_films(about, films)  # before anything slow: results from the files alone
 
     def read(model: LensReading) -> tuple[list[Camera], list[Detections]]:
-        both = [to_pinhole(d, as_model(lenses[c], model), film.wh) for c, d, film in zip(cameras, raw, films)]
+        both = [to_pinhole(d, reinterpret_lens(lenses[c], model), film.wh) for c, d, film in zip(cameras, raw, films)]
         return [camera for camera, _ in both], [d for _, d in both]
 
     pinholes, detections = read("as_read")

@@ -19,7 +19,7 @@ from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.geometry.lens import apply_pixel_map
 from studiorecon.progress import say
-from studiorecon.rig.lens_model import LensReading, as_model, with_radial
+from studiorecon.rig.lens_model import LensReading, add_radial_term, reinterpret_lens
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import write_json
 from studiorecon.scene.user_files import file_size, user_file_context
@@ -132,7 +132,7 @@ def paired_lenses(
     for name, raw, pose in zip(cameras, chosen, poses):
         lens = Lens(name, raw.wh, raw.intrinsics, raw.model, raw.distortion, pose, np.eye(2, 3))
         lens = apply_pixel_map(lens, pixel_maps.get(name))
-        lenses.append(with_radial(as_model(lens, settings.lens), settings.radial.get(name, 0.0)))
+        lenses.append(add_radial_term(reinterpret_lens(lens, settings.lens), settings.radial.get(name, 0.0)))
     return lenses, notes, floor_known
 
 

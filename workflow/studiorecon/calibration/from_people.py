@@ -16,7 +16,7 @@ from studiorecon.calibration.known_lenses import ideal_pinhole, lens_at_pose, le
 from studiorecon.calibration.room_evidence import radial_lens, with_edges, with_floor
 from studiorecon.calibration.room_pictures import read_room_pictures, without_distortion
 from studiorecon.errors import UserError
-from studiorecon.estimate.intervals import intervals
+from studiorecon.estimate.intervals import camera_intervals
 from studiorecon.footage.lens_metadata import focal_px_from_metadata
 from studiorecon.geometry.lens import lens_with_pixel_map
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
@@ -28,7 +28,7 @@ from studiorecon.rig.lens_knowledge import lens_knowledge
 from studiorecon.rig.metric_scale import GivenLengths, stature_m
 from studiorecon.rig.pose_consensus import PoseConsensus, find_pose_consensus, pose_distance
 from studiorecon.rig.room_picture import RoomPicture
-from studiorecon.rig.world_of_people import in_world_of_people
+from studiorecon.rig.world_of_people import align_to_people
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.clocks import Clocks, read_clocks
 from studiorecon.scene.files import write_json
@@ -122,7 +122,7 @@ def pose_cameras(
         )
     estimate = with_edges(estimate, knowledge, template_m, edges or {})
     estimate = with_floor(estimate, knowledge, template_m, rooms or {})
-    known_to = intervals(estimate.solution)
+    known_to = camera_intervals(estimate.solution)
     turn, place, between_deg = known_to.turn_deg, known_to.place_m, known_to.between_deg
     uncertain = _uncertain(names, focal_px, turn, place, known_to.focal, about)
     if found.rival is not None:
@@ -133,7 +133,7 @@ def pose_cameras(
     if unplaced := [n for n in given.between if n in found.left_out]:
         uncertain.append(f"distance_m is measured from camera {unplaced[0]}, which is left out, so it gives no scale")
         given = replace(given, between=())
-    cameras, how, scale = in_world_of_people(estimate, template_m, given, stature)
+    cameras, how, scale = align_to_people(estimate, template_m, given, stature)
     rig = estimate.rig
     error = rig.points.error_px[:, rig.counted]
     median = float(np.median(error[np.isfinite(error)]))

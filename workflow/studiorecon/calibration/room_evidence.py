@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.calibration.room_pictures import without_distortion
-from studiorecon.estimate.intervals import intervals
+from studiorecon.estimate.intervals import camera_intervals
 from studiorecon.progress import say
 from studiorecon.rig.estimate import RigEstimate, RoomEvidence, with_room
 from studiorecon.rig.floor_marks import floor_marks
 from studiorecon.rig.gravity import world_from_people
-from studiorecon.rig.lens_knowledge import LensKnowledge, straight_points, with_distortion
+from studiorecon.rig.lens_knowledge import LensKnowledge, distort_marks, straight_points
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_turns import room_turns
 from studiorecon.scene.camera import Camera, Lens
@@ -51,7 +51,7 @@ def with_edges(
 ) -> RigEstimate:
     """The estimate with the room's straight edges too, where they have three directions and people allow it."""
     own = {v: edges[c.name] for v, c in enumerate(found.cameras) if c.name in edges}
-    spread = float(np.median(intervals(found.solution).focal))
+    spread = float(np.median(camera_intervals(found.solution).focal))
     tried = []
     # People may leave focal lengths uncertain, and at a wrong one the edges have no three directions.
     for factor in np.exp(spread * np.array([0.0, -1.0, 1.0])):
@@ -88,7 +88,7 @@ def with_floor(
         marks = floor_marks(cameras, _straight_rooms(best, rooms), np.zeros(2), 0.0, reach_m)
         if marks is None:
             return best
-        marks = with_distortion(marks, best.cameras, best.radial)
+        marks = distort_marks(marks, best.cameras, best.radial)
         after, allowed = with_room(found, knowledge, template_m, replace(found.room, marks=marks))
         if not allowed:
             say(f"the floor was left out: people contradict it ({_rise(found, after)})")

@@ -16,7 +16,7 @@ from studiorecon.geometry.lens import video_from_working
 from studiorecon.keypoints.detections import to_pinhole
 from studiorecon.keypoints.motion import Motion
 from studiorecon.keypoints.motion_agreement import Score, moving_keypoints, score_reading
-from studiorecon.rig.lens_model import as_model
+from studiorecon.rig.lens_model import reinterpret_lens
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.people import Detections
 
@@ -38,7 +38,7 @@ def without_second_undistortion(
     kept, straight = list(lenses), [replace(lens, distortion=np.zeros_like(lens.distortion)) for lens in lenses]
     if not any(_is_bent(*each) for each in zip(lenses, straight, sizes, people, strict=True)):
         return kept, []
-    other = [as_model(lens, "fisheye" if lens.model == "opencv" else "opencv") for lens in lenses]
+    other = [reinterpret_lens(lens, "fisheye" if lens.model == "opencv" else "opencv") for lens in lenses]
     index, shown = best_candidate([lenses, straight, other], lambda way: agreement(way, sizes, people))
     if not shown or index == 2:
         return kept, []

@@ -124,7 +124,7 @@ def redetect(
     ), places
 
 
-def describe(camera: str, found: HeldOutPose, places: int) -> str:
+def pose_sentence(camera: str, found: HeldOutPose, places: int) -> str:
     """One sentence about a held-out camera."""
     if not found.checked:
         why = (
@@ -180,7 +180,7 @@ def run(
         late = common.late_frames(camera.name)
         sighted, places = redetect(network, detector.worth(), camera, chosen.tolist(), pictures, bodies, late)
         answer = estimate_held_out_pose(camera, sighted, settings.limits, settings.bundle, settings.min_gain)
-        sentence = describe(camera.name, answer, places)
+        sentence = pose_sentence(camera.name, answer, places)
         (warn if answer.turned_deg or not answer.checked else say)(sentence)
         about = {name: value for name, value in asdict(answer).items() if name != "camera"}
         found.append({"camera": camera.name, **about, "places": places, "sentence": sentence})

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from studiorecon.detector.crops import Region, sampled
+from studiorecon.detector.crops import Region, sample_region
 from studiorecon.detector.second_network import SecondNetwork
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
@@ -81,11 +81,11 @@ class BlazePose:
 
     def look(self, picture: Integer[np.ndarray, "H W 3"], region: Region) -> Landmarks:
         """Landmarks of the person in ``region`` of ``picture`` (RGB); ``presence`` is the probability of a person."""
-        crop = sampled(picture, region, _CROP_PX)
+        crop = sample_region(picture, region, _CROP_PX)
         given = {self._landmarks.get_inputs()[0].name: crop[None] * np.float32(1 / 255)}
         points, presence, mask, heat, guess = (out[0] for out in self._landmarks.run(None, given))
         points = points.reshape(39, 5).astype(np.float64)
-        pixels = region.in_picture(refined(points[:, :2], heat), _CROP_PX)
+        pixels = region.in_picture(refine_landmarks(points[:, :2], heat), _CROP_PX)
         c, s = np.cos(region.turn_rad), np.sin(region.turn_rad)
         upright = guess.reshape(39, 3)[:LANDMARKS].astype(np.float64)
         turned = upright @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
@@ -112,7 +112,7 @@ class BlazePose:
         return out
 
 
-def refined(points: Num[np.ndarray, "K 2"], heat: Num[np.ndarray, "64 64 K"]) -> Num[np.ndarray, "K 2"]:
+def refine_landmarks(points: Num[np.ndarray, "K 2"], heat: Num[np.ndarray, "64 64 K"]) -> Num[np.ndarray, "K 2"]:
     """Crop pixels of landmarks, moved to the centre of their heat map's peak where that is clear within three cells."""
     out = points.copy()
     for k, (x, y) in enumerate(points * (_HEAT_PX / _CROP_PX)):

@@ -72,7 +72,7 @@ def region_of_body(joints: Mapping[str, Num[np.ndarray, " 2"]], wh: tuple[int, i
     return Region.around(hips, hips + up * radius / max(np.linalg.norm(up), 1e-9))
 
 
-def sampled(picture: Num[np.ndarray, "H W 3"], region: Region, edge: int) -> Integer[np.ndarray, "edge edge 3"]:
+def sample_region(picture: Num[np.ndarray, "H W 3"], region: Region, edge: int) -> Integer[np.ndarray, "edge edge 3"]:
     """Upright crop of a region, black beyond the picture; averaged where it shrinks."""
     require("picture", picture, ("H", "W", 3))
     affine = region.crop_from_picture(edge)

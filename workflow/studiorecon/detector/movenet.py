@@ -62,7 +62,7 @@ class MoveNet:
         size = max(1, round(width * scale)), max(1, round(height * scale))
         small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
         padding = [(0, -side % _STEP_PX) for side in small.shape[:2]]
-        found = people(self.maps(np.pad(small, [*padding, (0, 0)])), least)
+        found = decode_people(self.maps(np.pad(small, [*padding, (0, 0)])), least)
         from_shown = np.array([width / size[0], height / size[1], 1.0])
         return [Sighting(one.score, one.keypoints * from_shown) for one in found]
 
@@ -72,7 +72,7 @@ class MoveNet:
         return {out.name: map_[0].astype(np.float64) for out, map_ in zip(self._session.get_outputs(), answer)}
 
 
-def people(maps: dict[str, Num[np.ndarray, "h w C"]], least: float) -> list[Sighting]:
+def decode_people(maps: dict[str, Num[np.ndarray, "h w C"]], least: float) -> list[Sighting]:
     """The people above the score ``least`` in the network's maps, most confident first, in pixels of its input."""
     middle = _sigmoid(maps["centre"][..., 0])
     # A person's score is the product of that of the middle and of the points, which is at most 1.

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.detector.crops import Region, sampled
-from studiorecon.detector.top_down import named
+from studiorecon.detector.crops import Region, sample_region
+from studiorecon.detector.top_down import network_layout
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
 
@@ -65,7 +65,7 @@ class OneStage:
         (self._edge,) = sides
         self._input = given[0].name
         points = self._run(np.full((self._edge, self._edge, 3), _BEYOND, np.uint8))[1]
-        self.layout = named(points.shape[1], layout, path)
+        self.layout = network_layout(points.shape[1], layout, path)
         self.note = path.stem
         theirs = LAYOUTS[self.layout].keypoints
         self._shared = np.array([(theirs.index(k), _LANDMARKS.index(k)) for k in theirs if k in _LANDMARKS]).reshape(
@@ -77,7 +77,7 @@ class OneStage:
         BlazePose's ``landmarks``; NaN where the network detects no such person."""
         low, high = landmarks.min(0), landmarks.max(0)
         side = max(_MARGIN * float((high - low).max()), 1.0)
-        square = sampled(picture, Region((low + high) / 2, side, 0.0), self._edge)
+        square = sample_region(picture, Region((low + high) / 2, side, 0.0), self._edge)
         scale, corner = side / self._edge, (low + high) / 2 - side / 2
         middles = corner + scale * (np.arange(self._edge)[:, None] + 0.5)
         beyond = (middles < 0) | (middles > [picture.shape[1], picture.shape[0]])
@@ -88,7 +88,7 @@ class OneStage:
         if not len(found):
             return nobody
         places = corner + scale * (found[..., :2] + 0.5)
-        agreement = agreements(places[:, self._shared[:, 0]], landmarks[self._shared[:, 1]])
+        agreement = landmark_agreements(places[:, self._shared[:, 0]], landmarks[self._shared[:, 1]])
         best = int(agreement.argmax())
         if agreement[best] < _MIN_AGREEMENT:
             return nobody
@@ -101,7 +101,7 @@ class OneStage:
         return sorted(answer, key=lambda out: out.ndim)
 
 
-def agreements(places: Num[np.ndarray, "N S 2"], landmarks: Num[np.ndarray, "S 2"]) -> Num[np.ndarray, " N"]:
+def landmark_agreements(places: Num[np.ndarray, "N S 2"], landmarks: Num[np.ndarray, "S 2"]) -> Num[np.ndarray, " N"]:
     """Agreement of N people's points with landmarks, 0 to 1: points off by a tenth of the body's extent give 0.37."""
     if not len(landmarks):
         return np.zeros(len(places))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.detector.crops import Region, sampled
+from studiorecon.detector.crops import Region, sample_region
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import BY_COUNT, LAYOUTS, USUAL
 
@@ -70,7 +70,7 @@ class TopDown:
                 f"{path} returns {shapes}; detect.network must return heat maps (points, height, width) or SimCC "
                 "(points, columns) and (points, rows): export it without later layers"
             )
-        self.layout = named(len(points), layout, path)
+        self.layout = network_layout(len(points), layout, path)
         self.note = path.stem
 
     def look(self, picture: Num[np.ndarray, "H W 3"], landmarks: Num[np.ndarray, "N 2"]) -> Num[np.ndarray, "K 3"]:
@@ -78,7 +78,7 @@ class TopDown:
         ``landmarks``."""
         crop = choose_crop(landmarks, self.wh)
         edge = max(self.wh)
-        square = sampled(picture, Region(crop.centre, edge * crop.scale, 0.0), edge)
+        square = sample_region(picture, Region(crop.centre, edge * crop.scale, 0.0), edge)
         left, top = ((edge - side) // 2 for side in self.wh)
         points = self._points(self._run(square[top : top + self.wh[1], left : left + self.wh[0]]))
         assert points is not None, "the network's answer changed its shape"
@@ -92,9 +92,9 @@ class TopDown:
     def _points(self, answer: list[np.ndarray]) -> Num[np.ndarray, "K 3"] | None:
         """Points in pixels of the crop and their scores; None for outputs of another form."""
         if len(answer) == 1 and answer[0].ndim == 3:
-            return from_heat(answer[0], self.wh)
+            return points_from_heat_maps(answer[0], self.wh)
         if len(answer) == 2 and all(part.ndim == 2 for part in answer) and len(answer[0]) == len(answer[1]):
-            return from_rows(answer[0], answer[1], self.wh)
+            return points_from_simcc(answer[0], answer[1], self.wh)
         return None
 
 
@@ -102,7 +102,7 @@ def _is_size(side: object) -> bool:
     return isinstance(side, int) and 0 < side <= _LARGEST_PX
 
 
-def named(points: int, layout: str, path: Path) -> str:
+def network_layout(points: int, layout: str, path: Path) -> str:
     """The layout of a network's points, as stated or from their number; raises UserError where the two do not fit."""
     if layout != AUTO:
         if (wanted := len(LAYOUTS[layout].keypoints)) != points:
@@ -126,7 +126,7 @@ def choose_crop(landmarks: Num[np.ndarray, "N 2"], wh: tuple[int, int]) -> Crop:
     return Crop((low + high) / 2, max(scale, 1e-3))
 
 
-def from_heat(heat: Num[np.ndarray, "K H W"], wh: tuple[int, int]) -> Num[np.ndarray, "K 3"]:
+def points_from_heat_maps(heat: Num[np.ndarray, "K H W"], wh: tuple[int, int]) -> Num[np.ndarray, "K 3"]:
     """Crop pixels and scores of heat maps' peaks, each to a fraction of a cell by the parabola through the logarithms
     around it: exact for the Gaussians that such networks are trained on.
 
@@ -148,7 +148,7 @@ def from_heat(heat: Num[np.ndarray, "K H W"], wh: tuple[int, int]) -> Num[np.nda
     return np.column_stack([place * (np.array(wh) - 1) / np.maximum(cells - 1, 1) + 0.5, score])
 
 
-def from_rows(
+def points_from_simcc(
     columns: Num[np.ndarray, "K X"], rows: Num[np.ndarray, "K Y"], wh: tuple[int, int]
 ) -> Num[np.ndarray, "K 3"]:
     """Crop pixels and scores of SimCC's two rows of scores, whose bins split every pixel alike."""

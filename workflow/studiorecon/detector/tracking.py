@@ -55,7 +55,7 @@ class Walker:
         return replace(following, centre=following.centre + np.exp(-1 / (_KEPT_S * fps)) * self.step)
 
 
-def follow(
+def follow_people(
     network: BlazePose, picture: Integer[np.ndarray, "H W 3"], walkers: Sequence[Walker], fps: float
 ) -> list[Walker]:
     """Those of ``walkers`` who are found in the next picture (or the one before)."""
@@ -88,7 +88,7 @@ def detect_people(
         if not looks and (len(held) - 1) % stride:
             results.append(None)
             continue
-        walkers = follow(network, picture, walkers, placed_fps)
+        walkers = follow_people(network, picture, walkers, placed_fps)
         results.append({w.number: w.seen for w in walkers})
         if not looks:
             continue
@@ -107,7 +107,7 @@ def detect_people(
             known_there = results[back]
             if known_there is None:
                 continue
-            found = follow(network, held[back], found, placed_fps)
+            found = follow_people(network, held[back], found, placed_fps)
             # A track that meets a known person is that person's.
             everybody = drop_overlapping([*known_there.values(), *(w.seen for w in found)])
             found = [w for w in found if any(w.seen is e for e in everybody)]
@@ -116,7 +116,7 @@ def detect_people(
         yield from fill_between(network, held, results)[:-1]
         held, results = [picture], [results[-1]]
     if results and results[-1] is None:
-        results[-1] = {w.number: w.seen for w in follow(network, held[-1], walkers, placed_fps)}
+        results[-1] = {w.number: w.seen for w in follow_people(network, held[-1], walkers, placed_fps)}
     yield from fill_between(network, held, results)
 
 
@@ -139,7 +139,7 @@ def fill_between(
             seen = []
             for number in dict.fromkeys([*before, *after]):
                 ends = [one[number] for one in (before, after) if number in one]
-                guess = interpolate(ends[0], ends[-1], (between - first) / (last - first))
+                guess = interpolate_landmarks(ends[0], ends[-1], (between - first) / (last - first))
                 smooth = len(ends) == 2 and moves_smoothly([one.get(number) for one in around])
                 own = guess if smooth else detect_in_region(network, pictures[between], guess.next_region)
                 seen += [own] if own is not None else []
@@ -161,7 +161,7 @@ def moves_smoothly(seen: Sequence[Landmarks | None]) -> bool:
     return bool(errors) and max(errors) < _EXACT_SHARE
 
 
-def interpolate(first: Landmarks, last: Landmarks, share: float) -> Landmarks:
+def interpolate_landmarks(first: Landmarks, last: Landmarks, share: float) -> Landmarks:
     """Landmarks at ``share`` of the time between the first and the last."""
 
     def mix(a: Any, b: Any) -> Any:

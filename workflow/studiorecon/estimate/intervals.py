@@ -37,7 +37,7 @@ class Intervals:
     between_deg: float
 
 
-def intervals(solution: Solution) -> Intervals:
+def camera_intervals(solution: Solution) -> Intervals:
     """The uncertainty that the information of ``solution`` leaves."""
     found, views = solution.unknowns, solution.unknowns.views
     covariance = solution.covariance(PER_CAMERA * views)

@@ -23,7 +23,7 @@ from studiorecon.people.fit_settings import TriangulationSettings
 from studiorecon.people.fitting.readouts import estimate_readouts
 from studiorecon.people.pictures.coverage import CameraEvidence
 from studiorecon.progress import say, warn
-from studiorecon.rig.body_points import tracks
+from studiorecon.rig.body_points import person_tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Manifest, read_manifest
 from studiorecon.scene.files import write_json
@@ -86,7 +86,7 @@ class Associated:
         return {key: verdict.person for key, verdict in self.verdicts.items()}
 
 
-def as_corrected(path: Path, given: Sequence[Detections]) -> Associated:
+def associate_as_corrected(path: Path, given: Sequence[Detections]) -> Associated:
     """Persons of all tracks by the user's own table, unchanged."""
     table = read_corrected(path, given)
     rows = people_table_rows(table, given)
@@ -122,7 +122,7 @@ def run(
     cameras, footage = read_model(model.parent), read_manifest(manifest)
     given = _read_of_all(detections, cameras)
     if corrected:
-        found = as_corrected(corrected[0], given)
+        found = associate_as_corrected(corrected[0], given)
     else:
         evidence = witnesses.of(cameras, footage)
         limits, (frames, fps) = (settings.association, settings.triangulation), (footage.frames, footage.fps)
@@ -179,7 +179,7 @@ def _readouts(
 ) -> list[Readout]:
     """Every camera's readout, from the keypoints of all identified people; those in use are logged."""
     people = sorted({person for person in whose.values() if person})
-    seen = tracks(given, whose, people, footage.frames, _SURE)
+    seen = person_tracks(given, whose, people, footage.frames, _SURE)
     found = estimate_readouts(seen.pixels, cameras, footage.fps)
     for one in found:
         if one.used_s:

@@ -11,7 +11,7 @@ import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.people.fitting.points import Triangulation, observations, triangulate_keypoints
+from studiorecon.people.fitting.points import Triangulation, person_keypoints, triangulate_keypoints
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -72,7 +72,7 @@ def project_expected(
     limits: Triangulation,
 ) -> ExpectedKeypoints:
     """The joints of ``person`` from all cameras but ``view``, projected into that camera."""
-    names, keypoints = observations(person, list(detections), identities, body, frames)
+    names, keypoints = person_keypoints(person, list(detections), identities, body, frames)
     others = [v for v in range(len(cameras)) if v != view]
     points = triangulate_keypoints(names, keypoints[others], [cameras[v] for v in others], limits, 0.0)
     pixels, depth = cameras[view].project(points.points_m)

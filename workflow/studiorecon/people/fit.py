@@ -27,8 +27,8 @@ from studiorecon.keypoints.resampling import correct_rolling_shutter
 from studiorecon.people.fit_settings import SmoothingSettings, TriangulationSettings
 from studiorecon.people.fitting.legs import bend_hidden_legs
 from studiorecon.people.fitting.limbs import body_scale, limb_ratio
-from studiorecon.people.fitting.points import Points, observations, off_m, triangulate_keypoints
-from studiorecon.people.fitting.presence import fill_gaps, presence, runs
+from studiorecon.people.fitting.points import Points, detector_offset_m, person_keypoints, triangulate_keypoints
+from studiorecon.people.fitting.presence import fill_gaps, presence, true_runs
 from studiorecon.people.fitting.surface_points import triangulate_surface
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
@@ -230,7 +230,7 @@ def report_filled_frames(fitted: Person) -> None:
 
 def frame_ranges(chosen: Bool[np.ndarray, " T"]) -> str:
     """``"3–5, 9"``: the frames where ``chosen`` is true."""
-    return ", ".join(f"{first}–{last}" if last > first else f"{first}" for first, last in runs(chosen))
+    return ", ".join(f"{first}–{last}" if last > first else f"{first}" for first, last in true_runs(chosen))
 
 
 def _row_median(values: np.ndarray) -> np.ndarray:
@@ -255,9 +255,9 @@ def run(
     """
     footage, body_model, whose = read_manifest(manifest), BodyModel.load(body), read_identities(identities[0])
     seen, cameras = _read_observed(detections, model, readouts, footage.fps)
-    names, keypoints = observations(person, seen, whose, body_model, footage.frames)
+    names, keypoints = person_keypoints(person, seen, whose, body_model, footage.frames)
     limits, sigma_m = settings.triangulation, settings.fit.unverified_sigma_m
-    points = triangulate_keypoints(names, keypoints, cameras, limits, sigma_m, off_m(names, seen))
+    points = triangulate_keypoints(names, keypoints, cameras, limits, sigma_m, detector_offset_m(names, seen))
     surface = None
     if settings.fit.vertex_weight > 0:
         about = footage.frames, limits, sigma_m, settings.fit.vertices

@@ -33,7 +33,7 @@ class Tracks:
     names: tuple[str, ...]
 
 
-def tracks(
+def person_tracks(
     found: Sequence[Detections],
     identities: Mapping[tuple[str, int], str],
     people: Sequence[str],
@@ -60,7 +60,7 @@ def tracks(
     return Tracks(pixels, confidence, names)
 
 
-def in_world(
+def triangulate_tracks(
     found: Tracks, names: Sequence[str], cameras: Sequence[Camera], limits: Limits
 ) -> tuple[Num[np.ndarray, "P T K 3"], Num[np.ndarray, "V P T K"]]:
     """World points of those of ``names`` that the tracks have, NaN where undetermined, and their confidence."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.estimate.factors.keypoints import SHARED_M, sides
+from studiorecon.estimate.factors.keypoints import SHARED_M, viewing_sides
 from studiorecon.estimate.unknowns import PER_CAMERA
 from studiorecon.geometry.statistics import SIGMA_OF_MAD
 from studiorecon.geometry.triangulation import Limits, unit_px
@@ -55,7 +55,7 @@ def shared_cells(
     ends = place[person, time][:, SHOULDERS]
     across = np.where((ends >= 0).all(axis=1, keepdims=True), points_m[ends[:, 0]] - points_m[ends[:, 1]], np.nan)
     rotations = np.stack([c.camera_from_world[:3, :3] for c in cameras])
-    side = sides((rotations[view] @ across[point][..., None])[..., 0])
+    side = viewing_sides((rotations[view] @ across[point][..., None])[..., 0])
     key = np.stack([view, person[point], seen.keypoint[point], side], axis=1)
     cell = np.unique(key, axis=0, return_inverse=True)[1].reshape(-1)
     depth = np.stack([c.project(points_m)[1] for c in cameras])[view, point]

@@ -11,10 +11,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from studiorecon.estimate.factor import Factor
-from studiorecon.estimate.factors.bones import bones
+from studiorecon.estimate.factors.bones import bone_factors
 from studiorecon.estimate.factors.edges import room_edges
 from studiorecon.estimate.factors.feet import feet_on_floor
-from studiorecon.estimate.factors.keypoints import keypoints, sides
+from studiorecon.estimate.factors.keypoints import keypoint_factor, viewing_sides
 from studiorecon.estimate.factors.lenses import alike_lenses, known_lenses
 from studiorecon.estimate.solver import Solution, solve
 from studiorecon.estimate.unknowns import LOG_FOCAL, PER_CAMERA, PRINCIPAL, RADIAL, Unknowns
@@ -24,7 +24,7 @@ from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.detector_noise import DetectorNoise, noise_in, shared_cells
 from studiorecon.rig.floor_marks import FloorMarks
 from studiorecon.rig.from_tracks import BONES, MIN_SHARED, Rig, Sightings
-from studiorecon.rig.lens_knowledge import LensKnowledge, distort_points, straight_points, straighten
+from studiorecon.rig.lens_knowledge import LensKnowledge, distort_points, straight_points, undistort_tracks
 from studiorecon.rig.room_turns import RoomTurn
 from studiorecon.scene.camera import Camera
 
@@ -133,7 +133,7 @@ def _grouped(
     cameras: Sequence[Camera], radial: np.ndarray, seen: Sightings, gate_m: float, limits: Limits
 ) -> Rig | None:
     """People as ``cameras`` see them without distortion; None where they are too few."""
-    straight = straighten(seen.detections, cameras, radial)
+    straight = undistort_tracks(seen.detections, cameras, radial)
     observed, _ = make_observations(straight, cameras, seen.frames, gate_m)
     if not len(observed.frame):
         return None
@@ -178,10 +178,10 @@ def estimate_once(
     shared_px = noise.shared_m * px_per_m * np.sqrt(np.bincount(cell)[cell])
     sigma_px = np.hypot(noise.frame_px[view], shared_px) / np.sqrt(np.maximum(seen.confidence[view, point], 0.1))
     aspect = np.array([c.focal_px[1] / c.focal_px[0] for c in cameras])
-    of_people = keypoints(start, view, point, pixels, sigma_px, aspect)
+    of_people = keypoint_factor(start, view, point, pixels, sigma_px, aspect)
     factors: list[Factor] = [
         of_people,
-        *bones(start, first, second, kind, alike[first], usual_m),
+        *bone_factors(start, first, second, kind, alike[first], usual_m),
         *([feet_on_floor(start, lower, axes, alike[lower])] if len(lower) else []),
         known_lenses(start, knowledge.expected, knowledge.sigma),
         *alike_lenses(start, knowledge.makes),
@@ -192,7 +192,7 @@ def estimate_once(
     if marks is not None:
         views, which = np.nonzero(np.isfinite(marks.pixels).all(-1))
         sigma = marks.sigma_px[views] / np.sqrt(MARK_WEIGHT)
-        of_room.append(keypoints(start, views, len(points_m) + which, marks.pixels[views, which], sigma, aspect))
+        of_room.append(keypoint_factor(start, views, len(points_m) + which, marks.pixels[views, which], sigma, aspect))
     free = np.ones(len(start.values), bool)
     numbers = free[: PER_CAMERA * len(cameras)].reshape(-1, PER_CAMERA)
     numbers[:, [LOG_FOCAL, RADIAL, PRINCIPAL.start, PRINCIPAL.start + 1]] = knowledge.sigma > 0
@@ -272,7 +272,7 @@ def _alike(
     whole = np.where((ends >= 0)[..., None], points_m[ends], np.nan)
     cells = np.floor(np.nanmean(whole, axis=1) / _CELL_M).astype(int)
     shoulders = whole[:, SHOULDERS]
-    side = sides((shoulders[:, 0] - shoulders[:, 1]) @ camera.camera_from_world[:3, :3].T)
+    side = viewing_sides((shoulders[:, 0] - shoulders[:, 1]) @ camera.camera_from_world[:3, :3].T)
     key = np.concatenate([body[:, :1], cells, side[:, None]], axis=1)
     _, cell, count = np.unique(key, axis=0, return_inverse=True, return_counts=True)
     return count[cell.reshape(-1)][of_body.reshape(-1)].astype(float)

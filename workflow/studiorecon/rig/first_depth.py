@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _FOCAL_TOLERANCE = 0.05
 
 
-def metres_per_metre(found: Sequence[Camera], used: Sequence[Camera], instead: str) -> float:
+def network_scale(found: Sequence[Camera], used: Sequence[Camera], instead: str) -> float:
     """Working metres per metre of the network: the ratio of distances between the same cameras.
 
     It does not depend on later moves or scales of the world. Raises UserError, with the remedy ``instead``, when they
@@ -60,5 +60,5 @@ def first_moment(
             f"do not show the same picture; {instead}"
         )
     depth, sure = read_depth(first)
-    factor = metres_per_metre(network, cameras, instead)
+    factor = network_scale(network, cameras, instead)
     return factor * resample_nearest(depth, own.hw).astype(np.float64), resample_nearest(sure, own.hw)

@@ -82,7 +82,9 @@ class Rig:
         return self.points.verified if len(self.cameras) > 2 else self.points.valid
 
 
-def sightings(detections: Sequence[Detections], frames: Integer[np.ndarray, " F"], min_confidence: float) -> Sightings:
+def dense_tracks(
+    detections: Sequence[Detections], frames: Integer[np.ndarray, " F"], min_confidence: float
+) -> Sightings:
     """Dense tracks of the detections in ``frames``."""
     stable = stable_detections(detections, frames)
     place = {int(f): i for i, f in enumerate(frames)}

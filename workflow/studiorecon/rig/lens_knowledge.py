@@ -58,7 +58,7 @@ def lenses_as_given(cameras: Sequence[Camera]) -> LensKnowledge:
     return LensKnowledge(np.array(expected), np.zeros((len(cameras), 4)), tuple(c.name for c in cameras))
 
 
-def with_distortion(marks: FloorMarks, cameras: Sequence[Camera], radial: Num[np.ndarray, " V"]) -> FloorMarks:
+def distort_marks(marks: FloorMarks, cameras: Sequence[Camera], radial: Num[np.ndarray, " V"]) -> FloorMarks:
     """The marks in distorted pixels."""
     view = np.repeat(np.arange(len(cameras)), marks.pixels.shape[1])
     return replace(
@@ -66,7 +66,7 @@ def with_distortion(marks: FloorMarks, cameras: Sequence[Camera], radial: Num[np
     )
 
 
-def straighten(
+def undistort_tracks(
     seen: Sequence[Detections], cameras: Sequence[Camera], radial: Num[np.ndarray, " V"]
 ) -> list[Detections]:
     """The detections without the distortion of ``radial``, in pixels of ``cameras``; points without a ray are

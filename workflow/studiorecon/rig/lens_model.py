@@ -13,7 +13,7 @@ from studiorecon.scene.camera import Lens
 LensReading = Literal["as_read", "opencv", "fisheye"]
 
 
-def as_model(lens: Lens, model: LensReading) -> Lens:
+def reinterpret_lens(lens: Lens, model: LensReading) -> Lens:
     """The lens with its first four coefficients read as those of ``model``: both models have four numbers."""
     if model in ("as_read", lens.model):
         return lens
@@ -24,7 +24,7 @@ def as_model(lens: Lens, model: LensReading) -> Lens:
     return replace(lens, model=model, distortion=both[0], keypoint_distortion=both[1])
 
 
-def with_radial(lens: Lens, k1: float) -> Lens:
+def add_radial_term(lens: Lens, k1: float) -> Lens:
     """The lens with ``k1`` added to its first coefficient, for a small distortion that remained after removing the
     lens's own."""
     if k1 == 0.0:

@@ -23,7 +23,7 @@ from studiorecon.progress import warn
 from studiorecon.rig.bundle import agreed, error_medians
 from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.floor_alignment import align_to_floor, floor_under_feet
-from studiorecon.rig.from_tracks import propose_rigs, sightings
+from studiorecon.rig.from_tracks import dense_tracks, propose_rigs
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_refinement import refine_on_room
 from studiorecon.scene.camera import Camera
@@ -155,7 +155,7 @@ def refine_with_wider_prior(
         best = max(best, found, key=lambda f: f[0])
     if lost and not _use_all_people(best[1], detections, frames, gate_m, limits):
         few = frames[:: max(1, len(frames) // _RIG_FRAMES)]
-        followed = sightings(detections, few, limits.min_confidence)
+        followed = dense_tracks(detections, few, limits.min_confidence)
         rig = next(
             (r for r in propose_rigs(followed, given, ADULT_M, gate_m, limits) if len(r.cameras) == len(given)), None
         )

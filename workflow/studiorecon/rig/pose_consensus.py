@@ -19,7 +19,7 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.geometry.bundle import remove_drift
 from studiorecon.geometry.rotations import angle
 from studiorecon.geometry.triangulation import Limits
-from studiorecon.rig.from_tracks import Rig, Sightings, propose_rigs, sightings
+from studiorecon.rig.from_tracks import Rig, Sightings, dense_tracks, propose_rigs
 from studiorecon.rig.moved_cameras import pose_changes
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -77,7 +77,7 @@ def find_pose_consensus(
     shared = shared[(seen_by > 1) & (shared >= 0) & (shared < frames)]
     if not len(shared):
         return None
-    seen = sightings(detections, _spread(shared, looked_at), limits.min_confidence)
+    seen = dense_tracks(detections, _spread(shared, looked_at), limits.min_confidence)
     best: list[Rig] = []
 
     def look(at: Sightings, hfov_deg: float, wider: float, known: Sequence[Rig] = ()) -> list[Rig]:
@@ -97,7 +97,7 @@ def find_pose_consensus(
     own = [frame for v in missing if len(frame := np.intersect1d(shared, detections[v].frame))]
     more = [_spread(frame, looked_at) for frame in own]
     if more and not np.isin(np.concatenate(more), seen.frames).all():
-        again = sightings(detections, np.unique(np.concatenate([seen.frames, *more])), limits.min_confidence)
+        again = dense_tracks(detections, np.unique(np.concatenate([seen.frames, *more])), limits.min_confidence)
         found = look(again, guesses[0], _WIDER[-1], best)
         best, seen = (found, again) if found[0] is not best[0] else (best, seen)
     placed = sorted(best[0].cameras)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.estimate.intervals import intervals
+from studiorecon.estimate.intervals import camera_intervals
 from studiorecon.geometry.rotations import angle
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.rig.correspondences import Observations
@@ -47,7 +47,7 @@ def rotation_observability(cameras: Sequence[Camera], seen: Observations, limits
     found = estimate_once(rig, np.zeros(len(cameras)), lenses, ADULT_M, found.noise)
     ours, given = ([c.camera_from_world[:3, :3] for c in group] for group in (found.cameras, cameras))
     turned = [angle(ours[a] @ ours[b].T, given[a] @ given[b].T) for a, b in combinations(range(len(cameras)), 2)]
-    return float(np.degrees(np.max(turned))), intervals(found.solution).between_deg
+    return float(np.degrees(np.max(turned))), camera_intervals(found.solution).between_deg
 
 
 def moved_rotation_interval_deg(found: MovedCameras, limits: Limits) -> float:

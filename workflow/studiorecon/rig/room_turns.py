@@ -134,7 +134,9 @@ def _planes(camera: Camera, ends: np.ndarray) -> _Edges:
     return _Edges(normals[nonzero] / length[nonzero, None], length[nonzero] / length[nonzero].sum(), halves[:, nonzero])
 
 
-def support(edges: _Edges, camera_from_room: Num[np.ndarray, "... 3 3"], width_deg: float) -> Num[np.ndarray, " ..."]:
+def edge_support(
+    edges: _Edges, camera_from_room: Num[np.ndarray, "... 3 3"], width_deg: float
+) -> Num[np.ndarray, " ..."]:
     """Share of the edges' length that is along one of the room's directions, to within about ``width_deg``."""
     # One matrix product per direction, and one array modified in place, because thousands of rotations are tried.
     axes = camera_from_room.reshape(-1, 3, 3)
@@ -154,7 +156,7 @@ def _room(edges: Sequence[_Edges], rotations: Sequence[np.ndarray]) -> np.ndarra
     wide, narrow = _ACROSS_DEG
 
     def total(frames: np.ndarray, width_deg: float) -> np.ndarray:
-        return np.sum([support(e, r @ frames, width_deg) for e, r in zip(edges, rotations)], axis=0)
+        return np.sum([edge_support(e, r @ frames, width_deg) for e, r in zip(edges, rotations)], axis=0)
 
     best = tried[np.argsort(-total(tried, wide), kind="stable")[:_REFINED]]
     for step_deg in (3.0, 1.5, 0.75):
@@ -175,9 +177,9 @@ def _turn(edges: _Edges, start: np.ndarray) -> tuple[np.ndarray, float, float] |
     it."""
     offsets = _ball(_REACH_DEG, _STEP_DEG)
     near = exp(np.radians(offsets[np.linalg.norm(offsets, axis=1) <= _REACH_DEG])) @ start
-    first = near[np.argsort(-support(edges, near, _COARSE_DEG[0]), kind="stable")[:_REFINED]]
+    first = near[np.argsort(-edge_support(edges, near, _COARSE_DEG[0]), kind="stable")[:_REFINED]]
     refined = np.stack([_refined(edges, r) for r in first])
-    shares = support(edges, refined, _FINE_DEG)
+    shares = edge_support(edges, refined, _FINE_DEG)
     best = refined[int(np.argmax(shares))]
     elsewhere = np.degrees(angle(refined, best[None])) > _ELSEWHERE_DEG
     if shares.max() < _ALONG or (shares[elsewhere] > _RIVAL * shares.max()).any() or not _two_ways(edges, best):

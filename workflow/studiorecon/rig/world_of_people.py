@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _OF_A_MEAN_BODY = 0.05
 
 
-def in_world_of_people(
+def align_to_people(
     found: RigEstimate, template_m: Num[np.ndarray, "12 3"], given: GivenLengths, stature: float
 ) -> tuple[list[Camera], str, Scale]:
     """The cameras of ``found`` in metres, z up, the floor at 0; how up was found, and the scale.

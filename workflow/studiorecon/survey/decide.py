@@ -15,7 +15,7 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.stills import read_plate
 from studiorecon.progress import say
-from studiorecon.rig.body_points import tracks
+from studiorecon.rig.body_points import person_tracks
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import apply_forced, write_decisions
 from studiorecon.scene.files import require_one_each
@@ -69,7 +69,7 @@ def run(
         )
         for video, camera, own in zip(videos, cameras, own_points)
     ]
-    followed = tracks(found, whose, names or [], capture.frames, settings.min_confidence)
+    followed = person_tracks(found, whose, names or [], capture.frames, settings.min_confidence)
     material = SurveyInput(cameras, names, views, films, followed, read_room(room_box).standing_m, capture.fps)
     by_file = {path.name: path for path in artefacts}
     evidence = Evidence(material, settings)

@@ -46,7 +46,7 @@ class UsualLengths(Factor):
         return (at - self.usual[:, None]) / LENGTH_SHARE
 
 
-def bones(
+def bone_factors(
     unknowns: Unknowns,
     first: Integer[np.ndarray, " M"],
     second: Integer[np.ndarray, " M"],

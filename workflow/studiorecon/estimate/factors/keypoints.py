@@ -51,7 +51,7 @@ class Keypoints(Factor):
         return (found - self.pixels) / self.sigma_px[:, None]
 
 
-def keypoints(
+def keypoint_factor(
     unknowns: Unknowns,
     view: Integer[np.ndarray, " M"],
     point: Integer[np.ndarray, " M"],
@@ -63,7 +63,7 @@ def keypoints(
     return Keypoints(point_columns(unknowns, view, point), _FREEDOM, view, pixels, sigma_px, aspect[view])
 
 
-def sides(across: Num[np.ndarray, "M 3"]) -> Integer[np.ndarray, " M"]:
+def viewing_sides(across: Num[np.ndarray, "M 3"]) -> Integer[np.ndarray, " M"]:
     """Side from which each body is seen, 0 … ``SIDES`` - 1, by the direction of its shoulders in the camera's axes; -1
     unknown."""
     side = np.floor((np.arctan2(across[:, 2], across[:, 0]) + np.pi) / (2 * np.pi) * SIDES)

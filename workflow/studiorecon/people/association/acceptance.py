@@ -107,7 +107,7 @@ def _judge(
         for k, own in zip(open_, seen):
             about[k] += own
     pairs = pair_terms(groups, compared.cameras, compared.fps)
-    accepted = solve([total_nats(own) for own in about], {key: term.nats for key, term in pairs.items()})
+    accepted = choose_groups([total_nats(own) for own in about], {key: term.nats for key, term in pairs.items()})
     for (g, h), term in pairs.items():
         if accepted[h] and not accepted[g]:
             about[g].append(term)
@@ -155,7 +155,7 @@ def pair_terms(groups: Sequence[Group], cameras: Sequence[Camera], fps: float) -
     return {pair: term for pair, term in found.items() if term.nats < 0}
 
 
-def solve(nats: Sequence[float], pairs: dict[tuple[int, int], float]) -> Bool[np.ndarray, " G"]:
+def choose_groups(nats: Sequence[float], pairs: dict[tuple[int, int], float]) -> Bool[np.ndarray, " G"]:
     """Which groups are accepted: the set with the largest sum of ``nats`` and of the ``pairs`` (≤ 0) within it."""
     if not len(nats):
         return np.zeros(0, dtype=bool)
@@ -185,7 +185,7 @@ def _verdicts(
         alone = "no other camera agrees with it, or it fits two people equally well"
         table[cameras[v].name, t] = TrackVerdict("", nan, nan, alone)
     for group, own in rejected:
-        reason = terms.describe(own)
+        reason = terms.strongest_objections(own)
         tracks = [(cameras[v].name, t) for v, t in group.members]
         say(f"not a person of this scene: tracks {', '.join(f'{name}/{t}' for name, t in tracks)}: {reason}")
         table |= dict.fromkeys(tracks, TrackVerdict("", nan, nan, reason))

@@ -15,7 +15,7 @@ from studiorecon.people.association.affinity import AssociationLimits
 from studiorecon.people.association.gaps import Clothes, Return, join_over_gaps
 from studiorecon.people.association.group import Group, has_no_rival, make_group
 from studiorecon.people.association.reference_view import star_groups
-from studiorecon.people.association.track_pairs import TrackPairs, margins, require_measured, track_pairs
+from studiorecon.people.association.track_pairs import TrackPairs, node_margins, require_measured, track_pairs
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -109,7 +109,7 @@ def track_margins(groups: Sequence[Group], compared: Compared) -> dict[tuple[int
     Below ``undecided_margin`` it is undecided.
     """
     rows = [compared.rows(g) for g in groups]
-    found = margins(compared.pairs, rows)
+    found = node_margins(compared.pairs, rows)
     return {m: float(found[n]) for g, own in zip(groups, rows) for m, n in zip(g.members, own)}
 
 

@@ -17,7 +17,7 @@ from studiorecon.footage.video import read_frames
 from studiorecon.people.association.group import Group
 from studiorecon.people.association.terms import Term
 from studiorecon.people.pictures.change import LIMB_ENDS, PICTURES, motion_support, sampled_frames, steps_m
-from studiorecon.people.pictures.coverage import CameraEvidence, by_mask, by_plate
+from studiorecon.people.pictures.coverage import CameraEvidence, mask_coverage, plate_difference_share
 from studiorecon.progress import progress
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -119,7 +119,10 @@ def _coverage(
 ) -> tuple[float, list[Term]]:
     """(nats by which a mask or a plate confirms somebody who keeps still, terms of masks, plates and presence)."""
     found = [
-        (*by_mask(group, v, detections[v], cameras[v], one), by_plate(group, cameras[v], videos[v], one))
+        (
+            *mask_coverage(group, v, detections[v], cameras[v], one),
+            plate_difference_share(group, cameras[v], videos[v], one),
+        )
         for v, one in enumerate(witnesses)
         if one is not None
     ]

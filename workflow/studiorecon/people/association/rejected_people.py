@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from studiorecon.people.association.group import Group
-from studiorecon.people.association.terms import Term, describe, total_nats
+from studiorecon.people.association.terms import Term, strongest_objections, total_nats
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Camera
 
@@ -64,7 +64,7 @@ def list_rejected(
     """The rejected groups, with reasons, the likeliest first: those on which two cameras agreed for a second, or half
     of a shorter clip, or near 0 nats, without duplicates of accepted people."""
     listed = [
-        (-total_nats(own), group.members, group, describe(own))
+        (-total_nats(own), group.members, group, strongest_objections(own))
         for group, own in rejected
         if not any(term.name == "overlap" for term in own)
         and (len(group.frames) >= min(_LONG_S * fps, frames / 2) or total_nats(own) > -_REACH_NATS)

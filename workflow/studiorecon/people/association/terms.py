@@ -123,7 +123,7 @@ def total_nats(terms: Sequence[Term]) -> float:
     return PRIOR_NATS + float(sum(term.nats for term in terms))
 
 
-def describe(terms: Sequence[Term]) -> str:
+def strongest_objections(terms: Sequence[Term]) -> str:
     """The two terms with the strongest evidence against a person, as the end of a sentence."""
     against = sorted((term for term in terms if term.nats < 0), key=lambda term: term.nats)[:2]
     return "; ".join(f"{term.said} ({term.nats:+.1f} nats)" for term in against) or "too little is known of it"

@@ -104,7 +104,7 @@ def track_pairs(
     )
 
 
-def margins(pairs: TrackPairs, groups: Sequence[Sequence[int]]) -> Float[np.ndarray, " M"]:
+def node_margins(pairs: TrackPairs, groups: Sequence[Sequence[int]]) -> Float[np.ndarray, " M"]:
     """A node's mean affinity to its own group less that to the best other group (A12); NaN for nodes in no group."""
     own = np.zeros((len(pairs.view), len(groups) + 1), dtype=bool)  # the last: nobody
     for g, group in enumerate(groups):

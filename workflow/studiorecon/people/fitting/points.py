@@ -54,7 +54,7 @@ class Points:
     cameras: Integer[np.ndarray, " T"]
 
 
-def observations(
+def person_keypoints(
     person: str, detections: list[Detections], identities: dict[tuple[str, int], str], body: BodyModel, frames: int
 ):
     """Names (K) and keypoints (V, T, K, 3) of one person in every camera: x, y, confidence; NaN and 0 where there is
@@ -81,7 +81,7 @@ def observations(
     return names, out
 
 
-def off_m(names: Sequence[str], detections: Sequence[Detections]) -> Num[np.ndarray, " K"]:
+def detector_offset_m(names: Sequence[str], detections: Sequence[Detections]) -> Num[np.ndarray, " K"]:
     """Distance of the detectors' points from the body's, metres: the largest of all layouts."""
     layouts = [LAYOUTS[name] for name in sorted({d.layout for d in detections})]
     return np.array([max((one.off_m(name) for one in layouts), default=0.0) for name in names])
@@ -97,7 +97,7 @@ def triangulate_keypoints(
 ) -> Points:
     """World points of all frames at once from keypoints.
 
-    Those of only two cameras get ``unverified_sigma_m`` added (T13), all of them ``off`` (``off_m``).
+    Those of only two cameras get ``unverified_sigma_m`` added (T13), all of them ``off`` (``detector_offset_m``).
     """
     views, frames, count = keypoints.shape[:3]
     flat = keypoints.reshape(views, frames * count, 3)

@@ -56,7 +56,7 @@ def presence(measured: Bool[np.ndarray, " T"], seen: Bool[np.ndarray, " T"], fps
     return there
 
 
-def runs(chosen: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
+def true_runs(chosen: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
     """(first, last) of every stretch of True."""
     at = np.flatnonzero(chosen)
     parts = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(at) else []
@@ -77,7 +77,7 @@ def fill_gaps(
     """
     local = np.where(measured[:, None, None, None], local, np.eye(3))
     trans_m = np.where(measured[:, None], trans_m, 0.0)
-    for first, last in runs(there):
+    for first, last in true_runs(there):
         part = slice(first, last + 1)
         local[part], trans_m[part] = (
             fill_rotations(local[part], measured[part]),

@@ -47,7 +47,9 @@ class CameraEvidence:
         return read_raw_detections(self.masks, masks=True) if self.masks else None
 
 
-def by_mask(group: Group, view: int, found: Detections, camera: Camera, witness: CameraEvidence) -> tuple[float, float]:
+def mask_coverage(
+    group: Group, view: int, found: Detections, camera: Camera, witness: CameraEvidence
+) -> tuple[float, float]:
     """(share of positions under the mask, median presence); NaN where the network did not detect them."""
     if witness.found is None or found.row is None:
         return float("nan"), float("nan")
@@ -72,7 +74,7 @@ def by_mask(group: Group, view: int, found: Detections, camera: Camera, witness:
     return share, float(np.median(witness.found.presence[found.row[mine]]))
 
 
-def by_plate(group: Group, camera: Camera, video: Path, witness: CameraEvidence) -> float:
+def plate_difference_share(group: Group, camera: Camera, video: Path, witness: CameraEvidence) -> float:
     """Share of the positions where the picture differs from the clean plate; NaN without one, or with too few
     positions."""
     if witness.plate is None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from studiorecon.geometry.statistics import NOTHING
-from studiorecon.rig.body_points import in_world
+from studiorecon.rig.body_points import triangulate_tracks
 from studiorecon.survey.effects.surveyed import Measurement, SurveyedEffect
 from studiorecon.survey.evidence import LIMITS, Evidence
 from studiorecon.survey.scene_change import floor_near_feet, largest_estimate, shadow_share
@@ -15,7 +15,7 @@ _ANKLES = ("left_ankle", "right_ankle")
 def measure(evidence: Evidence, threshold: float) -> Measurement:
     """The share of the floor near feet that darkens, in the camera that shows most of it."""
     material = evidence.material
-    feet = in_world(material.tracks, _ANKLES, material.cameras, LIMITS)[0]
+    feet = triangulate_tracks(material.tracks, _ANKLES, material.cameras, LIMITS)[0]
     found = []
     for small in evidence.small_films:
         times = small.film.times
