@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 from collections import Counter
 from collections.abc import Iterator
@@ -91,6 +92,27 @@ def test_beside_a_runs_bar_a_step_is_one_short_line_and_keeps_its_warnings_for_t
     kept = (tmp_path / "step.log").read_text()
     assert "warning: the floor is wet" in kept
     assert ("a long sentence, " * 20).strip() in kept, "the log has it whole"
+
+
+def test_a_line_and_its_end_are_one_write(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Otherwise the bar may be drawn between the two, over the line."""
+    written: list[str] = []
+
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+        def write(self, text: str) -> int:
+            written.append(text)
+            return len(text)
+
+    monkeypatch.setenv("STUDIORECON_RUN", "bar")
+    monkeypatch.setattr("sys.stdout", Terminal())
+    monkeypatch.setattr("sys.stderr", Terminal())
+    with progress.log_to("depth.sweep", tmp_path / "step.log"):
+        progress.say("a sentence")
+        progress.fail("a reason")
+    assert [text for text in written if text] == ["\r\x1b[Kdepth.sweep: a sentence\n", "\r\x1b[Ka reason\n"]
 
 
 def scene_folder(folder: Path) -> None:

@@ -123,7 +123,7 @@ class LogHandler(LogHandlerBase):
 
     def _print(self, text: str) -> None:
         with self._drawing:
-            print(f"{CLEAR_LINE if self.writes_to_stream else ''}{text}", file=sys.stderr, flush=True)
+            print(f"{CLEAR_LINE if self.writes_to_stream else ''}{text}\n", end="", file=sys.stderr, flush=True)
 
     def _explain(self, record: logging.LogRecord) -> None:
         # A step that the system kills says nothing itself.

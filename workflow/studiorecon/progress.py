@@ -47,7 +47,8 @@ class _Shown(logging.Handler):
         text = self.format(record)
         if beside == "bar" and sys.stdout.isatty():
             text = f"{CLEAR_LINE}{shorten(text, shutil.get_terminal_size().columns - 1)}"
-        print(text, flush=True)
+        # One write with its line end: Python flushes after a carriage return, and the bar would be drawn in between.
+        print(f"{text}\n", end="", flush=True)
 
 
 def shorten(text: str, columns: int) -> str:
@@ -104,7 +105,7 @@ def warn(sentence: str) -> None:
 def fail(text: str) -> None:
     """Print the reason why a step ends without a result to standard error, and write it to its log."""
     beside_bar = os.environ.get(RUN) == "bar" and sys.stderr.isatty()
-    print(f"{CLEAR_LINE if beside_bar else ''}{text}", file=sys.stderr, flush=True)
+    print(f"{CLEAR_LINE if beside_bar else ''}{text}\n", end="", file=sys.stderr, flush=True)
     LOGGER.debug(text)
 
 
