@@ -153,9 +153,7 @@ def measure(room: Room, values: dict, pictures: Path | None, network: list[np.nd
         plates = [folder / f"{c.name}.png" for c in room.cameras]
         for path, plate in zip(plates, room.plates):
             cv2.imwrite(str(path), to_bytes(plate)[..., ::-1])
-        model, box, primitives, passes = (
-            folder / n for n in ("images.txt", "room.json", "primitives.json", "passes.npz")
-        )
+        model, box, primitives = (folder / n for n in ("images.txt", "room.json", "primitives.json"))
         sweeps, maps = (
             [folder / f"{c.name}.npz" for c in room.cameras],
             [folder / f"{c.name}.exr" for c in room.cameras],
@@ -170,7 +168,7 @@ def measure(room: Room, values: dict, pictures: Path | None, network: list[np.nd
             sweep.run(load(sweep.Settings, values, "depth"), camera.name, model, plates, path)
         lap()
         walls.run(load(walls.Settings, values, "depth"), model, plates, sweeps, folder / "box.json")
-        files = folder / "box.json", [], [], [], box, primitives, folder / "primitives.png", passes
+        files = folder / "box.json", [], [], [], box, primitives, folder / "primitives.png"
         room_box.run(load(room_box.Settings, values, "depth"), model, plates, sweeps, *files)
         lap()
         settings, estimates = load(refine.Settings, values, "depth"), [[] for _ in maps]
@@ -178,7 +176,7 @@ def measure(room: Room, values: dict, pictures: Path | None, network: list[np.nd
             paths.append(folder / f"{camera.name}.estimate.exr")
             write_depth(paths[0], numbers, np.ones_like(numbers))
         for camera, given, path in zip(room.cameras, estimates, maps):
-            refine.run(settings, camera.name, model, plates, passes, box, primitives, given, path)
+            refine.run(settings, camera.name, model, plates, box, primitives, given, path)
         lap()
         found = [read_depth(path)[0] for path in maps]
         fitted, furniture = read_room(box), read_primitives(primitives)

@@ -36,7 +36,6 @@ THIN = {
     "wall_step_m": 0.08,
     "reach_m": 6.0,
     "furniture_m": 1.0,
-    "candidates": 30,
 }
 # Furniture where a test asks for it.
 THIN |= {"primitives": 0}
@@ -57,16 +56,14 @@ def estimate(folder: Path, cameras: list[Camera], plates: list[Path], section: d
     sweeps = [folder / f"{c.name}.sweep.npz" for c in cameras]
     for camera, path in zip(cameras, sweeps):
         sweep.run(load(sweep.Settings, section, "depth"), camera.name, model, plates, path)
-    box, primitives, passes = folder / "room.json", folder / "primitives.json", folder / "passes.npz"
+    box, primitives = folder / "room.json", folder / "primitives.json"
     walls.run(load(walls.Settings, section, "depth"), model, plates, sweeps, folder / "box.json")
-    files = folder / "box.json", [], [], [], box, primitives, folder / "primitives.png", passes
+    files = folder / "box.json", [], [], [], box, primitives, folder / "primitives.png"
     room_box.run(load(room_box.Settings, section, "depth"), model, plates, sweeps, *files)
     maps = []
     for camera in cameras:
         out = folder / f"{camera.name}.exr"
-        refine.run(
-            load(refine.Settings, section, "depth"), camera.name, model, plates, passes, box, primitives, [], out
-        )
+        refine.run(load(refine.Settings, section, "depth"), camera.name, model, plates, box, primitives, [], out)
         maps.append(read_depth(out))
     return Found(read_room(folder / "room.json"), [d for d, _ in maps], [a for _, a in maps])
 
@@ -238,7 +235,7 @@ def test_given_depth_is_fitted_and_cleaned(tmp_path: Path, default_settings: Cal
 
 
 # Coarser still: nothing is measured to the centimetre where cameras are blind.
-COARSE = THIN | {"sweep_width": 96, "refine_width": 96, "wall_step_m": 0.16, "candidates": 8, "passes": 1}
+COARSE = THIN | {"sweep_width": 96, "refine_width": 96, "wall_step_m": 0.16}
 
 
 def test_plates_never_measured_at_all_are_undetermined(tmp_path: Path, default_settings: Callable) -> None:

@@ -16,7 +16,7 @@ from studiorecon.depth import box, kernels, room, sweep
 
 from tests.made.room import made_room, photograph, ring, write_capture
 
-SMALL = {"sweep_width": 96, "wall_step_m": 0.1, "reach_m": 6.0, "furniture_m": 1.0, "candidates": 12}
+SMALL = {"sweep_width": 96, "wall_step_m": 0.1, "reach_m": 6.0, "furniture_m": 1.0}
 SMALL |= {"primitives": 2, "primitives_width": 64, "primitives_gain": 5.0}
 
 
@@ -49,7 +49,7 @@ def test_the_room_is_fitted_with_the_kernels_that_were_compiled_ahead(
     for camera, path in zip(cameras, sweeps):
         sweep.run(load(sweep.Settings, section, "depth"), camera.name, model, plates, path)
     seen = {"model": model, "plates": plates, "sweeps": sweeps, "box": tmp_path / "box.json"}
-    written = {name: tmp_path / f"{name}.out" for name in ("room_box", "primitives", "passes")}
+    written = {name: tmp_path / f"{name}.out" for name in ("room_box", "primitives")}
     files = {"fits": [], "detections": [], "identities": [], "picture": tmp_path / "primitives.png", **written}
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         assert pool.submit(compiled_by_the_fit_alone, tmp_path, section, seen, files).result() == set()

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.depth.depth_edges import depth_edge_pixels, sharpen_depth
-from studiorecon.depth.fusion import Surface, label_with_network
+from studiorecon.depth.fusion import NetworkTerm, label_with_network
 from studiorecon.depth.learned import LearnedDepth, calibrate
-from studiorecon.depth.stereo.passes import PassSettings, PlaneCosts
+from studiorecon.depth.stereo.photo_cost import Surface
 from studiorecon.depth.stereo.plates import Picture
 
 from tests.made.bent_depth import bent
@@ -78,17 +78,14 @@ def labelled(wall_cost: float, network_m: float, sigma: float, outliers: float) 
     """The label that a flat scene gets: 0 a wall at 4 m, 1 furniture (nowhere), 2 the network's surface."""
     picture, _, _ = view()
     shape = picture.camera.hw
-    walls = PlaneCosts(
-        np.full((1, *shape), 4.0, np.float32),
-        np.full((*shape, 1), wall_cost, np.float32),
-        np.full((*shape, 1), wall_cost < 0.3),
-    )
+    full = np.ones(shape, np.float32)
+    walls = Surface(4 * full, wall_cost * full, np.full(shape, wall_cost < 0.3))
     nothing = Surface(np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, bool))
     said = np.full(shape, network_m, np.float32)
     network = Surface(said, np.full(shape, 0.5, np.float32), np.zeros(shape, bool))
     belief = LearnedDepth(said, np.full(shape, sigma, np.float32), outliers)
-    found = label_with_network(picture, walls, nothing, network, belief, PassSettings())
-    (label,) = np.unique(found.plane)
+    everywhere = np.ones(shape, bool)
+    (label,) = np.unique(label_with_network(picture, walls, nothing, network, belief, everywhere, NetworkTerm()))
     return int(label)
 
 

@@ -26,7 +26,7 @@ HOW = Matching(window=7, mean_weight=0.3, near_m=0.3, far_m=12.0)
 WH = (240, 136)
 FLOOR_M = -0.35
 # Fewer planes than by default: the room is small.
-THIN = {"sweep_width": 144, "wall_step_m": 0.08, "reach_m": 6.0, "furniture_m": 1.0, "candidates": 30}
+THIN = {"sweep_width": 144, "wall_step_m": 0.08, "reach_m": 6.0, "furniture_m": 1.0}
 
 
 def raised() -> Room:
@@ -60,7 +60,7 @@ def test_floor_is_found_below_what_people_stand_on(on_a_platform: list[Picture])
 
 
 def test_mats_lie_on_the_floor(on_a_platform: list[Picture]) -> None:
-    # A mat over half the room, 0.17 m above the floor: both heights are told, the lower one is the floor's.
+    # A mat over half the room, 0.17 m above the floor: the lower height is the floor's.
     room = raised()
     mat = RoomBox(
         room.room_box.yaw_rad,
@@ -79,7 +79,6 @@ def test_mats_lie_on_the_floor(on_a_platform: list[Picture]) -> None:
     found = fit_platform(pictures, room.room_box.axes, 0.0, HOW)
     assert found is not None
     assert abs(found.floor_m - FLOOR_M) < 0.06
-    assert min(abs(level - (FLOOR_M + 0.17)) for level in found.levels_m) < 0.05
 
 
 @pytest.mark.parametrize("table", [False, True], ids=["bare", "furnished"])
@@ -158,5 +157,3 @@ def test_room_stands_on_the_lower_floor(
     assert abs(found.standing_m) < 0.02
     assert found.fitted[4]
     assert found.score[4] > 0.8
-    # What people stand on is one of the planes that the second look tries.
-    assert np.abs(found.planes[6:, 3] - found.standing_m)[found.planes[6:, 2] > 0.9].min() < 0.02

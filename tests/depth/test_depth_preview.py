@@ -16,7 +16,7 @@ from studiorecon.scene.camera import Camera
 
 from tests.made.room import made_room, photograph, ring, write_capture
 
-SMALL = {"sweep_width": 96, "wall_step_m": 0.1, "reach_m": 5.0, "furniture_m": 0.5, "candidates": 10}
+SMALL = {"sweep_width": 96, "wall_step_m": 0.1, "reach_m": 5.0, "furniture_m": 0.5}
 
 
 def azimuths(cameras: list[Camera]) -> np.ndarray:

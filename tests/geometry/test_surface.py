@@ -86,12 +86,11 @@ def test_room_box_survives_its_file(tmp_path: Path) -> None:
     room_box = replace(
         made_room_box(),
         gains={"cam 1": np.array([1.0, 0.9, 1.1])},
-        planes=made_room_box().faces,
         score=np.where(made_room_box().fitted, 0.5, np.nan),
     )
     write_room(tmp_path / "room.json", room_box)
     again = read_room(tmp_path / "room.json")
-    for name in ("yaw_rad", "low_m", "high_m", "fitted", "score", "planes"):
+    for name in ("yaw_rad", "low_m", "high_m", "fitted", "score"):
         assert np.array_equal(getattr(again, name), getattr(room_box, name), equal_nan=True), name
     assert np.array_equal(again.gains["cam 1"], room_box.gains["cam 1"])
     with pytest.raises(UserError, match="nowhere"):

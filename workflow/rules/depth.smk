@@ -148,7 +148,6 @@ rule depth_room:
         room_box="results/{scene}/depth/room.json",
         primitives="results/{scene}/depth/primitives.json",
         picture="results/{scene}/depth/primitives.png",
-        passes="results/{scene}/depth/passes.npz",
     log:
         "logs/{scene}/depth/room.log",
     benchmark:
@@ -177,7 +176,6 @@ rule depth_refine:
         ),
         room_box="results/{scene}/depth/room.json",
         primitives="results/{scene}/depth/primitives.json",
-        passes="results/{scene}/depth/passes.npz",
         estimates=files.estimated_depth,
     output:
         depth="results/{scene}/depth/{camera}.exr",

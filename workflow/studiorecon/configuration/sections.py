@@ -80,6 +80,7 @@ SECTIONS: tuple[Section, ...] = (
             "configuration.plan_settings:Depth",
             "depth.sweep_settings:FirstLook",
             "depth.refine:Settings",
+            "depth.fusion:NetworkTerm",
             "depth.sweep_settings:Matching",
             "depth.sweep:Settings",
             "depth.box:Settings",

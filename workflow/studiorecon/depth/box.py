@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room box around all cameras, from every sweep's votes, and candidate planes inside it; needs no people.
+"""The room box around all cameras, from every sweep's votes; needs no people.
 
 Writes ``depth/box.json`` (``scene.room.RoomBox``).
 """
@@ -8,28 +8,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout import box as room
 from studiorecon.depth.layout import ground_contacts
 from studiorecon.depth.layout.platform import RaisedFloor, fit_platform
 from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
-from studiorecon.progress import progress, say
+from studiorecon.progress import say
 from studiorecon.rig.room_picture import make_room_picture
 from studiorecon.scene.room import FACES, RoomBox, write_room
 from studiorecon.signature import Written
 
-if TYPE_CHECKING:
-    from jaxtyping import Float
-
 _PLACING_SPAN_M, _PLACING_STEP_M = 0.08, 0.01
-_CANDIDATE_SPAN_M, _CANDIDATE_STEP_M = 0.04, 0.02
 _VOTER_REACH_M = 0.15
 # A wall whose yaw is off by some angle votes, over this length on either side, for offsets that differ by this much
 # times sin(angle).
@@ -45,7 +39,6 @@ class Settings(Matching, FirstLook):
     wall_clearance_m: float = 0.3
     wall_votes: float = 0.004
     ceiling_default_m: float = 3.2
-    candidates: int = setting(60, "Maximum number of planes in the room for the second pass.", minimum=0, maximum=1000)
 
 
 def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m: float, settings: Settings) -> RoomBox:
@@ -114,24 +107,8 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
     return RoomBox(yaw_rad + turn, low, high, fitted, np.where(fitted, score, np.nan))
 
 
-def refine_candidates(
-    pictures: list[Picture], votes: Votes, planes: Float[np.ndarray, "L 4"], settings: Settings
-) -> Float[np.ndarray, "L 4"]:
-    """The candidate planes with their offsets refined on their own voters; the six faces of the room box stay."""
-    how = _matching(settings)
-    placed = planes.copy()
-    for k in progress(range(6, len(planes)), "placing planes"):
-        voters = votes.voters(planes[k, :3], planes[k, 3], 0.07)
-        offset, score = room.place_plane(
-            pictures, voters, planes[k, :3], planes[k, 3], _CANDIDATE_SPAN_M, _CANDIDATE_STEP_M, how
-        )
-        if np.isfinite(score):
-            placed[k, 3] = offset
-    return placed
-
-
 def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path], box: Written) -> None:
-    """Fit the room box to all sweeps and place the planes inside it."""
+    """Fit the room box to all sweeps."""
     cameras = read_model(model.parent)
     swept = read_sweeps(sweeps, len(cameras))
     pictures = equalise_exposure(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
@@ -153,16 +130,7 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
         else:
             why = ": a default, because the photos show no such surface"
         say(f"{name} at {face[3]:.3f} m{why}")
-    votes = swept.votes.inside(pictures, fitted)
-    planes = room.candidate_planes(
-        votes.planes, votes.count(), fitted, settings.candidates, least_votes=_least_voters(pictures)
-    )
-    planes = refine_candidates(pictures, votes, planes, settings)
-    if raised is not None:
-        lower = np.array([[0.0, 0.0, 1.0, level] for level in raised.levels_m]).reshape(-1, 4)
-        planes = np.concatenate([planes, lower])
-    say(f"{len(planes) - 6} planes inside the room are candidates")
-    write_room(box, replace(fitted, planes=planes, gains={c.name: g for c, g in zip(cameras, swept.gains)}))
+    write_room(box, replace(fitted, gains={c.name: g for c, g in zip(cameras, swept.gains)}))
 
 
 def _matching(settings: Settings) -> room.Matching:
@@ -183,8 +151,3 @@ def _on_lower_floor(box: RoomBox, raised: RaisedFloor, pictures: list[Picture], 
         highest_m = max(float(p.camera.centre_m[2]) for p in pictures)
         high_m[2] = max(raised.floor_m + settings.ceiling_default_m, highest_m + 1.0)
     return replace(box, low_m=low_m, high_m=high_m, fitted=fitted, score=score, platform=raised.platform)
-
-
-def _least_voters(pictures: list[Picture]) -> int:
-    """Least number of pixels of a plane: 40 at 320×176, the size the value was measured at."""
-    return max(8, round(40 * pictures[0].rgb.shape[0] * pictures[0].rgb.shape[1] / (320 * 176)))

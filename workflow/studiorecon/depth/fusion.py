@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One camera's surfaces labelled again with a network's depth as one term of the cost of every pixel.
+"""One camera's surfaces with a network's depth as one term of the cost of every pixel.
 
-The labels are the planes, the furniture in front of them, and the network's own surface. Every label pays for its
-misfit to the network, in proportion to the network's certainty in this scene. The network's own surface pays more than
-a wall, so it is chosen where planes and furniture explain nothing, and loses where photos contradict it.
+Three surfaces compete: the room box, the furniture in front of it, and the network's own. Each pays for its misfit to
+the network, in proportion to the network's certainty in this scene. The network's own surface pays more than a wall, so
+it is chosen where box and furniture explain nothing, and loses where photos contradict it.
 """
 
 from __future__ import annotations
@@ -13,18 +13,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.configuration.setting import setting
 from studiorecon.depth.learned import Calibration, LearnedDepth, Output, calibrate
-from studiorecon.depth.stereo.free_space import MAX_COST
-from studiorecon.depth.stereo.passes import OUTSIDE, PassSettings, PlaneCosts, PlaneLabelling, choose_surfaces
+from studiorecon.depth.stereo.labelling import label_planes
+from studiorecon.depth.stereo.photo_cost import Surface
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.errors import UserError
 from studiorecon.images.sizes import resample_nearest
 from studiorecon.progress import say, warn
-from studiorecon.scene.room import RoomBox
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool, Float, Integer
 
+# Cost of a surface that a pixel's ray does not meet: more than any other's.
+_NOT_MET = 2.5
 # Cost of one nat of misfit: photos' pixels are correlated over their window, a network's over a tenth of the picture.
 _NAT = 0.15
 # Cost of the network's own surface above a wall's, and its further cost per factor e of uncertainty above 2 %.
@@ -34,38 +36,45 @@ _WORST_SIGMA = 0.1
 
 
 @dataclass(frozen=True)
-class Surface:
-    """Any surface in one picture: depth (H, W; 0 = none), its cost by photos, and where another camera judged it."""
+class NetworkTerm:
+    """How surfaces compete with a network's.
 
-    depth_m: Float[np.ndarray, "H W"]
-    cost: Float[np.ndarray, "H W"]
-    judged: Bool[np.ndarray, "H W"]
+    Attributes:
+        output: see ``Output``.
+        refine_penalty: cost of a change of surface between neighbouring pixels.
+        unjudged_cost: cost of floor and walls where no other camera judges them.
+    """
+
+    output: Output = setting(
+        "auto",
+        "Numbers of the depth network: metric (metres up to a scale), affine (depth up to scale and shift) or inverse "
+        "(inverse depth up to scale and shift); auto = what fits the room better.",
+    )
+    refine_penalty: float = 0.8
+    unjudged_cost: float = 0.3
 
 
 def calibrated_network(
     estimate: Float[np.ndarray, "H W"],
     picture: Picture,
-    labelled: PlaneLabelling,
+    box: Surface,
     furniture: Surface,
-    room_box: RoomBox,
+    fitted: Bool[np.ndarray, "H W"],
     output: Output,
 ) -> tuple[Calibration, LearnedDepth]:
-    """A network's depth of one camera, calibrated to the surfaces estimated so far.
+    """A network's depth of one camera, calibrated to the room; raises UserError where nothing determines its unit.
 
-    Surfaces that another camera confirms count, and fitted faces of the room; objects before those are outliers. Raises
-    UserError where nothing determines its unit.
+    What counts is what another camera confirms, and the ``fitted`` faces of the room also where none does: objects
+    before them are outliers of the fit.
     """
-    in_view = (furniture.depth_m > 0) & (furniture.depth_m < labelled.depth_m)
-    on_face = np.concatenate([room_box.fitted, np.zeros(max(int(labelled.plane.max()) - 5, 0), bool)])[labelled.plane]
-    confirmed = np.where(
-        in_view, furniture.judged & (furniture.cost < MAX_COST), labelled.judged & (labelled.cost < MAX_COST)
-    )
+    in_view = furniture.depth_m > 0
+    confirmed = np.where(in_view, furniture.confirmed, box.confirmed)
     found = calibrate(
         resample_nearest(estimate, picture.camera.hw),
-        np.where(in_view, furniture.depth_m, labelled.depth_m),
+        np.where(in_view, furniture.depth_m, box.depth_m),
         confirmed,
-        room_box.intersect(*picture.camera.rays())[0],
-        on_face & ~in_view,
+        box.depth_m,
+        fitted & ~in_view,
         picture.rgb,
         output,
     )
@@ -84,29 +93,24 @@ def calibrated_network(
 
 def label_with_network(
     picture: Picture,
-    planes: PlaneCosts,
+    box: Surface,
     furniture: Surface,
     network: Surface,
     learned: LearnedDepth,
-    settings: PassSettings,
-) -> PlaneLabelling:
-    """The labelling with L planes, furniture (label L) and the network's surface (L + 1); its ``cost`` is the
-    photos'."""
-    default = settings.room_box_default
-    by_photos = np.where(network.judged, network.cost, default)
-    # A flat window matches flat windows everywhere.
-    by_photos = np.where(picture.textured(settings.refine_window), by_photos, np.maximum(by_photos, default))
+    textured: Bool[np.ndarray, "H W"],
+    settings: NetworkTerm,
+) -> Integer[np.ndarray, "H W"]:
+    """(H, W) the surface of least cost at every pixel: 0 room box, 1 furniture, 2 network; smooth except at edges."""
+
+    def by_photos(surface: Surface) -> np.ndarray:
+        cost = np.where(surface.judged, surface.cost, settings.unjudged_cost)
+        # A flat window matches flat windows everywhere: that is worth no more than no judgement.
+        return np.where(textured, cost, np.maximum(cost, settings.unjudged_cost))
+
     unsure = np.maximum(np.log(learned.sigma / _USUAL_SIGMA), 0)
-    # Furniture costs nothing by photos: they have already decided for it against the walls.
     extra = _NETWORK_EXTRA + _NAT * (unsure - np.log(1 - learned.outliers))
-    own = np.stack([np.zeros_like(by_photos), by_photos + extra], axis=-1)
-    depths_m = np.concatenate([planes.depths_m, furniture.depth_m[None], network.depth_m[None]]).astype(np.float32)
-    misfit = np.moveaxis(learned.misfit(depths_m), 0, -1)
-    there = np.moveaxis(depths_m > 0, 0, -1)
-    cost = np.concatenate([planes.cost, own], axis=-1) + _NAT * misfit
-    judged = np.concatenate([planes.judged, furniture.judged[..., None], network.judged[..., None]], axis=-1)
-    every = PlaneCosts(depths_m, np.where(there, cost, OUTSIDE).astype(np.float32), judged)
-    labelled = choose_surfaces(picture, every, settings.refine_penalty)
-    photos = np.concatenate([planes.cost, furniture.cost[..., None], network.cost[..., None]], axis=-1)
-    by_label = np.take_along_axis(photos, labelled.plane[..., None], axis=-1)[..., 0]
-    return PlaneLabelling(labelled.plane, labelled.depth_m, by_label, labelled.judged)
+    # Furniture costs nothing by photos: they have already decided for it against the walls.
+    photos = np.stack([by_photos(box), np.zeros_like(box.cost), by_photos(network) + extra])
+    depths_m = np.stack([box.depth_m, furniture.depth_m, network.depth_m]).astype(np.float32)
+    cost = np.where(depths_m > 0, photos + _NAT * learned.misfit(depths_m), _NOT_MET)
+    return label_planes(np.moveaxis(cost, 0, -1), picture.rgb, settings.refine_penalty)

@@ -11,9 +11,9 @@ import numpy as np
 from studiorecon.depth.layout.primitive_fitting import is_allowed
 from studiorecon.depth.layout.primitives import Primitive, depth_with_primitives
 from studiorecon.depth.layout.visibility import append_distance
-from studiorecon.depth.stereo.passes import PassSettings, label_picture, plane_depths, plane_scores
 from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.depth.stereo.plates import Picture
+from studiorecon.depth.sweep_settings import Comparison
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
@@ -25,7 +25,7 @@ _WH, _FOCAL_PX = (24, 16), 20.0
 
 def run(kernels: Written) -> None:
     """Fit two noise pictures of a bare box as a room is fitted, and discard the result; write ``kernels`` when done."""
-    settings = PassSettings()
+    settings = Comparison()
     pictures = _pictures()
     low_m = np.array([-_HALF_ROOM_M, -_HALF_ROOM_M, 0.0])
     bare = RoomBox(0.0, low_m, np.array([_HALF_ROOM_M, _HALF_ROOM_M, _HEIGHT_M]), np.ones(6, bool), np.full(6, np.nan))
@@ -34,15 +34,10 @@ def run(kernels: Written) -> None:
     is_allowed(primitive[None], bare, append_distance(room.centre, 0.0))
     room.gains(primitive[None])
     room.add(primitive)
-    starts = [bare.intersect(*p.camera.rays())[0].astype(np.float32) for p in pictures]
-    found = [
-        depth_with_primitives([Primitive.from_numbers(primitive, 1.0)], p.camera, d)[0]
-        for p, d in zip(pictures, starts)
-    ]
-    planes, (one, other) = bare.faces, pictures
-    depths = plane_depths(one, planes, bare, settings)
-    scores = [plane_scores(one, other, planes, depths, settings)]
-    label_picture(one, planes, depths, scores, [(other.camera, found[1])], settings)
+    for picture in pictures:
+        depth_with_primitives(
+            [Primitive.from_numbers(primitive, 1.0)], picture.camera, bare.intersect(*picture.camera.rays())[0]
+        )
     say("the kernels of depth are compiled")
     kernels.write_text("compiled\n", encoding="utf-8")
 

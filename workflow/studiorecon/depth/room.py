@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The furniture in the room, and a first depth of every camera that agrees with the others.
+"""The furniture in the room, and the exposure of every camera on all surfaces.
 
-Writes ``depth/room.json`` (``scene.room.RoomBox``), ``depth/primitives.json`` (``depth.layout.primitives.Primitive``)
-with a picture of them, and ``depth/passes.npz`` (one (H, W) depth per camera at the sweep's size).
+Writes ``depth/room.json`` (``scene.room.RoomBox``) and ``depth/primitives.json``
+(``depth.layout.primitives.Primitive``) with a picture of them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,25 +20,19 @@ from studiorecon.depth.layout.primitives import Primitive, depth_with_primitives
 from studiorecon.depth.layout.primitives_picture import overview_sheet
 from studiorecon.depth.layout.visibility import free_ray_points, joint_places
 from studiorecon.depth.layout.votes import read_sweeps
-from studiorecon.depth.stereo.passes import PassSettings, label_picture, plane_depths, plane_scores
-from studiorecon.depth.stereo.plates import Picture, equalise_exposure, read_pictures, surface_gains
-from studiorecon.depth.sweep_settings import FirstLook
+from studiorecon.depth.stereo.plates import equalise_exposure, read_pictures, surface_gains
+from studiorecon.depth.sweep_settings import Comparison, FirstLook
 from studiorecon.images.encoded import write_png
-from studiorecon.progress import progress, say
-from studiorecon.scene.files import write_npz
+from studiorecon.progress import say
 from studiorecon.scene.people import read_detections, read_identities
-from studiorecon.scene.room import RoomBox, read_room, write_room
+from studiorecon.scene.room import read_room, write_room
 from studiorecon.signature import Written
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 
 @dataclass(frozen=True)
-class Settings(PassSettings, FirstLook):
+class Settings(Comparison, FirstLook):
     """Size in pixels of the pictures for the furniture's fit, and the least gain of a primitive."""
 
-    passes: int = setting(2, "Rounds in which each camera is checked against the others' depth.", minimum=1, maximum=10)
     primitives: int = setting(
         40,
         "Maximum number of boxes and cylinders in the room; 0 = none.",
@@ -50,33 +43,6 @@ class Settings(PassSettings, FirstLook):
     )
     primitives_width: int = 160
     primitives_gain: float = 40.0
-
-
-def consistent_depths(
-    pictures: list[Picture],
-    room_box: RoomBox,
-    primitives: list[Primitive],
-    starts: list[Float[np.ndarray, "H W"]],
-    settings: Settings,
-) -> list[Float[np.ndarray, "H W"]]:
-    """Depth of every picture after ``passes`` rounds, each judged against the others' latest depth and the
-    primitives."""
-    depths = [plane_depths(p, room_box.planes, room_box, settings) for p in pictures]
-    scores = [
-        [plane_scores(p, o, room_box.planes, d, settings) for j, o in enumerate(pictures) if j != i]
-        for i, (p, d) in enumerate(zip(pictures, depths))
-    ]
-    latest = starts
-    for _ in progress(range(settings.passes), "agreeing"):
-        others = [
-            [(p.camera, d) for j, (p, d) in enumerate(zip(pictures, latest)) if j != i] for i in range(len(pictures))
-        ]
-        found = [
-            label_picture(p, room_box.planes, d, s, o, settings).depth_m
-            for p, d, s, o in zip(pictures, depths, scores, others)
-        ]
-        latest = [depth_with_primitives(primitives, p.camera, depth_m)[0] for p, depth_m in zip(pictures, found)]
-    return latest
 
 
 def run(
@@ -91,9 +57,8 @@ def run(
     room_box: Written,
     primitives: Written,
     picture: Written,
-    passes: Written,
 ) -> None:
-    """Fit furniture in the room ``box``, and let the cameras agree on depth.
+    """Fit furniture in the room ``box``, and make the cameras' exposures agree.
 
     ``fits``, ``detections`` and ``identities`` show which space is free; without them only the cameras do.
     """
@@ -122,9 +87,8 @@ def run(
             most=settings.primitives,
         )
         say(f"{len(furniture)} boxes and cylinders added to walls and floor")
-    seen_m = swept.votes.inside(pictures, fitted).depths_m(pictures, fitted)
-    starts = [depth_with_primitives(furniture, p.camera, depth_m)[0] for p, depth_m in zip(pictures, seen_m)]
-    depths = consistent_depths(pictures, fitted, furniture, starts, settings)
+    boxes_m = [fitted.intersect(*p.camera.rays())[0].astype(np.float32) for p in pictures]
+    depths = [depth_with_primitives(furniture, p.camera, depth_m)[0] for p, depth_m in zip(pictures, boxes_m)]
     rest, pairs = surface_gains(pictures, depths, settings.window)
     gains = swept.gains * rest
     say(
@@ -134,4 +98,3 @@ def run(
     write_room(room_box, replace(fitted, gains={c.name: g for c, g in zip(cameras, gains)}))
     write_primitives(primitives, furniture)
     write_png(picture, overview_sheet(pictures, fitted, furniture, depths))
-    write_npz(passes, {f"depth_{camera.name}": depth_m for camera, depth_m in zip(cameras, depths)})

@@ -49,3 +49,10 @@ class FirstLook:
         maximum=4096,
         paper="Pi3 for the first frame, MoGe later; U21",
     )
+
+
+@dataclass(frozen=True)
+class Comparison(Matching):
+    """How the photos are compared on the surfaces of the room: side of the square window, pixels."""
+
+    refine_window: int = 5

@@ -154,10 +154,10 @@ def _depth_work(training: int, wh: tuple[int, int], depth: Mapping[str, Any]) ->
     sweep_mpx, refine_mpx = _mpx(*wh, depth["sweep_width"]), _mpx(*wh, depth["refine_width"])
     return {
         "depth_sweep": Work(training, training * sweep_mpx * planes),
-        "depth_box": Work(1, training**2 * sweep_mpx * depth["candidates"]),
+        "depth_box": Work(1, training**2 * sweep_mpx),
         "depth_preview": Work(1, training * sweep_mpx),
-        "depth_room": Work(1, training**2 * (sweep_mpx * depth["passes"] + depth["primitives"] * 0.014)),
-        "depth_refine": Work(training, training * refine_mpx * depth["candidates"] * depth["passes"]),
+        "depth_room": Work(1, training**2 * (sweep_mpx + depth["primitives"] * 0.014)),
+        "depth_refine": Work(training, training * refine_mpx),
     }
 
 

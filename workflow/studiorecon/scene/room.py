@@ -11,15 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import UNIT_NORMALS, MappingOf, OptionalField, flag, metres, radians, real
+from studiorecon.scene.schema import MappingOf, OptionalField, flag, metres, radians, real
 from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Integer, Num
 
 FACES = ("u_low", "u_high", "v_low", "v_high", "floor", "ceiling")
-# Planes and faces are computed from the same numbers.
-_SAME = 1e-6
 _FACE = {"fitted": flag(), "score": real(gaps=True, low=-1, high=1)}
 _GAIN = real("3", above=0)
 _ROOM = {
@@ -27,7 +25,6 @@ _ROOM = {
     "low_m": metres("3"),
     "high_m": metres("3"),
     "gains": MappingOf(_GAIN),
-    "planes": metres("K 4", such=UNIT_NORMALS),
     "faces": dict.fromkeys(FACES, _FACE),
     "platform": OptionalField({"low_m": metres("2"), "high_m": metres("2"), "top_m": metres()}),
 }
@@ -91,7 +88,6 @@ class RoomBox:
         fitted: fitted to the photos, in the order of ``FACES``; defaults must not be called measured.
         score: mean correlation over the pixels each face was fitted to; NaN for defaults.
         gains: camera name → factors of its exposure: divide its photo by them to make the cameras agree.
-        planes: every plane the photos voted for, n·p = o, metres; the six faces come first.
         platform: the surface on which people stand, None where that is the floor.
     """
 
@@ -101,7 +97,6 @@ class RoomBox:
     fitted: Bool[np.ndarray, " 6"]
     score: Num[np.ndarray, " 6"]
     gains: Mapping[str, Num[np.ndarray, " 3"]] = field(default_factory=dict)
-    planes: Num[np.ndarray, "K 4"] = field(default_factory=lambda: np.zeros((0, 4)))
     platform: Platform | None = None
 
     @property
@@ -167,7 +162,7 @@ class RoomBox:
 
 def write_room(path: Path, room_box: RoomBox) -> None:
     """Write ``depth/room.json``."""
-    value = {name: getattr(room_box, name) for name in ("yaw_rad", "low_m", "high_m", "gains", "planes")}
+    value = {name: getattr(room_box, name) for name in ("yaw_rad", "low_m", "high_m", "gains")}
     faces = {
         name: {"fitted": bool(room_box.fitted[i]), "score": float(room_box.score[i])} for i, name in enumerate(FACES)
     }
@@ -189,13 +184,10 @@ def _room(value: Mapping[str, Any]) -> RoomBox:
         fitted=np.array([f["fitted"] for f in faces], bool),
         score=np.array([np.nan if f["score"] is None else f["score"] for f in faces], np.float64),
         gains={name: np.asarray(gain, np.float64) for name, gain in value["gains"].items()},
-        planes=np.asarray(value["planes"], np.float64).reshape(-1, 4),
         platform=None if value["platform"] is None else _platform(value["platform"]),
     )
     expect((made.low_m < made.high_m).all(), "low_m is not below high_m")
     expect((np.isnan(made.score) == ~made.fitted).all(), "score is not there for the faces that are fitted")
-    if len(first := made.planes[: len(FACES)]) == len(FACES):
-        expect(np.abs(first - made.faces).max() < _SAME, "planes do not begin with the faces of low_m and high_m")
     return made
 
 

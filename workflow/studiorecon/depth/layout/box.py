@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From votes to a room: the most voted wall on each side, its offset to the centimetre, and candidate planes inside."""
+"""From votes to a room: the most voted wall on each side and its offset to the centimetre."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 
 from studiorecon.depth.layout.votes import Votes
 from studiorecon.depth.stereo.plates import Picture
-from studiorecon.scene.room import RoomBox
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
@@ -185,18 +184,3 @@ def refine_yaw(
             )
             value[k] += mean * count
     return float(turns[int(value.argmax())]) if value.any() else 0.0
-
-
-def candidate_planes(
-    planes: Float[np.ndarray, "L 4"], votes: Integer[np.ndarray, " L"], room_box: RoomBox, most: int, least_votes: int
-) -> Float[np.ndarray, "K 4"]:
-    """The room box's six faces, then the most voted planes inside it that are not near-copies of one another."""
-    chosen = list(room_box.faces)
-    for k in np.argsort(-votes, kind="stable"):
-        if votes[k] < least_votes or len(chosen) >= most + 6:
-            break
-        plane = planes[k]
-        apart = 0.06 if abs(plane[2]) > 0.5 else 0.1
-        if all(plane[:3] @ other[:3] < 0.999 or abs(plane[3] - other[3]) > apart for other in chosen):
-            chosen.append(plane)
-    return np.array(chosen)

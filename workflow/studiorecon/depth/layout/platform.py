@@ -69,15 +69,11 @@ class _HeightVotes:
 
 @dataclass(frozen=True)
 class RaisedFloor:
-    """People are on a ``platform``; the room's floor around it is at ``floor_m`` and matches with ``score``.
-
-    ``levels_m`` are heights of other surfaces below people's feet.
-    """
+    """People are on a ``platform``; the room's floor around it is at ``floor_m`` and matches with ``score``."""
 
     platform: Platform
     floor_m: float
     score: float
-    levels_m: list[float]
 
 
 def fit_platform(
@@ -113,13 +109,8 @@ def fit_platform(
     # If cameras are a degree off, the floor under people separates too, but as much of it above as below.
     if standing_m - floor_m < _MIN_DOWN_M or above[: peak + 2].sum() > count[: peak + 2].sum():
         return None
-    mats = [
-        standing_m - k * _STEP_M
-        for k in range(2 * _OWN + 1, peak - 1)
-        if around[k] >= _MIN_CELLS and count[k] == count[k - 1 : k + 2].max()
-    ]
     score = float(votes.score[outside & (np.abs(votes.step + peak) <= 1)].mean())
-    return RaisedFloor(Platform(corner, upper, standing_m), floor_m, score, mats)
+    return RaisedFloor(Platform(corner, upper, standing_m), floor_m, score)
 
 
 def _disagreeing(pictures: Sequence[Picture], standing_m: float, how: Matching) -> float:

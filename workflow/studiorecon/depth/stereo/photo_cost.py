@@ -25,9 +25,25 @@ from studiorecon.scene.room import RoomBox
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
+# Another camera confirms a surface where their colours agree at least half as well as they could.
+MAX_CONFIRMED_COST = 0.5
 # Pixels that show a real object cost less than before by a tenth at least in rooms whose tables match worst; by
 # nothing, on ten thousand pixels, in a real room whose floor is lower than assumed.
 _MIN_BETTER = 0.05
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Any surface in one picture: depth (0 = none), its cost by photos, and where another camera judged it."""
+
+    depth_m: Float[np.ndarray, "H W"]
+    cost: Float[np.ndarray, "H W"]
+    judged: Bool[np.ndarray, "H W"]
+
+    @property
+    def confirmed(self) -> Bool[np.ndarray, "H W"]:
+        """Pixels that another camera confirms."""
+        return self.judged & (self.cost < MAX_CONFIRMED_COST)
 
 
 @dataclass
@@ -122,20 +138,24 @@ class PhotoCostVolume:
                 own[: unlike.shape[0], : unlike.shape[1]] = unlike
         return room
 
-    def cost_of(
-        self, view: int, depths_m: Sequence[Float[np.ndarray, "h w"]]
-    ) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-        """Cost of one view's surface, any depth map, and whether another camera judged it; ``depths_m``: of all
-        views."""
-        depth = np.zeros_like(self.depth)
-        for own, depth_m in zip(depth, depths_m):
-            own[: depth_m.shape[0], : depth_m.shape[1]] = depth_m
+    def nearest(self, view: int, hw: tuple[int, int]) -> tuple[Surface, Integer[np.ndarray, "h w"]]:
+        """The surfaces that one view of ``hw`` pixels sees, and their numbers."""
+        depth_m, cost, judges, number = (
+            a[view, : hw[0], : hw[1]].copy() for a in (self.depth, self.cost, self.judges, self.surface)
+        )
+        return Surface(depth_m, cost, judges > 0), number
+
+    def of_depth(self, view: int, depth_m: Float[np.ndarray, "h w"]) -> Surface:
+        """Any depth map of one view, judged by the others where their own surfaces do not hide it."""
+        rows, columns = depth_m.shape
+        depth = self.depth.copy()
+        depth[view] = 0
+        depth[view, :rows, :columns] = depth_m
         known = self.known & (depth > 0)
         pair, at, z, cost, judges = (np.zeros_like(a) for a in (self.pair, self.at, self.z, self.cost, self.judges))
         surface, how = np.zeros_like(self.surface), (self.half, self.mean_weight)
         explain_all(self.lens, self.pose, self.centre, self.rgb, known, depth, surface, pair, at, z, cost, judges, *how)
-        rows, columns = depths_m[view].shape
-        return cost[view, :rows, :columns], judges[view, :rows, :columns] > 0
+        return Surface(depth_m, cost[view, :rows, :columns], judges[view, :rows, :columns] > 0)
 
     def gains(self, primitives: Float[np.ndarray, "N 8"], looks: bool = True) -> Float[np.ndarray, " N"]:
         """Decrease of all pixels' cost with each of the primitives added alone; without ``looks`` by agreement only."""
