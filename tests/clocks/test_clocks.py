@@ -21,7 +21,7 @@ from studiorecon.clocks.posterior import Lag, Offset, Source, estimate_offsets
 from studiorecon.clocks.timeline import common_moments
 from studiorecon.configuration.settings import load
 from studiorecon.keypoints.resampling import resample_keypoints
-from studiorecon.scene.clocks import Clock, Clocks, read_clocks
+from studiorecon.scene.clocks import Clock, Clocks, read_clock_findings, read_clocks
 from studiorecon.scene.files import read_json
 from studiorecon.scene.people import Detections, write_detections
 
@@ -68,6 +68,7 @@ def find(default_settings: Callable[..., dict[str, Any]], tmp_path: Path) -> Cal
             tmp_path / "clocks.json",
             tmp_path / "sync.json",
         )
+        assert [f.camera for f in read_clock_findings(tmp_path / "sync.json")] == [r.name for r in recorders]
         return read_clocks(tmp_path / "clocks.json"), {
             f["camera"]: f for f in read_json(tmp_path / "sync.json")["cameras"]
         }

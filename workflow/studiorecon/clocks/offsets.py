@@ -161,7 +161,9 @@ def estimate_clocks(
                 if n not in mine
             }
             sentence = clock_sentence(camera, verdict, mine, reasons, cameras[reference], rate)
-        proposals = [{"method": n} | asdict(o) for n, o in mine.items()]
+        proposals = [
+            {"method": n, "offset_s": o.seconds, "half_s": o.half_s, "drift_ppm": o.drift_ppm} for n, o in mine.items()
+        ]
         verdicts.append(verdict)
         findings.append(
             {"camera": camera, **asdict(verdict), "sentence": sentence, "proposals": proposals, "without": reasons}

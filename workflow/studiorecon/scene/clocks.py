@@ -37,7 +37,7 @@ _FINDING = {
     "kind": text("reference", "in step", "found", "undetermined"),
     "reason": text(),
     "sentence": text(),
-    "proposals": ListOf({**_ESTIMATE, "drift_half_ppm": real(low=0, unit="ppm", gaps=True)}),
+    "proposals": ListOf(_ESTIMATE),
     "without": MappingOf(text()),
 }
 _FINDINGS = {"sync": text(), "given": MappingOf(real(unit="frames")), "cameras": ListOf(_FINDING)}
@@ -145,10 +145,8 @@ def read_clock_findings(path: Path) -> list[ClockFinding]:
 
 
 def _finding(value: dict[str, Any]) -> ClockFinding:
-    from_people = [p for p in value["proposals"] if p["method"] in ("people", "all cameras")]
-    best = min(from_people, key=lambda p: p["half_s"], default=None)
-    is_reference = value["kind"] == "reference"
-    people_s = (0.0, 0.0) if is_reference else (best["offset_s"], best["half_s"]) if best else None
+    by_method = {p["method"]: (p["offset_s"], p["half_s"]) for p in value["proposals"]}
+    people_s = (0.0, 0.0) if value["kind"] == "reference" else by_method.get("people")
     return ClockFinding(value["camera"], value["sentence"], people_s)
 
 
