@@ -2,14 +2,10 @@
 # This file is the table of contents; the rules are in workflow/rules, one file per stage, in the order data flows.
 
 import sys
-from pathlib import Path
 
 from snakemake.utils import min_version
 
 min_version("9.12")
-
-
-configfile: Path(workflow.basedir) / "config/config.yaml"
 
 
 include: "workflow/rules/common.smk"

@@ -20,6 +20,7 @@ from studiorecon.progress import say
 OVERLAYS = {
     "missing": (None, "missing"),
     "binary": (b"\x8f\x00\xff", "UTF-8"),
+    "comments alone": (b"# capture: {width: 64}\n", "no settings"),
     "a list": (b"[1, 2]", "no settings"),
     "a setting twice": (b"capture: {width: 64}\ncapture: {width: 96}", "twice"),
     "octal": (b"capture: {width: 010}", "plainly"),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -104,6 +105,24 @@ def test_a_misspelt_setting_is_refused(house: House, dataset: Path) -> None:
     done = on(house, dataset).snakemake("--dry-run", "--cores", "1", "--configfile", overlay, check=False)
     assert done.returncode != 0
     assert "there is no setting depth.plains" in done.stdout
+
+
+@pytest.mark.parametrize("file", ["mine.yaml", "config/config.yaml"])
+def test_a_file_of_settings_that_holds_none_is_named(house: House, file: str) -> None:
+    path = house.folder / file
+    whole = path.read_bytes() if path.exists() else None
+    overlay = () if whole else ("--configfile", file)
+    try:
+        for content in (b"", b"# comments alone", b"[1]", b"\x8f\x00", None):
+            path.unlink(missing_ok=True)
+            os.mkfifo(path) if content is None else path.write_bytes(content)
+            done = house.snakemake("--dry-run", "--cores", "1", *overlay, check=False)
+            assert done.returncode == 1
+            assert done.stdout.splitlines()[-1].startswith(file)
+    finally:
+        path.unlink()
+        if whole:
+            path.write_bytes(whole)
 
 
 def test_what_the_command_line_says_is_read_as_what_it_is(house: House, dataset: Path) -> None:

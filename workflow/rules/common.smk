@@ -55,13 +55,17 @@ def refuse_error(error):
     refuse(str(error) if is_ours else describe_resource_error(error) or fault_sentence(error, keep_trace(error)))
 
 
-def check_settings():
-    """Read every setting as what the schema says it is; refuse a configuration that breaks it, in a sentence per mistake."""
+def check_setting_files():
+    """Refuse a file of settings that cannot be read: Snakemake would not name it."""
     try:
-        for file in workflow.config_settings.configfiles or ():
+        for file in (HOME / "config/config.yaml", *(workflow.config_settings.configfiles or ())):
             check_overlay(Path(file))
     except UserError as refusal:
         refuse(str(refusal))
+
+
+def check_settings():
+    """Read every setting as what the schema says it is; refuse a configuration that breaks it, in a sentence per mistake."""
     config.update(coerce_types(config, SCHEMA))
     if wrong := mistakes(config, SCHEMA):
         refuse("\n".join([*wrong, "config/README.md explains every setting"]))
@@ -112,6 +116,12 @@ def refuse_unreadable():
 
 
 take_left_lock()
+check_setting_files()
+
+
+configfile: HOME / "config/config.yaml"
+
+
 check_settings()
 BUDGET = bought_by_budget()
 PLAN = decided()

@@ -23,6 +23,8 @@ from pathlib import Path
 from snakemake_interface_logger_plugins.base import LogHandlerBase
 from snakemake_interface_logger_plugins.common import LogEvent
 from studiorecon.cli.run_progress import Run, Running, read_seconds, record_seconds
+from studiorecon.configuration.overlays import OVERLAY_OPTIONS, check_overlay, split_option
+from studiorecon.errors import UserError
 from studiorecon.pages.run_summary import ending
 from studiorecon.progress import CLEAR_LINE, RUN
 
@@ -38,6 +40,13 @@ class LogHandler(LogHandlerBase):
     """Follows one run through the events that Snakemake logs."""
 
     def __post_init__(self) -> None:
+        # Snakemake reads these files before our Snakefile, and names none of them.
+        try:
+            for overlay in split_option(sys.argv, OVERLAY_OPTIONS)[0]:
+                check_overlay(Path(overlay))
+        except UserError as refusal:
+            print(refusal, file=sys.stderr)
+            raise SystemExit(1) from None
         self._run = Run({}, os.cpu_count() or 1, time.monotonic())
         self._order: list[str] = []
         self._scene, self._written_s, self._idle = "", 0.0, False

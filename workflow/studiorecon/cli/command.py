@@ -20,7 +20,7 @@ from typing import Any
 
 from studiorecon.__main__ import main as step_main
 from studiorecon.cli.viewer import Viewer
-from studiorecon.configuration.overlays import check_overlay
+from studiorecon.configuration.overlays import OVERLAY_OPTIONS, split_option
 from studiorecon.errors import UserError
 from studiorecon.home import CONFIGURATION, HOME, PRESETS, SCHEMA, SNAKEFILE
 from studiorecon.machine.crash_report import fault_sentence, keep_trace
@@ -237,8 +237,8 @@ def preset_file(name: str) -> Path:
 
 def snakemake_command(target: str, dataset: str, cores: str, preset: str | None, rest: Sequence[str]) -> list[str]:
     """The call of the packaged Snakefile; options in ``rest`` that Snakemake takes only once are merged with ours."""
-    config, rest = _taken(rest, ("--config", "-C"))
-    overlays, rest = _taken(rest, ("--configfile", "--configfiles"))
+    config, rest = split_option(rest, ("--config", "-C"))
+    overlays, rest = split_option(rest, OVERLAY_OPTIONS)
     overlays = [*([str(preset_file(preset))] if preset else []), *overlays]
     command = [
         sys.executable,
@@ -255,29 +255,9 @@ def snakemake_command(target: str, dataset: str, cores: str, preset: str | None,
     return [*command, *(["--configfile", *overlays] if overlays else []), "--config", f"dataset={dataset}", *config]
 
 
-def _taken(words: Sequence[str], names: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Values of an option that takes several words, and the words without it."""
-    values: list[str] = []
-    others: list[str] = []
-    inside = False
-    for word in words:
-        name, equals, value = word.partition("=")
-        if name in names:
-            inside = not equals
-            values += [value] if equals else []
-        elif inside and not word.startswith("-"):
-            values.append(word)
-        else:
-            inside = False
-            others.append(word)
-    return values, others
-
-
 def _snakemake(target: str, dataset: str, options: argparse.Namespace) -> int:
     if importlib.util.find_spec("snakemake") is None:
         raise UserError("Snakemake, which runs the steps, is not installed here: pip install 'studiorecon[run]'")
-    for overlay in _taken(options.rest, ("--configfile", "--configfiles"))[0]:
-        check_overlay(Path(overlay))
     budget = getattr(options, "budget", None)
     command = snakemake_command(target, dataset, options.cores, getattr(options, "preset", None), options.rest)
     command += [] if budget is None else [f"budget_min={budget:g}"]
