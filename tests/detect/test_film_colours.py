@@ -45,6 +45,13 @@ def test_colours_of_one_film_among_others(reading: str, seed: int) -> None:
     assert unlike_colours(two) == {}
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_dim_film_is_not_named_for_the_little_contrast_that_inverting_it_leaves(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    films = {f"c{k}": np.clip(0.2 * CLOTHES * np.exp(rng.normal(0, 0.6, CLOTHES.shape)), 0, 1) for k in range(4)}
+    assert unlike_colours(films) == {}
+
+
 def test_an_inverted_film_is_named_by_its_people(tmp_path: Path) -> None:
     keypoints = np.array([[[8 + 6 * k, 10 + 4 * k, 0.9] for k in range(17)]])
     skin, shirt, trousers = [190, 140, 115], [130, 45, 40], [50, 60, 120]

@@ -106,8 +106,11 @@ def unlike_colours(colours: Mapping[str, Num[np.ndarray, "L 3"]]) -> dict[str, s
     gains = []
     for (camera, (shared, median)), as_read in zip(usual.items(), apart):
         for words, read in _READINGS.items():
-            other = np.log(read(colours[camera][shared]) + _DARK) - median
-            gains.append((_log_likelihood(other, noise) - _log_likelihood(as_read, noise), camera, words))
+            other = np.log(read(colours[camera][shared]) + _DARK)
+            # A reading that squeezes dark colours together must not win by that: densities change with the scale.
+            stretched = logs[camera][shared].sum() - other.sum()
+            likelier = _log_likelihood(other - median, noise) - _log_likelihood(as_read, noise)
+            gains.append((likelier + stretched, camera, words))
     gain, camera, words = max(gains)
     if not gain > np.log(_ODDS):
         return {}
