@@ -124,6 +124,24 @@ def test_every_shape_gives_the_same_people(tmp_path: Path, form: str) -> None:
     assert found.pictures.tolist() in ([0, 1, 2], [0, 2])
 
 
+@pytest.mark.parametrize("more", ["", " 0.9", " 0.9 4"], ids=["", "with scores", "with tracks"])
+@pytest.mark.parametrize("place", [".", "labels"])
+def test_yolo_s_labels_give_the_same_people(tmp_path: Path, more: str, place: str) -> None:
+    """Ultralytics writes no file where it sees nobody, and 0 0 for a keypoint that it does not see."""
+    (tmp_path / place).mkdir(exist_ok=True)
+    shares = (POINTS + np.array([0.5, 0.5, 0])) / [640, 360, 1]
+    shares[2, 4] = 0
+    for t, people in SEEN.items():
+        lines = [f"0 0.5 0.5 0.1 0.3 {' '.join(map(str, shares[k].reshape(-1).tolist()))}{more}\n" for k in people]
+        if lines:
+            (tmp_path / place / f"film_{t + 1}.txt").write_text("".join(lines))
+    found = read_keypoints(tmp_path, (640, 360))
+    assert (found.frame.tolist(), found.pictures.tolist()) == ([1, 1, 3], [1, 3])
+    wanted = POINTS.copy()
+    wanted[2, 4] = np.nan, np.nan, 0
+    np.testing.assert_allclose(found.keypoints, wanted)
+
+
 @pytest.mark.parametrize("people", [[], [None], [{}], [{"person_id": [-1]}], [{"pose_keypoints_2d": []}], None])
 def test_nobody_anywhere_is_no_fault(tmp_path: Path, people: Any) -> None:
     for t in range(3):

@@ -12,11 +12,12 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.keypoints.deeplabcut import read_deeplabcut
 from studiorecon.keypoints.file_numbers import number_names
+from studiorecon.keypoints.layouts import BY_COUNT
 from studiorecon.keypoints.picture_content import people_in
 from studiorecon.keypoints.result_files import Pictures, read_results
 from studiorecon.progress import warn
 from studiorecon.scene.recorded_keypoints import RecordedKeypoints
-from studiorecon.scene.user_files import read_json, read_npz
+from studiorecon.scene.user_files import read_json, read_npz, read_text
 from studiorecon.scene.user_values import numbers
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 FORMATS = {
     "`<camera>/*.json` or `<camera>_json/*.json`, one a picture": "OpenPose, EasyMocap, AlphaPose, MMPose, "
     "MediaPipe by Pose2Sim",
+    "`<camera>/*.txt` or `<camera>/labels/*.txt`, one a picture": "Ultralytics (`save_txt=True`)",
     "`<camera>.json`": "AlphaPose, Detectron and COCO results, MMPose's demo and inferencer, easy_ViTPose, "
     "Ultralytics (a list of `to_json()`), MediaPipe's own results",
     "`<camera>.csv` or `<camera>DLC_….csv`, one animal or several": "DeepLabCut, MediaPipe by Pose2Sim",
@@ -52,13 +54,14 @@ _MAX_PLACE = 1e6
 
 
 def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> RecordedKeypoints:
-    """All people of one camera; ``path`` is one of ``FORMATS``, ``picture_wh`` the size of MediaPipe's shares.
+    """All people of one camera; ``path`` is one of ``FORMATS``, ``picture_wh`` the size of MediaPipe's and YOLO's
+    shares.
 
     Raises UserError naming the file, and the frame: for an unknown format or broken content, people of different
     numbers of keypoints, and more than ``MAX_PEOPLE_PER_PICTURE`` in one picture.
     """
     if path.is_dir():
-        found = _folder(path)
+        found = _folder(path, picture_wh)
     elif path.suffix.lower() == ".npz":
         found = _neutral(path)
     elif path.suffix.lower() == ".json":
@@ -128,11 +131,14 @@ def _usable(keypoints: Num[np.ndarray, "D K 3"], path: Path) -> Float[np.ndarray
     return np.where(gone[..., None], [np.nan, np.nan, 0.0], np.concatenate([place, score[..., None]], -1))
 
 
-def _folder(path: Path) -> Pictures:
+def _folder(path: Path, picture_wh: tuple[int, int]) -> Pictures:
     held = sorted(f for f in path.iterdir() if not f.name.startswith("."))
     files = [f for f in held if f.suffix.lower() == ".json"]
     if not files and len(held) == 1 and held[0].is_dir():
-        return _folder(held[0])
+        return _folder(held[0], picture_wh)
+    if not files and (labels := [f for f in held if f.suffix.lower() == ".txt"]):
+        numbered = zip(number_names([f.stem for f in labels], str(path)), labels)
+        return Pictures("YOLO", {number: _yolo_people(file, picture_wh) for number, file in numbered})
     if held and not files:
         raise UserError(
             f"{path} holds {held[0].name}{' and more' * (len(held) > 1)}, but no .json file: bring one .json per "
@@ -144,6 +150,28 @@ def _folder(path: Path) -> Pictures:
         found[number] = people
         programs.add(program)
     return Pictures("/".join(sorted(programs)) or "an empty folder", found)
+
+
+def _yolo_people(path: Path, picture_wh: tuple[int, int]) -> list[Float[np.ndarray, "K 3"]]:
+    """People of one picture by YOLO's pose labels: class, box, then x, y (shares of the picture) and visibility of
+    every keypoint, and perhaps a score and a number of the track."""
+    people = []
+    for line, words in enumerate(map(str.split, read_text(path).splitlines()), 1):
+        try:
+            row = np.array(words, dtype=np.float64)
+        except ValueError:
+            row = np.zeros(0)
+        count = (len(row) - 5) // 3
+        if words and count not in BY_COUNT:
+            raise UserError(
+                f"{path}, line {line}: {len(words)} words are no person by YOLO's pose labels (class, box, and x, y, "
+                f"visibility of {', '.join(map(str, sorted(BY_COUNT)))} keypoints); bring one .json per picture instead"
+            )
+        if words:
+            points = row[5 : 5 + 3 * count].reshape(count, 3)
+            unseen = (points[:, :2] == 0).all(-1, keepdims=True)
+            people.append(np.where(unseen, [np.nan, np.nan, 0.0], points * [*picture_wh, 1.0] - [0.5, 0.5, 0.0]))
+    return people
 
 
 def _neutral(path: Path) -> Pictures:
