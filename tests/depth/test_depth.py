@@ -16,7 +16,7 @@ from studiorecon.depth import given, refine, sweep
 from studiorecon.depth import room as room_box
 from studiorecon.depth.layout.box import most_voted_offsets
 from studiorecon.depth.layout.primitives import read_primitives
-from studiorecon.depth.layout.votes import Votes
+from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.layout.yaw import matched_yaw
 from studiorecon.depth.stereo.matching import plane_depth
 from studiorecon.depth.stereo.planes import wall_yaw
@@ -25,6 +25,7 @@ from studiorecon.depth.sweep_settings import DefaultConfidence
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.files import write_npz
 from studiorecon.scene.room import RoomBox, read_room, write_room
 
 from tests.made.room import made_room, photograph, ring, write_capture
@@ -236,6 +237,24 @@ def test_given_depth_is_fitted_and_cleaned(tmp_path: Path, default_settings: Cal
 
 # Coarser still: nothing is measured to the centimetre where cameras are blind.
 COARSE = THIN | {"sweep_width": 96, "refine_width": 96, "wall_step_m": 0.16}
+
+
+def test_sweeps_of_other_settings_are_refused_until_all_are_made_again(tmp_path: Path) -> None:
+    files = [tmp_path / f"cam{k}.sweep.npz" for k in (1, 2)]
+
+    def made(path: Path, offset_m: float) -> None:
+        one = {"planes": np.array([[0, 0, 1.0, offset_m]]), "chosen": np.zeros((5, 7), np.int16), "floor_m": 0.0}
+        write_npz(path, one | {"cost": np.zeros((5, 7)), "confident": np.ones((5, 7), bool), "yaw_rad": 0.0,
+                               "gains": np.ones((2, 3))})  # fmt: skip
+
+    for k, path in enumerate(files):
+        made(path, 0.1 * k)
+    with pytest.raises(UserError, match="delete them"):
+        read_sweeps(files, 2)
+    for path in files:
+        path.unlink()
+        made(path, 0.1)
+    assert read_sweeps(files, 2).votes.count().tolist() == [70]
 
 
 def test_plates_never_measured_at_all_are_undetermined(tmp_path: Path, default_settings: Callable) -> None:

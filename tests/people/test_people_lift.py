@@ -24,7 +24,7 @@ from studiorecon.rig import first_depth
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, read_detections, write_detections
 
-from tests.made.cameras import look_at
+from tests.made.cameras import detect, look_at, walk
 
 WH = (160, 88)
 FRAMES = 6
@@ -229,9 +229,17 @@ def test_two_cameras_find_the_same_people_by_them(tmp_path: Path, monkeypatch: p
 
 
 def test_a_depth_of_another_view_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its remedy, ``position: rays``, needs no depth."""
+    """Its remedy, ``position: rays``, needs no depth and separates the same people."""
+    cameras = rig()[:2]
     with pytest.raises(UserError, match=r"differ by.*set people\.association\.position to rays"):
-        run_lifting(tmp_path, monkeypatch, rig()[0], other_view=True)
+        run_lifting(tmp_path, monkeypatch, cameras[0], other_view=True)
+    people = [walk(place - [0, 0, 1], np.array([0.02, 0.01, 0]), FRAMES) for place in PLACES]
+    seen = detect(cameras, people, 0.3, np.random.default_rng(0))
+    limits = AssociationLimits(method="star", affinity="position", position="rays")
+    pairs = track_pairs(seen, stable_detections(seen), cameras, limits)
+    alike = pairs.affinity[np.ix_(pairs.view == 0, pairs.view == 1)]
+    assert alike.max(axis=1).min() > 0.5
+    assert sorted(alike.argmax(axis=1)) == [0, 1]
 
 
 def test_cameras_in_one_place_say_nothing_of_a_metre() -> None:
