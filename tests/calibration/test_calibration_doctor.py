@@ -137,6 +137,16 @@ def test_what_people_say_against_the_clocks_in_use_is_named_with_all_starts(good
         assert ahead == pytest.approx({f"c{k}": late.get(f"c{k}", 0) for k in range(4)}, abs=0.01)
 
 
+@pytest.mark.parametrize(("radius_m", "refused"), [(1.1, False), (4.0, True)])
+def test_an_error_of_pixels_counts_by_its_metres_near_the_cameras(options, radius_m, refused):
+    """16 px are 2 cm at 1 m, which detectors differ by from view to view, and 8 cm at 4 m."""
+    cameras = ring(4, radius_m, 1.2)
+    seen = detect(cameras, [walk(np.zeros(3), np.array([0.002, 0.001, 0]), FRAMES)], 20, np.random.default_rng(0))
+    report = doctor.examine(cameras, seen, about(cameras), options)[0]
+    assert report["median_px"] > 0.01 * 1280
+    assert any("px are allowed" in sentence for sentence in report["advice"]) == refused
+
+
 def test_unequal_footage_and_exposures_are_reported(options):
     advice = examined(ring(), options, c1={"video_frames": 20, "fps": 25.0, "brightness": 0.1})["advice"]
     assert [w for w in ("frame rates", "exposures") if not any(w in a for a in advice)] == []

@@ -22,7 +22,7 @@ from studiorecon.clocks.timeline import common_moments
 from studiorecon.configuration.settings import load
 from studiorecon.keypoints.resampling import resample_keypoints
 from studiorecon.scene.clocks import Clock, Clocks, read_clock_findings, read_clocks
-from studiorecon.scene.files import read_json
+from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import Detections, write_detections
 
 from benchmarks.clocks import the_man
@@ -161,6 +161,16 @@ class TestOthers:
         told = clocks_step.clock_sentence("b", verdict, alone, {}, "a", FPS)
         assert "sound +2.000" in told
         assert "people +3.000" in told
+
+    @pytest.mark.parametrize(
+        ("kind", "people_s"), [("found", (2.0, 0.1)), ("undetermined", None), ("reference", (0.0, 0.0))]
+    )
+    def test_people_alone_blame_no_clock_that_other_sources_contradict(self, tmp_path, kind, people_s) -> None:
+        estimate = {"method": "people", "offset_s": 2.0, "half_s": 0.1, "drift_ppm": 0.0}
+        about = {"camera": "a", "kind": kind, "reason": "", "sentence": "", "proposals": [estimate], "without": {}}
+        write_json(tmp_path / "sync.json", {"sync": "auto", "given": {}, "cameras": [estimate | about]})
+        (finding,) = read_clock_findings(tmp_path / "sync.json")
+        assert finding.people_s == people_s
 
     @pytest.mark.parametrize(("frames", "applied"), [(11.04, 11), (11.4, 11.4), (0.05, 0), (-2.93, -3)])
     def test_nothing_is_resampled_for_a_fraction_that_does_not_matter(self, frames: float, applied: float) -> None:

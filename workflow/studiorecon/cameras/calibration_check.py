@@ -83,7 +83,7 @@ class Check:
     @property
     def limit_px(self) -> float:
         """The largest error that is allowed."""
-        return self.settings.max_error_share * max(max(c.wh) for c in self.given)
+        return self.settings.limit_px(self.given, self.points_m)
 
     def moved_cameras(self, watched: Sequence[int], rooms: Sequence[RoomPicture | None]) -> MovedCameras | None:
         """Cameras that stand elsewhere than they were calibrated; None where none do, and where another lens explains

@@ -307,9 +307,11 @@ def warn_of_outlier_cameras(
     for camera, own, px, already in zip(cameras, detections, each_px, told_already):
         if not already and len(own.frame) and (px is None or px > limit_px):
             how = (
-                ("no person seen by two others") if px is None else f"people {px:.0f} px off the other cameras' people"
+                "has no keypoints that fit two other cameras"
+                if px is None
+                else f"shows people {px:.0f} px off the other cameras' people"
             )
-            warn(f"camera {camera.name} shows {how}; {help_}")
+            warn(f"camera {camera.name} {how}; {help_}")
     share = contradicted_share(cameras, seen, detections, limits) if len(seen.frame) else 0.0
     if share > _WRONG_SOMEWHERE:
         warn(

@@ -122,7 +122,7 @@ class ClockFinding:
     Attributes:
         camera, sentence: its name, and all estimates in words.
         people_s: by people, seconds of its first frame after the reference's and half of the 95 % interval; None
-            without an estimate.
+            without an estimate, and where other sources contradict it.
     """
 
     camera: str
@@ -146,7 +146,7 @@ def read_clock_findings(path: Path) -> list[ClockFinding]:
 
 def _finding(value: dict[str, Any]) -> ClockFinding:
     by_method = {p["method"]: (p["offset_s"], p["half_s"]) for p in value["proposals"]}
-    people_s = (0.0, 0.0) if value["kind"] == "reference" else by_method.get("people")
+    people_s = {"reference": (0.0, 0.0), "undetermined": None}.get(value["kind"], by_method.get("people"))
     return ClockFinding(value["camera"], value["sentence"], people_s)
 
 

@@ -195,7 +195,8 @@ def _better_read(report: dict[str, Any]) -> bool:
 def _unclear(report: dict[str, Any]) -> list[str]:
     apart = [*report["without_keypoints"], *report["inactive_cameras"]]
     found = [
-        f"camera {camera} shares no person with two others that agree; check its pose, keypoints and clock"
+        f"camera {camera} could not be checked: none of its keypoints fits two other cameras that agree; check its "
+        "pose, keypoints and clock"
         for camera, px in report["px_per_camera"].items()
         if px is None and camera not in apart
     ]

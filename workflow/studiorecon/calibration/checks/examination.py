@@ -20,7 +20,7 @@ from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.active_cameras import active_cameras, inactive_camera_notes
-from studiorecon.rig.bundle import AgreementLimits, CalibrationPrior, error_medians
+from studiorecon.rig.bundle import AgreementLimits, CalibrationPrior, error_medians, metres_per_px
 from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.human_size import check_human_size, check_units
 from studiorecon.rig.hypotheses import best_swap, score_conventions, score_lens_model
@@ -64,7 +64,7 @@ def examine(
     chosen, people = evenly_spread(frames, FRAMES), any(len(d.frame) for d in detections)
     few = chosen[:: max(1, len(chosen) // 6)]
     fit = _fit_of_people(cameras, detections, chosen, settings)
-    limit_px = settings.max_error_share * max(max(c.wh) for c in cameras)
+    limit_px = settings.limit_px(cameras, fit.points_m)
     fps = max(float(a["fps"]) for a in about)
     table = score_conventions(cameras, detections, few, settings.gate_m, settings.limits)
     if people and (fit.median_px is None or fit.median_px > 0.5 * limit_px):
@@ -123,7 +123,7 @@ class _Fit:
     def median_mm(self, cameras: Sequence[Camera]) -> float | None:
         if self.median_px is None:
             return None
-        return 1000 * self.median_px * float(np.median(_metres_per_px(cameras, self.points_m)))
+        return 1000 * self.median_px * metres_per_px(cameras, self.points_m)
 
 
 def _fit_of_people(
@@ -172,11 +172,6 @@ def _wrong_lengths(
     except UserError as refusal:
         return str(refusal)
     return None
-
-
-def _metres_per_px(cameras: Sequence[Camera], points_m: np.ndarray) -> list[float]:
-    """Size of a pixel of every camera at the points, metres."""
-    return [float(np.median(c.project(points_m)[1])) / float(np.mean(c.focal_px)) for c in cameras]
 
 
 def _median_px(
