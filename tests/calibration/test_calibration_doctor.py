@@ -12,7 +12,7 @@ import pytest
 import yaml
 from studiorecon.calibration import doctor
 from studiorecon.calibration.checks import coverage as health
-from studiorecon.calibration.checks import doctor_page
+from studiorecon.calibration.checks import doctor_page, examination
 from studiorecon.calibration.checks.advice import verdict
 from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry.bundle import move_camera
@@ -145,6 +145,15 @@ def test_an_error_of_pixels_counts_by_its_metres_near_the_cameras(options, radiu
     report = doctor.examine(cameras, seen, about(cameras), options)[0]
     assert report["median_px"] > 0.01 * 1280
     assert any("px are allowed" in sentence for sentence in report["advice"]) == refused
+
+
+def test_an_exchange_on_which_no_three_cameras_agree_is_no_rival(options, monkeypatch):
+    cameras = ring(4, 1.1, 1.2)
+    seen = detect(cameras, [walk(np.zeros(3), np.array([0.002, 0.001, 0]), FRAMES)], 20, np.random.default_rng(0))
+    for px, named in ((99.0, True), (None, False)):
+        monkeypatch.setattr(examination, "_median_px", lambda *_, px=px: px)
+        rows = doctor.examine(cameras, seen, about(cameras), options)[0]["hypotheses"]
+        assert any("swapped" in row["hypothesis"] for row in rows) == named
 
 
 def test_unequal_footage_and_exposures_are_reported(options):

@@ -148,9 +148,12 @@ def _swapped_cameras(
     swap = best_swap(cameras, detections, few, settings.gate_m)
     if swap is None:
         return []
-    # On a regular ring a swap is nearly a mirror image: rays agree about as well, pixels decide.
-    px = None if fit.median_px is None else _median_px(swap[1], detections, chosen, settings)
-    return [{**swap[0], **({} if px is None else {"median_px": px})}]
+    if fit.median_px is None:
+        return [swap[0]]
+    # On a regular ring, or about one person, a swap is nearly a mirror image: rays of two cameras agree about as well.
+    # Pixels decide, where three cameras agree at all.
+    px = _median_px(swap[1], detections, chosen, settings)
+    return [] if px is None else [{**swap[0], "median_px": px}]
 
 
 def _lens_models(readings: Readings, chosen: np.ndarray, few: np.ndarray, settings: Settings) -> list[dict[str, Any]]:
