@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ from studiorecon.detect import chapters
 from studiorecon.errors import UserError
 from studiorecon.machine.crash_report import FAULTS
 from studiorecon.progress import say
+from studiorecon.scene.user_files import not_permitted
 
 OVERLAYS = {
     "missing": (None, "missing"),
@@ -37,6 +39,15 @@ def test_a_file_of_settings_that_cannot_be_meant_is_refused(tmp_path: Path, cont
         check_overlay(file)
     file.write_text("capture: {width: 64}\nstrict: on\n")
     check_overlay(file)
+
+
+@pytest.mark.parametrize("closed", ["takes", "takes/cam 1"])
+def test_what_is_closed_is_named_with_the_command_that_opens_it(
+    closed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path / closed)
+    film = tmp_path / "takes/cam 1/a.mp4"
+    assert str(not_permitted(film)).endswith(f"chmod -R u+rX {shlex.quote(str(tmp_path / closed))}")
 
 
 def test_a_fault_of_a_step_names_place_and_file_and_keeps_its_trace(

@@ -39,7 +39,7 @@ from studiorecon.scene.capture_yaml import (
 )
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, Dataset, colmap_files
 from studiorecon.scene.names import check_name, check_path, compose_unicode, fold_name
-from studiorecon.scene.user_files import file_size
+from studiorecon.scene.user_files import file_size, not_permitted
 
 _BYTES = 1 << 20
 # Where one camera's data can be: its own folder ("") or a file with such a suffix, likelier ones first.
@@ -59,9 +59,7 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
     try:
         return _opened(folder, read_description(folder, capture_yaml))
     except OSError as error:
-        raise UserError(
-            f"{error.filename or folder} cannot be read ({error.strerror or error}); change its permissions (chmod u+r)"
-        ) from None
+        raise not_permitted(Path(error.filename or folder), error) from None
 
 
 def _opened(folder: Path, description: dict[str, Any]) -> Dataset:
@@ -152,12 +150,11 @@ def _check_there(dataset: Dataset) -> None:
     films = [film for camera, first in dataset.footage.items() for film in dataset.chapters.get(camera, (first,))]
     nouns = (dataset.keypoints, dataset.plates, dataset.masks, dataset.depth)
     for path in (*films, *dataset.calibration, *(entry for noun in nouns for entry in noun.values())):
-        if path.is_dir() and path not in dataset.calibration:
-            next(iter(path.iterdir()), None)  # raises when listing it is not permitted
-            continue
-        file_size(path)
-        if not os.access(path, os.R_OK):
-            raise UserError(f"{path} cannot be read (permission denied); change its permissions (chmod u+r)")
+        is_folder = path.is_dir() and path not in dataset.calibration
+        if not is_folder:
+            file_size(path)
+        if not os.access(path, os.R_OK | os.X_OK if is_folder else os.R_OK):
+            raise not_permitted(path)
 
 
 def _idle_keys(description: dict[str, Any], dataset: Dataset) -> list[str]:

@@ -11,8 +11,10 @@ import csv
 import io
 import json
 import math
+import os
 import pickletools
 import re
+import shlex
 import tokenize
 import warnings
 import xml.etree.ElementTree as ElementTree
@@ -44,6 +46,13 @@ _OTHER_BASE = re.compile(r"[-+]?(0[0-9xXbB_].*|.*:.*)")
 _WIDE = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}
 
 
+def not_permitted(path: Path, error: OSError | None = None) -> UserError:
+    """The refusal of a file or folder that ``error`` keeps closed, with the command that opens it."""
+    closed = next((folder for folder in reversed(path.absolute().parents) if not os.access(folder, os.X_OK)), None)
+    why = error.strerror if error else "Permission denied"
+    return UserError(f"{path} cannot be read ({why}); permit it: chmod -R u+rX {shlex.quote(str(closed or path))}")
+
+
 def read_bytes(path: Path, most: int = MAX_ARRAY_BYTES) -> bytes:
     """The bytes of a regular file.
 
@@ -55,7 +64,7 @@ def read_bytes(path: Path, most: int = MAX_ARRAY_BYTES) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise UserError(f"{path} cannot be read ({error.strerror}); change its permissions (chmod u+r)") from None
+        raise not_permitted(path, error) from None
 
 
 def file_size(path: Path) -> int:
@@ -71,7 +80,7 @@ def file_size(path: Path) -> int:
             raise UserError(f"{path} is no regular file; bring the file itself")
         return path.stat().st_size
     except OSError as error:
-        raise UserError(f"{path} cannot be read ({error.strerror}); change its permissions (chmod u+r)") from None
+        raise not_permitted(path, error) from None
 
 
 def read_text(path: Path, remedy: str = "") -> str:
