@@ -34,6 +34,7 @@ wildcard_constraints:
 onstart:
     # What only plans opens no film.
     refuse_unreadable()
+    refuse_unwritable(written_files())
 
 
 onsuccess:

@@ -125,6 +125,19 @@ def test_a_file_of_settings_that_holds_none_is_named(house: House, file: str) ->
             path.write_bytes(whole)
 
 
+def test_a_folder_that_cannot_be_written_into_is_named_before_anything_runs(house: House) -> None:
+    there = replace(house, dataset="resources/studio/tiny.yaml")
+    (house.folder / "logs").touch()
+    try:
+        done = there.snakemake("--cores", "1", check=False)
+    finally:
+        (house.folder / "logs").unlink()
+    assert done.returncode == 1
+    assert f"{house.folder / 'logs'} is no folder that may be written into" in done.stdout
+    assert "Traceback" not in done.stdout
+    assert not (house.folder / "results").exists()
+
+
 def test_what_the_command_line_says_is_read_as_what_it_is(house: House, dataset: Path) -> None:
     """A film of which only the kind is said, a number within a section, and an unquoted off in a file."""
     wanted = [f"results/{dataset.name}/{name}" for name in ("render/extra.mkv", "tracks/left.npz")]

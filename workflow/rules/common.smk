@@ -3,6 +3,7 @@
 
 import json
 import os
+import shlex
 import time
 from pathlib import Path
 
@@ -115,6 +116,22 @@ def refuse_unreadable():
         refuse("\n".join(sentences))
 
 
+def refuse_unwritable(files):
+    """Refuse a folder that a run writes into and may not: Snakemake would fail there without a sentence."""
+    folders = {next(folder for folder in Path(file).absolute().parents if os.path.lexists(folder)) for file in files}
+    if closed := [str(folder) for folder in sorted(folders) if not os.access(folder, os.W_OK | os.X_OK)]:
+        names = ", ".join(closed)
+        refuse(f"{names} is no folder that may be written into; move it away, or: chmod -R u+rwX {shlex.join(closed)}")
+
+
+def written_files():
+    """Every file that a job of this run writes."""
+    for job in workflow.dag.needrun_jobs():
+        yield from (*job.output, *job.log, *([job.benchmark] if job.benchmark else []))
+
+
+if workflow.is_main_process and not workflow.dryrun:
+    refuse_unwritable([".snakemake/locks/lock"])
 take_left_lock()
 check_setting_files()
 
