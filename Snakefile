@@ -1,8 +1,6 @@
 # studiorecon: from the videos of a few static, far-apart cameras to a 4D scene you can fly through.
 # This file is the table of contents; the rules are in workflow/rules, one file per stage, in the order data flows.
 
-import sys
-
 from snakemake.utils import min_version
 
 min_version("9.12")
@@ -38,8 +36,9 @@ onstart:
 
 
 onsuccess:
-    # On a terminal the bar is gone by now; what a user brought and the run did not use is among the last lines.
-    print(*PLAN.dataset.notes, sep="\n", file=sys.stderr)
+    # What a user brought and the run did not use is among the last lines, in the place of the bar.
+    for note in PLAN.dataset.notes:
+        print_error(note)
 
 
 # What comes out, in the order it is made. Every stage's product is named, not only the last file: a stage whose re-run failed

@@ -15,7 +15,7 @@ from snakemake_interface_logger_plugins.common import LogEvent
 from snakemake_logger_plugin_studiorecon import LogHandler
 from studiorecon import progress
 from studiorecon.cli.run_progress import KEPT, Run, Running, read_seconds, record_seconds
-from studiorecon.pages.run_summary import ending
+from studiorecon.pages.run_summary import closing_lines
 
 
 def planned(**jobs: int) -> Counter[str]:
@@ -140,10 +140,43 @@ def test_a_run_ends_with_its_warnings_once_and_where_its_results_are(
     rules: set[str] | None, named: list[str], tmp_path: Path
 ) -> None:
     scene_folder(tmp_path)
-    lines = ending("demo", rules, tmp_path / "results", tmp_path / "logs").splitlines()
+    lines = closing_lines("demo", rules, tmp_path / "results", tmp_path / "logs").splitlines()
     assert [line.rpartition("/")[2] for line in lines if ".html" in line or ".mp4" in line] == named
     assert all(Path(line.split(maxsplit=1)[1]).is_file() for line in lines[-len(named) :])
     assert sum("one" in line for line in lines) == sum("two" in line for line in lines) == (rules is not None)
+
+
+def test_the_last_lines_are_wrapped_between_words_on_a_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    scene_folder(tmp_path)
+    sentence = "shot orbit shows less than half measured surfaces in some of its pictures (101-103)"
+    (tmp_path / "logs/demo/people/a.log").write_text(f"warning: {sentence}\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("STUDIORECON_SCENE", "demo")
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", "50")
+    plugin = LogHandler(SimpleNamespace(dryrun=False), None)
+    plugin.emit(event(LogEvent.RUN_INFO, stats={"report_page": 1, "total": 1}))
+    wildcards = {"scene": "demo"}
+    plugin.emit(event(LogEvent.JOB_INFO, jobid=1, rule_name="report_page", threads=1, wildcards=wildcards))
+    plugin.emit(event(LogEvent.JOB_FINISHED, job_id=1))
+    plugin.close()
+    *_, last = capsys.readouterr().err.split(progress.CLEAR_LINE)
+    lines = last.splitlines()
+    assert max(map(len, lines)) < 50
+    assert sentence in " ".join(line.strip() for line in lines), "a word was cut"
+    assert "page:   results/demo/report/index.html" in lines
+
+
+def test_what_is_printed_beside_a_bar_takes_its_place(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setenv("STUDIORECON_RUN", "bar")
+    progress.print_error("not used: a.txt")
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    progress.print_error("not used: b.txt")
+    assert capsys.readouterr().err == "not used: a.txt\n\r\x1b[Knot used: b.txt\n"
 
 
 def test_a_run_with_nothing_to_do_says_where_the_results_are(

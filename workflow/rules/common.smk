@@ -28,6 +28,7 @@ from studiorecon.plan.films import unreadable_footage
 from studiorecon.plan.networks import read_images
 from studiorecon.configuration.overlays import check_overlay
 from studiorecon.configuration.schema import mistakes, coerce_types
+from studiorecon.progress import print_error
 from studiorecon.stages import STAGES
 from studiorecon.sweep.table import BASE, read_rows
 

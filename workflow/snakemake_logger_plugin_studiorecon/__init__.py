@@ -25,8 +25,8 @@ from snakemake_interface_logger_plugins.common import LogEvent
 from studiorecon.cli.run_progress import Run, Running, read_seconds, record_seconds
 from studiorecon.configuration.overlays import OVERLAY_OPTIONS, check_overlay, split_option
 from studiorecon.errors import UserError
-from studiorecon.pages.run_summary import ending
-from studiorecon.progress import CLEAR_LINE, RUN
+from studiorecon.pages.run_summary import closing_lines
+from studiorecon.progress import CLEAR_LINE, RUN, wrap_on_terminal
 
 _SECONDS = Path("timings/seconds.json")
 _EVERY_S = 1.0  # between two pages
@@ -137,11 +137,12 @@ class LogHandler(LogHandlerBase):
     def _explain(self, record: logging.LogRecord) -> None:
         # A step that the system kills says nothing itself.
         if record.levelno >= logging.ERROR and (killed := _KILLED.search(record.getMessage())):
-            self._print(
+            why = (
                 f"{killed.group(1)}: {_HOW.get(killed.group(2), 'a library gave up in the middle, as some do')} when "
                 "memory runs out; run fewer jobs at once (--cores 1), or make pictures smaller (capture.width); what "
                 "is finished is kept"
             )
+            self._print(wrap_on_terminal(why))
 
     def _write_page(self, on: bool) -> None:
         # Not before a run is on: Snakemake imports its plugins at every start.
@@ -187,8 +188,8 @@ class LogHandler(LogHandlerBase):
                 self._write_page(on=False)
                 record_seconds(_SECONDS, self._scene, self._run.took)
             scene = self._scene if ran else os.environ.get("STUDIORECON_SCENE", "") if self._idle else ""
-            if scene and (last := ending(scene, set(self._run.done) if ran else None)):
-                self._print(last)
+            if scene and (last := closing_lines(scene, set(self._run.done) if ran else None)):
+                self._print(wrap_on_terminal(last))
             elif self._bar is not None:
                 print(CLEAR_LINE, end="", file=sys.stderr, flush=True)
         super().close()

@@ -11,6 +11,7 @@ import logging
 import os
 import shutil
 import sys
+import textwrap
 import time
 from collections.abc import Iterable, Iterator, Sized
 from contextlib import contextmanager
@@ -55,6 +56,21 @@ def shorten(text: str, columns: int) -> str:
     """The text on one line of at most ``columns``, cut at its end."""
     line = " ".join(text.split())
     return line if len(line) <= columns else f"{line[: columns - 1]}…"
+
+
+def wrap_on_terminal(text: str) -> str:
+    """The text for standard error: on a terminal its long lines are wrapped between words, indented below their start;
+    elsewhere it is unchanged."""
+    if not sys.stderr.isatty():
+        return text
+    columns = shutil.get_terminal_size().columns - 1
+    lines = []
+    for line in text.split("\n"):
+        indent = (len(line) - len(line.lstrip()) + 2) * " "
+        lines += textwrap.wrap(
+            line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+        ) or [""]
+    return "\n".join(lines)
 
 
 def _shown(step: str) -> logging.Handler:
@@ -104,9 +120,14 @@ def warn(sentence: str) -> None:
 
 def fail(text: str) -> None:
     """Print the reason why a step ends without a result to standard error, and write it to its log."""
-    beside_bar = os.environ.get(RUN) == "bar" and sys.stderr.isatty()
-    print(f"{CLEAR_LINE if beside_bar else ''}{text}\n", end="", file=sys.stderr, flush=True)
+    print_error(text)
     LOGGER.debug(text)
+
+
+def print_error(text: str) -> None:
+    """Print to standard error, in the place of a run's bar if there is one."""
+    beside_bar = os.environ.get(RUN) == "bar" and sys.stderr.isatty()
+    print(f"{CLEAR_LINE if beside_bar else ''}{wrap_on_terminal(text)}\n", end="", file=sys.stderr, flush=True)
 
 
 def progress(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:

@@ -51,7 +51,7 @@ def list_results(folder: Path, rules: Collection[str] | None) -> list[tuple[str,
     return found
 
 
-def ending(
+def closing_lines(
     scene: str, rules: Collection[str] | None, results: Path = Path("results"), logs: Path = Path("logs")
 ) -> str:
     """The last lines of a run of ``rules``; without the warnings for a run that had nothing to do (None)."""
