@@ -28,7 +28,7 @@ from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.tracking import drop_duplicates, track_ids
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import identities_from_keypoints
-from studiorecon.people.association.grouping import Compared, groups_and_returns, track_margins
+from studiorecon.people.association.grouping import TrackComparison, groups_and_returns, track_margins
 from studiorecon.report.metrics.identity_scores import identity_scores
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import write_json
@@ -187,7 +187,9 @@ def score(
     scores = identity_scores(
         np.concatenate([d.frame for d in found]), view, np.concatenate(owners), np.concatenate(given)
     )
-    compared = Compared.of(found, take.cameras, FRAMES, 30.0, options.association, options.triangulation)
+    compared = TrackComparison.from_detections(
+        found, take.cameras, FRAMES, 30.0, options.association, options.triangulation
+    )
     groups, _ = groups_and_returns(compared)
     margins = track_margins(groups, compared)
     return {

@@ -281,7 +281,7 @@ def real_case(data: Path, every: int, cut: int) -> dict[str, Any]:
         shortened = seen[b].only(seen[b].frame >= cut)
         late = replace(shortened, frame=shortened.frame - cut)
         lags = [people_lags([seen[a], second], told, rate)[0] for second in (seen[b], late)]
-        if any(not found or found[0].deceived > 0.05 for found in lags):
+        if any(not found or found[0].outlier_probability > 0.05 for found in lags):
             undetermined += 1
         else:
             errors.append(abs((lags[1][0].offset_s - lags[0][0].offset_s) * rate - cut))

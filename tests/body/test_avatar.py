@@ -129,7 +129,7 @@ def test_files_that_disagree_are_refused(avatar: Avatar, tmp_path: Path) -> None
 def test_whoever_is_away_is_not_drawn_and_infinitely_far(avatar: Avatar, tmp_path: Path) -> None:
     assert avatar.present.all(), "without a word, they are always there"
     left = replace(avatar, present=np.array([True, False, False]))
-    assert [left.there(frame) for frame in (-3, 0, 0.5, 0.51, 1, 2, 99)] == [True] * 3 + [False] * 4
+    assert [left.is_present(frame) for frame in (-3, 0, 0.5, 0.51, 1, 2, 99)] == [True] * 3 + [False] * 4
     gone = left.posed(1.0)
     assert gone.count == avatar.gaussians.count
     assert gone.logit_opacities.max() < -20

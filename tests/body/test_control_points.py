@@ -36,7 +36,7 @@ def test_the_gradient_is_the_transpose(places: np.ndarray) -> None:
     control = ControlPoints.on(places, 100)
     values, by_gaussian = rng.normal(size=(100, 4)), rng.normal(size=(len(places), 4))
     ahead = np.vdot(control.spread(values).astype(np.float64), by_gaussian)
-    back = np.vdot(values, control.gathered(by_gaussian).astype(np.float64))
+    back = np.vdot(values, control.gather_gradient(by_gaussian).astype(np.float64))
     assert ahead == pytest.approx(back, rel=1e-4)
 
 
@@ -56,8 +56,8 @@ def test_one_poisoned_gradient_teaches_nothing_and_spoils_nothing(places: np.nda
     control = ControlPoints.on(places, 100)
     gradient = np.ones((len(places), 4), np.float32)
     gradient[7] = poison
-    assert np.isfinite(control.gathered(gradient)).all()
-    assert control.gathered(gradient).sum() == pytest.approx(4 * (len(places) - 1), rel=1e-4)
+    assert np.isfinite(control.gather_gradient(gradient)).all()
+    assert control.gather_gradient(gradient).sum() == pytest.approx(4 * (len(places) - 1), rel=1e-4)
 
 
 def test_a_network_at_control_points_learns_what_drifts_and_survives_its_file(places: np.ndarray) -> None:

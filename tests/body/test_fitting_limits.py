@@ -155,7 +155,7 @@ def test_gradient_agrees_with_finite_differences(body: BodyModel, with_skin: boo
         normal.shared_side[shared], abs=1e-6 * np.abs(normal.shared_side).max()
     )
     # What frames have for themselves is the same when it is asked for alone, in some frames.
-    alone = problem.only(np.array([False, True])).own(state.at(np.array([False, True])))
+    alone = problem.select_frames(np.array([False, True])).own(state.at(np.array([False, True])))
     np.testing.assert_allclose(alone.own[0], normal.own[1], rtol=1e-9, atol=1e-9 * np.abs(normal.own).max())
     np.testing.assert_allclose(alone.rows[0, 0], side[1], rtol=1e-9, atol=1e-9 * scale)
 

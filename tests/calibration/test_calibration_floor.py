@@ -44,7 +44,7 @@ def test_cameras_a_quarter_turn_apart_share_places_of_a_carpet(seed: int, degree
     assert np.quantile(apart_m(marks, truth), 0.95) < 0.03
     assert len({frozenset(pair) for pair in marks.seen_by}) >= 4
     if not degrees:
-        assert marks.off_sigmas(truth, LIMITS) < 2.0
+        assert marks.error_sigmas(truth, LIMITS) < 2.0
 
 
 def test_a_platform_is_found_at_its_own_height() -> None:

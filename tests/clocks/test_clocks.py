@@ -194,9 +194,11 @@ class TestOthers:
 class TestPosterior:
     TRUE = (0.0, 1.0, -2.0, 0.5)
 
-    def lags(self, source: Source, sigma_s: float, off_s: dict[tuple[int, int], float], deceived: float) -> list[Lag]:
+    def lags(
+        self, source: Source, sigma_s: float, off_s: dict[tuple[int, int], float], outlier_probability: float
+    ) -> list[Lag]:
         return [
-            Lag(source, a, b, self.TRUE[b] - self.TRUE[a] + off_s.get((a, b), 0.0), sigma_s, deceived)
+            Lag(source, a, b, self.TRUE[b] - self.TRUE[a] + off_s.get((a, b), 0.0), sigma_s, outlier_probability)
             for a, b in itertools.combinations(range(4), 2)
         ]
 
@@ -354,12 +356,12 @@ def test_two_people_who_have_nothing_to_do_with_each_other_have_no_lag() -> None
     for trial in range(8):
         walks = [walking(0, 150), walking(0, 150, 2.0 + trial)]
         seen = [detect([c], [w], 2.0, np.random.default_rng(trial))[0] for c, w in zip(cameras, walks)]
-        determined += any(lag.deceived < 0.05 for lag in people_lags(seen, clocks, FPS)[0])
+        determined += any(lag.outlier_probability < 0.05 for lag in people_lags(seen, clocks, FPS)[0])
     assert determined <= 1
     same = [detect([c], [walking(0, 150)], 2.0, np.random.default_rng(5))[0] for c in cameras[:2]]
     for start in (0, 17, 30):
         (lag,) = people_lags([same[0], cut(same[1], start)], clocks, FPS)[0]
-        assert lag.deceived < 0.05
+        assert lag.outlier_probability < 0.05
         assert abs(lag.offset_s * FPS - start) < 0.3
 
 
@@ -377,7 +379,7 @@ def test_two_walkers_gaits_are_not_taken_for_a_late_start() -> None:
         one, other = (
             np.abs(np.sin(2 * np.pi * 0.9 * t + rng.uniform(0, 3))) + rng.normal(0, 0.1, 60) ** 2 for _ in range(2)
         )
-        assert motion_lag(one, other, FPS).deceived > 0.05
+        assert motion_lag(one, other, FPS).outlier_probability > 0.05
 
 
 # Motion energies (thousandths) in two cameras of a made gym through which three people walk; they ran as one, to half a
@@ -400,7 +402,7 @@ _GYM = (
 
 def test_three_people_who_walk_about_are_not_taken_for_a_late_start() -> None:
     one, other = (np.array(energy.split(), float) / 1000 for energy in _GYM)
-    assert motion_lag(one, other, 15.0).deceived > 0.05, "two steps off they are most alike"
+    assert motion_lag(one, other, 15.0).outlier_probability > 0.05, "two steps off they are most alike"
 
 
 @pytest.mark.parametrize("width_s", [0.6, 1.0])
@@ -414,7 +416,7 @@ def test_who_passes_one_camera_after_the_other_tells_no_lag(width_s: float) -> N
             np.maximum(np.exp(-0.5 * ((t - at) / width_s) ** 2) * steps + rng.normal(0, 0.03, 75), 0)
             for at in (1.9, 3.034)
         )
-        assert motion_lag(one, other, 15.0).deceived > 0.05
+        assert motion_lag(one, other, 15.0).outlier_probability > 0.05
 
 
 @pytest.mark.real

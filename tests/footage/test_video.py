@@ -188,7 +188,7 @@ def test_clocks_that_cannot_be_compared_are_undetermined(case: str) -> None:
         energies = [np.abs(rng.normal(size=60)), np.zeros(60), np.zeros(60)]
     for a, b in ((0, 1), (1, 2)):
         found = motion_lag(energies[a], energies[b], 30.0)
-        assert found.deceived > 0.05
+        assert found.outlier_probability > 0.05
         assert found.reason
 
 

@@ -92,13 +92,13 @@ def appearance(use: str, decision: Decision | None = None) -> Appearance:
 @pytest.mark.parametrize(("value", "takes_part"), [(0.9, True), (0.01, False)])
 def test_the_network_takes_part_only_where_it_is_called_for(value: float, takes_part: bool) -> None:
     made = appearance("auto", TEMPORAL_APPEARANCE.decide(value, (value - 0.005, value + 0.005), "why"))
-    assert made.trained is None
+    assert made.active_network is None
     made.begin(lambda crop: crop)
-    assert (made.trained is not None) == takes_part
+    assert (made.active_network is not None) == takes_part
     before = made.network.flat.copy()
     rng = np.random.default_rng(2)
     points, colour, logits = rng.uniform(-1, 1, (30, 3)), np.zeros((30, 1, 3), np.float32), np.zeros(30, np.float32)
-    made.added(points, colour, logits, 3)
+    made.add_residuals(points, colour, logits, 3)
     made.step(np.ones((30, 1, 3), np.float32), np.ones(30, np.float32))
     assert (made.network.flat != before).any() == takes_part
 
@@ -108,7 +108,7 @@ def test_what_no_camera_saw_never_changes() -> None:
     made.begin(lambda crop: crop)
     made.network.matrices()[-1][1][...] = 1
     points, colour, logits = np.zeros((30, 3)), np.zeros((30, 1, 3), np.float32), np.zeros(30, np.float32)
-    more_colour, more_logits = with_residuals(made.trained, made.seen, points, colour, logits, 3)
+    more_colour, more_logits = with_residuals(made.active_network, made.seen, points, colour, logits, 3)
     np.testing.assert_array_equal(more_colour[:20], 1)
     np.testing.assert_array_equal(more_logits[:20], 1)
     assert not more_colour[20:].any()
@@ -171,7 +171,7 @@ def filmed(root: Path, default_settings: Callable) -> Callable[..., float]:
             assert (made.decision.verdict == "on") == fading
         values = []
         for crop in crops[-8:]:
-            network_used = made.trained if made else None
+            network_used = made.active_network if made else None
             colour, logits = with_residuals(
                 network_used, seen, trained.means_m, trained.sh, trained.logit_opacities, crop.frame
             )

@@ -143,12 +143,12 @@ def test_what_is_measured_is_what_is_trained_with(net: Net) -> None:
 
     network = Lpips(*random_weights(torch.float32, net=net), net)
     rendered, target = (np.rint(255 * p).astype(np.uint8) for p in pictures((64, 70)))
-    value = network.measured(rendered, target)
+    value = network.measure(rendered, target)
     assert value == pytest.approx(network(rendered / np.float32(255), target / np.float32(255))[0], rel=1e-5)
-    assert network.measured(target, target) == 0
-    assert network.measured(rendered[:63], target[:63]) is None
+    assert network.measure(target, target) == 0
+    assert network.measure(rendered[:63], target[:63]) is None
     with pytest.raises(ValueError, match="truth has shape"):
-        network.measured(rendered, target[:, 1:])
+        network.measure(rendered, target[:, 1:])
 
 
 def test_alexnet_is_cut_where_torchvisions_layers_end() -> None:

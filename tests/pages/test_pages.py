@@ -70,7 +70,7 @@ def runs_page(name: str, folder: Path, on: bool = True) -> str:
 
 def blocks(name: str) -> str:
     body = [html.heading(name, name), html.tiles([(name, name)]), html.figure("data:,", name), html.film(b"", name)]
-    body += [html.table([name], [[name]]), html.folded(name, name)]
+    body += [html.table([name], [[name]]), html.details(name, name)]
     return html.page(name, body)
 
 

@@ -17,7 +17,7 @@ from studiorecon.people.association import terms
 from studiorecon.people.association.acceptance import identities_from_keypoints
 from studiorecon.people.association.affinity import affinities, window_distances
 from studiorecon.people.association.group import Group
-from studiorecon.people.association.grouping import Compared, group_tracks, track_margins
+from studiorecon.people.association.grouping import TrackComparison, group_tracks, track_margins
 from studiorecon.people.association.postures import joint_differences_rad, parameter_differences_rad
 from studiorecon.people.association.track_pairs import TrackPairs, node_margins, track_pairs
 from studiorecon.rig.correspondences import make_observations
@@ -353,13 +353,17 @@ def test_a12_people_that_two_level_cameras_cannot_tell_apart_are_undecided(optio
     level = arc(117)
     found = detect(level, people, 1.0, np.random.default_rng(0))
     groups = group_tracks(found, level, 20, 30.0, options.association, options.triangulation)
-    margins = track_margins(groups, Compared.of(found, level, 20, 30.0, options.association, options.triangulation))
+    margins = track_margins(
+        groups, TrackComparison.from_detections(found, level, 20, 30.0, options.association, options.triangulation)
+    )
     assert margins
     assert min(margins.values()) < options.association.undecided_margin
     found = detect(ring(), people, 1.0, np.random.default_rng(0))
     groups = group_tracks(found, ring(), 20, 30.0, options.association, options.triangulation)
     assert pair_recall(groups, owner(ring(), found, people)) == 1.0
-    margins = track_margins(groups, Compared.of(found, ring(), 20, 30.0, options.association, options.triangulation))
+    margins = track_margins(
+        groups, TrackComparison.from_detections(found, ring(), 20, 30.0, options.association, options.triangulation)
+    )
     assert min(margins.values()) > options.association.undecided_margin
 
 

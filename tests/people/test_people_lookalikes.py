@@ -82,7 +82,7 @@ def test_people_of_all_sizes_have_a_person_s_proportions_and_what_has_not_is_nam
         narrow[[STABLE_KEYPOINTS.index(f"{side}_{joint}") for side in ("left", "right")], 1] *= 0.5
     term = proportions(bone_lengths_m(np.repeat(narrow[None], 5, axis=0)))
     assert term.nats < -5
-    assert "shoulders 0.36 of its trunk, hips 0.20 of its trunk" in term.said
+    assert "shoulders 0.36 of its trunk, hips 0.20 of its trunk" in term.text
 
 
 def test_bad_keypoints_of_somebody_cost_less_than_they_and_odd_proportions() -> None:

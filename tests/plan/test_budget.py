@@ -180,7 +180,7 @@ def test_a_default_that_the_user_says_stays_too() -> None:
 
 
 def test_the_schema_names_the_defaults_that_the_configuration_holds() -> None:
-    assert not [name for name, value in leaves(DEFAULTS) if NOBODY.keeps(name, value)], (
+    assert not [name for name, value in leaves(DEFAULTS) if NOBODY.is_user_value(name, value)], (
         "written by studiorecon.configuration.generate"
     )
 

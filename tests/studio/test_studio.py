@@ -401,7 +401,7 @@ def test_points_behind_somebody_else_are_unsure_or_missing(tmp_path: Path, body:
             towards = points[frame, own] - camera.centre_m
             hits = Tracer([moving[other]]).cast(camera.centre_m, towards)
             pixels = camera.project(points[frame, own])[0]
-            for point in np.flatnonzero(hits.met & (hits.distance < 0.98)):
+            for point in np.flatnonzero(hits.is_hit & (hits.distance < 0.98)):
                 hidden += 1
                 near = [
                     p[point, 2] for p in people if p[point, 2] > 0 and np.abs(p[point, :2] - pixels[point]).max() < 1e-6

@@ -8,7 +8,7 @@ checkpoint people_associate:
         manifest="results/{scene}/capture/manifest.json",
         detections=files.association_detections,
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
-        corrected=files.corrected,
+        corrected=files.corrected_identities,
         calibration="results/{scene}/calibration/calibration.json",
         found=files.raw_detections,
         plates=files.own_plates,
@@ -69,7 +69,7 @@ if PLAN.lifted:
             command("people.lift")
 
 
-if files.corrected:
+if files.corrected_identities:
 
     # Who is who without the user's word, which it is then measured against.
     use rule people_associate as people_by_itself with:

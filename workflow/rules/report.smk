@@ -75,12 +75,12 @@ rule report_evaluate:
         fits=files.fits,
         detections=files.detections,
         identities=files.identities,
-        by_itself=files.by_itself,
+        uncorrected_identities=files.uncorrected_identities,
         truth=files.truth,
         film_depth=files.film_depth,
-        room_depths=files.judging_depths,
-        room_masks=files.judging_masks,
-        body=files.judging_body,
+        room_depths=files.region_depths,
+        room_masks=files.region_masks,
+        body=files.region_body,
     output:
         metrics="results/{scene}/report/metrics.json",
     log:

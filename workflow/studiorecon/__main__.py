@@ -118,7 +118,7 @@ def _run(module: types.ModuleType, step: str, options: dict, log: Path | None) -
             options["settings"] = settings_module.load(settings_type, values, step.split(".")[0])
         for changed in changed_files(step_paths(module.run, options, Path)):
             warn(changed)
-        module.run(**gathered(module.run, options))
+        module.run(**build_arguments(module.run, options))
         record_files(step, step_paths(module.run, options, Written))
     except UserError as refusal:
         fail(f"{step}: {refusal}")
@@ -214,7 +214,7 @@ def step_paths(run: Callable, options: Mapping[str, Any], role: Any) -> list[Pat
     return [path for given in found for path in (given if isinstance(given, list) else [given]) if path is not None]
 
 
-def gathered(run: Callable, options: Mapping[str, Any]) -> dict[str, Any]:
+def build_arguments(run: Callable, options: Mapping[str, Any]) -> dict[str, Any]:
     """The keywords of ``run`` from its options; options that are fields of a dataclass are combined."""
     keywords = dict(options)
     hints: dict[str, Any] = typing.get_type_hints(run)

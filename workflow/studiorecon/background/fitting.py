@@ -82,7 +82,7 @@ class Training:
         refinement = self.settings.refinement
         return round(refinement.at * self.settings.training.iterations) if refinement.views else 0
 
-    def drawing(self) -> Rasteriser | GsplatRasteriser:
+    def build_rasteriser(self) -> Rasteriser | GsplatRasteriser:
         """The rasteriser that draws the room as in training."""
         return rasteriser(self.device, near_m=self.settings.training.near_m, threads=self.threads)
 

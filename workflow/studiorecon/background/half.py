@@ -50,7 +50,7 @@ def run(
     mark = fingerprint(given.settings, sources.files(), code.digest("background.half"), threads, device)
     checkpoint = Checkpoint(working / "half.checkpoint.npz", mark, settings.training.checkpoint_every_s)
     room, marks = training.first_half(given, checkpoint)
-    drawing = training.drawing()
+    drawing = training.build_rasteriser()
     around = training.refinement_views(sources.path)
     pictures = [np.clip(drawing.forward(room, camera).rgb, 0, 1) for camera in progress(around, "views of the room")]
     write_room(half, provenance, room, marks)

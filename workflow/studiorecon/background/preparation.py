@@ -193,7 +193,7 @@ def mask_people(
         require_one_each([p.camera for p in photos], masks=list(masks))
     seen = []
     for view, (photo, video) in enumerate(zip(photos, videos)):
-        picture = to_float(gains.even(photo.camera.name, read_frame(video, 0)))
+        picture = to_float(gains.even_out(photo.camera.name, read_frame(video, 0)))
         people = read_frame(masks[view], 0) > 0 if masks else np.zeros(photo.camera.hw, bool)
         for path, hw in ((video, picture.shape[:2]), (masks[view] if masks else video, people.shape)):
             if hw != photo.camera.hw:
@@ -225,7 +225,7 @@ def read_photos(cameras: Sequence[Camera], plates: list[Path], depths: list[Path
             raise UserError(
                 f"{plate_path} has no measured pixel; give a clean plate of camera {camera.name} in plates/"
             )
-        photos.append(Photo(camera, gains.even(camera.name, rgb), known, depth_m, confidence))
+        photos.append(Photo(camera, gains.even_out(camera.name, rgb), known, depth_m, confidence))
     return photos
 
 

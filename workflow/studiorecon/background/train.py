@@ -75,5 +75,5 @@ def run(
 
 def _plate_scores(gaussians: Gaussians, photos: Sequence[Photo], training: Training) -> list[float]:
     """PSNR of every plate on its measured pixels, dB."""
-    drawing = training.drawing()
+    drawing = training.build_rasteriser()
     return [psnr(drawing.forward(gaussians, p.camera).rgb, p.rgb, p.known) or 0.0 for p in photos]

@@ -31,7 +31,7 @@ from studiorecon.geometry.crop_hypotheses import (
     for_square_pixels,
 )
 from studiorecon.geometry.lens import same_shape, unseen_share
-from studiorecon.keypoints.motion import Motion, motion_in
+from studiorecon.keypoints.motion import Motion, film_motion
 from studiorecon.progress import say
 from studiorecon.scene import step_files
 from studiorecon.scene.camera import Lens
@@ -163,7 +163,7 @@ def run(
 
     def motions() -> Mapping[str, Motion]:
         given = [(c, f, d.frame) for c, f, d in zip(cameras, films, people, strict=True) if c in recorded]
-        found = {c: motion_in(film, int(at.min()), int(at.max())) for c, film, at in given if len(at)}
+        found = {c: film_motion(film, int(at.min()), int(at.max())) for c, film, at in given if len(at)}
         return {camera: motion for camera, motion in found.items() if motion is not None}
 
     choice = choose_lenses(

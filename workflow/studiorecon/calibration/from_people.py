@@ -135,7 +135,7 @@ def pose_cameras(
         given = replace(given, between=())
     cameras, how, scale = align_to_people(estimate, template_m, given, stature)
     rig = estimate.rig
-    error = rig.points.error_px[:, rig.counted]
+    error = rig.points.error_px[:, rig.agreeing]
     median = float(np.median(error[np.isfinite(error)]))
     if median > settings.limit_px(estimate.cameras, rig.points.points_m[rig.counted]):
         raise UserError(
@@ -157,7 +157,7 @@ def pose_cameras(
         "shared_m": estimate.noise.shared_m,
         "radial_sigma": dict(zip(names, known_to.radial.tolist())),
         "world": how,
-        "points": int(rig.counted.sum()),
+        "points": int(rig.agreeing.sum()),
         "between_deg": between_deg,
         "uncertain": uncertain,
         "on_floor": {} if marks is None else {f"{names[a]} {names[b]}": n for (a, b), n in marks.seen_by.items()},

@@ -12,7 +12,7 @@ import numpy as np
 from studiorecon.calibration.room_pictures import without_distortion
 from studiorecon.estimate.intervals import camera_intervals
 from studiorecon.progress import say
-from studiorecon.rig.estimate import RigEstimate, RoomEvidence, with_room
+from studiorecon.rig.estimate import RigEstimate, RoomEvidence, add_room_evidence
 from studiorecon.rig.floor_marks import floor_marks
 from studiorecon.rig.gravity import world_from_people
 from studiorecon.rig.lens_knowledge import LensKnowledge, distort_marks, straight_points
@@ -63,7 +63,7 @@ def with_edges(
     turns = max(tried, key=lambda found: sum(turn.along for turn in found.values()))
     if not turns:
         return found
-    after, allowed = with_room(found, knowledge, template_m, RoomEvidence(turns, own))
+    after, allowed = add_room_evidence(found, knowledge, template_m, RoomEvidence(turns, own))
     if not allowed:
         say(f"the room's edges were left out: people contradict them ({_rise(found, after)})")
     return after if allowed else found
@@ -89,7 +89,7 @@ def with_floor(
         if marks is None:
             return best
         marks = distort_marks(marks, best.cameras, best.radial)
-        after, allowed = with_room(found, knowledge, template_m, replace(found.room, marks=marks))
+        after, allowed = add_room_evidence(found, knowledge, template_m, replace(found.room, marks=marks))
         if not allowed:
             say(f"the floor was left out: people contradict it ({_rise(found, after)})")
             return found

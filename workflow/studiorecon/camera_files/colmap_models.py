@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.camera_files.lens_kinds import coefficients, model_named
+from studiorecon.camera_files.lens_kinds import canonical_lens_model, coefficients
 from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, rigid_camera_from_world
 from studiorecon.errors import UserError
 from studiorecon.machine.libraries import install_remedy
@@ -129,7 +129,7 @@ def _is_picture(fields: Sequence[str]) -> bool:
 def _lens(camera: Any, folder: Path) -> tuple[tuple[int, int], np.ndarray, str, np.ndarray]:
     """Size, intrinsics, model and coefficients in this project's conventions."""
     where = f"camera {camera.camera_id} of the COLMAP model in {folder}"
-    kind = model_named(camera.model.name, where)
+    kind = canonical_lens_model(camera.model.name, where)
     # Each of COLMAP's models has the first coefficients of its kind.
     further = [camera.params[i] for i in camera.extra_params_idxs()]
     distortion = coefficients(kind, further, where)

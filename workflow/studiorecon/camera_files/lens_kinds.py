@@ -38,7 +38,7 @@ _COUNTS = {"opencv": (0, 1, 2, 4, 5, 8), "fisheye": (0, 1, 2, 3, 4)}
 _MAX = {"opencv": 8, "fisheye": 4}
 
 
-def model_named(name: object, where: str) -> str:
+def canonical_lens_model(name: object, where: str) -> str:
     """``"opencv"`` or ``"fisheye"``; raises UserError for a name that is neither."""
     plain = _plain(name)
     if plain in _OPENCV:
@@ -56,7 +56,7 @@ def _plain(name: object) -> str:
     return re.sub(r"[^A-Z0-9]", "", str(name).upper())
 
 
-def model_in(table: Mapping[str, Any], where: str) -> str:
+def lens_model(table: Mapping[str, Any], where: str) -> str:
     """The lens model in the entries of ``table``, ``"opencv"`` without one.
 
     Raises UserError for an unknown name, and for entries that contradict each other.
@@ -69,7 +69,7 @@ def model_in(table: Mapping[str, Any], where: str) -> str:
                 raise UserError(f"{where}: {key} is {short_text(value)}; it must be true or false")
             described[key] = "fisheye" if _SAYS[_plain(value)] else "opencv"
         elif plain in _MODELS and isinstance(value, str):
-            described[key] = model_named(value, where)
+            described[key] = canonical_lens_model(value, where)
     if len(set(described.values())) > 1:
         listed = " and ".join(f"{key} {short_text(table[key])}" for key in described)
         raise UserError(f"{where}: {listed} are two different lenses; keep the right one")

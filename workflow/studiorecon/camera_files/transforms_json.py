@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.camera_files.lens_kinds import coefficients, model_in
+from studiorecon.camera_files.lens_kinds import coefficients, lens_model
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.scene.files import read_json
@@ -95,7 +95,7 @@ def _camera(lens: dict[str, Any], source_from_file: np.ndarray, where: str) -> t
     across = lens.get("camera_angle_y")
     fy = float(lens.get("fl_y", height / 2 / np.tan(float(across) / 2) if across else fx))
     cx, cy = float(lens.get("cx", width / 2)), float(lens.get("cy", height / 2))
-    model = model_in(lens, where)
+    model = lens_model(lens, where)
     # distortion_params, if a file has them, are in nerfstudio's own order k1 k2 k3 k4 p1 p2.
     listed = dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), lens.get("distortion_params") or ()))
     term = {key: lens.get(key, listed.get(key, 0)) for key in (*_TERMS["opencv"], *_NEVER)}

@@ -65,7 +65,8 @@ class Check:
         given, detections: of every training camera.
         frames: that are looked at.
         seen, graph: what people show the cameras, and how far apart rays pass.
-        median_px, each_px: median reprojection errors of all and of every camera; NaN and None where none are known.
+        median_px, per_camera_px: median reprojection errors of all and of every camera; NaN and None where
+            unknown.
         points_m: (N, 3) triangulated keypoints.
         settings: what counts as agreement.
     """
@@ -76,7 +77,7 @@ class Check:
     seen: Observations
     graph: TrackGraph
     median_px: float
-    each_px: list[float | None]
+    per_camera_px: list[float | None]
     points_m: Float[np.ndarray, "N 3"]
     settings: Settings
 
@@ -92,7 +93,7 @@ class Check:
         if not settings.refine:
             return None
         # The others still agree if one of them was knocked.
-        alone = any(e is None and len(d.frame) for e, d in zip(self.each_px, self.detections))
+        alone = any(e is None and len(d.frame) for e, d in zip(self.per_camera_px, self.detections))
         allowed = settings.gate_m, settings.min_gain, settings.limits, settings.bundle
         before = np.nan if alone else self.median_px, _SUSPICIOUS * self.limit_px
         found = relocalise(self.given, self.detections, watched, self.frames, *allowed, *before, rooms)
@@ -103,7 +104,7 @@ class Check:
         """Whether other lenses at nearly the given poses explain people about as well as other poses, which leave
         ``moved_px``: a zoom ring is easier to touch."""
         limits, bundle = self.settings.limits, self.settings.bundle
-        fit_on, judge_on = in_halves(self.seen)
+        fit_on, judge_on = split_alternate_frames(self.seen)
         trial = fit_cameras(self.given, fit_on, limits, bundle)
         if trial is None:
             return False
@@ -130,7 +131,7 @@ class Check:
             about = settings.limits, self.median_px, moved_px
             refuse_swapped(self.given, self.detections, self.frames, gate_m, *about)
         doubtful = moved is not None or not len(self.points_m)
-        if doubtful or any(e is None or e > self.limit_px for e in self.each_px):
+        if doubtful or any(e is None or e > self.limit_px for e in self.per_camera_px):
             odd = find_outlier_camera(self.given, self.detections, self.frames, gate_m, settings.limits)
             # A knocked camera and one with a cropped picture look the same; the former is corrected.
             if odd is not None and (moved is None or (odd.cause and not odd.turned)):
@@ -145,7 +146,7 @@ class Check:
                 )
 
 
-def in_halves(seen: Observations) -> tuple[Observations, Observations]:
+def split_alternate_frames(seen: Observations) -> tuple[Observations, Observations]:
     """What every other frame shows, to fit on, and what the rest shows, to judge by."""
     order = np.unique(seen.frame, return_inverse=True)[1]
     return seen.of(order % 2 == 0), seen.of(order % 2 == 1)

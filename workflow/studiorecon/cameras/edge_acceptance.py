@@ -39,7 +39,7 @@ def apply_edge_refinement(
         return adjusted, report
     px = found.people_px
     off = f"{before.off_deg:.1f}° ({before.sigmas:.1f} standard deviations) off between {' and '.join(before.cameras)}"
-    if not found.believed:
+    if not found.is_required:
         say(
             f"the room's straight edges are {off}, and are not used: with other cameras they would be "
             f"{found.off_deg:.1f}° off, and people's keypoints {px[1]:.2f} px, now {px[0]:.2f} px"

@@ -41,13 +41,13 @@ def apply_floor_refinement(
     marks = floor_marks(adjusted, rooms, *standing_area(adjusted, seen, limits), _ROOM_REACH_M[0])
     if marks is None:
         return adjusted, report
-    if (off_sigmas := marks.off_sigmas(adjusted, limits)) < CALLED_SIGMAS:
+    if (error_sigmas := marks.error_sigmas(adjusted, limits)) < CALLED_SIGMAS:
         places = int(marks.pixels.shape[1])
         say(
-            f"the floor's pattern agrees with the cameras: {places} matches are {off_sigmas:.1f} standard "
+            f"the floor's pattern agrees with the cameras: {places} matches are {error_sigmas:.1f} standard "
             "deviations off"
         )
-        return adjusted, {**report, "room": {"places": places, "off_sigmas_before": off_sigmas, "believed": False}}
+        return adjusted, {**report, "room": {"places": places, "off_sigmas_before": error_sigmas, "believed": False}}
     about = [replace(g, intrinsics=a.intrinsics) for g, a in zip(given, adjusted)]
     found = refine_on_room(adjusted, about, seen, rooms, limits, bundle, _ROOM_REACH_M, _PEOPLE_COST)
     if found is None:
@@ -55,7 +55,7 @@ def apply_floor_refinement(
     report = {**report, "room": found.report}
     pairs = f"{found.report['places']} matches on the floor"
     before, after = found.report["off_sigmas_before"], found.report["off_sigmas_after"]
-    if not found.believed:
+    if not found.is_required:
         say(
             f"{pairs} do not refine the cameras: they are {before:.1f} standard deviations off, {after:.1f} after, "
             f"and people's keypoints {found.report['people_px_before']:.2f} px before, "

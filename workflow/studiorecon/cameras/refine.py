@@ -13,7 +13,7 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.calibration import read_calibration
 from studiorecon.camera_files.colmap import write_model
-from studiorecon.cameras.calibration_check import Check, Settings, in_halves
+from studiorecon.cameras.calibration_check import Check, Settings, split_alternate_frames
 from studiorecon.cameras.changes import changes_since_refinement, pose_and_lens_changes
 from studiorecon.cameras.edge_acceptance import apply_edge_refinement
 from studiorecon.cameras.floor_acceptance import apply_floor_refinement, keep_floor_level
@@ -100,12 +100,12 @@ def decide(
         return _nothing_agrees(training, held_out, graph.distance_m[np.ix_(own, own)], report, settings)
     check.refuse_cameras(moved)
     adjusted, seen, report = _adjusted(check, moved, rooms, report)
-    after_px, each_px, points = error_medians(adjusted, seen, settings.limits)
-    report |= {"after_px": after_px, "after_px_per_camera": each_px}
+    after_px, per_camera_px, points = error_medians(adjusted, seen, settings.limits)
+    report |= {"after_px": after_px, "after_px_per_camera": per_camera_px}
     if moved is not None:
         report["changes"] = changes_since_refinement(training, adjusted, report)
     if after_px > check.limit_px:
-        worst_px, worst = max((e, name) for e, name in zip(each_px, names) if e is not None)
+        worst_px, worst = max((e, name) for e, name in zip(per_camera_px, names) if e is not None)
         raise UserError(
             f"the calibration does not fit the footage: people's keypoints are {after_px:.0f} "
             f"px off where {check.limit_px:.0f} px are allowed, "
@@ -114,7 +114,7 @@ def decide(
             "are synchronised"
         )
     told_already = [name in unwatched for name in names]
-    warn_of_outlier_cameras(adjusted, seen, detections, each_px, check.limit_px, settings.limits, told_already)
+    warn_of_outlier_cameras(adjusted, seen, detections, per_camera_px, check.limit_px, settings.limits, told_already)
     report["stature_m"] = check_human_size(adjusted, seen, settings.limits)
     report["tilt_deg"] = check_tilt(adjusted, seen, settings.limits)
     if not floor_known and len(points):
@@ -135,7 +135,7 @@ def _adjusted(
         report_moved_cameras(given, moved, between_deg)
         cameras, seen = moved.cameras, moved.seen
         report = {**report, "moved_cameras": {**moved.report, "between_deg": between_deg}}
-    report |= {"points": count, "before_px": before_px, "before_px_per_camera": check.each_px}
+    report |= {"points": count, "before_px": before_px, "before_px_per_camera": check.per_camera_px}
     if settings.refine and len(given) > 2 and (count or moved):
         cameras, seen, report = _try_refinement(cameras, seen, report, settings)
     if moved is not None:
@@ -176,7 +176,7 @@ def _try_refinement(
     Fitted on every other frame and judged on the rest; then fitted again on all frames.
     """
     limits, bundle, gain = settings.limits, settings.bundle, settings.min_gain
-    fit_on, judge_on = in_halves(seen)
+    fit_on, judge_on = split_alternate_frames(seen)
     trial = fit_cameras(training, fit_on, limits, bundle)
     if trial is None:
         return training, seen, {**report, "reason": "too few points in three cameras to refine"}

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 MOTION = Source("motion")
 # A person who walks from camera to camera passes them one after the other: one lag of twenty is such a walk's.
-_DECEIVED, _STRAY = 0.05, 0.03
+_OUTLIER_PROBABILITY, _STRAY = 0.05, 0.03
 # Pictures are shrunk to this width in pixels before differencing: keeps people, averages sensor and compression noise
 # away.
 _WIDTH = 160
@@ -47,7 +47,7 @@ class MotionLag:
 
     rows: float
     sigma_rows: float
-    deceived: float
+    outlier_probability: float
     reason: str = ""
 
 
@@ -80,8 +80,8 @@ def motion_lags(
     reasons: dict[int, str] = {}
     for a, b in itertools.combinations(range(len(rows)), 2):
         lag = motion_lag(rows[a], rows[b], rate)
-        if lag.deceived < 0.5:
-            pairs.append(Lag(MOTION, a, b, -lag.rows / rate, lag.sigma_rows / rate, lag.deceived))
+        if lag.outlier_probability < 0.5:
+            pairs.append(Lag(MOTION, a, b, -lag.rows / rate, lag.sigma_rows / rate, lag.outlier_probability))
         else:
             reasons.setdefault(a, lag.reason)
             reasons.setdefault(b, lag.reason)
@@ -126,7 +126,7 @@ def motion_lag(first: Float[np.ndarray, " T"], second: Float[np.ndarray, " t"], 
     # Likelihood of a bivariate normal with this correlation against two series without any.
     gain = -0.5 * np.maximum(moments - 3, 0) * np.log1p(-(np.clip(correlation, 0, _MAX_CORRELATION) ** 2))
     allowed = overlap >= least
-    odds = np.where(allowed, np.exp(gain) * (1 - _DECEIVED) / allowed.sum(), 0.0)
+    odds = np.where(allowed, np.exp(gain) * (1 - _OUTLIER_PROBABILITY) / allowed.sum(), 0.0)
     best = int(np.argmax(odds))
     peak = np.where(np.abs(lags - lags[best]) <= max(2, _PEAK_S * rate), odds, 0.0)
     rows = float(peak @ lags / peak.sum())
@@ -135,7 +135,7 @@ def motion_lag(first: Float[np.ndarray, " T"], second: Float[np.ndarray, " t"], 
     return MotionLag(
         rows,
         max(spread, _VIEWS_S * rate, 0.5),
-        float(1 - peak.sum() / (odds.sum() + _DECEIVED)),
+        float(1 - peak.sum() / (odds.sum() + _OUTLIER_PROBABILITY)),
         f"motion over time correlates at {correlation[best]:.2f} over {moments[best]:.0f} independent moments at best, "
         "which several lags explain",
     )

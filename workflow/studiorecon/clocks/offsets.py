@@ -171,7 +171,7 @@ def estimate_clocks(
     return verdicts, findings, reference
 
 
-def lengths_differ(
+def different_lengths_note(
     clocks: Sequence[Clock],
     sources: Sequence[str],
     findings: Sequence[dict[str, Any]],
@@ -242,7 +242,7 @@ def run(
     if not given and not frame_count and not common.refusal and (settings.sync != "auto" or found):
         unsure = found if settings.sync == "auto" else [{"camera": c, "kind": "undetermined"} for c in cameras]
         names, promised = [f"{s.parent.name}/{s.name}" for s in sources], [s.announced for s in opened if s]
-        common = replace(common, refusal=lengths_differ(made, names, unsure, promised))
+        common = replace(common, refusal=different_lengths_note(made, names, unsure, promised))
     films = {camera: source for camera, source in zip(cameras, opened) if source is not None}
     for sentence in colour_notes(films, map(read_detections, sightings)):
         warn(sentence)

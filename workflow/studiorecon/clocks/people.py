@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 # shift the lags of their cameras by 5 mm more.
 FREE, CALIBRATED = Source("people", bias_s=0.0015), Source("people", bias_s=0.005)
 # Share of pairs of cameras in which two people who walk alike are taken for one.
-_DECEIVED = 0.005
+_OUTLIER_PROBABILITY = 0.005
 # Share of pairs of tracks that show one person, and of calibrations that are further off than their prior.
 _SAME, _MISCALIBRATED = 0.3, 0.1
 # Median error of another person's joints under a calibration, body heights.
@@ -82,8 +82,8 @@ def people_lags(
     for a, b in itertools.combinations(sighted, 2):
         found = pair_lag(views[a], views[b], rate)
         if found is not None:
-            source, rows, sigma_rows, deceived = found
-            lags.append(Lag(source, a, b, -rows / rate, sigma_rows / rate, deceived))
+            source, rows, sigma_rows, outliers = found
+            lags.append(Lag(source, a, b, -rows / rate, sigma_rows / rate, outliers))
     for i in {c for lag in lags for c in (lag.first, lag.second)}:
         reasons.pop(i, None)
     return lags, reasons
@@ -111,11 +111,11 @@ def pair_lag(first: View, second: View, rate: float) -> tuple[Source, float, flo
     total = np.logaddexp(np.log(_SAME) + gains, np.log1p(-_SAME)).sum(1)
     share = [0.0] if len(priors) == 1 else [np.log(_MISCALIBRATED), np.log1p(-_MISCALIBRATED)]
     total += np.array(share)[:, None]
-    odds = np.exp(np.clip(np.logaddexp.reduce(total, axis=0), None, 500)) * (1 - _DECEIVED) / len(lags)
+    odds = np.exp(np.clip(np.logaddexp.reduce(total, axis=0), None, 500)) * (1 - _OUTLIER_PROBABILITY) / len(lags)
     best = int(np.argmax(odds))
     peak = np.where(np.abs(lags - lags[best]) <= max(2, _APART_S * rate), odds, 0.0)
-    deceived = float(1 - peak.sum() / (odds.sum() + _DECEIVED))
-    if deceived > 0.5:
+    outliers = float(1 - peak.sum() / (odds.sum() + _OUTLIER_PROBABILITY))
+    if outliers > 0.5:
         return None
     rows = float(peak @ lags / peak.sum())
     spread = float(np.sqrt(peak @ (lags - rows) ** 2 / peak.sum()))
@@ -126,7 +126,7 @@ def pair_lag(first: View, second: View, rate: float) -> tuple[Source, float, flo
         rows, spread = fine
     else:
         spread = max(spread, 0.5)
-    return (FREE if len(priors) == 1 else CALIBRATED), rows, spread, max(deceived, _DECEIVED)
+    return (FREE if len(priors) == 1 else CALIBRATED), rows, spread, max(outliers, _OUTLIER_PROBABILITY)
 
 
 def _gain(

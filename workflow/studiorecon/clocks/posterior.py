@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One estimate of all clocks: every source's likelihoods of lags between two cameras, summed and maximised together.
 
-A source is right about a pair of cameras with heavy-tailed errors, or it is deceived and says nothing. The share of
-deceived pairs of each source is estimated too. Offsets that explain the lags about equally well remain in the interval.
+A source is right about a pair of cameras with heavy-tailed errors, or it is an outlier and says nothing. The share of
+outliers of each source is estimated too. Offsets that explain the lags about equally well remain in the interval.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MAX_HALF_S = 0.15
 _RANGE_S = 60.0
 # Degrees of freedom of errors: of lags that are right, one in a hundred is five standard deviations off.
 _TAIL = 4.0
-# The expected share of deceived pairs counts like so many pairs.
+# The expected share of outliers counts like so many pairs.
 _PRIOR_PAIRS = 5.0
 _ITERATIONS = 40
 
@@ -41,14 +41,14 @@ class Source:
 @dataclass(frozen=True)
 class Lag:
     """One source's likelihood of the lag of two cameras: the second one's first frame is ``offset_s`` ± ``sigma_s``
-    after the first one's, by a common clock; ``deceived`` is the probability that this says nothing."""
+    after the first one's, by a common clock; ``outlier_probability`` is the probability that this says nothing."""
 
     source: Source
     first: int
     second: int
     offset_s: float
     sigma_s: float
-    deceived: float
+    outlier_probability: float
     drift_ppm: float = 0.0
     drift_sigma_ppm: float = math.inf
 
@@ -97,7 +97,7 @@ def estimate_offsets(lags: Sequence[Lag], cameras: int, reference: int) -> list[
             distinct.append(mode)
     drifts = model.drifts(best)
     return [
-        replace(_interval(distinct, c, model.loose(best, c)), drift_ppm=drifts[c])
+        replace(_interval(distinct, c, model.cut_odds(best, c)), drift_ppm=drifts[c])
         if c != reference
         else Offset(0.0, 0.0)
         for c in range(cameras)
@@ -163,20 +163,20 @@ class _Model:
 
     def maximum(self, unknowns: np.ndarray) -> _Mode:
         """The local maximum of the posterior from a start, by expectation and maximisation."""
-        usual = np.array([lag.deceived for lag in self.lags])
-        deceived, of_source = usual, np.bincount(self.of)[self.of]
+        usual = np.array([lag.outlier_probability for lag in self.lags])
+        outliers, of_source = usual, np.bincount(self.of)[self.of]
         for _ in range(_ITERATIONS):
             off = (self.seconds - self.columns @ unknowns) / self.sigma
-            heard = np.log1p(-deceived) + _log_tail(off) - np.log(self.sigma)
-            silent = np.log(deceived) - math.log(_RANGE_S)
+            heard = np.log1p(-outliers) + _log_tail(off) - np.log(self.sigma)
+            silent = np.log(outliers) - math.log(_RANGE_S)
             right = expit(heard - silent)
             wrong = np.bincount(self.of, 1 - right)[self.of]
-            shares, deceived = deceived, (_PRIOR_PAIRS * usual + wrong) / (_PRIOR_PAIRS + of_source)
+            shares, outliers = outliers, (_PRIOR_PAIRS * usual + wrong) / (_PRIOR_PAIRS + of_source)
             weight = right * (_TAIL + 1) / (_TAIL + off**2) / self.sigma**2
             information = (self.columns * weight[:, None]).T @ self.columns + np.diag(self.precision)
             covariance = np.linalg.inv(information)
             before, unknowns = unknowns, covariance @ (self.columns.T @ (weight * self.seconds))
-            if np.abs(unknowns - before).max() < 1e-7 and np.abs(deceived - shares).max() < 1e-3:
+            if np.abs(unknowns - before).max() < 1e-7 and np.abs(outliers - shares).max() < 1e-3:
                 break
         # Lags that contradict each other by more than their errors have larger ones.
         loops = max(float(right.sum()) - (self.cameras - 1), 1.0)
@@ -185,11 +185,11 @@ class _Model:
         evidence = (
             float(np.logaddexp(heard, silent).sum() - 0.5 * self.precision @ unknowns**2)
             + 0.5 * np.linalg.slogdet(covariance)[1]
-            + _PRIOR_PAIRS * float(((usual * np.log(deceived) + (1 - usual) * np.log1p(-deceived)) / of_source).sum())
+            + _PRIOR_PAIRS * float(((usual * np.log(outliers) + (1 - usual) * np.log1p(-outliers)) / of_source).sum())
         )
         return _Mode(unknowns[: self.cameras], np.diag(mine), heard - silent, evidence)
 
-    def loose(self, mode: _Mode, camera: int) -> float:
+    def cut_odds(self, mode: _Mode, camera: int) -> float:
         """The odds that every chain of lags from the reference to ``camera`` is broken: the cheapest set of lags that
         would all have to be wrong (a minimal cut), against ``mode``."""
         gain = np.zeros((self.cameras, self.cameras))

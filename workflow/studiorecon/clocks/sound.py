@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 # Sound needs 3 ms a metre and the speaker's position is unknown: sigma for 1.5 m of difference between two cameras.
 SOUND = Source("sound", bias_s=1.5 / 343 / math.sqrt(2))
-_DECEIVED = 0.002
+_OUTLIER_PROBABILITY = 0.002
 # Every sound track is compared with those of so many cameras; more only cost time.
 _HUBS = 3
 # Speech and claps; phones attenuate below, distant microphones lose higher frequencies.
@@ -85,7 +85,7 @@ def sound_lags(
     wanted = [(a, b) for a, b in itertools.combinations(present, 2) if a in list(present)[:_HUBS]]
     lags = []
     for a, b in progress(wanted, "sound tracks"):
-        heard = compare(present[a], present[b])
+        heard = sound_lag(present[a], present[b])
         if not heard.valid:
             reasons.setdefault(b, heard.reason)
             reasons.setdefault(a, heard.reason)
@@ -94,13 +94,15 @@ def sound_lags(
         clear = abs(heard.drift_ppm) > 3 * heard.drift_sigma_ppm
         drift = 1e-6 * heard.drift_ppm if clear else 0.0
         offset_s = (1 + drift) * (lines[b].first_s + heard.lag_s - drift * heard.middle_s) - lines[a].first_s
-        lags.append(Lag(SOUND, a, b, offset_s, heard.sigma_s, _DECEIVED, heard.drift_ppm, heard.drift_sigma_ppm))
+        lags.append(
+            Lag(SOUND, a, b, offset_s, heard.sigma_s, _OUTLIER_PROBABILITY, heard.drift_ppm, heard.drift_sigma_ppm)
+        )
     for i in {c for lag in lags for c in (lag.first, lag.second)}:
         reasons.pop(i, None)
     return lags, reasons
 
 
-def onsets(samples: Float[np.ndarray, " N"]) -> Float[np.ndarray, "bands T"]:
+def onset_strength(samples: Float[np.ndarray, " N"]) -> Float[np.ndarray, "bands T"]:
     """(bands, T) rises of the loudness in octave-wide bands, one value per ``_HOP`` samples, standardised."""
     found = []
     for low, high in itertools.pairwise(_BANDS_HZ):
@@ -114,7 +116,7 @@ def onsets(samples: Float[np.ndarray, " N"]) -> Float[np.ndarray, "bands T"]:
     return np.array(found)
 
 
-def compare(first: Float[np.ndarray, " N"], second: Float[np.ndarray, " M"]) -> SoundLag:
+def sound_lag(first: Float[np.ndarray, " N"], second: Float[np.ndarray, " M"]) -> SoundLag:
     """``SoundLag`` of two sound tracks of ``read_sound``, from time 0 of their files on."""
     shorter = min(len(first), len(second)) / RATE_HZ
     if shorter < _MIN_OVERLAP_S:
@@ -146,7 +148,7 @@ def _limited(samples: np.ndarray) -> np.ndarray:
 def _coarse(first: np.ndarray, second: np.ndarray) -> list[float]:
     """Seconds to add to the second one's time, best first: peaks of the correlation of loudness."""
     most = round(_SEARCHED_S * RATE_HZ)
-    a, b = onsets(first[:most]), onsets(second[:most])
+    a, b = onset_strength(first[:most]), onset_strength(second[:most])
     score = sum(scipy.signal.correlate(x, y, "full", "fft") for x, y in zip(a, b))
     lags = np.arange(-b.shape[1] + 1, a.shape[1])
     overlap = np.minimum(np.minimum(lags + b.shape[1], a.shape[1]), np.minimum(a.shape[1] - lags, b.shape[1])).astype(

@@ -98,10 +98,10 @@ def gaussian_files(background: Gaussians, people: Sequence[Avatar], frame: int) 
     A person who is absent at that frame is exported alone, in the first frame of presence.
     """
     posed = {
-        f"people/{person.person}.ply": person.posed(frame if person.there(frame) else int(person.present.argmax()))
+        f"people/{person.person}.ply": person.posed(frame if person.is_present(frame) else int(person.present.argmax()))
         for person in people
     }
-    together = [one for person, one in zip(people, posed.values()) if person.there(frame)]
+    together = [one for person, one in zip(people, posed.values()) if person.is_present(frame)]
     still = {"still.ply": concatenate([background, *together])} if posed else {}
     return {"background.ply": background, **still, **posed}
 

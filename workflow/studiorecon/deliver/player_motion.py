@@ -37,7 +37,7 @@ def pack_skeleton(held: Bytes, person: Avatar, times: Num[np.ndarray, " K"]) -> 
     # The sign of a quaternion is chosen near the previous one: slow changes compress.
     flips = np.cumprod(np.where((turns[1:] * turns[:-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=0)
     turns[1:] *= flips[..., None]
-    there = np.array([person.there(float(time)) for time in times], np.uint8)
+    there = np.array([person.is_present(float(time)) for time in times], np.uint8)
     return {
         "rest": held.floats(person.model.rest_joints(person.betas)),
         "parents": [int(parent) for parent in person.model.parents],
@@ -81,7 +81,7 @@ def pack_colour_changes(
     They are evaluated at some points of the body, to which the Gaussians in ``order`` are assigned; the error is that
     in the middle of the capture.
     """
-    network, seen = person.network, person.drifting
+    network, seen = person.network, person.drift_mask
     assert network is not None
     means = person.gaussians.means_m[seen]
     own = network if network.control else replace(network, control=ControlPoints.on(means, _PLACES))

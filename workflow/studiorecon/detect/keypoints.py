@@ -19,7 +19,7 @@ from studiorecon.keypoints.coordinate_readings import affine
 from studiorecon.keypoints.detections import Settings, detections_from_detector, detections_from_recorded
 from studiorecon.keypoints.film_check import BORNE_OUT, Film, check_against_film
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.keypoints.motion import motion_in
+from studiorecon.keypoints.motion import film_motion
 from studiorecon.keypoints.numbering import possible_numberings
 from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.keypoints.unmatched import without_record
@@ -110,7 +110,7 @@ def _compared(
         )
     numbers = possible_numberings(given.pictures, filmed.frames, filmed.fps, first_frame, given.counted)
     shown = np.concatenate([one.frame_of[np.isin(given.pictures, given.frame)] for one in numbers.possible])
-    motion = motion_in(filmed, int(shown.min()), int(shown.max()))
+    motion = film_motion(filmed, int(shown.min()), int(shown.max()))
     mapped = json.loads(pixel_map) if settings.keypoint_pixels != "video" else []
     scale, x, y = mapped or (1.0, 0.0, 0.0)
     centre = 0.5 - settings.keypoint_centres

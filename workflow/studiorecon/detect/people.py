@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX
-from studiorecon.detector.film_rotation import busiest, film_from_turned, quarter_turns, rotate_picture
+from studiorecon.detector.film_rotation import film_from_turned, most_changed_frames, quarter_turns, rotate_picture
 from studiorecon.detector.network_files import DetectorFiles
 from studiorecon.detector.tracking import detect_people, keypoints_with_confidence
 from studiorecon.errors import UserError
@@ -51,7 +51,7 @@ def run(
     network, worth = detector.detector(), detector.worth()
     shown = moments
     if len(moments) > _SHOW_UP:
-        shown = [moments[k] for k in busiest(spread_frames(footage, moments), _SHOW_UP)]
+        shown = [moments[k] for k in most_changed_frames(spread_frames(footage, moments), _SHOW_UP)]
     turns, seen_there = quarter_turns(network, seek_frames(footage, shown))
     # Nobody is looked for twice in one picture.
     first = seen_there[0] if shown[:1] == [start] else None

@@ -49,7 +49,7 @@ def quarter_turns(
     return best, seen[best]
 
 
-def busiest(pictures: Iterable[Integer[np.ndarray, "H W 3"]], count: int) -> list[int]:
+def most_changed_frames(pictures: Iterable[Integer[np.ndarray, "H W 3"]], count: int) -> list[int]:
     """Which ``count`` of a film's pictures differ most from the usual one, their median, in order: they show people."""
     small = np.stack([cv2.resize(p, _GLANCE_WH, interpolation=cv2.INTER_AREA).astype(float) for p in pictures])
     differ = np.abs(small - np.median(small, axis=0)).mean((1, 2, 3))

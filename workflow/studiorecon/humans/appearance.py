@@ -72,7 +72,7 @@ class Appearance:
         self._adam = Adam({"network": network.flat})
 
     @property
-    def trained(self) -> TemporalNetwork | None:
+    def active_network(self) -> TemporalNetwork | None:
         """The network if it is used, else None."""
         return self.network if self._active else None
 
@@ -82,7 +82,7 @@ class Appearance:
             self.decision = self._judge(draw)
         self._active = self.settings.use == "always" or (self.decision is not None and self.decision.called_for)
 
-    def added(
+    def add_residuals(
         self,
         means_m: Float[np.ndarray, "N 3"],
         colour: Float[np.ndarray, "N 1 3"],
@@ -90,7 +90,7 @@ class Appearance:
         frame: int,
     ) -> tuple[Float[np.ndarray, "N 1 3"], Float[np.ndarray, " N"]]:
         """Constant harmonics and logit opacities of one frame, with residuals."""
-        return with_residuals(self.trained, self.seen, means_m, colour, logits, frame)
+        return with_residuals(self.active_network, self.seen, means_m, colour, logits, frame)
 
     def step(self, by_colour: Float[np.ndarray, "N 1 3"], by_logit: Float[np.ndarray, " N"]) -> None:
         """Move the network along gradients by the constant harmonics and logits of the last ``added`` frame."""

@@ -253,7 +253,7 @@ def _avatar(
         present=fitted.present,
         fps=fitted.fps,
         metric=fitted.metric,
-        network=appearance.trained if appearance else None,
+        network=appearance.active_network if appearance else None,
         decision=json.dumps(asdict(appearance.decision)) if appearance and appearance.decision else "",
     )
 

@@ -130,7 +130,7 @@ class Growing:
         100000, "Most Gaussians per person; 0 = no limit.", minimum=0, paper="no limit, appendix D", paper_value=0
     )
 
-    def watched(self, done: int, iterations: int) -> bool:
+    def densifies(self, done: int, iterations: int) -> bool:
         """Whether densification continues after ``done`` steps; later Gaussians would stay untrained."""
         return self.use != "none" and done <= self.until and done < iterations
 
@@ -254,7 +254,7 @@ class PersonInTraining:
         self._transforms = self._motion.transforms(crop.frame)
         colour, logits = own["colour"], own["opacities"]
         if self._appearance is not None:
-            colour, logits = self._appearance.added(own["means"], colour, logits, crop.frame)
+            colour, logits = self._appearance.add_residuals(own["means"], colour, logits, crop.frame)
         sh = np.concatenate([colour, own["harmonics"]], axis=1)
         means, quaternions, sh = self._posing.out(own["means"], own["quaternions"], sh, self._transforms)
         return Gaussians(means, quaternions, own["scales"], logits, sh)
@@ -283,7 +283,7 @@ class PersonInTraining:
         # A needle at a joint or a wide, flat Gaussian over the chest fits four views and spoils the fifth.
         if self._additions.scales_held:
             np.clip(own["scales"], *self._scale_range, out=own["scales"])
-        if self._growing.watched(iteration + 1, self._iterations):
+        if self._growing.densifies(iteration + 1, self._iterations):
             self._grow(iteration + 1, back.screen)
         return loss, crop_psnr_db(view.planes, self._crop)
 

@@ -218,7 +218,7 @@ class _Judge:
         if sure:
             words = numbers.possible[index].words
             return numbers.possible[index], f"{span}: {words}{by}" if words else ""
-        if not numbers.believed:
+        if not numbers.is_plausible:
             return None, f"{span}, which leaves its first frame open: {remedy}, such as {first.first}"
         how = first.words or "number 0 is used as its first frame"
         return first, f"{span}: {how}, which its pictures do not confirm; if that is wrong, {remedy}"

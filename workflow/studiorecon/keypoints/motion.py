@@ -90,7 +90,7 @@ def measure_motion(
     return Motion(np.asarray(frame, dtype=np.int64), np.stack(near), wh)
 
 
-def motion_in(source: FootageSource, first: int, last: int) -> Motion | None:
+def film_motion(source: FootageSource, first: int, last: int) -> Motion | None:
     """Motion in sampled frames from ``first`` to ``last``; None, with a warning, if the film cannot be read."""
     first, last = min(max(first, 0), source.frames - 1), min(max(last, 0), source.frames - 1)
     wanted = np.unique(np.linspace(first, max(last, first), _PICTURES).round().astype(int)).tolist()

@@ -45,12 +45,12 @@ class Numbering:
 class Numberings:
     """The possible numberings of a film's keypoints, the likeliest first; ``certain``: the length leaves only that.
 
-    ``believed``: whether it may be used, with a sentence, where the pictures do not decide.
+    ``is_plausible``: whether it may be used, with a sentence, where the pictures do not decide.
     """
 
     possible: tuple[Numbering, ...]
     certain: bool
-    believed: bool = True
+    is_plausible: bool = True
 
 
 def possible_numberings(

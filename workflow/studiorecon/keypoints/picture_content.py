@@ -32,7 +32,7 @@ def is_picture(content: Any) -> bool:
     return isinstance(content, Mapping) and any(key in content for key in _LISTS)
 
 
-def people_in(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]], str]:
+def read_people(content: Any, where: str) -> tuple[list[Float[np.ndarray, "K 3"]], str]:
     """Keypoints (x, y, score) of all people in one picture, and the program that writes this format.
 
     ``content`` is a mapping with a list of people, or MMPose's bare list, nested or not. Null or empty entries, and

@@ -13,7 +13,7 @@ from studiorecon.errors import UserError
 from studiorecon.keypoints.deeplabcut import read_deeplabcut
 from studiorecon.keypoints.file_numbers import number_names
 from studiorecon.keypoints.layouts import BY_COUNT
-from studiorecon.keypoints.picture_content import people_in
+from studiorecon.keypoints.picture_content import read_people
 from studiorecon.keypoints.result_files import Pictures, read_results
 from studiorecon.progress import warn
 from studiorecon.scene.recorded_keypoints import RecordedKeypoints
@@ -146,7 +146,7 @@ def _folder(path: Path, picture_wh: tuple[int, int]) -> Pictures:
         )
     found, programs = dict[int, list[Any]](), set()
     for number, file in zip(number_names([f.stem for f in files], str(path)) if files else [], files):
-        people, program = people_in(read_json(file), str(file))
+        people, program = read_people(read_json(file), str(file))
         found[number] = people
         programs.add(program)
     return Pictures("/".join(sorted(programs)) or "an empty folder", found)

@@ -14,7 +14,7 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.keypoints.file_numbers import MAX_NUMBER, number_names
 from studiorecon.keypoints.mediapipe import is_mediapipe, lacks_frame_numbers, read_mediapipe
-from studiorecon.keypoints.picture_content import is_picture, people_in
+from studiorecon.keypoints.picture_content import is_picture, read_people
 from studiorecon.scene.user_files import read_json
 from studiorecon.scene.user_values import as_list, short_text, whole
 
@@ -60,7 +60,7 @@ def read_results(path: Path, picture_wh: tuple[int, int]) -> Pictures:
         if all(isinstance(one, Mapping) and "frame_id" in one for one in content):
             return Pictures("MMPose", dict(_numbered(content, path)))
         if all(isinstance(one, list) or is_picture(one) for one in content):
-            listed_ = {place: people_in(one, f"{path}: entry {place}")[0] for place, one in enumerate(content)}
+            listed_ = {place: read_people(one, f"{path}: entry {place}")[0] for place, one in enumerate(content)}
             return Pictures("MMPose", listed_, counted=True)
     raise UserError(
         f"{path} is none of the known results: a list of COCO results (AlphaPose, Detectron), AlphaPose's pictures by "
@@ -87,7 +87,7 @@ def _numbered(entries: list[Any], path: Path) -> Iterator[tuple[int, list[np.nda
         known.add(number)
         if "instances" not in entry and "predictions" not in entry:
             raise UserError(f"{path}: entry {place} has no instances; write [] for a picture without people")
-        yield number, people_in(entry, f"{path}, frame {number}")[0]
+        yield number, read_people(entry, f"{path}, frame {number}")[0]
 
 
 def _coco_results(entries: list[Mapping[str, Any]], path: Path) -> Pictures:
@@ -96,7 +96,7 @@ def _coco_results(entries: list[Mapping[str, Any]], path: Path) -> Pictures:
     found = defaultdict[int, list[Any]](list)
     for place, entry in enumerate(entries):
         number = number_of[entry["image_id"]]
-        found[number] += people_in([entry], f"{path}, picture {number} (entry {place})")[0]
+        found[number] += read_people([entry], f"{path}, picture {number} (entry {place})")[0]
     return Pictures("AlphaPose/COCO", found)
 
 
@@ -112,14 +112,14 @@ def _coco_dataset(content: Mapping[str, Any], path: Path) -> Pictures:
     for place, one in enumerate(content["annotations"]):
         if not isinstance(one, Mapping) or one.get("image_id") not in number_of:
             raise UserError(f"{path}: entry {place} of annotations belongs to no picture of images")
-        found[number_of[one["image_id"]]] += people_in([one], f"{path}: entry {place} of annotations")[0]
+        found[number_of[one["image_id"]]] += read_people([one], f"{path}: entry {place} of annotations")[0]
     return Pictures("COCO", found)
 
 
 def _named(content: Mapping[str, Any], path: Path) -> Pictures:
     """AlphaPose's pictures by name, in the forms of CMU's programs."""
     number_of = _image_numbers(list(content), path)
-    people = {number_of[name]: people_in(one, f"{path}: {name}")[0] for name, one in content.items()}
+    people = {number_of[name]: read_people(one, f"{path}: {name}")[0] for name, one in content.items()}
     return Pictures("AlphaPose", people)
 
 
@@ -132,7 +132,7 @@ def _easy_vitpose(entries: list[Any], path: Path) -> Pictures:
                 f"{path}: entry {place} of keypoints is {short_text(people)}; it must map people to keypoints"
             )
         rows = [{"keypoints": points} for points in people.values()]
-        found[place] = [one[:, [1, 0, 2]] for one in people_in(rows, f"{path}, frame {place}")[0]]
+        found[place] = [one[:, [1, 0, 2]] for one in read_people(rows, f"{path}, frame {place}")[0]]
     return Pictures("easy_ViTPose", found, counted=True)
 
 

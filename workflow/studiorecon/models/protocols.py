@@ -118,7 +118,7 @@ class BodyEstimator(Protocol):
     """The layout of its 2D points: a name of ``keypoints.layouts``."""
 
     @staticmethod
-    def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[tuple[int, Bodies]]:
+    def read_stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[tuple[int, Bodies]]:
         """(frame, bodies) from a file of the network's arrays, called ``where``; raises UserError for missing ones."""
         ...
 
@@ -189,7 +189,7 @@ SMALLEST_MEASURED_PX = 64
 class PerceptualDistance(Protocol):
     """LPIPS as a measure."""
 
-    def measured(self, prediction: Integer[np.ndarray, "H W 3"], truth: Integer[np.ndarray, "H W 3"]) -> float | None:
+    def measure(self, prediction: Integer[np.ndarray, "H W 3"], truth: Integer[np.ndarray, "H W 3"]) -> float | None:
         """The distance of two (H, W, 3) uint8 pictures; None when a side is under ``SMALLEST_MEASURED_PX``."""
         ...
 

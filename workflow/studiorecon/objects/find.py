@@ -255,7 +255,7 @@ def read_moments(
     for frame, filmed in enumerate(progress(films, "loose things", frames)):
         if frame % step:
             continue
-        pictures = [factors.even(view.camera.name, picture, frame) for view, picture in zip(views, filmed)]
+        pictures = [factors.even_out(view.camera.name, picture, frame) for view, picture in zip(views, filmed)]
         yield (
             [
                 p if p.shape[:2] == v.camera.hw else cv2.resize(p, v.camera.wh, interpolation=cv2.INTER_AREA)
@@ -271,7 +271,10 @@ def open_view(camera: Camera, video: Path, plate: Path, pixels: int, factors: Fa
     small = camera.resized((round(camera.wh[0] * share), round(camera.wh[1] * share)))
     rgb, measured = read_plate(plate, camera.wh)
     return ObjectView(
-        small, video, *shrink_plate(factors.even(camera.name, rgb), measured, small.wh), np.zeros(small.hw, np.float32)
+        small,
+        video,
+        *shrink_plate(factors.even_out(camera.name, rgb), measured, small.wh),
+        np.zeros(small.hw, np.float32),
     )
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Blocks of pages: every function returns a complete piece of HTML.
 
-Blocks are templates, so their arguments are escaped; a block that takes HTML says so.
+Blocks are templates, so their arguments are escape; a block that takes HTML says so.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from markupsafe import Markup, escape
+from markupsafe import Markup
+from markupsafe import escape as escape_markup
 
 from studiorecon.pages.skeleton import fill_template, page
 
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
-__all__ = ["bar", "contents", "escaped", "figure", "film", "folded", "heading", "jpeg", "page", "row", "table", "tiles"]
+__all__ = ["bar", "contents", "details", "escape", "figure", "film", "heading", "jpeg", "page", "row", "table", "tiles"]
 
 _HEADING = """<a id="{{ anchor }}"></a><h2>{{ title }}</h2>{% if lead %}<p class="soft">{{ lead }}</p>{% endif %}"""
 _HEADINGS = re.compile(r'<a id="([^"]*)"></a><h2>(.*?)</h2>')
@@ -45,9 +46,9 @@ _BAR = """<div class="bar"><i style="width:{{ percent }}%"></i></div>"""
 _FOLDED = """<details><summary>{{ title }}</summary><pre>{{ content }}</pre></details>"""
 
 
-def escaped(value: object) -> str:
+def escape(value: object) -> str:
     """Escaped text."""
-    return str(escape(str(value)))
+    return str(escape_markup(str(value)))
 
 
 def heading(title: str, lead: str = "") -> str:
@@ -108,6 +109,6 @@ def bar(share: float) -> str:
     return str(fill_template(_BAR, percent=f"{100 * min(max(share, 0.0), 1.0):.1f}"))
 
 
-def folded(title: str, content: str) -> str:
+def details(title: str, content: str) -> str:
     """Text that the reader can expand."""
     return str(fill_template(_FOLDED, title=title, content=content))

@@ -33,7 +33,7 @@ class UserChoices:
     said: Mapping[str, Any] = field(default_factory=dict)
     schema: Mapping[str, Any] = field(default_factory=dict)
 
-    def keeps(self, name: str, value: Any) -> bool:
+    def is_user_value(self, name: str, value: Any) -> bool:
         """Whether the setting of that dotted name, now at ``value``, is the user's own; None means no value."""
         inner: Any = self.said
         for step in name.split("."):
@@ -170,7 +170,7 @@ def overlay_settings(
         own, full = made.get(name), f"{above}{name}"
         if isinstance(value, Mapping) and isinstance(own, Mapping):
             made[name] = overlay_settings(own, stated, value, f"{full}.")
-        elif not stated.keeps(full, own):
+        elif not stated.is_user_value(full, own):
             made[name] = copy.deepcopy(value)
     return made
 

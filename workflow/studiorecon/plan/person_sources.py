@@ -27,7 +27,7 @@ class PersonSources:
         checked: those of them that the doctor checks: the detector never runs in held-out cameras only for a check.
         timed: those whose people determine the time offsets before there is a calibration.
         part_used: only a part of the footage is used, and the detector reads only that part.
-        somebody: at least one source can show people.
+        finds_people: at least one source can show people.
         detector: names of the detector's files.
     """
 
@@ -39,7 +39,7 @@ class PersonSources:
     checked: list[str]
     timed: list[str]
     part_used: bool
-    somebody: bool
+    finds_people: bool
     detector: list[str]
 
 
@@ -68,6 +68,6 @@ def choose_person_sources(dataset: Dataset, config: Mapping[str, Any]) -> Person
         # Where only a part is used, the clocks must first determine which part the detector reads.
         timed=[c for c in checked if c not in looked_for or not part_used] if asked else [],
         part_used=part_used,
-        somebody=bool(watched) or bool(bodies),
+        finds_people=bool(watched) or bool(bodies),
         detector=["movenet_multipose.onnx", _LANDMARKS[config["detect"]["detector"]], "confidence.json"],
     )

@@ -169,7 +169,7 @@ def _lifting(plan: Plan) -> None:
 
 def _keypoints(plan: Plan) -> None:
     sources, dataset = plan.person_sources, plan.dataset
-    if not sources.somebody:
+    if not sources.finds_people:
         raise UserError(
             f"dataset {dataset.folder} has no 2D keypoints and detect.source is keypoints: set it to auto, put "
             "keypoints/<camera>/*.json (OpenPose, AlphaPose, MMPose, …) there, or write people: 0 into capture.yaml "

@@ -218,9 +218,9 @@ class Files(UserInputs):
         looked = self.plan.networks.people_in_views and self.key_frames(wildcards)
         return [f"results/{wildcards.scene}/views/{wildcards.segment}.people.mkv"] if looked else []
 
-    def by_itself(self, wildcards: Any) -> list[str]:
+    def uncorrected_identities(self, wildcards: Any) -> list[str]:
         """Association's own identities, where the user's table replaces them; none without such a table."""
-        asked = self.corrected and self.plan.people
+        asked = self.corrected_identities and self.plan.people
         return [f"results/{self._scene(wildcards)}/people/by_itself/identities.tsv"] if asked else []
 
     def recognition(self, wildcards: Any) -> list[str]:
@@ -247,16 +247,16 @@ class Files(UserInputs):
         films = [] if self.truth(wildcards) else self.heldout_film(wildcards)
         return [f"results/{wildcards.scene}/render/{film}.depth.mkv" for film in films]
 
-    def judging_depths(self, wildcards: Any) -> list[str]:
+    def region_depths(self, wildcards: Any) -> list[str]:
         """Depth of the training cameras that it is compared with."""
         cameras = self.training(wildcards) if self.film_depth(wildcards) else []
         return [f"results/{wildcards.scene}/depth/{camera}.exr" for camera in cameras]
 
-    def judging_masks(self, wildcards: Any) -> list[str]:
+    def region_masks(self, wildcards: Any) -> list[str]:
         """Masks of people in those cameras."""
         return self.masks(wildcards) if self.film_depth(wildcards) else []
 
-    def judging_body(self, wildcards: Any) -> list[str]:
+    def region_body(self, wildcards: Any) -> list[str]:
         """The body model of the people in the film."""
         return [self.body] if self.film_depth(wildcards) and self.people(wildcards) else []
 

@@ -83,7 +83,7 @@ class UserInputs:
         return [self._film(camera) for camera in self.plan.cameras]
 
     @cached_property
-    def corrected(self) -> list[str]:
+    def corrected_identities(self) -> list[str]:
         """The user's table of identities, if there is one."""
         named = self.config["people"]["identities"]
         return [(self.local if named else self.in_dataset)(self.plan.identities)] if self.plan.identities else []

@@ -150,7 +150,7 @@ def estimate_light(
     usual = np.maximum(falloff.mean(axis=0), 1e-9)
     trial = _light(blank, fit_strengths(lost[:, ~later], falloff / usual, ratio[:, ~later]), lamps, usual)
     lit = LitPoints(trial, points)
-    left = np.stack([lit.left(bodies[t]) for t in frames], axis=1)
+    left = np.stack([lit.remaining_light(bodies[t]) for t in frames], axis=1)
     error, without = (_error(ratio, used, later) for used in (left, np.ones_like(left)))
     figures = {
         "error_held_out": error,

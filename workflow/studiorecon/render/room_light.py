@@ -112,7 +112,7 @@ class Light:
         self, points_m: Float[np.ndarray, "N 3"], bodies: Sequence[Float[np.ndarray, "C 7"]]
     ) -> Float[np.ndarray, " N"]:
         """Float32 remaining share of light on points that face up, near bodies of capsules each."""
-        return LitPoints(self, points_m).left(bodies)
+        return LitPoints(self, points_m).remaining_light(bodies)
 
 
 class LitPoints:
@@ -130,7 +130,7 @@ class LitPoints:
             part = np.concatenate([part, np.full((len(part), len(sky)), light.sky / len(sky))], axis=1)
         self._parts = self._groups.grouped(part)
 
-    def left(self, bodies: Sequence[Float[np.ndarray, "C 7"]]) -> Float[np.ndarray, " N"]:
+    def remaining_light(self, bodies: Sequence[Float[np.ndarray, "C 7"]]) -> Float[np.ndarray, " N"]:
         """Float32 remaining share of light on the points, near bodies of capsules each."""
         if not any(len(body) for body in bodies):
             return np.ones(len(self._total), np.float32)

@@ -51,7 +51,7 @@ class Shading:
 
     def factor(self, frame: float) -> Float[np.ndarray, " M"]:
         """Float32 factors on the plates' colours of the Gaussians ``at`` at a frame; see ``dim_gaussians``."""
-        left = self.lit.left(_bodies(self.casters, self.things, frame)) / self.usual
+        left = self.lit.remaining_light(_bodies(self.casters, self.things, frame)) / self.usual
         return (1 - self.facing * (1 - left)).astype(np.float32)
 
 
@@ -75,7 +75,7 @@ def build_shading(
     last = filmed[0].frames - 1 if filmed else len(things[0].centres_m) - 1 if things else 0
     moments = evenly_spread(last + 1, _MOMENTS)
     lit = LitPoints(light, room.means_m[at])
-    usual = robust_mode(np.stack([lit.left(_bodies(casters, things, float(m))) for m in moments]))
+    usual = robust_mode(np.stack([lit.remaining_light(_bodies(casters, things, float(m))) for m in moments]))
     return Shading(
         lit,
         at,
@@ -97,7 +97,7 @@ def robust_mode(left: Float[np.ndarray, "T M"]) -> Float[np.ndarray, " M"]:
 def _bodies(
     casters: Sequence[tuple[Avatar, Occluder]], things: Sequence[RigidObject], frame: float
 ) -> list[np.ndarray]:
-    there = [(person, capsules) for person, capsules in casters if person.there(frame)]
+    there = [(person, capsules) for person, capsules in casters if person.is_present(frame)]
     posed = [capsules.posed(person.world_from_rest(frame)) for person, capsules in there]
     return [*posed, *(thing.capsule(frame) for thing in things)]
 

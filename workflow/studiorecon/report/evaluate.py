@@ -180,12 +180,12 @@ def coverage(truth_maps: Sequence[Path]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class PeopleFiles:
-    """What was found of people; where ``identities`` is the user's table, ``by_itself`` is association's own."""
+    """Results about people; ``uncorrected_identities``: association's own where ``identities`` is the user's table."""
 
     fits: list[Path] = field(default_factory=list)
     detections: list[Path] = field(default_factory=list)
     identities: list[Path] = field(default_factory=list)
-    by_itself: list[Path] = field(default_factory=list)
+    uncorrected_identities: list[Path] = field(default_factory=list)
 
 
 def run(
@@ -256,11 +256,11 @@ def _bodies_in_pictures(truth: Truth | None, scored: ScoredFilms, people: Sequen
 
 def _identities(people: PeopleFiles, training: Sequence[Camera], joints: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Scores of the identities against the studio's truth, else of association's own table against the user's."""
-    if people.detections and people.identities and (joints or people.by_itself):
+    if people.detections and people.identities and (joints or people.uncorrected_identities):
         seen, whose = [read_detections(path) for path in people.detections], read_identities(people.identities[0])
         if joints:
             return score_identities(seen, whose, {camera.name: camera for camera in training}, joints)
-        return score_against(seen, whose, read_identities(people.by_itself[0]))
+        return score_against(seen, whose, read_identities(people.uncorrected_identities[0]))
     reason = "no person was detected" if joints else _NO_TRUTH
     return {"accuracy": None, "precision": None, "idf1": None, "reason": reason}
 

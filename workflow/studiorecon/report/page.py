@@ -121,7 +121,7 @@ def comparison_strips(made: ResultFiles, frames: int, enhanced: bool, settings: 
 
 def player(poster: Path, page: Path) -> str:
     """A link with the player's picture; it opens ``player.html`` in the page's folder by a relative address."""
-    address = html.escaped(Path(os.path.relpath(poster.with_suffix(".html"), page.parent)).as_posix())
+    address = html.escape(Path(os.path.relpath(poster.with_suffix(".html"), page.parent)).as_posix())
     picture_bgr = read_image(poster, cv2.IMREAD_COLOR, CURE)
     caption = "The scene in 3D: orbit, jump to a camera, stop time, show which pixels are measured or invented."
     figure = html.figure(html.jpeg(picture_bgr[..., ::-1], 1600), caption)
@@ -174,7 +174,7 @@ def truth_section(made: ResultFiles, metrics: Mapping[str, Any], width: int) -> 
             html.figure(html.jpeg(truth_picture(read_frame(truth, i), read_frame(render, i)), width), f"picture {i}")
             for i in spread_frames(steps, 3)
         ]
-        rows.append(f"<p>Shot <b>{html.escaped(render.stem)}</b>: {html.escaped(caption)}</p>" + html.row(figures))
+        rows.append(f"<p>Shot <b>{html.escape(render.stem)}</b>: {html.escape(caption)}</p>" + html.row(figures))
     lead = "Blue: seen by a camera. Yellow: inferred from its surroundings. Red: invented, seen by no camera."
     return [html.heading("Measured, inferred, invented", lead), *rows]
 

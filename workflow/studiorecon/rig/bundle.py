@@ -115,7 +115,7 @@ def contradicted_share(
 
 
 @dataclass(frozen=True)
-class Agreed:
+class AgreeingObservations:
     """N of the observations, on which cameras agree.
 
     A detector's error of a joint is the same in every frame, so all frames of a joint count as one observation. If they
@@ -128,7 +128,7 @@ class Agreed:
     points_m: Num[np.ndarray, "N 3"]
     used: Bool[np.ndarray, " M"]
 
-    def adjusted(
+    def adjust(
         self,
         start: Sequence[Camera],
         given: Sequence[Camera] | None,
@@ -142,7 +142,7 @@ class Agreed:
         return adjust_with_lenses(start, self.pixels, self.weights, self.points_m, huber_px, bundle, lens, given)
 
 
-def agreed(seen: Observations, cameras: Sequence[Camera], limits: Limits) -> Agreed | None:
+def agreeing_observations(seen: Observations, cameras: Sequence[Camera], limits: Limits) -> AgreeingObservations | None:
     """The observations on which three cameras agree, or both of two; None where they are too few."""
     if not len(seen.frame):
         return None
@@ -152,7 +152,7 @@ def agreed(seen: Observations, cameras: Sequence[Camera], limits: Limits) -> Agr
         return None
     joints = len(np.unique(seen.group[used] * len(STABLE_KEYPOINTS) + seen.keypoint[used]))
     weights = np.where(found.inliers, seen.confidence, 0.0)[:, used] * (joints / used.sum())
-    return Agreed(seen.pixels[:, used], weights, found.points_m[used], used)
+    return AgreeingObservations(seen.pixels[:, used], weights, found.points_m[used], used)
 
 
 def fit_cameras(
@@ -174,13 +174,13 @@ def fit_cameras(
     for loose in (1.0,) if close else (_LOOSE, 1.0):
         wide = replace(limits, outlier_units=limits.outlier_units * loose)
         bent = remove_radial(seen, current, result.radial) if result is not None else seen
-        found = agreed(bent, current, wide)
+        found = agreeing_observations(bent, current, wide)
         if found is None:
             return None
         # Every round starts at the given lenses with the poses of the last, because the priors refer to the given
         # lenses.
         start = [replace(c, intrinsics=g.intrinsics) for c, g in zip(current, cameras)]
-        result = replace(found, pixels=seen.pixels[:, found.used]).adjusted(start, None, limits, bundle, lens)
+        result = replace(found, pixels=seen.pixels[:, found.used]).adjust(start, None, limits, bundle, lens)
         current = result.cameras
     return replace(result, cameras=remove_drift(current, cameras)[0]) if result is not None else None
 

@@ -62,7 +62,7 @@ def shared_cells(
     return cell, np.array([c.focal_px[0] for c in cameras])[view] / np.maximum(depth, 0.3)
 
 
-def noise_in(
+def measure_detector_noise(
     off: Num[np.ndarray, "M 2"],
     view: Integer[np.ndarray, " M"],
     cell: Integer[np.ndarray, " M"],

@@ -70,7 +70,7 @@ class EdgeRefinement:
         before_deg, off_deg: contradiction of the edges before, and what is left of it.
         between_deg: half of the 95 % interval of the rotation between any two of them.
         people_px: median error of people's keypoints before and after.
-        explained: whether people fit almost as well.
+        fits_people: whether people fit almost as well.
     """
 
     cameras: list[Camera]
@@ -78,12 +78,12 @@ class EdgeRefinement:
     off_deg: float
     between_deg: float
     people_px: tuple[float, float]
-    explained: bool
+    fits_people: bool
 
     @property
-    def believed(self) -> bool:
+    def is_required(self) -> bool:
         """Whether the edges require these cameras; otherwise the given ones stay."""
-        return self.explained and self.off_deg <= _MAX_LEFT * self.before_deg
+        return self.fits_people and self.off_deg <= _MAX_LEFT * self.before_deg
 
 
 def refine_on_edges(
@@ -106,4 +106,4 @@ def refine_on_edges(
     known_deg = ABOUT_ALL_AXES * rotation_interval_deg(np.degrees(found.adjusted.sigma[:, :3]).max(1))
     px = found.report["people_px_before"], found.report["people_px_after"]
     off_deg = 0.0 if after is None else after.off_deg
-    return EdgeRefinement(cameras, before.off_deg, off_deg, known_deg, px, found.explained)
+    return EdgeRefinement(cameras, before.off_deg, off_deg, known_deg, px, found.fits_people)

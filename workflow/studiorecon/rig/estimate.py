@@ -21,7 +21,7 @@ from studiorecon.estimate.unknowns import LOG_FOCAL, PER_CAMERA, PRINCIPAL, RADI
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import ANKLES, SHOULDERS, STABLE_KEYPOINTS
 from studiorecon.rig.correspondences import Observations, make_observations
-from studiorecon.rig.detector_noise import DetectorNoise, noise_in, shared_cells
+from studiorecon.rig.detector_noise import DetectorNoise, measure_detector_noise, shared_cells
 from studiorecon.rig.floor_marks import FloorMarks
 from studiorecon.rig.from_tracks import BONES, MIN_SHARED, Rig, Sightings
 from studiorecon.rig.lens_knowledge import LensKnowledge, distort_points, straight_points, undistort_tracks
@@ -114,7 +114,7 @@ def estimate_rig(
     return found
 
 
-def with_room(
+def add_room_evidence(
     found: RigEstimate, knowledge: LensKnowledge, template_m: Num[np.ndarray, "12 3"], room: RoomEvidence
 ) -> tuple[RigEstimate, bool]:
     """The estimate with the room as well, and whether people allow it.
@@ -139,7 +139,7 @@ def _grouped(
         return None
     points = triangulate(observed.pixels, observed.confidence, cameras, limits)
     rig = Rig(dict(enumerate(cameras)), observed, points, 0)
-    counted = rig.counted
+    counted = rig.agreeing
     if counted.sum() < MIN_SHARED:
         return None
     return replace(rig, support=int(points.inliers[:, counted].sum()))
@@ -159,7 +159,7 @@ def estimate_once(
     ``template_m``: (12, 3) stable keypoints of a mean adult; ``noise`` of the keypoints; ``start_m``: the
     first points, by default where the rig's cameras see them.
     """
-    cameras, used = [rig.cameras[v] for v in sorted(rig.cameras)], rig.counted
+    cameras, used = [rig.cameras[v] for v in sorted(rig.cameras)], rig.agreeing
     points_m = (rig.points.points_m if start_m is None else start_m)[used]
     seen = rig.seen.of(used)
     people, person = np.unique(seen.group, return_inverse=True)
@@ -209,7 +209,7 @@ def estimate_once(
         rig,
         after,
         solution,
-        noise_in(of_people.evaluate(found) * sigma_px[:, None], view, cell, px_per_m, cameras),
+        measure_detector_noise(of_people.evaluate(found) * sigma_px[:, None], view, cell, px_per_m, cameras),
         sum(f.cost(f.evaluate(found)) for f in factors),
         room,
     )

@@ -92,7 +92,7 @@ class FloorMarks:
             np.concatenate([points_m, found.points_m[found.valid]]),
         )
 
-    def off_sigmas(self, cameras: Sequence[Camera], limits: Limits) -> float:
+    def error_sigmas(self, cameras: Sequence[Camera], limits: Limits) -> float:
         """Median reprojection error of the points, in sigmas."""
         seen = np.isfinite(self.pixels).all(-1).astype(float)
         wide = replace(limits, outlier_units=limits.outlier_units * _LOOSE)

@@ -77,7 +77,7 @@ class Rig:
     support: int
 
     @property
-    def counted(self) -> Bool[np.ndarray, " N"]:
+    def agreeing(self) -> Bool[np.ndarray, " N"]:
         """The points on which three cameras agree, or both of two."""
         return self.points.verified if len(self.cameras) > 2 else self.points.valid
 
@@ -127,7 +127,7 @@ def _adjusted(rig: Rig, limits: Limits) -> tuple[BundleResult, Bool[np.ndarray, 
     A detector's error of a joint is the same for similar views of the body, so observations are weighted by the number
     of cells of 20 cm in which a joint was seen: a person who does not move is one observation.
     """
-    cameras, used, found = [rig.cameras[v] for v in sorted(rig.cameras)], rig.counted, rig.points
+    cameras, used, found = [rig.cameras[v] for v in sorted(rig.cameras)], rig.agreeing, rig.points
     cells = np.floor(found.points_m[used] / _CELL_M).astype(int)
     key = np.concatenate([rig.seen.group[used, None], rig.seen.keypoint[used, None], cells], axis=1)
     share = len(np.unique(key, axis=0)) / max(int(used.sum()), 1)

@@ -20,7 +20,7 @@ from studiorecon.geometry.rotations import log
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.progress import warn
-from studiorecon.rig.bundle import agreed, error_medians
+from studiorecon.rig.bundle import agreeing_observations, error_medians
 from studiorecon.rig.correspondences import Observations, make_observations
 from studiorecon.rig.floor_alignment import align_to_floor, floor_under_feet
 from studiorecon.rig.from_tracks import dense_tracks, propose_rigs
@@ -168,12 +168,12 @@ def refine_with_wider_prior(
     rungs = [bundle, replace(bundle, prior_deg=_MIDDLE * bundle.prior_deg, prior_m=_MIDDLE * bundle.prior_m), wide]
     errors = [_unseen_error(seen, best[1], given, limits, rung) for rung in rungs]
     chosen = next((k for k, error in enumerate(errors) if error <= ABOUT_AS_WELL * min(errors)), 0)
-    used = agreed(seen, best[1], limits)
+    used = agreeing_observations(seen, best[1], limits)
     if chosen == 0 or used is None:
         return None
-    result = used.adjusted(best[1], given, limits, rungs[chosen])
+    result = used.adjust(best[1], given, limits, rungs[chosen])
     room = refine_on_room(result.cameras, given, seen, rooms, limits, rungs[chosen]) if len(rooms) else None
-    if room is not None and room.explained:
+    if room is not None and room.fits_people:
         result = room.adjusted
     result = replace(result, cameras=_align_to_unmoved(result.cameras, given, bundle))
     turn_deg, place_m = np.degrees(result.sigma[:, :3]).max(1), result.sigma[:, 3:6].max(1)
@@ -189,7 +189,7 @@ def refine_with_wider_prior(
     if room is not None:
         report["room"] = room.report
     seen = make_observations(detections, result.cameras, frames, gate_m)[0]
-    marks_m = room.marks_m(limits) if room is not None and room.explained else np.zeros((0, 3))
+    marks_m = room.marks_m(limits) if room is not None and room.fits_people else np.zeros((0, 3))
     floor = floor_under_feet(result.cameras, seen, marks_m, limits)
     cameras = result.cameras
     if floor is not None:
@@ -234,10 +234,10 @@ def _converge(
     current, used = list(start), None
     for gate_m, units in rounds:
         seen, _ = make_observations(detections, current, frames, gate_m)
-        used = agreed(seen, current, replace(limits, huber_share=limits.huber_share * units))
+        used = agreeing_observations(seen, current, replace(limits, huber_share=limits.huber_share * units))
         if used is None:
             return 0, []
-        current = used.adjusted(current, given, limits, bundle, units=units).cameras
+        current = used.adjust(current, given, limits, bundle, units=units).cameras
     degrees, metres = pose_changes(current, given)
     if used is None or degrees.max() > FURTHEST_DEG or metres.max() > FURTHEST_M:
         return 0, []
@@ -248,7 +248,11 @@ def _use_all_people(
     cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
 ) -> bool:
     """Whether every camera agrees with half as many observations as the one that agrees with most."""
-    used = agreed(make_observations(detections, cameras, frames, gate_m)[0], cameras, limits) if cameras else None
+    used = (
+        agreeing_observations(make_observations(detections, cameras, frames, gate_m)[0], cameras, limits)
+        if cameras
+        else None
+    )
     counts = (used.weights > 0).sum(1) if used is not None else np.zeros(1)
     return bool(counts.min() > 0.5 * counts.max())
 
@@ -269,10 +273,10 @@ def _unseen_error(
     half = HALF_OF_THE_JOINTS[kept.keypoint]
     units, errors = unit_px(found, limits)[:, None], []
     for fit_on in (early, ~early, half, ~half):
-        used = agreed(kept.of(fit_on), found, limits)
+        used = agreeing_observations(kept.of(fit_on), found, limits)
         if used is None:
             return float("inf")
-        cameras = used.adjusted(found, given, limits, bundle).cameras
+        cameras = used.adjust(found, given, limits, bundle).cameras
         judged, agreed_in = kept.of(~fit_on), inliers[:, ~fit_on]
         wide = replace(limits, outlier_units=limits.outlier_units * _MAX_UNITS)
         error = triangulate(judged.pixels, judged.confidence, cameras, wide).error_px / units

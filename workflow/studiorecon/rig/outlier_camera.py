@@ -65,7 +65,7 @@ class OutlierCamera:
     Attributes:
         camera: its name.
         share: of its keypoints that are at the others' people.
-        share_then: the same if ``cause`` were true.
+        share_if_cause: the same if ``cause`` were true.
         cause: the probable mix-up; empty where no tested one explains it.
         remedy: for the user.
         turned: whether a camera that was turned since it was calibrated would disagree in the same way.
@@ -73,14 +73,14 @@ class OutlierCamera:
 
     camera: str
     share: float
-    share_then: float
+    share_if_cause: float
     cause: str
     remedy: str
     turned: bool = False
 
     def sentence(self) -> str:
         """The problem and its remedy."""
-        then = f", {self.share_then:.0%} would if {self.cause}" if self.cause else ""
+        then = f", {self.share_if_cause:.0%} would if {self.cause}" if self.cause else ""
         return (
             f"camera {self.camera} disagrees with all others: {self.share:.0%} of its keypoints agree with "
             f"theirs{then}; {self.remedy}"

@@ -40,7 +40,7 @@ def rotation_observability(cameras: Sequence[Camera], seen: Observations, limits
     if len(cameras) < 2:
         return None
     rig = Rig(dict(enumerate(cameras)), seen, triangulate(seen.pixels, seen.confidence, cameras, limits), 0)
-    if int(rig.counted.sum()) < MIN_SHARED:
+    if int(rig.agreeing.sum()) < MIN_SHARED:
         return None
     lenses = lenses_as_given(cameras)
     found = estimate_once(rig, np.zeros(len(cameras)), lenses, ADULT_M, DetectorNoise.usual(cameras, limits))

@@ -18,7 +18,7 @@ import numpy as np
 from studiorecon.geometry.bundle import BundleResult, BundleSettings, move_camera
 from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.geometry.triangulation import Limits, triangulate
-from studiorecon.rig.bundle import Agreed, agreed, error_medians
+from studiorecon.rig.bundle import AgreeingObservations, agreeing_observations, error_medians
 from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.floor_marks import FloorMarks, floor_marks
 from studiorecon.rig.gravity import ANKLE_HEIGHT_M, lower_feet
@@ -54,16 +54,16 @@ class RoomRefinement:
         marks: shared points of the floor; None where only edges or people were used.
         adjusted: with their sigmas.
         report: numbers to report.
-        explained: whether the room is consistent with them, and people fit almost as well.
-        believed: whether the room clearly requires them; otherwise the cameras before may stay.
+        fits_people: whether the room is consistent with them, and people fit almost as well.
+        is_required: whether the room clearly requires them; otherwise the cameras before may stay.
     """
 
     cameras: list[Camera]
     marks: FloorMarks | None
     adjusted: BundleResult
     report: dict[str, Any]
-    explained: bool
-    believed: bool
+    fits_people: bool
+    is_required: bool
 
     def marks_m(self, limits: Limits) -> Num[np.ndarray, "N 3"]:
         """The points on the floor by these cameras."""
@@ -112,7 +112,7 @@ def refine_on_room(
     if result is None:
         return None
     people_px = [error_medians(c, seen, limits)[0] if len(seen.frame) else np.nan for c in (cameras, current)]
-    floor = [marks.off_sigmas(c, limits) if marks is not None else np.nan for c in (cameras, current)]
+    floor = [marks.error_sigmas(c, limits) if marks is not None else np.nan for c in (cameras, current)]
     report = {
         "places": 0 if marks is None else int(marks.pixels.shape[1]),
         "pairs": {}
@@ -124,9 +124,9 @@ def refine_on_room(
         "people_px_before": people_px[0],
         "people_px_after": people_px[1],
     }
-    explained = not people_px[1] > people_cost * people_px[0] and not floor[1] > _MAX_SIGMAS
+    fits_people = not people_px[1] > people_cost * people_px[0] and not floor[1] > _MAX_SIGMAS
     called = marks is None or (floor[0] >= CALLED_SIGMAS and floor[0] >= _CLEARLY * floor[1])
-    believed = bool(explained and called)
+    is_required = bool(fits_people and called)
     unsaid = np.zeros(result.sigma.shape[1])
     unsaid[:3], unsaid[3:6] = np.radians(_UNSAID_BY_EDGES_DEG if marks is None else _UNSAID_DEG), _UNSAID_M
     result = replace(result, sigma=np.hypot(result.sigma, unsaid))
@@ -134,9 +134,9 @@ def refine_on_room(
         current,
         marks,
         result,
-        {**report, "explained": bool(explained), "believed": believed},
-        bool(explained),
-        believed,
+        {**report, "explained": bool(fits_people), "believed": is_required},
+        bool(fits_people),
+        is_required,
     )
 
 
@@ -174,14 +174,14 @@ def _fit(
     prior: BundleSettings,
 ) -> BundleResult:
     """People, all frames of a joint as one observation, and the floor, adjusted with other cameras as prior."""
-    people = agreed(seen, current, limits) or _nothing(len(current))
+    people = agreeing_observations(seen, current, limits) or _nothing(len(current))
     count = len(people.points_m)
     if marks is not None:
         joined = marks.joined(people.pixels, people.weights, people.points_m, current, limits)
-        people = Agreed(*joined, people.used)
-    result = people.adjusted(current, about, limits, prior)
+        people = AgreeingObservations(*joined, people.used)
+    result = people.adjust(current, about, limits, prior)
     return replace(result, points_m=result.points_m[:count])
 
 
-def _nothing(views: int) -> Agreed:
-    return Agreed(np.zeros((views, 0, 2)), np.zeros((views, 0)), np.zeros((0, 3)), np.zeros(0, bool))
+def _nothing(views: int) -> AgreeingObservations:
+    return AgreeingObservations(np.zeros((views, 0, 2)), np.zeros((views, 0)), np.zeros((0, 3)), np.zeros(0, bool))

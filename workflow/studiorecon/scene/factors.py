@@ -33,7 +33,7 @@ class Factors:
 
     of: Mapping[str, Float[np.ndarray, "F 3"]] = field(default_factory=dict)
 
-    def even(self, camera: str, picture: Num[np.ndarray, "H W 3"], frame: int = 0) -> Num[np.ndarray, "H W 3"]:
+    def even_out(self, camera: str, picture: Num[np.ndarray, "H W 3"], frame: int = 0) -> Num[np.ndarray, "H W 3"]:
         """A picture, uint8 or float32 in [0, 1], divided by its factor and clipped; the same array without a factor."""
         if camera not in self.of:
             return picture
@@ -46,7 +46,7 @@ class Factors:
 
     def even_all(self, camera: str, pictures: Iterable[Num[np.ndarray, "H W 3"]]) -> Iterator[Num[np.ndarray, "H W 3"]]:
         """``even`` of every picture of a film, from its first frame on."""
-        return (self.even(camera, picture, frame) for frame, picture in enumerate(pictures))
+        return (self.even_out(camera, picture, frame) for frame, picture in enumerate(pictures))
 
 
 NONE = Factors()

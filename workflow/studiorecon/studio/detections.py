@@ -84,8 +84,8 @@ def _hidden(points_m: np.ndarray, lens: Lens, tracer: Tracer, own: int) -> tuple
     towards = points_m - centre_m(lens)
     hits = tracer.cast(centre_m(lens), towards)
     gap_m = (1 - hits.distance) * np.linalg.norm(towards, axis=1)
-    other = hits.met & (hits.solid != own) & (gap_m > 0.01)
-    return hits.met & (hits.solid == own) & (gap_m > _OWN_BODY_M), other
+    other = hits.is_hit & (hits.solid != own) & (gap_m > 0.01)
+    return hits.is_hit & (hits.solid == own) & (gap_m > _OWN_BODY_M), other
 
 
 def _phantom(count: int, lens: Lens, rng: np.random.Generator) -> np.ndarray:

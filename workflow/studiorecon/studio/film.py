@@ -66,7 +66,7 @@ def trace_backdrop(lens: Lens, solids: list[Mesh], supersampling: int) -> Backdr
     )
     for s, subset in enumerate(rays):
         hits = tracer.cast(centre_m(lens), subset)
-        if not hits.met.all():
+        if not hits.is_hit.all():
             raise ValueError(f"camera {lens.name} faces out of the room")
         depth[s], seen[s] = hits.distance, hits.solid
         origins = np.broadcast_to(centre_m(lens).astype(np.float32), subset.shape)
@@ -114,7 +114,10 @@ def render_frame(
         # The room keeps its stored colour wherever no moving solid is visible or casts a shadow: the same bits from
         # frame to frame. Half the lamp points suffice for moving solids; the room must be lit by the same ones as in
         # its stored colour.
-        for part, lamps in ((is_moving, scene.lamps[s][::2]), (hits.met & ~is_moving & again[retrace], scene.lamps[s])):
+        for part, lamps in (
+            (is_moving, scene.lamps[s][::2]),
+            (hits.is_hit & ~is_moving & again[retrace], scene.lamps[s]),
+        ):
             chosen = np.flatnonzero(part)
             if len(chosen):
                 origins = np.broadcast_to(origin, (len(chosen), 3))

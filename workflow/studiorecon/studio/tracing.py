@@ -43,7 +43,7 @@ class Hits:
     normal: Float[np.ndarray, "N 3"]
 
     @property
-    def met(self) -> Bool[np.ndarray, " N"]:
+    def is_hit(self) -> Bool[np.ndarray, " N"]:
         """Rays that hit a solid."""
         return self.solid >= 0
 
@@ -201,7 +201,7 @@ def radiance(
         outgoing = incoming - 2 * across[:, None] * normals
         starts = surface.points_m[glossy] + normals * _SKIN_M
         mirrored = tracer.cast(starts, outgoing)
-        seen = np.flatnonzero(mirrored.met)
+        seen = np.flatnonzero(mirrored.is_hit)
         reflection = np.zeros((len(glossy), 3))
         reflection[seen] = radiance(
             solids, tracer, mirrored.take(seen), starts[seen], outgoing[seen], lamps, bounces - 1

@@ -50,13 +50,13 @@ def run(records: list[Path], page: Written, table: Written) -> None:
         if record["machine"] != read[0]["machine"]:
             raise UserError(f"{path} was measured on another machine than {records[0]}: their seconds do not compare")
     scenes = {name: [r for r in read if r["scene"] == name] for name in dict.fromkeys(r["scene"] for r in read)}
-    body = [f"<h1>What accuracy costs: {html.escaped(', '.join(scenes))}</h1>"]
+    body = [f"<h1>What accuracy costs: {html.escape(', '.join(scenes))}</h1>"]
     for name, rows in scenes.items():
         body.append(scene_section(name, rows))
     if len(scenes) > 1:
         body.append(_mean_effects(scenes))
     machine = ", ".join(f"{key} {value}" for key, value in read[0]["machine"].items())
-    body.append(f'<p class="soft">{html.escaped(machine)}. Scoring and filming a synthetic studio are not counted.</p>')
+    body.append(f'<p class="soft">{html.escape(machine)}. Scoring and filming a synthetic studio are not counted.</p>')
     write_text(page, html.page("What accuracy costs", body))
     write_text(table, as_csv(read))
     say(f"the page needs no network: {page}")
@@ -154,7 +154,7 @@ def _effects(base: Record, done: Sequence[Record]) -> str:
         effect = "?" if interval is None else "no" if interval[0] <= 0 <= interval[1] else "yes"
         rows.append([record["parameter"], record["name"], f"{gain_db:+.2f} dB", span, effect, f"{step_s:+.0f} s"])
     header = ["parameter", "value", "PSNR", "95 % interval", "measurable", "time"]
-    return f"<h3>Parameters, one at a time compared with {html.escaped(base['name'])}</h3>" + html.table(
+    return f"<h3>Parameters, one at a time compared with {html.escape(base['name'])}</h3>" + html.table(
         header, rows, (2, 3, 5)
     )
 
@@ -208,7 +208,7 @@ def chart(names: Sequence[str], seconds: Sequence[float], qualities: Sequence[fl
     parts.append(f'<path d="{path}" style="fill:none;stroke:var(--mark);stroke-width:2"/>')
     for i, name in enumerate(names):
         look = "fill:var(--mark)" if i in front else "fill:var(--paper);stroke:var(--soft)"
-        tip = f"<title>{html.escaped(f'{name}: {qualities[i]:.2f}, {duration(seconds[i])}')}</title>"
+        tip = f"<title>{html.escape(f'{name}: {qualities[i]:.2f}, {duration(seconds[i])}')}</title>"
         parts.append(f'<circle cx="{x(seconds[i]):.1f}" cy="{y(qualities[i]):.1f}" r="5" style="{look}">{tip}</circle>')
         if i in front:
             left = x(seconds[i]) > 0.8 * _WIDTH
@@ -223,5 +223,5 @@ def chart(names: Sequence[str], seconds: Sequence[float], qualities: Sequence[fl
 
 def _text(x: float, y: float, content: str, anchor: str) -> str:
     return (
-        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" style="fill:var(--soft)">{html.escaped(content)}</text>'
+        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" style="fill:var(--soft)">{html.escape(content)}</text>'
     )

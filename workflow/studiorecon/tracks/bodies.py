@@ -111,7 +111,7 @@ def read_bodies(path: Path, estimator: type[BodyEstimator]) -> list[tuple[int, B
         if values.dtype.kind not in "biuf" or not np.isfinite(values).all():
             raise UserError(f"{path}: {name} holds numbers that are not finite; remove those rows")
     with user_file_context(path, "a file of one row per person and frame"):
-        return estimator.stored(rows, str(path))
+        return estimator.read_stored(rows, str(path))
 
 
 def _rows(path: Path) -> dict[str, np.ndarray]:

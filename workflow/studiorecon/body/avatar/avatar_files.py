@@ -124,14 +124,14 @@ class Avatar:
             low
         ] + share * self.trans[low + 1]
 
-    def there(self, frame: float) -> bool:
+    def is_present(self, frame: float) -> bool:
         """Whether the person is present at a 0-based, possibly fractional frame; the nearest frame decides."""
         at = float(np.clip(frame, 0, self.frames - 1))
         return bool(self.present[int(at) + (at - int(at) > 0.5)])
 
     def joints_m(self, frame: float) -> Num[np.ndarray, "24 3"]:
         """World joints at a possibly fractional frame, metres; infinitely far away while the person is away."""
-        return self._moved(frame)[1] if self.there(frame) else np.full((24, 3), np.inf)
+        return self._moved(frame)[1] if self.is_present(frame) else np.full((24, 3), np.inf)
 
     def world_from_rest(self, frame: float) -> Num[np.ndarray, "24 4 4"]:
         """Transforms of the joints at a 0-based, possibly fractional frame; read-only."""
@@ -154,18 +154,18 @@ class Avatar:
         return Posing(self.bones, self.weights)
 
     @property
-    def drifting(self) -> Bool[np.ndarray, " N"]:
+    def drift_mask(self) -> Bool[np.ndarray, " N"]:
         """Which Gaussians ``network`` acts on: the measured ones, or all."""
         everywhere = self.network is not None and self.network.everywhere
         return np.ones(len(self.provenance), bool) if everywhere else self.provenance == MEASURED
 
     @cached_property
     def _drift(self) -> Drift | None:
-        return Drift(self.network, self.gaussians.means_m[self.drifting]) if self.network else None
+        return Drift(self.network, self.gaussians.means_m[self.drift_mask]) if self.network else None
 
     def appearance_at(self, frame: float) -> tuple[Float[np.ndarray, "N K 3"], Float[np.ndarray, " N"]]:
         """Harmonics and logit opacities of the canonical Gaussians at a frame, with the network's residuals."""
-        own, seen = self.gaussians, self.drifting
+        own, seen = self.gaussians, self.drift_mask
         if self._drift is None or not seen.any():
             return own.sh, own.logit_opacities
         colour, logit = self._drift.residuals(frame)
@@ -183,7 +183,7 @@ class Avatar:
     def posed(self, frame: float) -> Gaussians:
         """The person's Gaussians in the world at a frame; as many, but invisible, while the person is away."""
         own = self.gaussians
-        if not self.there(frame):
+        if not self.is_present(frame):
             return own.undrawn()
         sh, logits = self.appearance_at(frame)
         means, quaternions, sh = self._posing.out(own.means_m, own.quaternions, sh, self.world_from_rest(frame))

@@ -60,7 +60,7 @@ class ControlPoints:
         kernels.spread(self.near, self.shares, np.ascontiguousarray(values, np.float32), out)
         return out
 
-    def gathered(self, gradient: Num[np.ndarray, "N C"]) -> Float[np.ndarray, "M C"]:
+    def gather_gradient(self, gradient: Num[np.ndarray, "N C"]) -> Float[np.ndarray, "M C"]:
         """Gradient by the points' values, float32, from that by the Gaussians'; NaN and inf count 0."""
         from studiorecon.body.avatar import kernels
 

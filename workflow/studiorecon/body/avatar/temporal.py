@@ -160,7 +160,7 @@ class TemporalNetwork:
         back = np.empty((len(by_colour), _OUTPUTS), self.flat.dtype)
         back[:, :3], back[:, 3] = by_colour, by_logit
         if self.control is not None:
-            back = self.control.gathered(back).astype(self.flat.dtype, copy=False)
+            back = self.control.gather_gradient(back).astype(self.flat.dtype, copy=False)
         back[~np.isfinite(back)] = 0
         # Gaussians that no camera sees have no gradient: about half of a body.
         taught = np.flatnonzero(back.any(axis=1))

@@ -34,7 +34,9 @@ class State:
         """The state of some frames."""
         return State(self.local[frames], self.trans[frames], self.betas, self.log_scale, self.corrections)
 
-    def put(self, frames: Bool[np.ndarray, " F"] | Integer[np.ndarray, " part"] | slice, part: State) -> State:
+    def replace_frames(
+        self, frames: Bool[np.ndarray, " F"] | Integer[np.ndarray, " part"] | slice, part: State
+    ) -> State:
         """The state with ``frames`` replaced by those of ``part``; shared unknowns stay."""
         local, trans = self.local.copy(), self.trans.copy()
         local[frames], trans[frames] = part.local, part.trans

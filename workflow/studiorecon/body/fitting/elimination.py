@@ -114,7 +114,7 @@ class Equations:
         precision = self._problem.shared_precision
         shared, side = np.diag(precision), precision * self.state.shared
         for some in self._blocks:
-            normal = self._only or self._problem.only(some).normal(self.state.at(some), shared, side)
+            normal = self._only or self._problem.select_frames(some).normal(self.state.at(some), shared, side)
             self._only = normal if len(self._blocks) == 1 else None
             for kind in kinds:
                 if (factors := _factors(normal, damping[some], floor, kind)) is not None:

@@ -53,9 +53,9 @@ def descend(problem: Problem, state: State, iterations: int, tolerance: float) -
             return state, equations, step, True
         if 0 < busy.sum() <= _FEW * len(busy):
             part, costs[busy], damping[busy] = descend_per_frame(
-                problem.only(busy), state.at(busy), costs[busy], iterations, tolerance, damping[busy]
+                problem.select_frames(busy), state.at(busy), costs[busy], iterations, tolerance, damping[busy]
             )
-            state = state.put(busy, part)
+            state = state.replace_frames(busy, part)
     return state, equations, iterations, False
 
 
@@ -67,11 +67,11 @@ def _reject_worse_steps(
     worse = new_costs > costs
     if worse.any():
         old = State(state.local[worse], state.trans[worse], moved.betas, moved.log_scale, moved.corrections)
-        held_costs = problem.only(worse).costs(old)
+        held_costs = problem.select_frames(worse).costs(old)
         better = held_costs < new_costs[worse]
         worse[worse] = better
         new_costs[worse] = held_costs[better]
-        moved = moved.put(
+        moved = moved.replace_frames(
             worse, State(old.local[better], old.trans[better], moved.betas, moved.log_scale, moved.corrections)
         )
     return moved, new_costs, worse
@@ -92,9 +92,9 @@ def descend_per_frame(
     costs, damping = costs.copy(), np.full(len(costs), _DAMPING) if damping is None else damping.copy()
     for some in blocks(len(costs)):
         part, costs[some], damping[some] = _alone(
-            problem.only(some), state.at(some), costs[some], iterations, tolerance, damping[some]
+            problem.select_frames(some), state.at(some), costs[some], iterations, tolerance, damping[some]
         )
-        state = state.put(some, part)
+        state = state.replace_frames(some, part)
     return state, costs, damping
 
 
@@ -103,13 +103,13 @@ def _alone(
 ) -> tuple[State, np.ndarray, np.ndarray]:
     busy = np.ones(len(costs), dtype=bool)
     for _ in range(iterations):
-        part, old = problem.only(busy), state.at(busy)
+        part, old = problem.select_frames(busy), state.at(busy)
         moved = part.own_step(old, part.own(old), damping[busy])
         new_costs = part.costs(moved)
         before = costs[busy]
         better = new_costs < before
         at = np.flatnonzero(busy)
-        state = state.put(at[better], moved.at(better))
+        state = state.replace_frames(at[better], moved.at(better))
         costs[at[better]] = new_costs[better]
         damping[at] = np.where(better, np.maximum(damping[at] / _LESS, _MIN_DAMPING), damping[at] * _MORE)
         # A frame has converged when a step gains little, or when none gains however short it is.

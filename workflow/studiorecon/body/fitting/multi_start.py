@@ -56,7 +56,7 @@ def best_start(
 
     About 10 ms for each chosen frame. Shape and corrections stay.
     """
-    part, first = problem.only(chosen), state.at(chosen)
+    part, first = problem.select_frames(chosen), state.at(chosen)
     solutions, costs = [first], [part.costs(first)]
     for turn in _TURNS:
         local = np.tile(prior.mean_pose(), (len(first.trans), 1, 1, 1))
@@ -85,4 +85,4 @@ def best_start(
         parts += weight[:, None] * rotations.angle(posed.world, at_best.world) ** 2
     spread = Spread(*(np.zeros((len(chosen), *a.shape[1:])) for a in (joints, turns, parts)))
     spread.joints_m2[chosen], spread.turns_rad2[chosen], spread.parts_rad2[chosen] = joints, turns, parts
-    return state.put(chosen, best), spread
+    return state.replace_frames(chosen, best), spread

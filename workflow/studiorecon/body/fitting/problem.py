@@ -88,7 +88,7 @@ class Problem:
         )
         self.shared_precision = len(evidence.targets_m) * alone
 
-    def only(self, frames: Bool[np.ndarray, " F"] | slice) -> Problem:
+    def select_frames(self, frames: Bool[np.ndarray, " F"] | slice) -> Problem:
         """The same problem in some frames."""
         part, given = copy.copy(self), self.evidence
         part.evidence = PointEvidence(self.basis, given.targets_m[frames], given.precision[frames], given.share[frames])

@@ -42,18 +42,18 @@ def compare_edges(
     before = edge_contradiction(given, edge_rotations(given, rooms))
     if before is None:
         return {"comparable": False, "clear": False}
-    moved = people is not None and (people.elsewhere or people.better)
+    moved = people is not None and (people.has_moved or people.fits_better)
     cameras = [people.cameras[v] for v in known] if people is not None and moved else given
     after = edge_contradiction(cameras, edge_rotations(cameras, rooms)) if moved else before
     mended, after_deg, between_deg, worse = False, None, None, None
     if after is not None:
         mended, after_deg = before.clear and not after.clear, after.off_deg
         # For cameras that were moved since, the edges were already used together with people.
-        if after.clear and len(seen.frame) and not (people is not None and people.elsewhere):
+        if after.clear and len(seen.frame) and not (people is not None and people.has_moved):
             right = refine_on_edges(given, cameras, after, seen, rooms, limits, bundle)
             if right is not None:
                 worse = right.people_px[1] / right.people_px[0] - 1
-            if right is not None and right.believed:
+            if right is not None and right.is_required:
                 cameras, mended, after_deg, between_deg = right.cameras, True, right.off_deg, right.between_deg
     return {
         "comparable": True,

@@ -77,9 +77,9 @@ def examine(
         refined = refined_on_people(
             *(cameras, detections, watched, frames, fit.median_px, good_px), *described, settings.bundle, rooms
         )
-    if people and (fit.median_px is None or any(e is None or e > limit_px for e in fit.each_px)):
+    if people and (fit.median_px is None or any(e is None or e > limit_px for e in fit.per_camera_px)):
         odd = find_outlier_camera(cameras, detections, chosen, *described)
-        if odd is not None and (not odd.cause or odd.turned) and refined is not None and refined.elsewhere:
+        if odd is not None and (not odd.cause or odd.turned) and refined is not None and refined.has_moved:
             odd = None  # moved cameras explain it
     shown, shown_points = _best_frame(cameras, fit.seen, settings.limits)
     middle, reach = _volume(cameras, fit.points_m)
@@ -96,7 +96,7 @@ def examine(
         "median_mm": fit.median_mm(cameras),
         "refined": None if refined is None else refined.as_json(cameras),
         "edges": compare_edges(cameras, refined, fit.seen, rooms, settings.limits, settings.bundle),
-        "px_per_camera": dict(zip(names, fit.each_px)),
+        "px_per_camera": dict(zip(names, fit.per_camera_px)),
         "shown_frame": shown,
         "sync": dict(sync or {"sentences": [], "refusal": "", "lags_frames": {}}),
         "keypoints": {key: list((keypoints or {}).get(key, [])) for key in ("refused", "notes")},
@@ -117,7 +117,7 @@ class _Fit:
 
     seen: Observations
     median_px: float | None
-    each_px: Sequence[float | None]
+    per_camera_px: Sequence[float | None]
     points_m: np.ndarray
 
     def median_mm(self, cameras: Sequence[Camera]) -> float | None:

@@ -33,8 +33,8 @@ class RefinedCameras:
     Attributes:
         cameras: with the refined poses.
         seen: the observations of people.
-        px, elsewhere: their median error, and whether the cameras are clearly at other poses than given.
-        better: whether people fit clearly better with them, so that refinement keeps them.
+        px, has_moved: their median error, and whether the cameras are clearly at other poses than given.
+        fits_better: whether people fit clearly better with them, so that refinement keeps them.
         disagreement_deg, between_deg: uncertainty of the cameras' relative rotation (``rotation_observability``); None
             with too few data.
     """
@@ -42,8 +42,8 @@ class RefinedCameras:
     cameras: list[Camera]
     seen: Observations
     px: float
-    elsewhere: bool
-    better: bool
+    has_moved: bool
+    fits_better: bool
     disagreement_deg: float | None
     between_deg: float | None
 
@@ -51,8 +51,8 @@ class RefinedCameras:
         """The numbers, with every camera's move from its given pose."""
         return {
             "px": self.px,
-            "elsewhere": self.elsewhere,
-            "better": self.better,
+            "elsewhere": self.has_moved,
+            "better": self.fits_better,
             "moves": move_by_camera(self.cameras, given),
             "disagreement_deg": self.disagreement_deg,
             "between_deg": self.between_deg,

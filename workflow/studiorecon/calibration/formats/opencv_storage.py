@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
-from studiorecon.camera_files.lens_kinds import coefficients, model_in
+from studiorecon.camera_files.lens_kinds import coefficients, lens_model
 from studiorecon.camera_files.raw_camera import (
     RawCamera,
     camera_from_world_of_pose,
@@ -152,7 +152,7 @@ def read_camera(name: str, table: Mapping[str, Any], where: str) -> RawCamera:
         width, height = numbers(held["size"], f"{where}: its size").reshape(-1)
     else:
         width, height = (float(held.get(side, 0)) for side in ("width", "height"))
-    model = model_in(table, where)
+    model = lens_model(table, where)
     return RawCamera(
         name=name,
         wh=(round(width), round(height)),

@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
-from studiorecon.camera_files.lens_kinds import coefficients, model_in
+from studiorecon.camera_files.lens_kinds import coefficients, lens_model
 from studiorecon.camera_files.raw_camera import (
     RawCamera,
     finite_vector,
@@ -68,7 +68,7 @@ def camera_of_table(name: str, table: dict, path: Path, notes: list[str]) -> Raw
     if size.shape != (2,):
         raise UserError(f"{where}: size holds {size.size} numbers; it must be width and height")
     width, height = size.tolist()
-    model = model_in(table, where)
+    model = lens_model(table, where)
     return RawCamera(
         name=name,
         wh=(round(width), round(height)),

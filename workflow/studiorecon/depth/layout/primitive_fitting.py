@@ -205,7 +205,7 @@ class Proposals:
                 heapq.heappush(self._heap, entry)
             found = [(self._primitives[k], -price) for price, k in best]
             found = [
-                one for one in found if not (contains_any(one[0][None], refused_m)[0] and room.contradicted(one[0]))
+                one for one in found if not (contains_any(one[0][None], refused_m)[0] and room.is_contradicted(one[0]))
             ]
             if found:
                 return found
@@ -231,7 +231,7 @@ def fit_primitives(
     An object that only one camera sees is put at its foot in that camera's picture at ``full`` size, loaded by number.
     The platform comes first. Costs some 10 s for four pictures 160 pixels wide.
     """
-    room = PhotoCostVolume.by_room_box(pictures, room_box, window, mean_weight)
+    room = PhotoCostVolume.of_empty_room(pictures, room_box, window, mean_weight)
     evidence: list[float] = []
     if room_box.platform is not None:
         stood_on = _platform_box(room_box.platform, room_box)
@@ -267,7 +267,7 @@ def fit_primitives(
         others.keep(tried)
         legs.keep(leg)
         if not is_leg:
-            if room.contradicted(primitive):
+            if room.is_contradicted(primitive):
                 middle = np.array([[*primitive[1:3], primitive[6:].mean()]])
                 refused_m = np.concatenate([refused_m, append_distance(middle, _REFUSED_M)])
                 continue

@@ -58,10 +58,10 @@ class PhotoCostVolume:
         at, z: (V, V, H, W) flat pixel in the other camera, and depth there.
         begin, judged: (V, H W + 1) and (V, V H W): the pixels that each pixel judges (``kernels.invert_visibility``).
         cost: cost of every pixel; 0 where the photo is not known.
-        judges: number of other cameras that see its surface.
+        view_count: number of other cameras that see its surface.
         half, mean_weight: half a window in pixels, weight of a difference of means.
         floor_m: height of the floor.
-        bare: depth and surface of the room box alone.
+        empty_room: depth and surface of the room box alone.
         odds: ``self_dissimilarity.foreground_log_odds`` of the room box alone.
         primitives: those added so far.
     """
@@ -79,16 +79,16 @@ class PhotoCostVolume:
     begin: Integer[np.ndarray, "V S"]
     judged: Integer[np.ndarray, "V T"]
     cost: Float[np.ndarray, "V H W"]
-    judges: Integer[np.ndarray, "V H W"]
+    view_count: Integer[np.ndarray, "V H W"]
     half: int
     mean_weight: float
     floor_m: float
-    bare: tuple[Float[np.ndarray, "V H W"], Integer[np.ndarray, "V H W"]]
+    empty_room: tuple[Float[np.ndarray, "V H W"], Integer[np.ndarray, "V H W"]]
     odds: Float[np.ndarray, "V H W"]
     primitives: Float[np.ndarray, "K 8"]
 
     @staticmethod
-    def by_room_box(
+    def of_empty_room(
         pictures: Sequence[Picture], room_box: RoomBox, window: int, mean_weight: float, looks: bool = True
     ) -> PhotoCostVolume:
         """The empty room: every pixel on the room box. Without ``looks`` dissimilarity (``odds``) is left at 0."""
@@ -108,8 +108,8 @@ class PhotoCostVolume:
             np.stack([p.camera.centre_m for p in pictures]),
         )
         pair, at, z = (np.zeros((count, *shape), kind) for kind in (np.float32, np.int32, np.float32))
-        cost, judges, odds = (np.zeros(shape, kind) for kind in (np.float32, np.uint8, np.float32))
-        bare = depth_m.copy(), surface.copy()
+        cost, view_count, odds = (np.zeros(shape, kind) for kind in (np.float32, np.uint8, np.float32))
+        empty_room = depth_m.copy(), surface.copy()
         room = PhotoCostVolume(
             lens,
             pose,
@@ -124,11 +124,11 @@ class PhotoCostVolume:
             np.zeros((count, 1), np.int64),
             np.zeros((count, 0), np.int32),
             cost,
-            judges,
+            view_count,
             window // 2,
             mean_weight,
             float(room_box.low_m[2]),
-            bare,
+            empty_room,
             odds,
             np.zeros((0, 8)),
         )
@@ -140,10 +140,10 @@ class PhotoCostVolume:
 
     def nearest(self, view: int, hw: tuple[int, int]) -> tuple[Surface, Integer[np.ndarray, "h w"]]:
         """The surfaces that one view of ``hw`` pixels sees, and their numbers."""
-        depth_m, cost, judges, number = (
-            a[view, : hw[0], : hw[1]].copy() for a in (self.depth, self.cost, self.judges, self.surface)
+        depth_m, cost, view_count, number = (
+            a[view, : hw[0], : hw[1]].copy() for a in (self.depth, self.cost, self.view_count, self.surface)
         )
-        return Surface(depth_m, cost, judges > 0), number
+        return Surface(depth_m, cost, view_count > 0), number
 
     def of_depth(self, view: int, depth_m: Float[np.ndarray, "h w"]) -> Surface:
         """Any depth map of one view, judged by the others where their own surfaces do not hide it."""
@@ -152,16 +152,20 @@ class PhotoCostVolume:
         depth[view] = 0
         depth[view, :rows, :columns] = depth_m
         known = self.known & (depth > 0)
-        pair, at, z, cost, judges = (np.zeros_like(a) for a in (self.pair, self.at, self.z, self.cost, self.judges))
+        pair, at, z, cost, view_count = (
+            np.zeros_like(a) for a in (self.pair, self.at, self.z, self.cost, self.view_count)
+        )
         surface, how = np.zeros_like(self.surface), (self.half, self.mean_weight)
-        explain_all(self.lens, self.pose, self.centre, self.rgb, known, depth, surface, pair, at, z, cost, judges, *how)
-        return Surface(depth_m, cost[view, :rows, :columns], judges[view, :rows, :columns] > 0)
+        explain_all(
+            self.lens, self.pose, self.centre, self.rgb, known, depth, surface, pair, at, z, cost, view_count, *how
+        )
+        return Surface(depth_m, cost[view, :rows, :columns], view_count[view, :rows, :columns] > 0)
 
     def gains(self, primitives: Float[np.ndarray, "N 8"], looks: bool = True) -> Float[np.ndarray, " N"]:
         """Decrease of all pixels' cost with each of the primitives added alone; without ``looks`` by agreement only."""
         return self._gains_and_costs(primitives, looks)[:, 0]
 
-    def contradicted(self, primitive: Float[np.ndarray, " 8"]) -> bool:
+    def is_contradicted(self, primitive: Float[np.ndarray, " 8"]) -> bool:
         """Whether the pixels that show a primitive match no better than before, so that it only hides wrong matches.
 
         A wall or floor in the wrong place matches nothing, and everything that hides it explains the photos better.
@@ -201,7 +205,7 @@ class PhotoCostVolume:
     def replace_all(self, primitives: Float[np.ndarray, "K 8"]) -> None:
         """Explain the room with these primitives and no other."""
         self.primitives = np.ascontiguousarray(primitives, np.float64).reshape(-1, 8)
-        self.depth[:], self.surface[:] = self.bare
+        self.depth[:], self.surface[:] = self.empty_room
         for k, primitive in enumerate(self.primitives):
             draw_primitive(
                 self.lens, self.pose, self.centre, self.known, self.depth, self.surface, primitive, FIRST + 10 * k
@@ -214,7 +218,7 @@ class PhotoCostVolume:
             self.at,
             self.z,
             self.cost,
-            self.judges,
+            self.view_count,
             self.half,
             self.mean_weight,
         )

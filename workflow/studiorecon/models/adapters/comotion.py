@@ -194,7 +194,7 @@ class Comotion:
         self._network.to(self._device).eval()
 
     @staticmethod
-    def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[tuple[int, Bodies]]:
+    def read_stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[tuple[int, Bodies]]:
         """The stored bodies; see ``models.protocols.BodyEstimator``."""
         return read_bodies(rows, where)
 

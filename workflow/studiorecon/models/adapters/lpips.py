@@ -172,7 +172,7 @@ class Lpips:
             taken.append(x)
         return taken
 
-    def measured(self, prediction: Integer[np.ndarray, "H W 3"], truth: Integer[np.ndarray, "H W 3"]) -> float | None:
+    def measure(self, prediction: Integer[np.ndarray, "H W 3"], truth: Integer[np.ndarray, "H W 3"]) -> float | None:
         """LPIPS of two uint8 pictures; None when a side is under 64 pixels. Raises ValueError when they differ in
         size."""
         import torch

@@ -21,7 +21,7 @@ from studiorecon.people.association import terms
 from studiorecon.people.association.affinity import AssociationLimits
 from studiorecon.people.association.gaps import Return
 from studiorecon.people.association.group import Group
-from studiorecon.people.association.grouping import Compared, groups_and_returns, track_margins
+from studiorecon.people.association.grouping import TrackComparison, groups_and_returns, track_margins
 from studiorecon.people.association.picture_terms import picture_terms
 from studiorecon.people.association.rejected_people import RejectedPerson, list_rejected
 from studiorecon.people.association.terms import Term, total_nats
@@ -70,7 +70,7 @@ def identities_from_keypoints(
     Candidates are all groups on which the keypoints of two cameras or more agree. ``witnesses``: every camera's
     evidence other than its film.
     """
-    compared = Compared.of(given, cameras, frames, fps, association, triangulation)
+    compared = TrackComparison.from_detections(given, cameras, frames, fps, association, triangulation)
     groups, returns = groups_and_returns(compared, compare_clothes(cameras, videos) if videos else None)
     about, accepted = _judge(groups, compared, videos, witnesses)
     kept = name_people([g for g, one in zip(groups, accepted) if one])
@@ -88,7 +88,10 @@ def identities_from_keypoints(
 
 
 def _judge(
-    groups: Sequence[Group], compared: Compared, videos: Sequence[Path], witnesses: Sequence[CameraEvidence | None]
+    groups: Sequence[Group],
+    compared: TrackComparison,
+    videos: Sequence[Path],
+    witnesses: Sequence[CameraEvidence | None],
 ) -> tuple[list[list[Term]], Bool[np.ndarray, " G"]]:
     """The terms of each group, and which groups are people.
 
@@ -114,9 +117,9 @@ def _judge(
     return about, accepted
 
 
-def _keypoint_terms(group: Group, compared: Compared, rig_m: float) -> list[Term]:
+def _keypoint_terms(group: Group, compared: TrackComparison, rig_m: float) -> list[Term]:
     """Terms of a group from its keypoints alone."""
-    between = np.ix_(*2 * [compared.rows(group)])
+    between = np.ix_(*2 * [compared.member_rows(group)])
     lengths = terms.bone_lengths_m(group.points_m)
     extremities_m = terms.extremities_m(
         group.members, compared.detections, compared.cameras, compared.frames, compared.agree
@@ -133,7 +136,7 @@ def _keypoint_terms(group: Group, compared: Compared, rig_m: float) -> list[Term
     ]
 
 
-def rig_sigma_m(compared: Compared) -> float:
+def rig_sigma_m(compared: TrackComparison) -> float:
     """Deviation, m, of rays to one joint due to the cameras: the usual distance of rays of tracks that can be one
     person, weighted by their time; 0 with too few."""
     pairs = compared.pairs
@@ -177,7 +180,7 @@ def name_people(groups: Sequence[Group]) -> list[Group]:
 
 
 def _verdicts(
-    kept: Sequence[Group], rejected: Sequence[tuple[Group, Sequence[Term]]], compared: Compared
+    kept: Sequence[Group], rejected: Sequence[tuple[Group, Sequence[Term]]], compared: TrackComparison
 ) -> dict[tuple[str, int], TrackVerdict]:
     """(camera, track) → verdict of every track; who is rejected or undecided is logged."""
     table, nan, cameras = {}, float("nan"), compared.cameras
@@ -200,7 +203,7 @@ def _verdicts(
     return table
 
 
-def _row(number: int, group: Group, compared: Compared) -> tuple[str, int, str, float, str]:
+def _row(number: int, group: Group, compared: TrackComparison) -> tuple[str, int, str, float, str]:
     """The line of people.tsv."""
     names = group.seen_by(compared.cameras)
     confidence = float(np.nanmean(group.agreement))
@@ -219,7 +222,7 @@ def _report_returns(
     """Log who kept the name over a gap, and ask where two names may be one person."""
     for one in returns:
         before, after = (table[cameras[v].name, t].person for v, t in (one.before, one.after))
-        because = ", ".join(f"{term.said} ({term.nats:+.1f})" for term in one.terms)
+        because = ", ".join(f"{term.text} ({term.nats:+.1f})" for term in one.terms)
         if one.joined and before:
             say(
                 f"{before} is away from {one.left_s:.1f} to {one.back_s:.1f} s and keeps the name by "

@@ -27,7 +27,7 @@ _COMPARABLE, _CLEARLY = 6, 0.25
 
 
 @dataclass(frozen=True)
-class Compared:
+class TrackComparison:
     """All cameras' detections of a capture, their stable keypoints, and the affinities of their tracks.
 
     Attributes:
@@ -44,21 +44,21 @@ class Compared:
     pairs: TrackPairs
 
     @staticmethod
-    def of(
+    def from_detections(
         detections: Sequence[Detections],
         cameras: Sequence[Camera],
         frames: int,
         fps: float,
         limits: AssociationLimits,
         agree: Limits,
-    ) -> Compared:
+    ) -> TrackComparison:
         """Of the detections of all cameras; raises UserError when the settings need data that no detection has."""
         require_measured(detections, cameras, limits)
         stable = stable_detections(detections)
         pairs = track_pairs(detections, stable, cameras, limits)
-        return Compared(detections, stable, cameras, frames, fps, limits, agree, pairs)
+        return TrackComparison(detections, stable, cameras, frames, fps, limits, agree, pairs)
 
-    def rows(self, group: Group) -> list[int]:
+    def member_rows(self, group: Group) -> list[int]:
         """Rows of the pairs that are the group's members."""
         node = {member: n for n, member in enumerate(self.pairs.nodes)}
         return [node[m] for m in group.members]
@@ -81,10 +81,10 @@ def group_tracks(
     ``limits.method`` "tracks": whole tracks of all views together, checked by triangulation, joined over gaps. "star":
     the paper's single frame and reference view, unchanged.
     """
-    return groups_and_returns(Compared.of(detections, cameras, frames, fps, limits, agree))[0]
+    return groups_and_returns(TrackComparison.from_detections(detections, cameras, frames, fps, limits, agree))[0]
 
 
-def groups_and_returns(compared: Compared, clothes: Clothes | None = None) -> tuple[list[Group], list[Return]]:
+def groups_and_returns(compared: TrackComparison, clothes: Clothes | None = None) -> tuple[list[Group], list[Return]]:
     """The same of compared detections, and who may have returned; ``clothes`` compares what groups wear."""
     pairs, stable = compared.pairs, compared.stable
     if compared.limits.method == "star":
@@ -103,17 +103,17 @@ def groups_and_returns(compared: Compared, clothes: Clothes | None = None) -> tu
     return join_over_gaps(groups, stable, compared.fps, compared.group, clothes)
 
 
-def track_margins(groups: Sequence[Group], compared: Compared) -> dict[tuple[int, int], float]:
+def track_margins(groups: Sequence[Group], compared: TrackComparison) -> dict[tuple[int, int], float]:
     """By how much every grouped (view, track) prefers its group to the next best one (A12).
 
     Below ``undecided_margin`` it is undecided.
     """
-    rows = [compared.rows(g) for g in groups]
+    rows = [compared.member_rows(g) for g in groups]
     found = node_margins(compared.pairs, rows)
     return {m: float(found[n]) for g, own in zip(groups, rows) for m, n in zip(g.members, own)}
 
 
-def _fit(member: tuple[int, int], group: Group, compared: Compared) -> tuple[float, int]:
+def _fit(member: tuple[int, int], group: Group, compared: TrackComparison) -> tuple[float, int]:
     """(share of a track's keypoints within the outlier limit of the group's points, number of comparable ones)."""
     view, track = member
     mine, camera, agree = compared.stable[view], compared.cameras[view], compared.agree
@@ -126,7 +126,7 @@ def _fit(member: tuple[int, int], group: Group, compared: Compared) -> tuple[flo
     return (float((np.where(comparable, error, np.inf) < limit).sum() / total) if total else float("nan")), total
 
 
-def _without_strangers(group: Group, compared: Compared) -> Group | None:
+def _without_strangers(group: Group, compared: TrackComparison) -> Group | None:
     """The group without tracks that disagree with its points, worst first; None when fewer than two cameras remain."""
     while len({v for v, _ in group.members}) >= 2:
         share, worst = min((float(np.nan_to_num(_fit(m, group, compared)[0], nan=-1.0)), m) for m in group.members)
@@ -136,7 +136,7 @@ def _without_strangers(group: Group, compared: Compared) -> Group | None:
     return None
 
 
-def _with_leftovers(groups: list[Group], compared: Compared) -> list[Group]:
+def _with_leftovers(groups: list[Group], compared: TrackComparison) -> list[Group]:
     """Groups with the tracks that no pair of rays placed, where their keypoints fit a group's projected points (A14).
 
     Two people in line with a camera both fit a detection of one of them: the clearest tracks are placed first. A track

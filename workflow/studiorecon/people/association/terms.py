@@ -31,12 +31,12 @@ class Term:
     Attributes:
         name: what was measured.
         nats: log-likelihood ratio of a person to nobody.
-        said: the measurement, as the end of a sentence.
+        text: the measurement, as the end of a sentence.
     """
 
     name: str
     nats: float
-    said: str
+    text: str
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,13 @@ class Ratio:
 
     Attributes:
         person, nobody: of what was measured, where a person is and where nobody is.
-        least, most: bounds of the ratio, nats.
+        min_nats, max_nats: bounds of the ratio, nats.
     """
 
     person: tuple[float, float]
     nobody: tuple[float, float]
-    least: float
-    most: float
+    min_nats: float
+    max_nats: float
 
     def nats(self, value: float) -> float:
         """At a measured ``value`` > 0; 0 where it is NaN."""
@@ -60,7 +60,7 @@ class Ratio:
         ends = self.person, self.nobody
         first, second = ((np.log(max(value, 1e-9) / median) / sigma, sigma) for median, sigma in ends)
         ratio = 0.5 * (second[0] ** 2 - first[0] ** 2) + np.log(second[1] / first[1])
-        return float(np.clip(ratio, self.least, self.most))
+        return float(np.clip(ratio, self.min_nats, self.max_nats))
 
 
 _AT = {name: k for k, name in enumerate(STABLE_KEYPOINTS)}
@@ -126,7 +126,7 @@ def total_nats(terms: Sequence[Term]) -> float:
 def strongest_objections(terms: Sequence[Term]) -> str:
     """The two terms with the strongest evidence against a person, as the end of a sentence."""
     against = sorted((term for term in terms if term.nats < 0), key=lambda term: term.nats)[:2]
-    return "; ".join(f"{term.said} ({term.nats:+.1f} nats)" for term in against) or "too little is known of it"
+    return "; ".join(f"{term.text} ({term.nats:+.1f} nats)" for term in against) or "too little is known of it"
 
 
 def duration(group: Group, fps: float) -> Term:

@@ -74,7 +74,7 @@ def measure_picture(
         "ssim": ssim(similarity),
         "ssim_3dgs": ssim_3dgs(similarity),
         "psnr_colour_corrected": colour_corrected_psnr(prediction, photo),
-        "lpips": None if distance is None else distance.measured(to_levels(prediction), to_levels(photo)),
+        "lpips": None if distance is None else distance.measure(to_levels(prediction), to_levels(photo)),
         "flip": flip(prediction, photo) if flipped else None,
         NOT_FINITE: 0.0 if prediction.dtype == np.uint8 else float((~np.isfinite(prediction)).sum()),
     }

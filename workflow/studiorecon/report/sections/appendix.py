@@ -90,12 +90,12 @@ def delivery_links(folder: Path, page: Path) -> str:
     for group, names in sorted(groups.items()):
         opened = [name for name in names if not name.startswith("keypoints/") and not name.endswith(".png")]
         linked = [
-            f'<a href="{html.escaped(Path(os.path.relpath(folder / name, page.parent)).as_posix())}">'
-            f"{html.escaped(name.removeprefix(f'{group}/'))}</a>"
+            f'<a href="{html.escape(Path(os.path.relpath(folder / name, page.parent)).as_posix())}">'
+            f"{html.escape(name.removeprefix(f'{group}/'))}</a>"
             for name in opened
         ]
         more = [f"{len(names) - len(opened)} more files"] if len(names) > len(opened) else []
-        items.append(f"<li>{html.escaped(f'{group}/: ' if group else '')}{', '.join([*linked, *more])}</li>")
+        items.append(f"<li>{html.escape(f'{group}/: ' if group else '')}{', '.join([*linked, *more])}</li>")
     lead = "In deliver/; README.txt there explains each file."
     return html.heading("Files for other programs", lead) + f"<ul>{''.join(items)}</ul>"
 
@@ -107,5 +107,5 @@ def data_links(results: Path, page: Path, files: Sequence[Path], ledgers: Sequen
     items = []
     for path, what in rows:
         address, name = Path(os.path.relpath(path, page.parent)).as_posix(), path.relative_to(results).as_posix()
-        items.append(f'<li><a href="{html.escaped(address)}">{html.escaped(name)}</a>: {html.escaped(what)}</li>')
+        items.append(f'<li><a href="{html.escape(address)}">{html.escape(name)}</a>: {html.escape(what)}</li>')
     return html.heading("The numbers as files", "In the results folder.") + f"<ul>{''.join(items)}</ul>"

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 
-from studiorecon.pages.html import escaped
+from studiorecon.pages.html import escape
 
 STYLE = """
 .wipe { position: relative; --cut: 50%; margin: 12px 0 4px; }
@@ -50,13 +50,13 @@ def slider(moments: Sequence[tuple[str, Mapping[str, str]]], left: str, right: s
     held = json.dumps([{"caption": c, "pictures": dict(v)} for c, v in moments], separators=(",", ":")).replace(
         "</", "<\\/"
     )
-    times = "".join(f"<option value={k}>{escaped(c)}</option>" for k, (c, _) in enumerate(moments))
+    times = "".join(f"<option value={k}>{escape(c)}</option>" for k, (c, _) in enumerate(moments))
 
     def versions(chosen: str, side: str) -> str:
-        options = "".join(f"<option{' selected' if name == chosen else ''}>{escaped(name)}</option>" for name in first)
+        options = "".join(f"<option{' selected' if name == chosen else ''}>{escape(name)}</option>" for name in first)
         return f'<select class="version" aria-label="{side}" onchange="wipe(this)">{options}</select>'
 
-    shown = "".join(f'<img src="{first[name]}" alt="{escaped(name)}, {escaped(caption)}">' for name in (left, right))
+    shown = "".join(f'<img src="{first[name]}" alt="{escape(name)}, {escape(caption)}">' for name in (left, right))
     moment = f'<select class="moment" aria-label="camera and frame" onchange="wipe(this)">{times}</select>'
     return (
         f"<script>{_SCRIPT}</script>"

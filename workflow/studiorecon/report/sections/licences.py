@@ -66,7 +66,7 @@ def licences(configuration: Mapping[str, Any], folder: Path) -> str:
             "one.</p>"
         )
     parts += [
-        html.folded(p.name, p.read_text(encoding="utf-8", errors="replace"))
+        html.details(p.name, p.read_text(encoding="utf-8", errors="replace"))
         for p in sorted(folder.iterdir())
         if p.is_file()
     ]

@@ -88,8 +88,8 @@ def head(scene: str, capture: Manifest, cameras: int, metrics: Mapping[str, Any]
     held_out = len(capture.held_out)
     about = f"{cameras} training cameras, {held_out} held out, {capture.frames} frames at {capture.fps:g} per second."
     return (
-        f'<h1>{html.escaped(scene)}</h1><p class="lead">{html.escaped(quality_summary(metrics))}</p>'
-        f'<p class="soft">{html.escaped(about)}</p>'
+        f'<h1>{html.escape(scene)}</h1><p class="lead">{html.escape(quality_summary(metrics))}</p>'
+        f'<p class="soft">{html.escape(about)}</p>'
     )
 
 
@@ -125,7 +125,7 @@ def measures_table(metrics: Mapping[str, Any]) -> str:
         if final["value"] is None and final["reason"]:
             reasons.setdefault(final["reason"], []).append(title.rstrip(" ↑↓"))
     notes = "".join(
-        f"<p class=soft>Not measured: {html.escaped(', '.join(n))}: {html.escaped(r)}.</p>" for r, n in reasons.items()
+        f"<p class=soft>Not measured: {html.escape(', '.join(n))}: {html.escape(r)}.</p>" for r, n in reasons.items()
     )
     of_each = [(version, measure, digits) for version in versions for measure, digits in (("psnr", 2), ("ssim", 4))]
     each = [
@@ -136,7 +136,7 @@ def measures_table(metrics: Mapping[str, Any]) -> str:
     per_camera = html.table(["camera", *header], each, numeric=range(1, 1 + len(header))) if each else ""
     # A note on scores of cameras that were moved or whose pose could not be checked.
     notes += "".join(
-        f"<p class=soft>{html.escaped(c['sentence'][:1].upper() + c['sentence'][1:])}.</p>"
+        f"<p class=soft>{html.escape(c['sentence'][:1].upper() + c['sentence'][1:])}.</p>"
         for c in metrics.get("held_out_cameras", ())
         if c["turned_deg"] or not c["checked"]
     )
@@ -150,7 +150,7 @@ def paper_comparison_table(metrics: Mapping[str, Any], recognised: Mapping[str, 
     lead = "The paper measured its methods on other data: the columns show usual values and do not rank the methods."
     header, lines = paper_table(metrics, recognised, rows, version_names(metrics))
     table = html.table(header, lines, numeric=range(1, len(header) - 1))
-    return f"<details><summary>Compared with the paper's tables</summary><p>{html.escaped(lead)}</p>{table}</details>"
+    return f"<details><summary>Compared with the paper's tables</summary><p>{html.escape(lead)}</p>{table}</details>"
 
 
 def joint_errors_table(metrics: Mapping[str, Any]) -> str:
@@ -172,10 +172,10 @@ def joint_errors_table(metrics: Mapping[str, Any]) -> str:
             html.table(["person", "true person", "frames", "world", "pelvis", "similarity"], rows, numeric=(2, 3, 4, 5))
         )
     else:
-        parts.append(f"<p>Joint errors are {MISSING}: {html.escaped(bodies['reason'])}.</p>")
+        parts.append(f"<p>Joint errors are {MISSING}: {html.escape(bodies['reason'])}.</p>")
     for key, sentence in (("missed", "True people without a fit"), ("invented", "Fitted people who are not real")):
         if bodies[key]:
-            parts.append(f"<p>{sentence}: {html.escaped(', '.join(bodies[key]))}.</p>")
+            parts.append(f"<p>{sentence}: {html.escape(', '.join(bodies[key]))}.</p>")
     return "".join(parts)
 
 
@@ -194,7 +194,7 @@ def left_out_people(those: Sequence[Mapping[str, Any]]) -> str:
             f"{one['seconds']:.1f} s",
             ", ".join(one["cameras"]),
             one["reason"],
-            html.folded(f"{len(one['lines'])} lines", "\n".join(one["lines"])),
+            html.details(f"{len(one['lines'])} lines", "\n".join(one["lines"])),
         ]
         for one in those
     ]
@@ -212,7 +212,7 @@ def cameras_table(doctor: Any, sheet: str) -> str:
     header = ["camera", "reprojection error as calibrated", "as used"]
     return (
         html.heading("Cameras", lead)
-        + "".join(f"<p><b>{html.escaped(d)}</b></p>" for d in (doctor.get("calibration") or {}).get("doubts") or ())
+        + "".join(f"<p><b>{html.escape(d)}</b></p>" for d in (doctor.get("calibration") or {}).get("doubts") or ())
         + (html.table(header, rows, numeric=(1, 2)) if rows else "")
         + _edges(doctor.get("edges"))
         + html.figure(sheet, "contact sheet of all cameras")
@@ -231,7 +231,7 @@ def _edges(edge: Any) -> str:
         )
     else:
         said = f"differ from {off}, {edge['off_sigmas']:.1f} of their standard deviations: no camera was refined"
-    return f"<p class=soft>{html.escaped(f'The straight edges of the room {said}.')}</p>"
+    return f"<p class=soft>{html.escape(f'The straight edges of the room {said}.')}</p>"
 
 
 def coverage_table(decided: Sequence[Mapping[str, Decision]]) -> str:
@@ -241,7 +241,7 @@ def coverage_table(decided: Sequence[Mapping[str, Decision]]) -> str:
         return ""
     rows = [[f"{count} or more", f"{share:.0%}", html.bar(share)] for count, share in enumerate(shares, start=1)]
     lead = "Share of the stage, from the floor to the height of people, by the number of training cameras that see it."
-    return f"<p>{html.escaped(lead)}</p>" + html.table(["cameras", "share", ""], rows, numeric=(1,), raw=(2,))
+    return f"<p>{html.escape(lead)}</p>" + html.table(["cameras", "share", ""], rows, numeric=(1,), raw=(2,))
 
 
 def overlap_table(rig: Mapping[str, Any]) -> str:
@@ -264,7 +264,7 @@ def overlap_table(rig: Mapping[str, Any]) -> str:
 def cost_and_quality(metrics: Mapping[str, Any], spent: Mapping[str, Any], budget: Mapping[str, Any]) -> str:
     """The cost and scores of this run in one sentence and three numbers, with the prediction of its ``budget``."""
     if spent["reason"]:
-        return html.heading("What accuracy costs") + f"<p>{MISSING}: {html.escaped(spent['reason'])}.</p>"
+        return html.heading("What accuracy costs") + f"<p>{MISSING}: {html.escape(spent['reason'])}.</p>"
     seconds = {stage: entry["seconds"] or 0.0 for stage, entry in spent["stages"].items()}
     dearest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
     share = sum(seconds[stage] for stage in dearest) / (sum(seconds.values()) or 1.0)
@@ -279,9 +279,9 @@ def cost_and_quality(metrics: Mapping[str, Any], spent: Mapping[str, Any], budge
         (format_value(spent["total"]["peak_memory_mb"], 0, "MB"), "memory of the largest job"),
     ]
     lead = "snakemake sweep measures what other settings cost and gain on this scene."
-    cost = f"<p>{html.escaped(_bought(budget, spent))}</p>" if budget else ""
+    cost = f"<p>{html.escape(_bought(budget, spent))}</p>" if budget else ""
     return (
-        html.heading("What accuracy costs", lead) + f"<p><b>{html.escaped(sentence)}</b></p>" + html.tiles(tiles) + cost
+        html.heading("What accuracy costs", lead) + f"<p><b>{html.escape(sentence)}</b></p>" + html.tiles(tiles) + cost
     )
 
 
@@ -300,7 +300,7 @@ def costs_table(spent: Mapping[str, Any]) -> str:
     """Seconds per stage as bars, with memory and the rules on demand."""
     lead = "Wall seconds of all jobs of a stage, added up; stages may have run at the same time."
     if spent["reason"]:
-        return html.heading("Where the time went") + f"<p>{MISSING}: {html.escaped(spent['reason'])}.</p>"
+        return html.heading("Where the time went") + f"<p>{MISSING}: {html.escape(spent['reason'])}.</p>"
     longest = max((stage["seconds"] or 0 for stage in spent["stages"].values()), default=0) or 1
     rows = [
         [
@@ -337,7 +337,7 @@ def costs_table(spent: Mapping[str, Any]) -> str:
 
 def settings_table(configuration: str) -> str:
     """Every setting of the run, a line each."""
-    return html.heading("Settings") + html.folded(
+    return html.heading("Settings") + html.details(
         "All settings of this run", "\n".join(_lines(json.loads(configuration), ""))
     )
 

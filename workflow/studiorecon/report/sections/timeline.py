@@ -43,7 +43,7 @@ def timeline_strip(seen: Mapping[str, Bool[np.ndarray, "P F"]], people: Sequence
     for camera, rows in seen.items():
         parts.append(
             f'<text x="0" y="{top + lanes * _BAR / 2 + 4:.1f}" font-size="14" '
-            f'fill="currentColor">{html.escaped(camera)}</text>'
+            f'fill="currentColor">{html.escape(camera)}</text>'
         )
         for lane, row in enumerate(rows):
             name = people[lane] if lane < len(people) else "no person"
@@ -52,12 +52,12 @@ def timeline_strip(seen: Mapping[str, Bool[np.ndarray, "P F"]], people: Sequence
                 x, y, width = _LEFT + first * step, top + lane * _BAR, (last - first) * step
                 parts.append(
                     f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{_BAR - 2}" fill="{colour}">'
-                    f"<title>{html.escaped(name)}, frames {first} to {last - 1}</title></rect>"
+                    f"<title>{html.escape(name)}, frames {first} to {last - 1}</title></rect>"
                 )
                 if lane < len(people) and width > 40:
                     parts.append(
                         f'<text x="{x + 4:.1f}" y="{y + _BAR - 3:.1f}" font-size="8" '
-                        f'fill="#000">{html.escaped(name)}</text>'
+                        f'fill="#000">{html.escape(name)}</text>'
                     )
         top += lanes * _BAR + _GAP
     words = f"people seen by each camera in {frames} frames"

@@ -48,7 +48,7 @@ def gauge(decision: Decision) -> str:
     measured = (decision.interval[0], decision.value, decision.interval[1])
     low, at, high = (_WIDTH * float(np.clip(v / decision.threshold / 2, 0, 1)) for v in measured)
     middle = _HEIGHT / 2
-    words = html.escaped(f"{_brief(decision.value, decision.unit)} against {_brief(decision.threshold, decision.unit)}")
+    words = html.escape(f"{_brief(decision.value, decision.unit)} against {_brief(decision.threshold, decision.unit)}")
     return (
         f'<svg width="{_WIDTH}" height="{_HEIGHT}" role="img" aria-label="{words}">'
         f'<line x1="0" x2="{_WIDTH}" y1="{middle}" y2="{middle}" stroke="var(--line)"/>'

@@ -80,7 +80,7 @@ def train_still(
             f"{label}: there are {len(given)} finite Gaussians and {len(targets)} images; training needs some of both"
         )
     left_out, initial = initial.count - len(given), initial.take(given)
-    sound, masked = zip(*(target.sound() for target in targets))
+    sound, masked = zip(*(target.without_non_finite() for target in targets))
     if settings.largest_scale_m > 0:
         most = np.float32(np.log(settings.largest_scale_m))
         initial = replace(initial, log_scales=np.minimum(initial.log_scales, most))

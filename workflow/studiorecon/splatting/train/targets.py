@@ -41,7 +41,7 @@ class Target:
         """The pixels that count."""
         return np.ones(self.camera.hw, bool) if self.weight is None else self.weight > 0
 
-    def sound(self) -> tuple[Target, int]:
+    def without_non_finite(self) -> tuple[Target, int]:
         """The target with every pixel masked whose colour or weight is not finite, and the number of such pixels."""
         weight = np.ones(self.rgb.shape[:2], np.float32) if self.weight is None else self.weight
         finite = np.isfinite(weight)
