@@ -99,8 +99,8 @@ def first_frame(common: Clocks, camera: str) -> float:
 
 
 def lags_frames(found: Sequence[ClockFinding], used: Clocks) -> dict[str, dict[str, float]]:
-    """How many frames of its own people are late in each camera by the clocks in use (``frames``), against the median
-    camera, and the 95 % interval (``low``, ``high``), at least half a frame to either side."""
+    """Per camera, the delay of its people by the clocks in use, relative to the median camera, in its own frames
+    (``frames``), with the 95 % interval (``low``, ``high``), at least half a frame to either side."""
     late_s = {
         one.camera: (used.of(one.camera).offset_s - one.people_s[0], one.people_s[1]) for one in found if one.people_s
     }
@@ -197,7 +197,7 @@ def run(
 
 
 def about_film(camera: str, film: FootageSource, pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> dict[str, Any]:
-    """What a camera's file and two ``pictures`` of it show."""
+    """The report's entry of a camera from its file and two of its ``pictures``."""
     return {
         "camera": camera,
         "wh": list(film.wh),
@@ -209,7 +209,7 @@ def about_film(camera: str, film: FootageSource, pictures: Sequence[Integer[np.n
 
 
 def say_about_films(about: Sequence[Mapping[str, Any]], films: Sequence[FootageSource]) -> None:
-    """Say size, length and brightness of every film, and its oddities."""
+    """Log size, length, brightness and faults of every film."""
     for a in about:
         say(
             f"camera {a['camera']}: {a['wh'][0]}×{a['wh'][1]}, {a['fps']:g} fps, "

@@ -38,7 +38,7 @@ else:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of properties that the file does not contain."""
+    """Properties of the calibration that its files do not contain."""
 
     format: FormatName = setting("auto", "Format of the calibration files; auto = the first that recognises them.")
     poses: Literal["as_read", "world_from_camera", "opengl", "world_from_camera_opengl"] = setting(

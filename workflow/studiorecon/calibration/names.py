@@ -172,7 +172,7 @@ def _numbers(names: Sequence[str]) -> list[int] | None:
 
 
 def _telling(name: str) -> bool:
-    """Whether a name is more than a camera's number: it has a letter, or the digits of a serial number."""
+    """Whether a name identifies a camera: it has a letter, or as many digits as a serial number."""
     return not name.isdigit() or len(name) > 2
 
 

@@ -75,7 +75,7 @@ def _observed(
 
 
 def best_candidate(candidates: Sequence[T], fit: Callable[[T], Float[np.ndarray, " F"]]) -> tuple[int, bool]:
-    """Index of the candidate that people show to be right, else 0; and whether they do."""
+    """Index of the candidate that people clearly prefer, else 0; and whether they prefer one."""
     scores = [fit(candidate) for candidate in candidates]
     order = np.argsort([-s.sum() for s in scores], kind="stable")
     first = int(order[0])

@@ -49,7 +49,7 @@ def with_edges(
     template_m: Num[np.ndarray, "12 3"],
     edges: Mapping[str, Num[np.ndarray, "N 4"]],
 ) -> RigEstimate:
-    """The estimate with the room's straight edges too, where they have three directions and people allow it."""
+    """The estimate with the room's edges, where these have three directions and people agree, else unchanged."""
     own = {v: edges[c.name] for v, c in enumerate(found.cameras) if c.name in edges}
     spread = float(np.median(camera_intervals(found.solution).focal))
     tried = []
@@ -76,7 +76,7 @@ def _focal_scaling(factor: float) -> np.ndarray:
 def with_floor(
     found: RigEstimate, knowledge: LensKnowledge, template_m: Num[np.ndarray, "12 3"], rooms: Mapping[str, RoomPicture]
 ) -> RigEstimate:
-    """The estimate with the floor's marks too, matched anew as cameras get better, where people allow it."""
+    """The estimate with the floor's marks, where people agree; else unchanged. Better cameras match the marks again."""
     best = found
     for reach_m in _FLOOR_REACH_M:
         seen = best.rig.seen

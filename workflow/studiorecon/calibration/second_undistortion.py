@@ -30,7 +30,7 @@ def without_second_undistortion(
     people: Sequence[Detections],
     motions: Callable[[], Mapping[str, Motion]],
 ) -> tuple[list[Lens], list[str]]:
-    """The lenses without the distortion that films, or recorded keypoints, no longer have; and sentences.
+    """The lenses without distortion for films, or recorded keypoints, that are already undistorted; and sentences.
 
     ``motions`` returns those of the films whose keypoints are recorded; it is called only where people decide. A wrong
     model of the lens must not look like undistorted keypoints: people must also rule out the other model.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The given calibration against the people that the cameras see: what is moved, and what is refused."""
+"""Compares the given calibration with the people that the cameras see: finds moved cameras, refuses wrong files."""
 
 from __future__ import annotations
 
@@ -59,16 +59,16 @@ class Settings(AgreementLimits, CalibrationPrior):
 
 @dataclass(frozen=True)
 class Check:
-    """The given training cameras against the people that they see.
+    """The given training cameras, and how well people fit them.
 
     Attributes:
         given, detections: of every training camera.
-        frames: that are looked at.
-        seen, graph: what people show the cameras, and how far apart rays pass.
+        frames: frames of the check.
+        seen, graph: observations of people, and the distances of their tracks' rays.
         median_px, per_camera_px: median reprojection errors of all and of every camera; NaN and None where
             unknown.
         points_m: (N, 3) triangulated keypoints.
-        settings: what counts as agreement.
+        settings: limits of agreement.
     """
 
     given: list[Camera]
@@ -87,8 +87,8 @@ class Check:
         return self.settings.limit_px(self.given, self.points_m)
 
     def moved_cameras(self, watched: Sequence[int], rooms: Sequence[RoomPicture | None]) -> MovedCameras | None:
-        """Cameras that stand elsewhere than they were calibrated; None where none do, and where another lens explains
-        people about as well."""
+        """The cameras at new poses if some were moved after calibration; None where none was, or where another lens
+        explains people about as well."""
         settings = self.settings
         if not settings.refine:
             return None
@@ -114,8 +114,8 @@ class Check:
         return bool(errors) and min(errors) <= _ABOUT_AS_WELL * moved_px
 
     def refuse_conventions(self) -> list:
-        """What other readings of the calibration explain; raises UserError where one of them is right, or where its
-        lengths are of another unit."""
+        """Scores of other readings of the calibration; raises UserError where one of them is right, or where
+        lengths are in another unit."""
         settings, few = self.settings, self.frames[:: max(1, len(self.frames) // 6)]
         tried = check_conventions(self.given, self.detections, few, settings.gate_m)
         if len(self.given) > 2 and not len(self.points_m):
@@ -147,6 +147,6 @@ class Check:
 
 
 def split_alternate_frames(seen: Observations) -> tuple[Observations, Observations]:
-    """What every other frame shows, to fit on, and what the rest shows, to judge by."""
+    """The observations of every other frame, to fit on, and those of the others, for validation."""
     order = np.unique(seen.frame, return_inverse=True)[1]
     return seen.of(order % 2 == 0), seen.of(order % 2 == 1)

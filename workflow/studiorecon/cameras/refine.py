@@ -125,7 +125,7 @@ def decide(
 def _adjusted(
     check: Check, moved: MovedCameras | None, rooms: Sequence[RoomPicture | None], report: dict[str, Any]
 ) -> tuple[list[Camera], Observations, dict[str, Any]]:
-    """The cameras after everything that may improve them, what people show these, and the report."""
+    """The cameras after all refinements, the observations of people by them, and the report."""
     given, settings, count = check.given, check.settings, len(check.points_m)
     limits, bundle = settings.limits, settings.bundle
     before_px = check.median_px if np.isfinite(check.median_px) else None

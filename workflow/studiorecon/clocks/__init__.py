@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The start time of every camera, and the moments that all share.
 
-Reads footage and raw detections, writes ``clocks.json``. The step is ``offsets``. Each source of evidence is a file
-that returns likelihoods of the lags between cameras: ``sound``, ``people`` (by ``epipolar`` geometry, near that of a
-user's calibration if there is one) and ``motion``. ``posterior`` maximises all of them together, ``timeline`` holds the
-times of frames.
+Reads footage and raw detections, writes ``clocks.json``; the step is ``offsets``. Each source of evidence is a module
+that returns lags between cameras with their likelihoods: ``sound``, ``people`` (by ``epipolar`` geometry, near that of
+a user's calibration if there is one) and ``motion``. ``posterior`` maximises all of them together, ``timeline`` holds
+the times of frames.
 """

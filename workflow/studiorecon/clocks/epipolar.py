@@ -35,7 +35,7 @@ _ROUNDS, _CLIP, _JOINS = 4, 3.0, 2.0
 
 @dataclass(frozen=True)
 class Meeting:
-    """Tracks of two cameras, and by how many rows the second begins later than the first."""
+    """Tracks of one person in two cameras, and the number of rows by which the second begins later."""
 
     first: Float[np.ndarray, "T J 3"]
     second: Float[np.ndarray, "t J 3"]
@@ -56,7 +56,7 @@ class Geometry:
         to_first: Float[np.ndarray, "3 3"],
         to_second: Float[np.ndarray, "3 3"],
     ) -> Geometry:
-        """Of two ``camera_from_world``; ``to_first`` and ``to_second`` map the keypoints' coordinates to rays."""
+        """The prior of two ``camera_from_world``; ``to_first`` and ``to_second`` map keypoint coordinates to rays."""
 
         def form(a: np.ndarray, b: np.ndarray) -> np.ndarray:
             between = b @ np.linalg.inv(a)

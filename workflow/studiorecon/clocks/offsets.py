@@ -50,7 +50,7 @@ class Settings(PictureRate):
 
 @dataclass(frozen=True)
 class ClockVerdict:
-    """What is applied to a camera's clock.
+    """The correction of a camera's clock, with its reason.
 
     Attributes:
         kind: "reference", "in step", "found", or "undetermined": then the camera stays as filmed.
@@ -68,7 +68,7 @@ class ClockVerdict:
 
 
 def applied_clock(offset: Offset, fps: float, seconds: float, triggered: bool = True) -> ClockVerdict:
-    """What is applied of an estimated offset: in step where the interval does not exclude the camera as filmed.
+    """The correction for an estimated offset; "in step" where the interval does not exclude the camera as filmed.
 
     Where cameras were not ``triggered`` together there is no such prior: then any estimated offset counts, however
     small.
@@ -179,7 +179,7 @@ def different_lengths_note(
 ) -> str:
     """A sentence about videos of different lengths with unknown clocks; empty otherwise.
 
-    Also empty where they were ``announced`` to be equally long and only lost their ends.
+    Also empty where their headers ``announced`` equal lengths, so that only their ends are missing.
     """
     unknown = [f["camera"] for f in findings if f["kind"] == "undetermined"]
     shortest, longest = (choose(range(len(clocks)), key=lambda i: clocks[i].frames) for choose in (min, max))

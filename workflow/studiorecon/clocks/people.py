@@ -90,7 +90,7 @@ def people_lags(
 
 
 def pair_lag(first: View, second: View, rate: float) -> tuple[Source, float, float, float] | None:
-    """Rows by which the second camera lags the first with their source and sigma, and the probability that they are
+    """Source of the lag, rows by which the second camera lags the first, their sigma, and the probability that they are
     wrong; None where another lag, or none, is likelier."""
     meetings = [
         Meeting(one, other, begin_b - begin_a)

@@ -56,8 +56,7 @@ _SEARCHED_S = 600.0
 
 @dataclass(frozen=True)
 class SoundLag:
-    """Result of comparing two sound tracks: how much later the first one's file hears, and how much faster its clock
-    runs.
+    """The lag of two sound tracks: how much later the first file records a sound, and how much faster its clock runs.
 
     Attributes:
         lag_s: seconds of the first one's file minus those of the other's, at ``middle_s`` of the first one's.

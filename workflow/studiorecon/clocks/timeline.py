@@ -50,9 +50,9 @@ def clock_as_filmed(camera: str, line: Timeline) -> Clock:
 def common_moments(clocks: Sequence[Clock], first: int, count: int) -> Clocks:
     """The moments that all ``clocks`` have in common, from the ``first`` of them on, ``count`` of them (0: all).
 
-    Their rate is that of most cameras with even frames, the slower of two. They are at the frames of one camera, the
-    one to which all others are nearest, so that no more than necessary is resampled. Where there is no such moment,
-    ``refusal`` says so.
+    Their rate is the most frequent one of cameras with even frames, or the slower of two. They are the frame times of
+    the camera to which all others are nearest, so that as few frames as possible are resampled. ``refusal``: why there
+    is no such moment.
     """
     rates = sorted(round(c.fps, 4) for c in clocks if not c.times_s) or sorted(round(c.fps, 4) for c in clocks)
     usual = max(rates, key=lambda rate: (rates.count(rate), -rate))

@@ -147,7 +147,7 @@ class Plan:
 def plan_second_look(
     found: Detections, people: Sequence[ExpectedKeypoints], identities: dict[tuple[str, int], str], frames: int
 ) -> Plan:
-    """Which detections of a camera stay, change sides, or go, and where to detect again."""
+    """The plan of a camera: detections that stay, are mirrored or removed, and places to detect again."""
     count = len(found.frame)
     track, swapped, dropped = found.track.copy(), np.zeros(count, bool), np.zeros(count, bool)
     owner = [identities.get((found.camera, int(t)), "") for t in found.track]

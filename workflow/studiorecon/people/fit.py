@@ -194,7 +194,7 @@ def _person(
     fps: float,
     settings: Settings,
 ) -> Person:
-    """The person with frames that are not ``valid`` (T,) filled, smoothed and posed.
+    """The person with the frames that are not ``valid`` filled, smoothed and posed.
 
     ``sigma_m`` (T, 24) counts where valid. A camera has the person in frames that are ``seen`` (T,).
     """
@@ -217,7 +217,7 @@ def _person(
 
 
 def report_filled_frames(fitted: Person) -> None:
-    """Log in which frames a person's pose is interpolated, and in which they are away."""
+    """Log the frames in which a person's pose is interpolated, and those in which they are absent."""
     guessed = fitted.present & ~fitted.valid
     if guessed.any():
         say(f"{fitted.name}: frames {frame_ranges(guessed)} are interpolated and marked not valid")
@@ -284,7 +284,7 @@ def run(
 def _read_observed(
     detections: Sequence[Path], model: Path, readouts: Sequence[Path], fps: float
 ) -> tuple[list[Detections], list[Camera]]:
-    """Detections, as if all rows of a picture were read at once, and the camera of each."""
+    """Detections corrected for rolling shutter, and the camera of each."""
     cameras = {c.name: c for c in read_model(model.parent)}
     seen = [read_detections(path) for path in detections]
     if missing := [d.camera for d in seen if d.camera not in cameras]:

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Settings(TriangulationSettings):
-    """Limits of agreement of views."""
+    """Limits of agreement between views."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def redetect(
 
 @dataclass(frozen=True)
 class CameraPictures:
-    """One camera's footage, lens, clock among the others', and the worth of landmarks in it."""
+    """One camera's footage, lens and clock, and the confidence factor of its landmarks."""
 
     footage: Footage
     lens: Lens
@@ -118,14 +118,13 @@ class CameraPictures:
     clocks: Clocks
 
     def late_frames(self, frame: int, pixels: Num[np.ndarray, "K 2"]) -> Float[np.ndarray, " K"]:
-        """Working frames by which the picture of ``frame`` shows each of the working pixels late: its own fraction, and
-        its row's."""
+        """Delay of each working pixel in the picture of ``frame``, in working frames: the picture's and its row's."""
         rows = np.nan_to_num(pixels[:, 1] / self.footage.wh[1], nan=0.5) - 0.5
         readout = self.clocks.of(self.footage.camera).readout_s * self.clocks.fps
         return self.clocks.late_frames(self.footage.camera)[frame] + readout * rows
 
     def in_footage(self, pixels: Num[np.ndarray, "K 2"]) -> Float[np.ndarray, "K 2"]:
-        """Pixels of the footage of working pixels."""
+        """Working pixels converted to pixels of the footage."""
         return video_from_working(pixels, self.lens, self.footage.source_wh, np.array(self.footage.intrinsics))
 
     def working(self, seen: Landmarks) -> Float[np.ndarray, "K 3"]:
@@ -142,7 +141,7 @@ class CameraPictures:
         return np.column_stack([np.where(there[:, None], pixels, np.nan), np.where(there, keypoints[:, 2], 0.0)])
 
     def raw(self, look: SecondLook) -> tuple:
-        """The row of the detector's file for somebody found by looking again."""
+        """The row of the detector's file for a new detection."""
         seen, keypoints = look.seen, keypoints_with_confidence(look.seen, self.footage.source_wh, self.worth)
         crop = seen.region.crop_from_picture(MASK_PX)
         return self.footage.used[look.frame], keypoints, seen.presence, seen.points_m, seen.mask, crop
@@ -193,7 +192,7 @@ def improve_detections(
 
 @dataclass(frozen=True)
 class CameraFiles:
-    """A camera's footage, and what is known of its lens and clock."""
+    """A camera's footage, and the files with its lens and clock."""
 
     source: Path
     picture_fps: float
@@ -204,8 +203,8 @@ class CameraFiles:
 
 @dataclass(frozen=True)
 class FirstFiles:
-    """What was found before: the camera's ``found`` file of the detector, detections of all training cameras
-    (``first``), and who is who in them."""
+    """The first detections: the camera's ``found`` file of the detector, those of all training cameras (``first``), and
+    their ``identities``."""
 
     found: Path
     first: list[Path]

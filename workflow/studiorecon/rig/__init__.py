@@ -15,24 +15,24 @@ Cameras from people alone
     ``from_tracks``       cameras from tracks
     ``pose_consensus``    the best such rig, and the cameras not in it
     ``estimate``          refined with lenses, edges and floor marks
-    ``lens_knowledge``    what is known of lenses before
+    ``lens_knowledge``    the prior of lenses
     ``detector_noise``    the keypoints' errors
     ``room_turns``        a room's three directions
     ``gravity``           up and the floor
     ``metric_scale``      metres
-    ``world_of_people``   all three
+    ``world_of_people``   the world from up, floor and metres
 Calibrated cameras
-    ``bundle``            refines them
-    ``moved_cameras``     cameras that were moved since
+    ``bundle``            refinement on people
+    ``moved_cameras``     cameras moved after calibration
     ``pose_uncertainty``  what people determine about them
     ``room_refinement``   refinement on floor and edges too
     ``edge_refinement``   edges that contradict cameras that fit people
-    ``floor_alignment``   keeps the floor level
+    ``floor_alignment``   a level floor after refinement
     ``held_out_pose``     held-out cameras
     ``hypotheses``        other readings of poses
     ``lens_model``        other readings of lenses
     ``outlier_camera``    one camera that all others contradict
     ``residuals``         why people's rays do not meet
-    ``human_size``        another unit than metres
+    ``human_size``        the check of the unit of length
     ``contact_sheet``     a picture of the cameras
 """

@@ -54,7 +54,7 @@ def metres_per_px(cameras: Sequence[Camera], points_m: Num[np.ndarray, "N 3"]) -
 
 @dataclass(frozen=True)
 class CalibrationPrior:
-    """The trust in the given cameras where people contradict them."""
+    """The prior of the given cameras' poses, for refinement on people."""
 
     bundle: BundleSettings = BundleSettings()
 
@@ -67,7 +67,7 @@ class LensSettings:
         focal_sigma, radial_sigma: sigmas of a given focal length, as a share, and of its radial term k1.
         min_sigmas: a change must be this many of its own sigmas, with all frames of a joint counting as one
             observation.
-        gain: and lower the median error on the validation split by this share beyond the poses' effect.
+        gain: share by which it must lower the median error on the validation split beyond the poses' effect.
     """
 
     focal_sigma: float = 0.1
@@ -116,7 +116,7 @@ def contradicted_share(
 
 @dataclass(frozen=True)
 class AgreeingObservations:
-    """N of the observations, on which cameras agree.
+    """The N observations on which cameras agree.
 
     A detector's error of a joint is the same in every frame, so all frames of a joint count as one observation. If they
     counted fully, that bias would outvote the calibration in directions that people hardly determine, such as all
@@ -143,7 +143,7 @@ class AgreeingObservations:
 
 
 def agreeing_observations(seen: Observations, cameras: Sequence[Camera], limits: Limits) -> AgreeingObservations | None:
-    """The observations on which three cameras agree, or both of two; None where they are too few."""
+    """The observations on which three cameras agree (of two cameras: both); None where they are too few."""
     if not len(seen.frame):
         return None
     found = triangulate(seen.pixels, seen.confidence, cameras, limits)

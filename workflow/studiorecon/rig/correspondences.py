@@ -33,7 +33,7 @@ class Observations:
         confidence: (V, N), 0 where not seen.
         frame: working frame.
         keypoint: index into ``STABLE_KEYPOINTS``.
-        group: which group of tracks.
+        group: index of the group of tracks.
         affinity: summed affinity of all groups, 0..1 per pair: how well the cameras fit the people.
     """
 
@@ -45,11 +45,11 @@ class Observations:
     affinity: float
 
     def by(self, views: Sequence[int]) -> Observations:
-        """The observations of some cameras only."""
+        """The observations of the chosen cameras."""
         return replace(self, pixels=self.pixels[list(views)], confidence=self.confidence[list(views)])
 
     def of(self, which: Bool[np.ndarray, " N"]) -> Observations:
-        """Some of the points."""
+        """The observations of the chosen points."""
         return Observations(
             self.pixels[:, which],
             self.confidence[:, which],

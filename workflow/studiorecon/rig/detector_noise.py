@@ -34,7 +34,7 @@ class DetectorNoise:
 
     @classmethod
     def usual(cls, cameras: Sequence[Camera], limits: Limits) -> DetectorNoise:
-        """Of a detector of which nothing is known yet."""
+        """The usual noise, for a detector that has not been measured."""
         return cls(unit_px(cameras, limits) / 2, SHARED_M)
 
 
@@ -46,7 +46,7 @@ def shared_cells(
     view: Integer[np.ndarray, " M"],
     point: Integer[np.ndarray, " M"],
 ) -> tuple[Integer[np.ndarray, " M"], Num[np.ndarray, " M"]]:
-    """(M,) which of the observations share their error, as numbers of cells, and pixels per metre at each.
+    """The cell of each observation, within which errors are shared, and pixels per metre at each.
 
     ``place``: the point of every person, moment and keypoint, -1 where there is none.
     """
@@ -69,9 +69,9 @@ def measure_detector_noise(
     px_per_m: Num[np.ndarray, " M"],
     cameras: Sequence[Camera],
 ) -> DetectorNoise:
-    """The noise that residuals (M, 2) in pixels show, with the numbers that points and cameras took.
+    """The noise of ``off``, residuals in pixels, corrected for the freedom of points and cameras.
 
-    Within a cell it is the frames' own; the cells' means show the shared error.
+    Scatter within a cell is the noise of single frames; the cells' means show the shared error.
     """
     views, count = max(len(cameras), 2), np.bincount(cell)
     taken = np.sqrt(2 * views / (2 * views - 3))

@@ -45,7 +45,7 @@ class EdgeContradiction:
 
     @property
     def clear(self) -> bool:
-        """Whether that is clearly more than the edges' error."""
+        """Whether the contradiction is clearly larger than the edges' error."""
         return self.sigmas >= _CALLED_SIGMAS and self.off_deg >= _CALLED_DEG
 
 
@@ -82,7 +82,7 @@ class EdgeRefinement:
 
     @property
     def is_required(self) -> bool:
-        """Whether the edges require these cameras; otherwise the given ones stay."""
+        """Whether the edges require these cameras instead of the given ones."""
         return self.fits_people and self.off_deg <= _MAX_LEFT * self.before_deg
 
 

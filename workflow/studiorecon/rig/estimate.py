@@ -94,8 +94,10 @@ def estimate_rig(
     gate_m: float,
     limits: Limits,
 ) -> RigEstimate | None:
-    """The cameras and lenses of most posterior probability from ``cameras`` on, with people grouped again in between;
-    None where people show too little."""
+    """The cameras and lenses of maximum posterior probability; None where people show too little.
+
+    It starts at ``cameras`` and groups people again between rounds.
+    """
     found, noise = None, DetectorNoise.usual(cameras, limits)
     # Lenses differ at first: from equal ones, a lens of another make would not be released.
     alone = replace(knowledge, makes=tuple(range(len(cameras))))
@@ -117,10 +119,10 @@ def estimate_rig(
 def add_room_evidence(
     found: RigEstimate, knowledge: LensKnowledge, template_m: Num[np.ndarray, "12 3"], room: RoomEvidence
 ) -> tuple[RigEstimate, bool]:
-    """The estimate with the room as well, and whether people allow it.
+    """The estimate from people and the room, and whether people agree with it.
 
-    People contradict it where their cost rises by more than the cameras' numbers explain (99 % of a chi-square
-    distribution).
+    They disagree where their cost rises above the 99 % quantile of a chi-square distribution with the cameras' degrees
+    of freedom.
     """
     cameras = dict(enumerate(found.cameras))
     rig = replace(found.rig, cameras=cameras)
@@ -154,10 +156,10 @@ def estimate_once(
     room: RoomEvidence = _NO_ROOM,
     start_m: Num[np.ndarray, "N 3"] | None = None,
 ) -> RigEstimate:
-    """The estimate by people as ``rig`` groups them, from its cameras with ``radial`` terms on.
+    """The estimate from the people in ``rig``, starting at its cameras with ``radial`` terms.
 
     ``template_m``: (12, 3) stable keypoints of a mean adult; ``noise`` of the keypoints; ``start_m``: the
-    first points, by default where the rig's cameras see them.
+    first points, by default those triangulated by the rig's cameras.
     """
     cameras, used = [rig.cameras[v] for v in sorted(rig.cameras)], rig.agreeing
     points_m = (rig.points.points_m if start_m is None else start_m)[used]

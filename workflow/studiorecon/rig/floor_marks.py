@@ -68,7 +68,7 @@ class FloorMarks:
     seen_by: dict[tuple[int, int], int]
 
     def of(self, which: Bool[np.ndarray, " N"]) -> FloorMarks:
-        """Some of the points."""
+        """The chosen points."""
         return replace(self, pixels=self.pixels[:, which], points_m=self.points_m[which])
 
     def joined(
@@ -81,7 +81,8 @@ class FloorMarks:
     ) -> tuple[Num[np.ndarray, "V M 2"], Num[np.ndarray, "V M"], Num[np.ndarray, "M 3"]]:
         """``pixels``, ``weights`` and ``points_m`` for bundle adjustment, with the floor's points appended.
 
-        Residuals are in error units. Only points on which the cameras agree are appended; any world will do.
+        Residuals are in error units. Only points on which the cameras agree are
+        appended; the result does not depend on the world's axes.
         """
         seen = np.isfinite(self.pixels).all(-1).astype(float)
         found = triangulate(self.pixels, seen, cameras, replace(limits, outlier_units=limits.outlier_units * _LOOSE))

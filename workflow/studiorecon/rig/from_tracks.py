@@ -78,7 +78,7 @@ class Rig:
 
     @property
     def agreeing(self) -> Bool[np.ndarray, " N"]:
-        """The points on which three cameras agree, or both of two."""
+        """Which points three cameras agree on (of two cameras: both)."""
         return self.points.verified if len(self.cameras) > 2 else self.points.valid
 
 
@@ -106,7 +106,7 @@ def propose_rigs(
 ) -> list[Rig]:
     """The best rigs, most support first; of ``cameras`` only sizes and lenses are used.
 
-    ``template_m`` stable keypoints of a body of mean shape.
+    ``template_m``: stable keypoints of a body of mean shape.
     """
     unit = float(np.mean(unit_px(cameras, limits) / [np.mean(c.focal_px) for c in cameras]))
     seeds = [s for a, b in combinations(range(len(cameras)), 2) if (s := _pair(seen, cameras, a, b, unit)) is not None]

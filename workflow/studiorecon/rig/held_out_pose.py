@@ -58,7 +58,7 @@ class ObservedJoints:
     keypoint: Integer[np.ndarray, " N"]
 
     def of(self, which: Bool[np.ndarray, " N"]) -> ObservedJoints:
-        """Those that ``which`` chooses."""
+        """The joints that ``which`` selects."""
         return ObservedJoints(**{name: getattr(self, name)[which] for name in self.__dataclass_fields__})
 
 
@@ -86,9 +86,9 @@ class HeldOutPose:
 def estimate_held_out_pose(
     given: Camera, seen: ObservedJoints, limits: Limits, bundle: BundleSettings, gain: float
 ) -> HeldOutPose:
-    """The pose of ``given`` that explains the joints ``seen``.
+    """The held-out camera at the pose that explains the joints ``seen``.
 
-    Its own unless another lowers the validation error by the share ``gain``.
+    It stays at its given pose unless another lowers the validation error by the share ``gain``.
     """
     before_px = _median_px(given, seen)
     if len(seen.frame) < _MIN_POINTS or len(np.unique(seen.frame)) < 2:

@@ -33,7 +33,7 @@ _TAKEN_FOR_METRES = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.3
 
 
 def statures_m(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> Num[np.ndarray, " N"]:
-    """The stature of a mean adult with each of the N bones that the cameras see."""
+    """For each of the N bones that the cameras see, the stature of a mean adult with that bone, metres."""
     if not len(seen.frame):
         return np.zeros(0)
     found = triangulate(seen.pixels, seen.confidence, cameras, limits)

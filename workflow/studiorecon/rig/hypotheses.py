@@ -57,9 +57,9 @@ def score_conventions(
     gate_m: float,
     limits: Limits,
 ) -> list[dict[str, Any]]:
-    """Every reading with its score, remedy and ``met``.
+    """Every reading of the poses with its score, its remedy and ``met``.
 
-    ``met`` is the share of people's joints at which its rays meet, of three cameras where there are three. On a ring of
+    ``met``: share of people's joints at which the rays of three cameras (of two cameras: both) meet. On a ring of
     cameras, rays of a wrong reading may pass close to each other as often as those of the right one, but they do not
     meet. (The demo: scores 0.65 and 0.57, joints on which three cameras agree 82 % and none.)
     """

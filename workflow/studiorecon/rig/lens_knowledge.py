@@ -38,8 +38,8 @@ def lens_knowledge(
     straight: Collection[str],
     usual_sigma: float,
 ) -> LensKnowledge:
-    """Knowledge of lenses. ``focal_px``: camera → focal length and its sigma as a share; others are usual to within
-    ``usual_sigma``. ``straight``: cameras without distortion."""
+    """The prior of the lenses. ``focal_px``: camera → focal length and its sigma as a share; all others have the usual
+    focal length with ``usual_sigma``. ``straight``: cameras without distortion."""
     expected, sigma, makes = [], [], []
     for camera in cameras:
         side, held = max(camera.wh), camera.name in straight
@@ -53,7 +53,7 @@ def lens_knowledge(
 
 
 def lenses_as_given(cameras: Sequence[Camera]) -> LensKnowledge:
-    """Knowledge of calibrated lenses, which stay as they are."""
+    """The prior that keeps calibrated lenses unchanged."""
     expected = [[np.log(c.focal_px[0]), 0.0, *c.principal_px] for c in cameras]
     return LensKnowledge(np.array(expected), np.zeros((len(cameras), 4)), tuple(c.name for c in cameras))
 

@@ -210,7 +210,7 @@ def pose_changes(
 def _align_to_unmoved(found: Sequence[Camera], given: Sequence[Camera], bundle: BundleSettings) -> list[Camera]:
     """The cameras aligned to the given ones that moved least, so that a knocked one does not displace the others.
 
-    Nor does it displace those that took no part.
+    Cameras that were not estimated are not displaced either.
     """
     weights = np.ones(len(given))
     for _ in range(_LAID):
@@ -247,7 +247,7 @@ def _converge(
 def _use_all_people(
     cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
 ) -> bool:
-    """Whether every camera agrees with half as many observations as the one that agrees with most."""
+    """Whether every camera agrees with at least half as many observations as the best one."""
     used = (
         agreeing_observations(make_observations(detections, cameras, frames, gate_m)[0], cameras, limits)
         if cameras

@@ -94,7 +94,7 @@ def detections_from_bodies(
 
 
 def require_used_frames(bodies: Iterable[tuple[int, Bodies]], frames: int, what: str) -> Iterator[tuple[int, Bodies]]:
-    """The bodies, as they come; raises UserError for bodies of a frame that is not used."""
+    """The same bodies, one by one; raises UserError for bodies of a frame that is not used."""
     for frame, found in bodies:
         if not 0 <= frame < frames:
             raise UserError(f"{what} has bodies at frame {frame}, but {frames} frames are in use; they count from 0")

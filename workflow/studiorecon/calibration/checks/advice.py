@@ -164,7 +164,7 @@ def _off(report: dict[str, Any]) -> list[str]:
 
 
 def _left_open(report: dict[str, Any]) -> list[str]:
-    """Sentences about large errors of the cameras that people would not reveal."""
+    """Sentences about large camera errors that people cannot reveal."""
     refined = report["refined"]
     if refined is None or refined["between_deg"] is None:
         return []

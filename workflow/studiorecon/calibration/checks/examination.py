@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What cameras, people and pictures of the room say of a calibration: the doctor's report, as data."""
+"""Examines a calibration on cameras, people and pictures of the room; the result is the doctor's report as data."""
 
 from __future__ import annotations
 

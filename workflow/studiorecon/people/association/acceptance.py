@@ -219,7 +219,7 @@ def _row(number: int, group: Group, compared: TrackComparison) -> tuple[str, int
 def _report_returns(
     returns: Sequence[Return], table: dict[tuple[str, int], TrackVerdict], cameras: Sequence[Camera]
 ) -> None:
-    """Log who kept the name over a gap, and ask where two names may be one person."""
+    """Log the people who keep their name over a gap, and the pairs of names that may be one person."""
     for one in returns:
         before, after = (table[cameras[v].name, t].person for v, t in (one.before, one.after))
         because = ", ".join(f"{term.text} ({term.nats:+.1f})" for term in one.terms)

@@ -44,7 +44,7 @@ class Group:
         return np.flatnonzero(self.seen.sum(0) >= 2)
 
     def seen_by(self, cameras: Sequence[Camera]) -> list[str]:
-        """Names of the cameras that see it."""
+        """Names of the cameras that see the group."""
         return [camera.name for camera, seen in zip(cameras, self.seen) if seen.any()]
 
     @cached_property

@@ -52,7 +52,7 @@ class TrackComparison:
         limits: AssociationLimits,
         agree: Limits,
     ) -> TrackComparison:
-        """Of the detections of all cameras; raises UserError when the settings need data that no detection has."""
+        """The comparison of all detections; raises UserError when the settings need data that no detection has."""
         require_measured(detections, cameras, limits)
         stable = stable_detections(detections)
         pairs = track_pairs(detections, stable, cameras, limits)
@@ -85,7 +85,7 @@ def group_tracks(
 
 
 def groups_and_returns(compared: TrackComparison, clothes: Clothes | None = None) -> tuple[list[Group], list[Return]]:
-    """The same of compared detections, and who may have returned; ``clothes`` compares what groups wear."""
+    """All groups of the compared detections, and possible returns of people; ``clothes`` compares two groups."""
     pairs, stable = compared.pairs, compared.stable
     if compared.limits.method == "star":
         stars = star_groups(compared.detections, stable, compared.cameras, compared.limits)

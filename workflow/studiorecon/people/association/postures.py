@@ -47,7 +47,7 @@ class Postures:
 
     @staticmethod
     def of(found: Detections, camera: Camera, limits: AssociationLimits) -> Postures:
-        """Of the detections of ``camera``."""
+        """The postures of the detections of ``camera``."""
         joints = np.full((len(found.frame), 23, 3), np.nan) if found.body_pose is None else found.body_pose
         if limits.pose_distance == "angle":
             known = np.isfinite(joints).all((1, 2))

@@ -53,7 +53,7 @@ class RejectedPerson:
         return [f"{camera}\t{track}\t{person}" for camera, track in self.tracks]
 
     def as_json(self, person: str) -> dict[str, Any]:
-        """What the identity page shows of it, with the lines that make it ``person``."""
+        """The group's data for the identity page, with the lines that make it ``person``."""
         described = {"name": self.name, "seconds": self.seconds, "cameras": self.cameras, "reason": self.reason}
         return described | {"tracks": self.tracks, "lines": self.lines(person)}
 

@@ -54,7 +54,7 @@ class Ratio:
     max_nats: float
 
     def nats(self, value: float) -> float:
-        """At a measured ``value`` > 0; 0 where it is NaN."""
+        """The ratio at a measured ``value`` > 0, nats; 0 where it is NaN."""
         if not np.isfinite(value):
             return 0.0
         ends = self.person, self.nobody
@@ -206,7 +206,7 @@ def depth(
     lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]],
     fps: float,
 ) -> Term:
-    """Whether joints and extremities lie in one plane: a picture, or a screen.
+    """Term of joints and extremities in one plane, as on a picture or a screen.
 
     Joints alone do not decide: a person with spread arms is flat to 8 mm.
     """
@@ -225,7 +225,7 @@ def reflection(
     centres_m: Float[np.ndarray, "V 3"],
     fps: float,
 ) -> Term:
-    """Whether ``points_m`` are a mirror's image of ``other_m``, left for right, with all cameras ``centres_m`` on the
+    """Term of ``points_m`` as the mirror image of ``other_m``, left for right, with all cameras ``centres_m`` on the
     other's side.
 
     Only a person who moved in front of the mirror can be distinguished from two people in symmetric positions.
@@ -252,7 +252,7 @@ def reflection(
 
 
 def overlap(points_m: Float[np.ndarray, "T 12 3"], other_m: Float[np.ndarray, "T 12 3"]) -> Term:
-    """Whether two skeletons are at one place wherever both are known: one person, detected twice."""
+    """Term of two skeletons at one place wherever both are known: one person, detected twice."""
     apart = np.linalg.norm(points_m - other_m, axis=-1)
     apart = apart[np.isfinite(apart)]
     # Arms and legs of two people are as far apart as their trunks: three places.
