@@ -137,7 +137,7 @@ def pose_cameras(
     rig = estimate.rig
     error = rig.points.error_px[:, rig.agreeing]
     median = float(np.median(error[np.isfinite(error)]))
-    if median > settings.limit_px(estimate.cameras, rig.points.points_m[rig.counted]):
+    if median > settings.limit_px(estimate.cameras, rig.points.points_m[rig.agreeing]):
         raise UserError(
             f"the cameras are undetermined: the best arrangement leaves people {median:.0f} px "
             "off; check that the videos are synchronised and that no camera moves"
