@@ -256,3 +256,16 @@ def test_up_and_floor_come_from_standing_people(turn):
     back = (sloped @ rotation.T + [3.0, -2.0, 7.0]) @ world[:3, :3].T + world[:3, 3]
     assert np.abs(back[:, 2] - sloped[:, 2]).max() < 0.03
     assert "normal of the floor" in how
+
+
+@pytest.mark.parametrize(("lean_deg", "by_room"), [(8.0, True), (16.0, False)])
+def test_walls_are_more_upright_than_people(lean_deg, by_room):
+    # One person on one spot leans all the time: their feet show no floor.
+    lean = exp(np.radians([lean_deg, 0.0, 0.0]))
+    people = np.tile(STANDING @ lean.T, (30, 1))
+    room = exp(np.array([0.0, 0.0, 0.4])) * np.array([1.0, 1.0, -1.0])
+    frame = np.repeat(np.arange(30), 12)
+    world, how = world_from_people(people, 0 * frame, frame, np.tile(np.arange(12), 30), room)
+    up = world[2, :3]
+    assert np.degrees(angle(np.eye(3), exp(np.cross(up, [0, 0, 1.0])))) == pytest.approx(0 if by_room else 16, abs=1.5)
+    assert ("room's edges" in how) == by_room

@@ -80,7 +80,7 @@ def with_floor(
     best = found
     for reach_m in _FLOOR_REACH_M:
         seen = best.rig.seen
-        upright = world_from_people(best.points_m, seen.group, seen.frame, seen.keypoint)
+        upright = world_from_people(best.points_m, seen.group, seen.frame, seen.keypoint, best.room_directions)
         if upright is None:
             return best
         rig_from_world = np.linalg.inv(upright[0])

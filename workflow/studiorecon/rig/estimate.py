@@ -84,6 +84,18 @@ class RigEstimate:
     people_cost: float
     room: RoomEvidence
 
+    @property
+    def room_directions(self) -> Num[np.ndarray, "3 3"] | None:
+        """The three directions of the room's edges as columns, on average over the cameras; None without any."""
+        if not self.room.turns:
+            return None
+        each = [
+            self.cameras[v].camera_from_world[:3, :3].T @ turn.rotation_camera_from_room
+            for v, turn in self.room.turns.items()
+        ]
+        left, _, right = np.linalg.svd(np.sum(each, axis=0))
+        return left @ right
+
 
 def estimate_rig(
     cameras: Sequence[Camera],

@@ -89,12 +89,14 @@ def world_from_people(
     group: Num[np.ndarray, " N"],
     frame: Num[np.ndarray, " N"],
     keypoint: Num[np.ndarray, " N"],
+    room: Num[np.ndarray, "3 3"] | None = None,
 ) -> tuple[Num[np.ndarray, "4 4"], str] | None:
     """Rigid transform to z up with the floor at z = 0 below people's middle, and its method; None without bodies.
 
     ``points_m``, NaN unknown, belong to ``group``, ``frame`` and ``keypoint``. The robust mean of all directions from
     ankles to shoulders is right up to a lean that people share. The plane of the lower ankles replaces it where feet
-    were in an area, not on a line, and the two agree within 12°.
+    were in an area, not on a line, and the two agree within 12°. Of the ``room``'s directions (columns) the one within
+    12° of that is up: walls are more upright than people.
     """
     grid, upright = _upright(points_m, group, frame, keypoint)
     if not len(upright):
@@ -117,6 +119,12 @@ def world_from_people(
             f"up is the mean of {len(upright)} upright bodies; the plane of their feet leans "
             f"{tilt:.0f}° against it and was not believed"
         )
+    if room is not None:
+        along = room.T @ up
+        vertical = room[:, np.abs(along).argmax()] * np.sign(along[np.abs(along).argmax()])
+        off = np.degrees(np.arctan2(np.linalg.norm(np.cross(vertical, up)), vertical @ up))
+        if off <= _MAX_TILT_DEG:
+            up, how = vertical, f"up is the vertical of the room's edges, {off:.1f}° from people's"
     right = np.cross(np.eye(3)[int(np.argmin(np.abs(up)))], up)
     right /= np.linalg.norm(right)
     transform = np.eye(4)

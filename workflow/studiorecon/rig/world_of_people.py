@@ -39,13 +39,14 @@ def align_to_people(
     )
 
     def upright(scale: Scale) -> tuple[np.ndarray, str]:
-        found = world_from_people(points * scale.factor, rig.seen.group, rig.seen.frame, rig.seen.keypoint)
-        if found is None:
+        seen = rig.seen
+        world = world_from_people(points * scale.factor, seen.group, seen.frame, seen.keypoint, found.room_directions)
+        if world is None:
             raise UserError(
                 "no person is visible from ankles to shoulders, so the up direction is unknown; move "
                 "the cameras back, or bring a calibration"
             )
-        return found
+        return world
 
     # The order of p0, p1, … depends on people's positions in the world that association will use.
     turned = points @ upright(by_bones)[0][:3, :3].T
