@@ -67,7 +67,7 @@ def found(take: tuple[list[Camera], list[Detections]], body: BodyModel) -> Calla
 
     def posed(given: GivenLengths, told_px: dict | None = None, known: bool = True) -> tuple[list[Camera], dict]:
         focal_px = {c.name: c.focal_px[0] for c in truth} if known else {}
-        kept = ("find_pose_consensus", "estimate_rig", "intervals")
+        kept = ("find_pose_consensus", "estimate_rig", "camera_intervals")
         about = told_px, given, stature_m(body)
         with mock.patch.multiple(from_people, **{name: once(name, known) for name in kept}):
             return from_people.pose_cameras(seen, [c.wh for c in truth], focal_px, 60, template_m, settings, *about)
