@@ -195,13 +195,13 @@ def test_a_first_look_makes_one_film_and_measures_nothing(house: House, dataset:
 def test_a_budget_chooses_the_preset_and_leaves_what_the_user_said(house: House) -> None:
     film = "results/tiny/render/orbit.mkv"
     arguments = ("--dry-run", "--printshellcmds", "--cores", "2", film, "--config", f"dataset={house.dataset}")
-    told = replace(house, dataset="").snakemake(*arguments, "budget_min=0.01", "depth={candidates: 44}").stdout
+    told = replace(house, dataset="").snakemake(*arguments, "budget_min=0.01", "depth={primitives: 44}").stdout
     assert "budget of 0.01 min: look, about" in told
     assert "no preset is quicker" in told
     look = read_preset("look")
     assert f'"iterations": {look["background"]["training"]["iterations"]}' in told
     assert f'"sweep_width": {look["depth"]["sweep_width"]}' in told
-    assert '"candidates": 44' in told
+    assert '"primitives": 44' in told
     assert (house.folder / "timings" / "pace.json").is_file()
     without = replace(house, dataset="").snakemake(*arguments).stdout
     assert "budget" not in without
