@@ -88,7 +88,8 @@ def paint(
         if seen.mean() >= _MIN_SEEN:
             rgb = fill_by_texture(rgb, seen, scale, np.random.default_rng(0))
             if walls is not None and _upright(face):
-                apart_m = step_m * cv2.distanceTransform((~seen).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+                # OpenCV's exact distances differ in the last bit from run to run.
+                apart_m = step_m * scipy.ndimage.distance_transform_edt(~seen)
                 copied = np.exp(-((apart_m / _COPIED_M) ** 2))[..., None]
                 rgb = copied * rgb + (1 - copied) * walls.at(nodes)
             painted.append(PaintedFace(face, nodes, rgb, seen))

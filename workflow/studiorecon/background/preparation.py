@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
+import scipy
 
 from studiorecon.background import hole_filling
 from studiorecon.background.targets import angle_between_axes, cutoff_angle, view_weight
@@ -177,8 +177,8 @@ def view_targets(
         weight = view_weight(nearest, cutoff, settings.photo_weight)
         picture, hole = to_float(rgb), support == 0
         if painted and hole.any():
-            apart = cv2.distanceTransform(hole.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-            rim = np.exp(-apart / (_RIM_SHARE * hole.shape[1]))[hole, None]
+            apart = np.inf if hole.all() else scipy.ndimage.distance_transform_edt(hole)
+            rim = np.broadcast_to(np.exp(-apart / (_RIM_SHARE * hole.shape[1])), hole.shape)[hole, None]
             picture[hole] = rim * picture[hole] + (1 - rim) * hole_filling.draw_faces(step.camera, painted)[hole]
         targets.append(Target(step.camera, picture, support_weight(support, settings.hole_weight) * np.float32(weight)))
     return targets
