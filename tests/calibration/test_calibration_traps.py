@@ -28,7 +28,7 @@ from tests.made.cameras import detect, ring, walk
 from tests.made.cameras_parts import matrix, write_toml
 from tests.made.imported import imported
 
-FRAMES = 24
+FRAMES = 48
 PEOPLE = [walk([-0.6, -0.5, 0], [0.03, 0, 0], FRAMES), walk([0.7, 0.6, 0], [0, -0.03, 0], FRAMES, 2.0)]
 NAMES = ("00", "01", "02", "10")
 

@@ -109,7 +109,7 @@ def _room(k: int) -> RoomBox:
     gains = {"cam1": np.array([1.0, 1.1, 0.9]), "cam2": np.ones(3)}
     platform = Platform(np.array([-0.5, -0.4]), np.array([0.6, 0.7]), 0.3)
     box = replace(box, fitted=np.array([True] * 5 + [False]), score=np.array([0.7] * 5 + [np.nan]))
-    return replace(box, gains=gains, planes=box.faces, platform=platform)
+    return replace(box, gains=gains, platform=platform)
 
 
 def _found(k: int) -> dict[str, Any]:
@@ -166,7 +166,7 @@ def _objects(path: Path, k: int) -> None:
 
 def _sweep(path: Path, k: int) -> None:
     rng = _rng(k)
-    arrays = {"planes": _room(0).planes, "chosen": rng.integers(0, 6, (5, 7)).astype(np.int16), "floor_m": 0.02}
+    arrays = {"planes": _room(0).faces, "chosen": rng.integers(0, 6, (5, 7)).astype(np.int16), "floor_m": 0.02}
     more = {"cost": rng.uniform(0, 1, (5, 7)), "confident": rng.random((5, 7)) < 0.5, "yaw_rad": 0.1}
     write_npz(path, arrays | more | {"gains": np.array([[1.0, 1.1, 0.9]])})
 

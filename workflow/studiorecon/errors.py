@@ -14,5 +14,5 @@ class UserError(Exception):
 
 def printable(text: str) -> str:
     """``text`` on one line: names of files may hold line ends, marks that turn the reading direction, or bytes of
-    another encoding, which come as escapes."""
-    return "".join(c if c.isprintable() or c == "\u00a0" else ascii(c)[1:-1] for c in text)
+    another encoding, which come as escapes. Tabs stay: rows of tables are copied from messages."""
+    return "".join(c if c.isprintable() or c in "\u00a0\t" else ascii(c)[1:-1] for c in text)

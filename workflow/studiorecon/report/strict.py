@@ -10,16 +10,19 @@ from pathlib import Path
 
 from studiorecon.errors import UserError
 from studiorecon.pages.run_summary import read_warnings
+from studiorecon.progress import say
 from studiorecon.scene.files import write_text
 from studiorecon.signature import Place, Written
 
 
 def run(page: Path, logs: Place, passed: Written) -> None:
-    """Write ``passed`` if no log of the scene holds a warning; else raise UserError with all of them."""
-    found = [f"{step}: {sentence}" for step, sentence in read_warnings(logs)]
+    """Write ``passed`` if no log of the scene holds a warning; else list them and raise UserError."""
+    found = read_warnings(logs)
+    for step, sentence in found:
+        say(f"{step}: {sentence}")
     if found:
         raise UserError(
-            f"{len(found)} warning{'s' if len(found) > 1 else ''}, treated as errors (strict); all results are "
-            f"made, and {page} lists them too:\n" + "\n".join(found)
+            f"{len(found)} warning{'s' if len(found) > 1 else ''}, treated as errors (strict); all results are made, "
+            f"and {page} lists them too"
         )
     write_text(passed, "no step warned\n")
