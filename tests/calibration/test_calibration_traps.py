@@ -258,7 +258,7 @@ def test_keypoints_of_another_picture_size_are_not_called_good(capture, examine)
             ]
         path.write_text(json.dumps(content))
     report = examine(capture)
-    assert report["verdict"] in ("wrong", "cannot tell")
+    assert report["verdict"] != "good"
     assert "01" in " ".join(report["advice"])
 
 

@@ -95,10 +95,13 @@ def fit_lags(matrices: Float[np.ndarray, "L 9 9"], moments: Float[np.ndarray, " 
         form = np.einsum("lji,lj->li", whiten, vectors[:, :, -1])
         return LagFit(form, 1 / np.maximum(largest[:, -1], 1e-18), np.zeros(len(matrices)))
     mean, basis = prior.mean, prior.per_sigma
-    steepness = np.maximum(np.einsum("i,lij,j->l", mean, gradients, mean), 1e-18)
-    scale = moments / steepness / NOISE**2
-    square = scale[:, None, None] * (basis.T @ matrices @ basis) + np.eye(basis.shape[1])
-    change = -scale[:, None] * np.linalg.solve(square, (matrices @ mean @ basis)[..., None])[..., 0]
+    # Cameras in one place have no epipolar lines: no keypoint weighs more than the geometry's digits allow.
+    digits = 1e-9 * np.trace(gradients, axis1=1, axis2=2) * (mean @ mean) + 1e-18
+    steepness = np.maximum(np.einsum("i,lij,j->l", mean, gradients, mean), digits)
+    scale = (moments / steepness / NOISE**2)[:, None]
+    values, vectors = np.linalg.eigh(basis.T @ matrices @ basis)
+    along = np.einsum("lji,lj->li", vectors, matrices @ mean @ basis)
+    change = -np.einsum("lij,lj->li", vectors, scale * along / (scale * np.maximum(values, 0) + 1))
     form = mean + change @ basis.T
     return LagFit(form, np.einsum("li,lij,lj->l", form, matrices, form) / steepness, (change**2).sum(-1))
 
