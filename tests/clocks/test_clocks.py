@@ -69,7 +69,7 @@ def find(default_settings: Callable[..., dict[str, Any]], tmp_path: Path) -> Cal
             tmp_path / "sync.json",
         )
         looked = [] if sync == "never" else [r.name for r in recorders]
-        assert [f.camera for f in read_clock_findings(tmp_path / "sync.json")] == looked
+        assert [f.camera for f in read_clock_findings(tmp_path / "sync.json")[0]] == looked
         return read_clocks(tmp_path / "clocks.json"), {
             f["camera"]: f for f in read_json(tmp_path / "sync.json")["cameras"]
         }
@@ -169,8 +169,8 @@ class TestOthers:
     def test_people_alone_blame_no_clock_that_other_sources_contradict(self, tmp_path, kind, people_s) -> None:
         estimate = {"method": "people", "offset_s": 2.0, "half_s": 0.1, "drift_ppm": 0.0}
         about = {"camera": "a", "kind": kind, "reason": "", "sentence": "", "proposals": [estimate], "without": {}}
-        write_json(tmp_path / "sync.json", {"sync": "auto", "given": {}, "cameras": [estimate | about]})
-        (finding,) = read_clock_findings(tmp_path / "sync.json")
+        write_json(tmp_path / "sync.json", {"sync": "auto", "given": {}, "cameras": [estimate | about], "films": []})
+        ((finding,), _) = read_clock_findings(tmp_path / "sync.json")
         assert finding.people_s == people_s
 
     @pytest.mark.parametrize(("frames", "applied"), [(11.04, 11), (11.4, 11.4), (0.05, 0), (-2.93, -3)])

@@ -28,7 +28,6 @@ from studiorecon.footage.source import FootageSource, open_source
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.images.encoded import png
 from studiorecon.keypoints.detections import to_pinhole
-from studiorecon.keypoints.film_colours import colour_notes
 from studiorecon.keypoints.resampling import resample_keypoints
 from studiorecon.progress import say
 from studiorecon.rig.contact_sheet import contact_sheet
@@ -148,8 +147,7 @@ def run(
     filmed, decided = read_clocks(clocks), [read_keypoint_verdict(path) for path in sizes]
     common = usable_clocks(filmed)
     heights = {v.camera: v.wh[1] for v in decided}
-    tracked = [read_detections(path) for path in sightings]
-    seen = {d.camera: resample_keypoints(d, common, heights[d.camera]) for d in tracked}
+    seen = {d.camera: resample_keypoints(d, common, heights[d.camera]) for d in (read_detections(p) for p in sightings)}
     raw = [seen.get(c, empty_detections(c)) for c in cameras]
     moments = [common.source_frames(c) for c in cameras]
     films = [open_source(source, 0.0) for source in sources]
@@ -169,15 +167,14 @@ def run(
     readings = {
         name: read(model) for name, model in LENS_READINGS.items() if any(lenses[c].model != model for c in cameras)
     }
-    found = read_clock_findings(sync)
+    found, unlike = read_clock_findings(sync)
     lags = lags_frames([one for one in found if one.camera in cameras], common)
     described = {"sentences": [one.sentence for one in found], "refusal": filmed.refusal, "lags_frames": lags}
     # Cameras that filmed people, or all: the room in held-out pictures is not used.
     asked = [c in seen or not seen for c in cameras]
     rooms = _rooms(sources, pinholes, [lenses[c] for c in cameras], moments, asked)
     notes_of_films = [sentence for v in decided for sentence in v.notes]
-    notes_of_films += colour_notes(dict(zip(cameras, films, strict=True)), tracked)
-    compared = {"refused": [v.refusal for v in decided if v.refusal], "notes": notes_of_films}
+    compared = {"refused": [v.refusal for v in decided if v.refusal], "notes": notes_of_films + unlike}
     doubts = calibrated.about["doubts"] or []
     result, points = examine(pinholes, detections, about, settings, readings, described, doubts, rooms, compared)
     frame = result["shown_frame"]

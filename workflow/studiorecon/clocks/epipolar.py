@@ -149,9 +149,9 @@ def lag_between_frames(
 ) -> tuple[float, float] | None:
     """The lag between frames of several pairs of tracks under one geometry, and its sigma.
 
-    The first pair shows one person; of the others
-    those count that fit the same geometry. Fractions come from the parabola through the errors about ``lag``, sigma
-    from the scatter between parts of the clip and, with a prior, from its freedom. None where they do not determine it.
+    The first pair shows one person; the others count if they fit the same geometry. Fractions come from the parabola
+    through the errors about ``lag``, sigma from the scatter between parts of the clip and, with a prior, from its
+    freedom. None where they do not determine it.
     """
     product, known, of, block = _products(tracks, lag)
     if not (of == 0).any():

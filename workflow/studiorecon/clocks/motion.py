@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from studiorecon.clocks.posterior import HALF, MAX_HALF_S, Lag, Source, choose_reference, estimate_offsets
+from studiorecon.clocks.posterior import (
+    HALF,
+    MAX_HALF_S,
+    Lag,
+    Source,
+    choose_reference,
+    estimate_offsets,
+    lag_from_gains,
+)
 from studiorecon.footage.frames import small_grey
 from studiorecon.footage.source import FootageSource
 from studiorecon.scene.clocks import Clock
@@ -126,16 +134,14 @@ def motion_lag(first: Float[np.ndarray, " T"], second: Float[np.ndarray, " t"], 
     # Likelihood of a bivariate normal with this correlation against two series without any.
     gain = -0.5 * np.maximum(moments - 3, 0) * np.log1p(-(np.clip(correlation, 0, _MAX_CORRELATION) ** 2))
     allowed = overlap >= least
-    odds = np.where(allowed, np.exp(gain) * (1 - _OUTLIER_PROBABILITY) / allowed.sum(), 0.0)
-    best = int(np.argmax(odds))
-    peak = np.where(np.abs(lags - lags[best]) <= max(2, _PEAK_S * rate), odds, 0.0)
-    rows = float(peak @ lags / peak.sum())
-    spread = float(np.sqrt(peak @ (lags - rows) ** 2 / peak.sum()))
+    gain = np.where(allowed, gain, -np.inf)
+    best = int(np.argmax(gain))
+    rows, spread, outliers = lag_from_gains(lags, gain, max(2, _PEAK_S * rate), _OUTLIER_PROBABILITY)
     # No difference of frames resolves half a frame.
     return MotionLag(
         rows,
         max(spread, _VIEWS_S * rate, 0.5),
-        float(1 - peak.sum() / (odds.sum() + _OUTLIER_PROBABILITY)),
+        outliers,
         f"motion over time correlates at {correlation[best]:.2f} over {moments[best]:.0f} independent moments at best, "
         "which several lags explain",
     )

@@ -244,11 +244,12 @@ def run(
         names, promised = [f"{s.parent.name}/{s.name}" for s in sources], [s.announced for s in opened if s]
         common = replace(common, refusal=different_lengths_note(made, names, unsure, promised))
     films = {camera: source for camera, source in zip(cameras, opened) if source is not None}
-    for sentence in colour_notes(films, map(read_detections, sightings)):
+    unlike = colour_notes(films, map(read_detections, sightings))
+    for sentence in unlike:
         warn(sentence)
     twice = duplicate_film_note(films)
     common = replace(common, refusal=twice or common.refusal)
-    write_json(findings, {"sync": settings.sync, "given": dict(given), "cameras": found})
+    write_json(findings, {"sync": settings.sync, "given": dict(given), "cameras": found, "films": unlike})
     write_clocks(clocks, common)
     if common.refusal:
         warn(common.refusal)

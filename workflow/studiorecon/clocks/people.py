@@ -23,7 +23,7 @@ from studiorecon.clocks.epipolar import (
     lag_matrices,
     squared_error,
 )
-from studiorecon.clocks.posterior import Lag, Source
+from studiorecon.clocks.posterior import Lag, Source, lag_from_gains
 from studiorecon.geometry.lens import calibration_from_video_pixels, normalised_from_calibration
 from studiorecon.keypoints.correspondence import stable_detections
 from studiorecon.scene.camera import Lens
@@ -46,6 +46,8 @@ _OTHERS = 0.1
 _SURE = 0.3
 _TRACKS = 6
 _MIN_S, _MIN_SHARE = 1.0, 0.3
+# Fewer pairs of keypoints at a lag fit some geometry by chance: F has seven unknowns.
+_MIN_PAIRS = 100
 # Lags so near each other are one; further off, the same geometry must fit worse, or nobody moves.
 _APART_S = 0.3
 
@@ -111,14 +113,11 @@ def pair_lag(first: View, second: View, rate: float) -> tuple[Source, float, flo
     total = np.logaddexp(np.log(_SAME) + gains, np.log1p(-_SAME)).sum(1)
     share = [0.0] if len(priors) == 1 else [np.log(_MISCALIBRATED), np.log1p(-_MISCALIBRATED)]
     total += np.array(share)[:, None]
-    odds = np.exp(np.clip(np.logaddexp.reduce(total, axis=0), None, 500)) * (1 - _OUTLIER_PROBABILITY) / len(lags)
-    best = int(np.argmax(odds))
-    peak = np.where(np.abs(lags - lags[best]) <= max(2, _APART_S * rate), odds, 0.0)
-    outliers = float(1 - peak.sum() / (odds.sum() + _OUTLIER_PROBABILITY))
+    gain = np.logaddexp.reduce(total, axis=0)
+    rows, spread, outliers = lag_from_gains(lags, gain, max(2, _APART_S * rate), _OUTLIER_PROBABILITY)
     if outliers > 0.5:
         return None
-    rows = float(peak @ lags / peak.sum())
-    spread = float(np.sqrt(peak @ (lags - rows) ** 2 / peak.sum()))
+    best = int(np.argmax(gain))
     g = int(np.argmax(total[:, best]))
     likeliest_first = [meetings[k] for k in np.argsort(-gains[g, :, best], kind="stable")]
     fine = lag_between_frames(likeliest_first, int(lags[best]), rate, priors[g])
@@ -134,7 +133,7 @@ def _gain(
 ) -> np.ndarray:
     """(L,) log-likelihood of every lag of two tracks of one person, against tracks of two people."""
     overlap = np.minimum(shorter, np.minimum(lags - lags[0], lags[-1] - lags) + 1)
-    usable = (overlap >= max(_MIN_S, _MIN_SHARE * shorter / rate) * rate) & (count >= 100)
+    usable = (overlap >= max(_MIN_S, _MIN_SHARE * shorter / rate) * rate) & (count >= _MIN_PAIRS)
     moments = overlap / (rate * MOMENT_S)
     fit = fit_lags(matrices, moments, prior)
     if not usable.any():

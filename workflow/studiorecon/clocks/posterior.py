@@ -10,12 +10,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import brentq
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_flow
 from scipy.special import expit, gammaln, ndtr
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Half of a 95 % interval in standard deviations.
 HALF = 1.96
@@ -73,6 +77,24 @@ class _Mode:
     variance: np.ndarray
     right: np.ndarray
     evidence: float
+
+
+def lag_from_gains(
+    lags: Float[np.ndarray, " L"], gain: Float[np.ndarray, " L"], reach: float, outlier_probability: float
+) -> tuple[float, float, float]:
+    """The lag of two series, its sigma, and the probability that it says nothing.
+
+    ``gain``: log-likelihood of every lag against two unrelated series, -inf where the lag is not possible. Lags within
+    ``reach`` of the best one are the same peak; the others count as wrong, as do unrelated series
+    (``outlier_probability``).
+    """
+    best = int(np.argmax(gain))
+    odds = np.exp(gain - gain[best])
+    unrelated = outlier_probability / (1 - outlier_probability) * np.isfinite(gain).sum() * math.exp(-gain[best])
+    peak = np.where(np.abs(lags - lags[best]) <= reach, odds, 0.0)
+    lag = float(peak @ lags / peak.sum())
+    sigma = float(np.sqrt(peak @ (lags - lag) ** 2 / peak.sum()))
+    return lag, sigma, float(1 - peak.sum() / (odds.sum() + unrelated))
 
 
 def choose_reference(lags: Sequence[Lag], cameras: int) -> int:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names films with inverted colours or exchanged red and blue: people's skin and clothes differ from the other films'.
 
-Red and blue against green on people's limbs are compared with the median of the other cameras, in logarithms. A film's
-white balance differs a little. The rest is noise, whose size the films themselves show.
+Colours on people's limbs are compared with the median of the other cameras, in logarithms. A film may be brighter by
+any factor, and its white balance differs a little. The rest is noise, whose size the films themselves show.
 """
 
 from __future__ import annotations
@@ -32,13 +32,9 @@ _SURE = 0.3
 _PICTURES = 8
 # Added before logarithms, of 1: below it noise rules.
 _DARK = 0.05
-# Standard deviations of a channel's white balance between cameras, and the least of a limb's colour, natural
-# logarithms: 20 %, 10 %.
-_BALANCE, _MIN_NOISE = 0.2, 0.1
-# Red and blue against green: how light a limb is depends on the side from which it is lit, and shows no wrong film.
-_CHROMA = np.array([[1.0, 0.0], [-1.0, -1.0], [0.0, 1.0]])
-# Standard deviation of a whole picture's colours, natural logarithms: of keypoints that are not on people.
-_PICTURE = 0.7
+# Standard deviations of exposure and of a channel's white balance between cameras, and the least of a limb's colour,
+# natural logarithms: a factor of 1.6, 20 %, 10 %.
+_EXPOSURE, _BALANCE, _MIN_NOISE = 0.5, 0.2, 0.1
 # Odds against a wrong film: one in a thousand, and a hundred times that, as people are not the same in every film.
 _ODDS = 1e5
 _MIN_LIMBS = 3
@@ -106,15 +102,16 @@ def unlike_colours(colours: Mapping[str, Num[np.ndarray, "L 3"]]) -> dict[str, s
         return {}
     apart = [logs[camera][shared] - median for camera, (shared, median) in usual.items()]
     # Half of a normal distribution is within 0.6745 sigma; the median over cameras ignores a wrong one.
-    noise = float(np.median([np.median(np.abs((one - one.mean(0)) @ _CHROMA)) for one in apart])) / 0.6745 / np.sqrt(2)
+    noise = float(np.median([np.median(np.abs(one - one.mean(0))) for one in apart])) / 0.6745
     gains = []
     for (camera, (shared, median)), as_read in zip(usual.items(), apart):
-        unchanged = max(_log_likelihood(as_read, noise), _log_likelihood(as_read, _PICTURE))
         for words, read in _READINGS.items():
             other = np.log(read(colours[camera][shared]) + _DARK)
-            # A reading that squeezes dark colours together must not win by that: densities change with the scale.
-            squeezed = min(logs[camera][shared].sum() - other.sum(), 0.0) * 2 / 3
-            gains.append((_log_likelihood(other - median, noise) - unchanged + squeezed, camera, words))
+            # A reading that squeezes colours together must not win by that, as densities change with the scale. One
+            # that spreads them wins nothing: the pictures' noise is not known so well.
+            squeezed = min(logs[camera][shared].sum() - other.sum(), 0.0)
+            likelier = _log_likelihood(other - median, noise) - _log_likelihood(as_read, noise)
+            gains.append((likelier + squeezed, camera, words))
     gain, camera, words = max(gains)
     if not gain > np.log(_ODDS):
         return {}
@@ -123,8 +120,9 @@ def unlike_colours(colours: Mapping[str, Num[np.ndarray, "L 3"]]) -> dict[str, s
 
 
 def _log_likelihood(apart: Num[np.ndarray, "L 3"], noise: float) -> float:
-    """Of the limbs' colours being ``apart`` from the usual ones: balance and noise are Gaussian."""
-    limbs, chroma = len(apart), _CHROMA.T @ _CHROMA
-    covariance = np.kron(np.full((limbs, limbs), _BALANCE**2) + np.eye(limbs) * max(noise, _MIN_NOISE) ** 2, chroma)
-    values = (apart @ _CHROMA).reshape(-1)
-    return -0.5 * float(values @ np.linalg.solve(covariance, values) + np.linalg.slogdet(covariance)[1])
+    """Of limbs' differences from the usual colours, up to a constant: exposure, balance and noise are Gaussian."""
+    limbs = len(apart)
+    shared = np.ones((3, 3)) * _EXPOSURE**2 + np.eye(3) * _BALANCE**2
+    covariance = np.kron(np.ones((limbs, limbs)), shared) + np.eye(3 * limbs) * max(noise, _MIN_NOISE) ** 2
+    values = apart.reshape(-1)
+    return -0.5 * float(values @ np.linalg.solve(covariance, values))

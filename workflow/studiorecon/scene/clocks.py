@@ -40,7 +40,12 @@ _FINDING = {
     "proposals": ListOf(_ESTIMATE),
     "without": MappingOf(text()),
 }
-_FINDINGS = {"sync": text(), "given": MappingOf(real(unit="frames")), "cameras": ListOf(_FINDING)}
+_FINDINGS = {
+    "sync": text(),
+    "given": MappingOf(real(unit="frames")),
+    "cameras": ListOf(_FINDING),
+    "films": ListOf(text()),
+}
 
 
 @dataclass(frozen=True)
@@ -139,9 +144,10 @@ def read_clocks(path: Path) -> Clocks:
     return read(path, _CLOCKS, _clocks)
 
 
-def read_clock_findings(path: Path) -> list[ClockFinding]:
-    """The findings on every camera's clock; raises UserError as ``step_files.read`` does."""
-    return read(path, _FINDINGS, lambda value: [_finding(one) for one in value["cameras"]])
+def read_clock_findings(path: Path) -> tuple[list[ClockFinding], list[str]]:
+    """The findings on every camera's clock, and warnings of films that differ from the others; raises UserError as
+    ``step_files.read`` does."""
+    return read(path, _FINDINGS, lambda value: ([_finding(one) for one in value["cameras"]], list(value["films"])))
 
 
 def _finding(value: dict[str, Any]) -> ClockFinding:
