@@ -113,7 +113,9 @@ def refuse_unreadable():
         return
     read = {str(file) for job in workflow.dag.needrun_jobs() for file in job.input}
     films = {camera: PLAN.dataset.chapters.get(camera, (film,)) for camera, film in PLAN.dataset.footage.items()}
-    if sentences := unreadable_footage({c: [film for film in parts if str(film) in read] for c, parts in films.items()}):
+    if sentences := unreadable_footage(
+        {c: [film for film in parts if str(film) in read] for c, parts in films.items()}
+    ):
         refuse("\n".join(sentences))
 
 
