@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +21,6 @@ from studiorecon.people import lift
 from studiorecon.people.association.affinity import AssociationLimits
 from studiorecon.people.association.track_pairs import require_measured, track_pairs
 from studiorecon.people.lift import Lifting, Settings
-from studiorecon.rig import first_depth
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, read_detections, write_detections
 
@@ -168,9 +168,13 @@ def test_without_a_body_the_middle_of_the_hips_is_lifted() -> None:
 
 
 def run_lifting(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, camera: Camera, other_view: bool = False
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    camera: Camera,
+    bend: Callable[[np.ndarray], np.ndarray] = np.asarray,
+    apart: float = 0.5,
 ) -> Detections:
-    """The whole step, with a calibration whose unit is another one than that of the cameras in use."""
+    """The whole step, with a calibration whose unit is ``apart`` of that of the cameras in use; ``bend``s depth."""
     frames = iter(network_depths(camera).values())
 
     class Planted:
@@ -180,14 +184,13 @@ def run_lifting(
         def depth(self, picture: np.ndarray, focal_px: float | None) -> np.ndarray:
             assert picture.shape == (*camera.hw, 3)
             assert focal_px == pytest.approx(camera.focal_px[0])
-            own = next(frames)
-            return np.random.default_rng(2).uniform(0.5, 50, own.shape) if other_view else own
+            return bend(next(frames))
 
     monkeypatch.setattr(moge, "ADAPTER", Planted)
     half = []
     for own in rig():
         pose = own.camera_from_world.copy()
-        pose[:3, 3] *= 0.5
+        pose[:3, 3] *= apart
         half.append(replace(own, camera_from_world=pose))
     write_model(tmp_path / "network", half)
     write_model(tmp_path / "cameras", rig())
@@ -228,11 +231,26 @@ def test_two_cameras_find_the_same_people_by_them(tmp_path: Path, monkeypatch: p
     require_measured(nobody, cameras, replace(limits, position="rays"))
 
 
-def test_a_depth_of_another_view_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("bend", "apart", "cause"),
+    [
+        (lambda depth: np.random.default_rng(2).uniform(0.5, 50, depth.shape), 0.5, "differ by"),
+        (np.zeros_like, 0.5, "the unit of .* is unknown"),
+        (np.asarray, 0.0, "the scale of its depth is unknown"),
+    ],
+    ids=("another view", "no depth", "cameras in one place"),
+)
+def test_a_depth_that_gives_no_metre_is_refused(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    bend: Callable[[np.ndarray], np.ndarray],
+    apart: float,
+    cause: str,
+) -> None:
     """Its remedy, ``position: rays``, needs no depth and separates the same people."""
     cameras = rig()[:2]
-    with pytest.raises(UserError, match=r"differ by.*set people\.association\.position to rays"):
-        run_lifting(tmp_path, monkeypatch, cameras[0], other_view=True)
+    with pytest.raises(UserError, match=cause + r".*set people\.association\.position to rays"):
+        run_lifting(tmp_path, monkeypatch, cameras[0], bend, apart)
     people = [walk(place - [0, 0, 1], np.array([0.02, 0.01, 0]), FRAMES) for place in PLACES]
     seen = detect(cameras, people, 0.3, np.random.default_rng(0))
     limits = AssociationLimits(method="star", affinity="position", position="rays")
@@ -240,8 +258,3 @@ def test_a_depth_of_another_view_is_refused(tmp_path: Path, monkeypatch: pytest.
     alike = pairs.affinity[np.ix_(pairs.view == 0, pairs.view == 1)]
     assert alike.max(axis=1).min() > 0.5
     assert sorted(alike.argmax(axis=1)) == [0, 1]
-
-
-def test_cameras_in_one_place_say_nothing_of_a_metre() -> None:
-    with pytest.raises(UserError, match="the scale of its depth is unknown; go by rays"):
-        first_depth.network_scale(rig()[:1], rig(), "go by rays")
