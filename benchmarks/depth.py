@@ -46,7 +46,7 @@ from tests.defaults import default_settings, loaded
 from tests.made.bent_depth import bent
 
 ROOT = Path(__file__).resolve().parents[1]
-# Cases in which the settings differ: without boxes and cylinders.
+# Cases in which the settings differ: without boxes.
 CHANGES = {"bare": ["primitives=0"]}
 # Cases with a planted network's depth (``tests.made.bent_depth``): the cameras of which it is wrong altogether.
 NETWORK: dict[str, set[int]] = {"network": set(), "network, one wrong": {1}}
@@ -168,7 +168,7 @@ def measure(room: Room, values: dict, pictures: Path | None, network: list[np.nd
             sweep.run(load(sweep.Settings, values, "depth"), camera.name, model, plates, path)
         lap()
         walls.run(load(walls.Settings, values, "depth"), model, plates, sweeps, folder / "box.json")
-        files = folder / "box.json", [], [], [], box, primitives, folder / "primitives.png"
+        files = folder / "box.json", [], box, primitives, folder / "primitives.png"
         room_box.run(load(room_box.Settings, values, "depth"), model, plates, sweeps, *files)
         lap()
         settings, estimates = load(refine.Settings, values, "depth"), [[] for _ in maps]

@@ -59,7 +59,7 @@ def estimate(folder: Path, cameras: list[Camera], plates: list[Path], section: d
         sweep.run(load(sweep.Settings, section, "depth"), camera.name, model, plates, path)
     box, primitives = folder / "room.json", folder / "primitives.json"
     walls.run(load(walls.Settings, section, "depth"), model, plates, sweeps, folder / "box.json")
-    files = folder / "box.json", [], [], [], box, primitives, folder / "primitives.png"
+    files = folder / "box.json", [], box, primitives, folder / "primitives.png"
     room_box.run(load(room_box.Settings, section, "depth"), model, plates, sweeps, *files)
     maps = []
     for camera in cameras:

@@ -130,8 +130,7 @@ def test_platform_is_the_first_of_the_furniture_and_whole(on_a_platform: list[Pi
     room_box = replace(raised().room_box, fitted=np.ones(6, bool), platform=platform)
     small = [_at_width(picture, 96) for picture in on_a_platform]
     feet = np.array([[0.0, 0.0, 0.0, 0.05], [0.2, 0.2, 0.0, 0.05]])
-    found = fit_primitives(small, small.__getitem__, room_box, feet, window=5, mean_weight=0.3, least_gain=20.0, most=1)
-    assert found[0].kind == "box"
+    found = fit_primitives(small, room_box, feet, window=5, mean_weight=0.3, least_gain=20.0, most=1)
     assert (found[0].low_m, found[0].high_m) == (FLOOR_M, 0.0)
     assert np.abs(np.array(found[0].size_m) - (1.8, 1.4)).max() < 0.15
     assert np.abs(found[0].centre_m).max() < 0.08

@@ -42,7 +42,7 @@ def place() -> tuple[float, float]:
 
 
 def pillar() -> Primitive:
-    return Primitive("cylinder", place(), 0.0, (0.4, 0.4), 0.0, 3.0, 0.0)
+    return Primitive(place(), 0.0, (0.4, 0.4), 0.0, 3.0, 0.0)
 
 
 def wallpaper(points: np.ndarray, face: np.ndarray) -> np.ndarray:
@@ -86,9 +86,9 @@ def photos(
     return pictures
 
 
-def put_up(pictures: Sequence[Picture], full: Sequence[Picture] | None = None) -> list[Primitive]:
+def put_up(pictures: Sequence[Picture]) -> list[Primitive]:
     gates = {"window": 5, "mean_weight": 1.5, "least_gain": 40.0, "most": 5}
-    return fit_primitives(pictures, (full or pictures).__getitem__, ROOM_BOX, NOBODY, **gates)
+    return fit_primitives(pictures, ROOM_BOX, NOBODY, **gates)
 
 
 def test_a_pillar_is_unlike_the_wallpaper_behind_it() -> None:
@@ -103,15 +103,14 @@ def test_a_pillar_is_unlike_the_wallpaper_behind_it() -> None:
 
 
 def test_it_stands_where_its_foot_is_seen_to_be() -> None:
-    """To centimetres, as the picture at full size shows it: a row of the small one is 0.2 m of floor there."""
+    """A row of the picture is 0.2 m of floor there."""
     stands = pillar()
-    found = put_up(photos(stands), photos(stands, width=480))
+    found = put_up(photos(stands))
     assert len(found) == 1
     apart_m = np.linalg.norm(np.subtract(found[0].centre_m, stands.centre_m))
-    assert apart_m < 0.05, (found, stands)
-    assert found[0].kind == "cylinder", "of what one photo shows the depth is not known: as deep as it is wide"
-    assert found[0].size_m[0] == pytest.approx(0.4, abs=0.03)
-    assert found[0].low_m == pytest.approx(0.0, abs=0.001)
+    assert apart_m < 0.3, (found, stands)
+    assert found[0].size_m[0] == pytest.approx(0.4, abs=0.15)
+    assert found[0].low_m == pytest.approx(0.0, abs=0.03)
     assert found[0].high_m > 2.5
 
 
@@ -122,6 +121,6 @@ def test_nothing_is_put_up_where_one_photo_does_not_tell(case: str) -> None:
     elif case == "foot hidden":
         pictures = photos(pillar(), hidden_foot=True)
     else:
-        middle = Primitive("cylinder", (0.3, 0.2), 0.0, (0.4, 0.4), 0.0, 1.8, 0.0)
+        middle = Primitive((0.2, 0.3), 0.0, (0.4, 0.4), 0.0, 1.8, 0.0)
         pictures = photos(middle, only_first=True)
     assert put_up(pictures) == []

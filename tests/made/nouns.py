@@ -203,7 +203,7 @@ def _people(path: Path, k: int) -> None:
     write_people(path, [("p0", 4, "cam1,cam2", 0.9, "keypoints"), (f"p{k + 1}", 3, "cam1", 0.8, "keypoints")])
 
 
-PRIMITIVE = Primitive("box", (1.0, 1.5), 0.2, (0.5, 0.6), 0.0, 1.0, 30.0)
+PRIMITIVE = Primitive((1.0, 1.5), 0.2, (0.5, 0.6), 0.0, 1.0, 30.0)
 NOUNS = {
     "clocks": Noun("clocks.json", lambda p, k: write_clocks(p, _clocks(k)), read_clocks),
     "footage": Noun("cam1.json", lambda p, k: write_footage(p, _footage(k)), read_footage),

@@ -141,8 +141,6 @@ rule depth_room:
         ),
         box="results/{scene}/depth/box.json",
         fits=files.people_for_furniture,
-        detections=files.detections_for_furniture,
-        identities=files.identities_for_furniture,
         kernels="results/{scene}/depth/kernels.txt",
     output:
         room_box="results/{scene}/depth/room.json",

@@ -45,7 +45,7 @@ sigma              standard deviation; *interval* means 95 % unless stated other
 undetermined       a result: the data do not decide, and the reason says why
 proposal           a candidate (box, wall, pose) that the images then accept or reject
 plate              the background image of a camera: the room without people, with a mask of known pixels
-room box           floor, ceiling and four walls; *primitives* are upright boxes and cylinders inside it
+room box           floor, ceiling and four walls; *primitives* are upright boxes inside it
 object             a rigid thing that moves and is not a person
 effect             something a scene may call for (shadows, exposure); the *survey* measures and decides it
 gain               factor on the brightness of a camera or a frame

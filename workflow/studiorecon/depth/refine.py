@@ -204,7 +204,7 @@ def run(
         estimate = read_camera_estimate(path, whole)
         depth_m, certainty = compete_with_network(built, volume, index, estimate, rgb, surfaces_m, settings)
     say(
-        f"{camera}: {in_view.mean():.0%} of the pixels show boxes and cylinders; "
+        f"{camera}: {in_view.mean():.0%} of the pixels show boxes; "
         f"{(certainty <= settings.default_confidence).mean():.0%} have default depth, because no other camera "
         "confirms that surface"
     )

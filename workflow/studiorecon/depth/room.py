@@ -18,13 +18,12 @@ from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout.primitive_fitting import fit_primitives
 from studiorecon.depth.layout.primitives import Primitive, depth_with_primitives, write_primitives
 from studiorecon.depth.layout.primitives_picture import overview_sheet
-from studiorecon.depth.layout.visibility import free_ray_points, joint_places
+from studiorecon.depth.layout.visibility import joint_places
 from studiorecon.depth.layout.votes import read_sweeps
 from studiorecon.depth.stereo.plates import equalise_exposure, read_pictures, surface_gains
 from studiorecon.depth.sweep_settings import Comparison, FirstLook
 from studiorecon.images.encoded import write_png
 from studiorecon.progress import say
-from studiorecon.scene.people import read_detections, read_identities
 from studiorecon.scene.room import read_room, write_room
 from studiorecon.signature import Written
 
@@ -35,7 +34,7 @@ class Settings(Comparison, FirstLook):
 
     primitives: int = setting(
         40,
-        "Maximum number of boxes and cylinders in the room; 0 = none.",
+        "Maximum number of boxes in the room; 0 = none.",
         minimum=0,
         maximum=1000,
         paper="none; network depth",
@@ -52,15 +51,13 @@ def run(
     sweeps: list[Path],
     box: Path,
     fits: list[Path],
-    detections: list[Path],
-    identities: list[Path],
     room_box: Written,
     primitives: Written,
     picture: Written,
 ) -> None:
     """Fit furniture in the room ``box``, and make the cameras' exposures agree.
 
-    ``fits``, ``detections`` and ``identities`` show which space is free; without them only the cameras do.
+    ``fits`` are bodies of people, whose paths furniture may not block.
     """
     cameras = read_model(model.parent)
     swept, fitted = read_sweeps(sweeps, len(cameras)), read_room(box)
@@ -68,17 +65,10 @@ def run(
     furniture: list[Primitive] = []
     if settings.primitives and len(cameras) > 1:
         small = equalise_exposure(read_pictures(cameras, plates, settings.primitives_width), swept.gains)
-        bodies, whose = [read_person(path) for path in fits], read_identities(identities[0]) if identities else {}
-        free_m = np.concatenate(
-            [
-                joint_places(bodies),
-                free_ray_points(cameras, bodies, [read_detections(path) for path in detections], whose),
-            ]
-        )
-        say(f"{len(free_m)} points of {len(bodies)} people and of rays to them are kept free of furniture")
+        free_m = joint_places([read_person(path) for path in fits])
+        say(f"{len(free_m)} places of {len(fits)} people are kept free of furniture")
         furniture = fit_primitives(
             small,
-            lambda view: read_pictures([cameras[view]], [plates[view]], cameras[view].wh[0])[0],
             fitted,
             free_m,
             window=settings.refine_window,
@@ -86,7 +76,7 @@ def run(
             least_gain=settings.primitives_gain,
             most=settings.primitives,
         )
-        say(f"{len(furniture)} boxes and cylinders added to walls and floor")
+        say(f"{len(furniture)} boxes added to walls and floor")
     boxes_m = [fitted.intersect(*p.camera.rays())[0].astype(np.float32) for p in pictures]
     depths = [depth_with_primitives(furniture, p.camera, depth_m)[0] for p, depth_m in zip(pictures, boxes_m)]
     rest, pairs = surface_gains(pictures, depths, settings.window)

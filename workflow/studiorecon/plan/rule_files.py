@@ -159,14 +159,6 @@ class Files(UserInputs):
         """Bodies of the people whose paths furniture may not block; none where ``depth.primitives`` is off."""
         return self.fits(wildcards) if self.config["depth"]["primitives"] else []
 
-    def detections_for_furniture(self, wildcards: Any) -> list[str]:
-        """Detections of those people, which no furniture can occlude."""
-        return self.detections(wildcards) if self.people_for_furniture(wildcards) else []
-
-    def identities_for_furniture(self, wildcards: Any) -> list[str]:
-        """The identities of those detections."""
-        return self.identities(wildcards) if self.detections_for_furniture(wildcards) else []
-
     def filmed_people(self, wildcards: Any) -> list[str]:
         """The training cameras; none when association found no person."""
         return self.training(wildcards) if self.people(wildcards) else []

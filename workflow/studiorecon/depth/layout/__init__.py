@@ -2,7 +2,6 @@
 """The room box and the furniture in it: from votes of all sweeps to a box, primitives and a picture of them.
 
 ``votes`` (of the sweeps), ``yaw`` and ``box`` (walls), ``ground_contacts`` (walls without matches), ``platform`` (a
-raised surface under people), ``proposals`` and ``primitive_fitting`` (candidates and their selection),
-``contact_localisation`` (a foot seen in one photo), ``primitives`` (boxes and cylinders), ``visibility`` (space that
-people show to be free), ``primitives_picture``.
+raised surface under people), ``proposals`` and ``primitive_fitting`` (candidates and their selection), ``primitives``
+(boxes), ``visibility`` (space that people show to be free), ``primitives_picture``.
 """

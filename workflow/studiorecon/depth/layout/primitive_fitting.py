@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Adds upright boxes and cylinders one by one where they explain all photos better than the room without them."""
+"""Adds upright boxes one by one where they explain all photos better than the room without them."""
 
 from __future__ import annotations
 
@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import njit
 
-from studiorecon.depth.layout.contact_localisation import localise_by_contact
 from studiorecon.depth.layout.primitives import Primitive
 from studiorecon.depth.layout.proposals import front_proposals, leg_candidates, single_view_proposals, top_proposals
 from studiorecon.depth.layout.visibility import append_distance
 from studiorecon.depth.stereo.photo_cost import PhotoCostVolume
 from studiorecon.depth.stereo.plates import Picture
-from studiorecon.depth.stereo.trial_kernels import STANDING_M
 from studiorecon.scene.room import Platform, RoomBox
 
 if TYPE_CHECKING:
@@ -29,20 +27,15 @@ _MAX_MOVES = 8
 _MIN_MORE, _MIN_MORE_SHARE = 0.2, 0.02
 _MIN_SIDE_M, _MIN_HEIGHT_M = 0.05, 0.04
 _CLEARANCE_M = 0.05
-# A box is tried as a cylinder when its sides differ by less than this share; one seen in one photo always is, and may
-# explain so much less.
-_SQUARE_SHARE, _ROUND_SHARE = 0.4, 0.85
-# A primitive seen in one photo is moved by at most so many pixels of the small pictures.
-_REACH_PX = 1.5
 # So many proposals are evaluated again at a time, and so many of them moved.
 _HEAD, _CLIMBERS = 16, 2
 # Proposals this near the middle of a refused one would be moved to it.
 _REFUSED_M = 0.25
 
 
-def neighbour_primitives(primitive: Float[np.ndarray, " 8"], step_m: float, turns: bool) -> Float[np.ndarray, "M 8"]:
+def neighbour_primitives(primitive: Float[np.ndarray, " 7"], step_m: float, turns: bool) -> Float[np.ndarray, "M 7"]:
     """Neighbours of a primitive: every face moved in or out, the whole moved, and turned if allowed."""
-    c, s = np.cos(primitive[3]), np.sin(primitive[3])
+    c, s = np.cos(primitive[2]), np.sin(primitive[2])
     found = []
 
     def moved(
@@ -55,7 +48,7 @@ def neighbour_primitives(primitive: Float[np.ndarray, " 8"], step_m: float, turn
         high: float = 0.0,
     ) -> None:
         other = primitive.copy()
-        other[1:] += (c * du - s * dv, s * du + c * dv, turn, du_size, dv_size, low, high)
+        other += (c * du - s * dv, s * du + c * dv, turn, du_size, dv_size, low, high)
         found.append(other)
 
     for step in (step_m, -step_m):
@@ -64,27 +57,24 @@ def neighbour_primitives(primitive: Float[np.ndarray, " 8"], step_m: float, turn
         moved(high=step)
         moved(low=step)
         moved(low=step, high=step)
-        if primitive[0] == 0:
-            for side in (-0.5, 0.5):
-                moved(du=side * step, du_size=step)
-                moved(dv=side * step, dv_size=step)
-            if turns:
-                moved(turn=step / max(np.hypot(primitive[4], primitive[5]) / 2, 0.2))
-        else:
-            moved(du_size=step, dv_size=step)
+        for side in (-0.5, 0.5):
+            moved(du=side * step, du_size=step)
+            moved(dv=side * step, dv_size=step)
+        if turns:
+            moved(turn=step / max(np.hypot(primitive[3], primitive[4]) / 2, 0.2))
     return np.array(found)
 
 
 def is_allowed(
-    primitives: Float[np.ndarray, "N 8"], room_box: RoomBox, taken: Float[np.ndarray, "M 4"]
+    primitives: Float[np.ndarray, "N 7"], room_box: RoomBox, taken: Float[np.ndarray, "M 4"]
 ) -> Bool[np.ndarray, " N"]:
     """Whether each is large enough, in the room, and away from ``taken`` (M, 4: points and least distances, metres)."""
-    large = (primitives[:, 4:6] >= _MIN_SIDE_M).all(axis=1) & (primitives[:, 7] - primitives[:, 6] >= _MIN_HEIGHT_M)
-    centres = np.stack([primitives[:, 1], primitives[:, 2], (primitives[:, 6] + primitives[:, 7]) / 2], axis=-1)
+    large = (primitives[:, 3:5] >= _MIN_SIDE_M).all(axis=1) & (primitives[:, 6] - primitives[:, 5] >= _MIN_HEIGHT_M)
+    centres = np.stack([primitives[:, 0], primitives[:, 1], (primitives[:, 5] + primitives[:, 6]) / 2], axis=-1)
     fits = (
         room_box.contains(centres)
-        & (primitives[:, 6] >= room_box.low_m[2] - 0.021)
-        & (primitives[:, 7] <= room_box.high_m[2] + 0.021)
+        & (primitives[:, 5] >= room_box.low_m[2] - 0.021)
+        & (primitives[:, 6] <= room_box.high_m[2] + 0.021)
     )
     fits &= large
     fits[fits] = ~contains_any(primitives[fits], np.ascontiguousarray(taken, np.float64))
@@ -92,23 +82,19 @@ def is_allowed(
 
 
 @njit(cache=True)
-def contains_any(primitives: Float[np.ndarray, "N 8"], points_m: Float[np.ndarray, "M 4"]) -> Bool[np.ndarray, " N"]:
+def contains_any(primitives: Float[np.ndarray, "N 7"], points_m: Float[np.ndarray, "M 4"]) -> Bool[np.ndarray, " N"]:
     """Whether any of the points (x, y, z, distance) is in the primitive grown by that point's distance."""
     found = np.zeros(len(primitives), np.bool_)
     for k in range(len(primitives)):
         primitive = primitives[k]
-        c, s = np.cos(primitive[3]), np.sin(primitive[3])
+        c, s = np.cos(primitive[2]), np.sin(primitive[2])
         for m in range(len(points_m)):
             margin_m = points_m[m, 3]
-            if not primitive[6] - margin_m < points_m[m, 2] < primitive[7] + margin_m:
+            if not primitive[5] - margin_m < points_m[m, 2] < primitive[6] + margin_m:
                 continue
-            x, y = points_m[m, 0] - primitive[1], points_m[m, 1] - primitive[2]
+            x, y = points_m[m, 0] - primitive[0], points_m[m, 1] - primitive[1]
             u, v = abs(c * x + s * y), abs(c * y - s * x)
-            if primitive[0] == 0:
-                inside = u < primitive[4] / 2 + margin_m and v < primitive[5] / 2 + margin_m
-            else:
-                inside = np.hypot(u, v) < primitive[4] / 2 + margin_m
-            if inside:
+            if u < primitive[3] / 2 + margin_m and v < primitive[4] / 2 + margin_m:
                 found[k] = True
                 break
     return found
@@ -118,16 +104,16 @@ def hill_climb(
     room: PhotoCostVolume,
     room_box: RoomBox,
     taken: Float[np.ndarray, "M 4"],
-    primitive: Float[np.ndarray, " 8"],
+    primitive: Float[np.ndarray, " 7"],
     gain: float,
     steps_m: tuple[float, ...],
-) -> tuple[Float[np.ndarray, " 8"], float]:
+) -> tuple[Float[np.ndarray, " 7"], float]:
     """The primitive moved face by face while that explains more, in steps down to centimetres, and its gain."""
     # Furniture along the walls stays parallel to them: two visible faces do not separate a small turn from a wrong
     # position.
-    turns = abs((primitive[3] - room_box.yaw_rad + np.pi / 4) % (np.pi / 2) - np.pi / 4) > 1e-6
+    turns = abs((primitive[2] - room_box.yaw_rad + np.pi / 4) % (np.pi / 2) - np.pi / 4) > 1e-6
 
-    def others(now: Float[np.ndarray, " 8"], step_m: float) -> Float[np.ndarray, "M 8"]:
+    def others(now: Float[np.ndarray, " 7"], step_m: float) -> Float[np.ndarray, "M 7"]:
         around = neighbour_primitives(now, step_m, turns)
         return around[is_allowed(around, room_box, taken)]
 
@@ -135,26 +121,26 @@ def hill_climb(
 
 
 def _widened(
-    room: PhotoCostVolume, platform: Float[np.ndarray, " 8"], gain: float
-) -> tuple[Float[np.ndarray, " 8"], float]:
+    room: PhotoCostVolume, platform: Float[np.ndarray, " 7"], gain: float
+) -> tuple[Float[np.ndarray, " 7"], float]:
     """The platform with its sides moved outwards while that explains more, and its gain."""
 
-    def others(now: Float[np.ndarray, " 8"], step_m: float) -> Float[np.ndarray, "M 8"]:
+    def others(now: Float[np.ndarray, " 7"], step_m: float) -> Float[np.ndarray, "M 7"]:
         around = neighbour_primitives(now, step_m, False)
-        wider = around[:, 4:6].sum(axis=1) > now[4:6].sum()
-        return around[wider & (around[:, 6:] == now[6:]).all(axis=1)]
+        wider = around[:, 3:5].sum(axis=1) > now[3:5].sum()
+        return around[wider & (around[:, 5:] == now[5:]).all(axis=1)]
 
     return _moved(room, platform, gain, _STEPS_M[:3], others, _MIN_MORE_SHARE * gain)
 
 
 def _moved(
     room: PhotoCostVolume,
-    primitive: Float[np.ndarray, " 8"],
+    primitive: Float[np.ndarray, " 7"],
     gain: float,
     steps_m: tuple[float, ...],
-    others: Callable[[Float[np.ndarray, " 8"], float], Float[np.ndarray, "M 8"]],
+    others: Callable[[Float[np.ndarray, " 7"], float], Float[np.ndarray, "M 7"]],
     least_more: float,
-) -> tuple[Float[np.ndarray, " 8"], float]:
+) -> tuple[Float[np.ndarray, " 7"], float]:
     for step_m in steps_m:
         for _ in range(_MAX_MOVES):
             around = others(primitive, step_m)
@@ -180,7 +166,7 @@ class Proposals:
     def __bool__(self) -> bool:
         return bool(self._heap)
 
-    def keep(self, primitives: Iterable[tuple[Float[np.ndarray, " 8"], float]]) -> None:
+    def keep(self, primitives: Iterable[tuple[Float[np.ndarray, " 7"], float]]) -> None:
         """Add primitives, each with the number of pixels it explains."""
         for primitive, price in primitives:
             if price >= self._least:
@@ -189,7 +175,7 @@ class Proposals:
 
     def take(
         self, room: PhotoCostVolume, most: int, refused_m: Float[np.ndarray, "M 4"]
-    ) -> list[tuple[Float[np.ndarray, " 8"], float]]:
+    ) -> list[tuple[Float[np.ndarray, " 7"], float]]:
         """Remove and return the best primitives by their current gain, at most ``most``, with that number of pixels.
 
         Those too near one of ``refused_m`` (M, 4: points and distances) are removed: they would be moved to the refused
@@ -214,7 +200,6 @@ class Proposals:
 
 def fit_primitives(
     pictures: Sequence[Picture],
-    full: Callable[[int], Picture],
     room_box: RoomBox,
     free_m: Float[np.ndarray, "M 4"],
     *,
@@ -228,7 +213,6 @@ def fit_primitives(
     Greedy: the best few proposals are moved to where they explain most. The best of them is added if the photos'
     disagreement falls by ``least_gain`` pixels and the cameras do not contradict it; then the rest are evaluated again.
     No primitive may contain a camera or one of ``free_m`` (M, 4: points and distances to keep), where people were seen.
-    An object that only one camera sees is put at its foot in that camera's picture at ``full`` size, loaded by number.
     The platform comes first. Costs some 10 s for four pictures 160 pixels wide.
     """
     room = PhotoCostVolume.of_empty_room(pictures, room_box, window, mean_weight)
@@ -245,7 +229,7 @@ def fit_primitives(
             for source in (top_proposals, front_proposals, single_view_proposals)
             for _, primitive in source(room, room_box)
         ]
-    ).reshape(-1, 8)
+    ).reshape(-1, 7)
     proposals = proposals[is_allowed(proposals, room_box, taken)]
     others, legs = Proposals(least_gain / 2), Proposals(least_gain / 2)
     others.keep(zip(proposals, room.gains(proposals)))
@@ -268,12 +252,10 @@ def fit_primitives(
         legs.keep(leg)
         if not is_leg:
             if room.is_contradicted(primitive):
-                middle = np.array([[*primitive[1:3], primitive[6:].mean()]])
+                middle = np.array([[*primitive[0:2], primitive[5:].mean()]])
                 refused_m = np.concatenate([refused_m, append_distance(middle, _REFUSED_M)])
                 continue
             primitive, gain = hill_climb(room, room_box, taken, primitive, gain, _STEPS_M[2:])
-            primitive, gain = to_cylinder(room, room_box, taken, primitive, gain)
-            primitive = _on_its_foot(room, full, room_box, taken, primitive, gain)
         room.add(primitive)
         evidence.append(gain)
         under = leg_candidates(primitive, room.floor_m)
@@ -282,55 +264,8 @@ def fit_primitives(
     return [Primitive.from_numbers(primitive, gain) for primitive, gain in zip(room.primitives, evidence)]
 
 
-def _platform_box(platform: Platform, room_box: RoomBox) -> Float[np.ndarray, " 8"]:
+def _platform_box(platform: Platform, room_box: RoomBox) -> Float[np.ndarray, " 7"]:
     """The platform, from the floor up."""
     middle = (np.array([*(platform.low_m + platform.high_m) / 2, 0.0]) @ room_box.axes)[:2]
     size_m = platform.high_m - platform.low_m
-    return np.array([0, *middle, room_box.yaw_rad, *size_m, room_box.low_m[2], platform.top_m])
-
-
-def to_cylinder(
-    room: PhotoCostVolume,
-    room_box: RoomBox,
-    taken: Float[np.ndarray, "M 4"],
-    primitive: Float[np.ndarray, " 8"],
-    gain: float,
-) -> tuple[Float[np.ndarray, " 8"], float]:
-    """A cylinder instead of a nearly square box if it explains more; it has two parameters less, so it wins a tie.
-
-    The depth of an object seen in one photo is unknown: there a cylinder unless that explains clearly less.
-    """
-    if primitive[0] != 0:
-        return primitive, gain
-    alone = _is_single_view(room, primitive, gain)
-    side = primitive[4:6].max() if alone else primitive[4:6].mean()
-    if not alone and abs(primitive[4] - primitive[5]) > _SQUARE_SHARE * side:
-        return primitive, gain
-    start = np.array([1, *primitive[1:3], 0, side, side, *primitive[6:]])
-    round_primitive, round_gain = hill_climb(
-        room, room_box, taken, start, float(room.gains(start[None])[0]), _STEPS_M[1:]
-    )
-    return (round_primitive, round_gain) if round_gain >= (_ROUND_SHARE if alone else 1.0) * gain else (primitive, gain)
-
-
-def _is_single_view(room: PhotoCostVolume, primitive: Float[np.ndarray, " 8"], gain: float) -> bool:
-    """Whether most of a primitive's gain comes from one photo alone."""
-    return gain - float(room.gains(primitive[None], looks=False)[0]) > gain / 2
-
-
-def _on_its_foot(
-    room: PhotoCostVolume,
-    full: Callable[[int], Picture],
-    room_box: RoomBox,
-    taken: Float[np.ndarray, "M 4"],
-    primitive: Float[np.ndarray, " 8"],
-    gain: float,
-) -> Float[np.ndarray, " 8"]:
-    """A cylinder seen in one photo, moved to its foot on the floor in that photo (``single_view_proposals``)."""
-    if primitive[0] != 1 or primitive[6] > room.floor_m + STANDING_M or not _is_single_view(room, primitive, gain):
-        return primitive
-    view = int(room.shown(primitive).argmax())
-    picture, start = full(view), primitive.copy()
-    start[6] = room.floor_m
-    moved = localise_by_contact(start, picture, _REACH_PX * picture.camera.focal_px[0] / room.lens[view, 0])
-    return moved if is_allowed(moved[None], room_box, taken)[0] else primitive
+    return np.array([*middle, room_box.yaw_rad, *size_m, room_box.low_m[2], platform.top_m])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Furniture as convex primitives, upright boxes and cylinders, and their intersections with camera rays."""
+"""Furniture as upright boxes (primitives), and their intersections with camera rays."""
 
 from __future__ import annotations
 
@@ -13,15 +13,13 @@ from numba import njit
 
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_json
-from studiorecon.scene.schema import ListOf, metres, radians, real, text
+from studiorecon.scene.schema import ListOf, metres, radians, real
 from studiorecon.scene.step_files import expect, read
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-KINDS = ("box", "cylinder")
 _PRIMITIVE = {
-    "kind": text(*KINDS),
     "centre_m": metres("2"),
     "yaw_rad": radians(),
     "size_m": metres("2", above=0),
@@ -33,18 +31,16 @@ _PRIMITIVE = {
 
 @dataclass(frozen=True)
 class Primitive:
-    """One upright convex body.
+    """One upright box.
 
     Attributes:
-        kind: one of ``KINDS``.
-        centre_m: x and y of its axis in the world.
-        yaw_rad: direction of its first side; 0 for a cylinder.
-        size_m: lengths along and across that direction; twice the radius, twice, for a cylinder.
+        centre_m: x and y of its middle in the world.
+        yaw_rad: direction of its first side.
+        size_m: lengths along and across that direction.
         low_m, high_m: heights of foot and top.
         evidence: disagreement between the photos that it removes, in pixels, at the width of the fit.
     """
 
-    kind: str
     centre_m: tuple[float, float]
     yaw_rad: float
     size_m: tuple[float, float]
@@ -53,16 +49,14 @@ class Primitive:
     evidence: float
 
     @property
-    def numbers(self) -> Float[np.ndarray, " 8"]:
-        """Kind, x, y, yaw, both sizes, foot, top: the layout of the kernels."""
-        return np.array(
-            [KINDS.index(self.kind), *self.centre_m, self.yaw_rad, *self.size_m, self.low_m, self.high_m], np.float64
-        )
+    def numbers(self) -> Float[np.ndarray, " 7"]:
+        """X, y, yaw, both sizes, foot, top: the layout of the kernels."""
+        return np.array([*self.centre_m, self.yaw_rad, *self.size_m, self.low_m, self.high_m], np.float64)
 
     @staticmethod
-    def from_numbers(numbers: Float[np.ndarray, " 8"], evidence: float) -> Primitive:
-        kind, x, y, yaw, along, across, low, high = (float(n) for n in numbers)
-        return Primitive(KINDS[int(kind)], (x, y), yaw, (along, across), low, high, evidence)
+    def from_numbers(numbers: Float[np.ndarray, " 7"], evidence: float) -> Primitive:
+        x, y, yaw, along, across, low, high = (float(n) for n in numbers)
+        return Primitive((x, y), yaw, (along, across), low, high, evidence)
 
     def depth(self, camera: Camera) -> Float[np.ndarray, "H W"]:
         """Z-depth at which a camera's rays enter the primitive; 0 where they miss it."""
@@ -104,7 +98,7 @@ def _primitive(value: dict[str, Any]) -> Primitive:
 @njit(cache=True)
 def _meet(primitive, origin, rays, depth_m):
     normal = np.zeros(3)
-    c, s = np.cos(primitive[3]), np.sin(primitive[3])
+    c, s = np.cos(primitive[2]), np.sin(primitive[2])
     for i in range(len(rays)):
         depth_m[i] = max(ray_entry_length(primitive, c, s, origin, rays[i], normal), 0.0)
 
@@ -116,43 +110,27 @@ def ray_entry_length(primitive, c, s, origin, ray, normal):
     ``c`` and ``s`` are the cosine and sine of its yaw. A ray that starts inside misses, so that a camera inside a piece
     of furniture sees the room.
     """
-    x, y = origin[0] - primitive[1], origin[1] - primitive[2]
+    x, y = origin[0] - primitive[0], origin[1] - primitive[1]
     ou, ov = c * x + s * y, c * y - s * x
     du, dv = c * ray[0] + s * ray[1], c * ray[1] - s * ray[0]
     near, far = -np.inf, np.inf
     nu, nv, nz = 0.0, 0.0, 0.0
-    if primitive[0] == 0:
-        for axis in range(2):
-            o, d, half = (ou, du, primitive[4] / 2) if axis == 0 else (ov, dv, primitive[5] / 2)
-            if abs(d) < 1e-12:
-                if abs(o) > half:
-                    return -1.0
-                continue
-            a, b = (-half - o) / d, (half - o) / d
-            if min(a, b) > near:
-                near = min(a, b)
-                nu, nv = (-np.sign(d), 0.0) if axis == 0 else (0.0, -np.sign(d))
-            far = min(far, max(a, b))
-    else:
-        radius = primitive[4] / 2
-        a = du * du + dv * dv
-        b = ou * du + ov * dv
-        q = ou * ou + ov * ov - radius * radius
-        if a < 1e-12:
-            if q > 0:
+    for axis in range(2):
+        o, d, half = (ou, du, primitive[3] / 2) if axis == 0 else (ov, dv, primitive[4] / 2)
+        if abs(d) < 1e-12:
+            if abs(o) > half:
                 return -1.0
-        else:
-            inner = b * b - a * q
-            if inner <= 0:
-                return -1.0
-            root = np.sqrt(inner)
-            near, far = (-b - root) / a, (-b + root) / a
-            nu, nv = (ou + near * du) / radius, (ov + near * dv) / radius
+            continue
+        a, b = (-half - o) / d, (half - o) / d
+        if min(a, b) > near:
+            near = min(a, b)
+            nu, nv = (-np.sign(d), 0.0) if axis == 0 else (0.0, -np.sign(d))
+        far = min(far, max(a, b))
     if abs(ray[2]) < 1e-12:
-        if origin[2] < primitive[6] or origin[2] > primitive[7]:
+        if origin[2] < primitive[5] or origin[2] > primitive[6]:
             return -1.0
     else:
-        a, b = (primitive[6] - origin[2]) / ray[2], (primitive[7] - origin[2]) / ray[2]
+        a, b = (primitive[5] - origin[2]) / ray[2], (primitive[6] - origin[2]) / ray[2]
         if min(a, b) > near:
             near = min(a, b)
             nu, nv, nz = 0.0, 0.0, -np.sign(ray[2])

@@ -19,23 +19,17 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Integer
 
 _WIDTH = 640
-_ROUND = 24
 _HIDDEN_SHARE = 0.02
 _PAPER, _INK = (245, 243, 238), (60, 60, 60)
 
 
-def primitive_edges(primitive: Primitive) -> Float[np.ndarray, "E 2 3"]:
-    """End points of a primitive's edges, metres; a cylinder's rims as many short ones, and four lines up its side."""
-    if primitive.kind == "box":
-        plan = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * np.array(primitive.size_m) / 2
-    else:
-        angle = np.arange(_ROUND) * 2 * np.pi / _ROUND
-        plan = np.stack([np.cos(angle), np.sin(angle)], axis=-1) * primitive.size_m[0] / 2
+def primitive_edges(primitive: Primitive) -> Float[np.ndarray, "12 2 3"]:
+    """End points of a primitive's edges, metres."""
+    plan = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * np.array(primitive.size_m) / 2
     c, s = np.cos(primitive.yaw_rad), np.sin(primitive.yaw_rad)
     plan = plan @ np.array([[c, s], [-s, c]]) + primitive.centre_m
     low, high = (np.column_stack([plan, np.full(len(plan), z)]) for z in (primitive.low_m, primitive.high_m))
-    uprights = slice(None, None, max(len(plan) // 4, 1))
-    pairs = [(low, np.roll(low, -1, 0)), (high, np.roll(high, -1, 0)), (low[uprights], high[uprights])]
+    pairs = [(low, np.roll(low, -1, 0)), (high, np.roll(high, -1, 0)), (low, high)]
     return np.concatenate([np.stack(pair, axis=1) for pair in pairs])
 
 

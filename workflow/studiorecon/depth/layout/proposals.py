@@ -130,8 +130,8 @@ def search_bounds(room: PhotoCostVolume, room_box: RoomBox) -> tuple[Float[np.nd
     return low, high
 
 
-def top_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
-    """(sum, primitive (8,)) of boxes and slabs under every rectangle in plan that matches."""
+def top_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 7"]]]:
+    """(sum, primitive (7,)) of boxes and slabs under every rectangle in plan that matches."""
     low_m, high_m = search_bounds(room, room_box)
     middle, size = (low_m + high_m)[:2] / 2, (high_m - low_m)[:2]
     sides = tuple(round(s / _CELL_M) for s in _SIDES_M)
@@ -159,7 +159,6 @@ def top_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[fl
                         total,
                         np.array(
                             [
-                                0,
                                 at[0],
                                 at[1],
                                 room_box.yaw_rad + yaw,
@@ -172,8 +171,8 @@ def top_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[fl
                     )
 
 
-def front_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
-    """(sum, primitive (8,)) of boxes behind every rectangle in elevation that matches."""
+def front_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 7"]]]:
+    """(sum, primitive (7,)) of boxes behind every rectangle in elevation that matches."""
     low_m, high_m = search_bounds(room, room_box)
     sides = tuple(round(s / _CELL_M) for s in _SIDES_M)
     heights = room_box.low_m[2] + np.arange(
@@ -201,7 +200,6 @@ def front_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[
                         total,
                         np.array(
                             [
-                                0,
                                 at[0],
                                 at[1],
                                 room_box.yaw_rad,
@@ -213,7 +211,7 @@ def front_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[
                     )
 
 
-def single_view_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
+def single_view_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 7"]]]:
     """(area, primitive) of regions seen by one camera that differ from wall and floor behind, on their lowest point."""
     for v in range(len(room.known)):
         alone = room.known[v] & (room.cost[v] >= UNSEEN) & (room.surface[v] < 6)
@@ -239,27 +237,26 @@ def single_view_proposals(room: PhotoCostVolume, room_box: RoomBox) -> Iterator[
                 at = room.centre[v, :2] + z * ray[:2] + ahead * side / 2
                 over = room.pose[v, :, :3].T @ np.array([(column + 0.5 - cx) / fx, (top - cy) / fy, 1.0])
                 high = room_box.high_m[2] if top <= 1 else min(room.centre[v, 2] + z * over[2], room_box.high_m[2])
-                yield float(area), np.array([1, *at, 0, side, side, room_box.low_m[2], high])
-                yield float(area), np.array([0, *at, room_box.yaw_rad, side, side, room_box.low_m[2], high])
+                yield float(area), np.array([*at, room_box.yaw_rad, side, side, room_box.low_m[2], high])
 
 
-def leg_candidates(slab: Float[np.ndarray, " 8"], floor_m: float) -> Float[np.ndarray, "N 8"]:
+def leg_candidates(slab: Float[np.ndarray, " 7"], floor_m: float) -> Float[np.ndarray, "N 7"]:
     """Upright bars between the floor and a floating box, at all positions under it: legs.
 
     They are too thin to be detected as furniture and explain little each. None under other primitives, or under boxes
     nearly on the floor.
     """
-    if slab[0] != 0 or slab[6] - floor_m < _MIN_UNDER_M:
-        return np.zeros((0, 8))
-    c, s = np.cos(slab[3]), np.sin(slab[3])
+    if slab[5] - floor_m < _MIN_UNDER_M:
+        return np.zeros((0, 7))
+    c, s = np.cos(slab[2]), np.sin(slab[2])
     found = []
     for width_m in _POSTS_M:
         along, across = (
             np.linspace(-reach, reach, int(2 * reach / _POST_STEP_M) + 1)
-            for reach in np.maximum(slab[4:6] - width_m, 0) / 2
+            for reach in np.maximum(slab[3:5] - width_m, 0) / 2
         )
         u, v = (grid.ravel() for grid in np.meshgrid(along, across))
-        bars = np.tile([0, 0, 0, slab[3], width_m, width_m, floor_m, slab[6]], (len(u), 1))
-        bars[:, 1], bars[:, 2] = slab[1] + c * u - s * v, slab[2] + s * u + c * v
+        bars = np.tile([0, 0, slab[2], width_m, width_m, floor_m, slab[5]], (len(u), 1))
+        bars[:, 0], bars[:, 1] = slab[0] + c * u - s * v, slab[1] + s * u + c * v
         found.append(bars)
     return np.concatenate(found)

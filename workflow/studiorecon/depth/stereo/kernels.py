@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled loops of ``photo_cost``: colours of surfaces in other cameras, windowed correlation, visible primitives.
 
-``trial_kernels`` computes the change by one more primitive. Arrays are (V, H, W) for V views; a primitive is eight
+``trial_kernels`` computes the change by one more primitive. Arrays are (V, H, W) for V views; a primitive is seven
 numbers (``primitives.Primitive.numbers``).
 """
 
@@ -180,16 +180,16 @@ def invert_visibility(known, depth, pair, at, z):
 @njit(cache=True)
 def primitive_bounds(lens, pose, primitive, v, height, width):
     """Rows and columns (top, bottom, left, right) of a view that a primitive in front of the camera can cover."""
-    c, s = np.cos(primitive[3]), np.sin(primitive[3])
+    c, s = np.cos(primitive[2]), np.sin(primitive[2])
     top, bottom, left, right = float(height), 0.0, float(width), 0.0
     local = np.empty((8, 3))
     for corner in range(8):
-        a = primitive[4] / 2 if corner & 1 else -primitive[4] / 2
-        b = primitive[5] / 2 if corner & 2 else -primitive[5] / 2
+        a = primitive[3] / 2 if corner & 1 else -primitive[3] / 2
+        b = primitive[4] / 2 if corner & 2 else -primitive[4] / 2
         px, py, pz = (
-            primitive[1] + c * a - s * b,
-            primitive[2] + s * a + c * b,
-            primitive[7] if corner & 4 else primitive[6],
+            primitive[0] + c * a - s * b,
+            primitive[1] + s * a + c * b,
+            primitive[6] if corner & 4 else primitive[5],
         )
         for i in range(3):
             local[corner, i] = pose[v, i, 0] * px + pose[v, i, 1] * py + pose[v, i, 2] * pz + pose[v, i, 3]
@@ -222,7 +222,7 @@ def primitive_bounds(lens, pose, primitive, v, height, width):
 
 @njit(cache=True)
 def trace_primitive(lens, pose, centre, v, y, x, primitive, c, s, ray, normal):
-    """(depth or -1, face 0..7) at which a pixel's ray enters a primitive; ``c``, ``s``: cosine and sine of its yaw."""
+    """(depth or -1, face 1..6) at which a pixel's ray enters a primitive; ``c``, ``s``: cosine and sine of its yaw."""
     rx, ry = (x + 0.5 - lens[v, 2]) / lens[v, 0], (y + 0.5 - lens[v, 3]) / lens[v, 1]
     for i in range(3):
         ray[i] = pose[v, 0, i] * rx + pose[v, 1, i] * ry + pose[v, 2, i]
@@ -232,7 +232,7 @@ def trace_primitive(lens, pose, centre, v, y, x, primitive, c, s, ray, normal):
         face = 1
     elif normal[2] < -0.5:
         face = 2
-    elif primitive[0] == 0:
+    else:
         u, w = c * normal[0] + s * normal[1], c * normal[1] - s * normal[0]
         face = (3 if u > 0 else 4) if abs(u) > abs(w) else (5 if w > 0 else 6)
     return d, face
@@ -243,7 +243,7 @@ def draw_primitive(lens, pose, centre, known, depth, surface, primitive, first):
     """Draw a primitive into depth and surface."""
     views, height, width = known.shape
     ray, normal = np.zeros(3), np.zeros(3)
-    c, s = np.cos(primitive[3]), np.sin(primitive[3])
+    c, s = np.cos(primitive[2]), np.sin(primitive[2])
     for v in range(views):
         top, bottom, left, right = primitive_bounds(lens, pose, primitive, v, height, width)
         for y in range(top, bottom):

@@ -86,7 +86,7 @@ class PhotoCostVolume:
     floor_m: float
     empty_room: tuple[Float[np.ndarray, "V H W"], Integer[np.ndarray, "V H W"]]
     odds: Float[np.ndarray, "V H W"]
-    primitives: Float[np.ndarray, "K 8"]
+    primitives: Float[np.ndarray, "K 7"]
 
     @staticmethod
     def of_empty_room(
@@ -131,7 +131,7 @@ class PhotoCostVolume:
             float(room_box.low_m[2]),
             empty_room,
             odds,
-            np.zeros((0, 8)),
+            np.zeros((0, 7)),
         )
         room.replace_all(room.primitives)
         if looks:
@@ -162,11 +162,11 @@ class PhotoCostVolume:
         )
         return Surface(depth_m, cost[view, :rows, :columns], view_count[view, :rows, :columns] > 0)
 
-    def gains(self, primitives: Float[np.ndarray, "N 8"], looks: bool = True) -> Float[np.ndarray, " N"]:
+    def gains(self, primitives: Float[np.ndarray, "N 7"], looks: bool = True) -> Float[np.ndarray, " N"]:
         """Decrease of all pixels' cost with each of the primitives added alone; without ``looks`` by agreement only."""
         return self._gains_and_costs(primitives, looks)[:, 0]
 
-    def is_contradicted(self, primitive: Float[np.ndarray, " 8"]) -> bool:
+    def is_contradicted(self, primitive: Float[np.ndarray, " 7"]) -> bool:
         """Whether the pixels that show a primitive match no better than before, so that it only hides wrong matches.
 
         A wall or floor in the wrong place matches nothing, and everything that hides it explains the photos better.
@@ -174,15 +174,7 @@ class PhotoCostVolume:
         _, better, was = self._gains_and_costs(np.asarray(primitive)[None], looks=False)[0]
         return bool(better < _MIN_BETTER * was)
 
-    def shown(self, primitive: Float[np.ndarray, " 8"]) -> Integer[np.ndarray, " V"]:
-        """Number of pixels of every view that would show a primitive."""
-        depth_m, surface, own = self.depth.copy(), self.surface.copy(), FIRST + 10 * len(self.primitives)
-        draw_primitive(
-            self.lens, self.pose, self.centre, self.known, depth_m, surface, np.asarray(primitive, np.float64), own
-        )
-        return ((surface >= own) & self.known).sum(axis=(1, 2))
-
-    def _gains_and_costs(self, primitives: Float[np.ndarray, "N 8"], looks: bool) -> Float[np.ndarray, "N 3"]:
+    def _gains_and_costs(self, primitives: Float[np.ndarray, "N 7"], looks: bool) -> Float[np.ndarray, "N 3"]:
         """Gains, their part on pixels that show the primitives, and those pixels' cost before."""
         odds = self.odds if looks else np.zeros_like(self.odds)
         explained = (
@@ -203,9 +195,9 @@ class PhotoCostVolume:
     def _photos(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         return self.lens, self.pose, self.centre, self.rgb, self.known
 
-    def replace_all(self, primitives: Float[np.ndarray, "K 8"]) -> None:
+    def replace_all(self, primitives: Float[np.ndarray, "K 7"]) -> None:
         """Explain the room with these primitives and no other."""
-        self.primitives = np.ascontiguousarray(primitives, np.float64).reshape(-1, 8)
+        self.primitives = np.ascontiguousarray(primitives, np.float64).reshape(-1, 7)
         self.depth[:], self.surface[:] = self.empty_room
         for k, primitive in enumerate(self.primitives):
             draw_primitive(
@@ -225,6 +217,6 @@ class PhotoCostVolume:
         )
         self.begin, self.judged = invert_visibility(self.known, self.depth, self.pair, self.at, self.z)
 
-    def add(self, primitive: Float[np.ndarray, " 8"]) -> None:
+    def add(self, primitive: Float[np.ndarray, " 7"]) -> None:
         """Add one primitive."""
         self.replace_all(np.concatenate([self.primitives, np.asarray(primitive, np.float64)[None]]))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiled trial of primitives for ``photo_cost``: the change of all pixels' cost by one more primitive.
 
-Arrays are (V, H, W) for V views; a primitive is eight numbers (``primitives.Primitive.numbers``).
+Arrays are (V, H, W) for V views; a primitive is seven numbers (``primitives.Primitive.numbers``).
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from studiorecon.depth.stereo.kernels import (
 _ODDS_WEIGHT, _STANDING_WEIGHT = 0.3, 0.4
 # An object is unoccluded when so much of its foot has floor in front of it, this many pixels below, and wall on its
 # sides, this many pixels away; its foot is on the floor within so many metres.
-_CLEAR_FOOT, _BELOW, _BESIDE, STANDING_M = 0.5, 2, 2, 0.03
+_CLEAR_FOOT, _BELOW, _BESIDE, _STANDING_M = 0.5, 2, 2, 0.03
 
 
 @njit(cache=True, parallel=True)
 def trial_gains(photos, explained, half, mean_weight, floor_m, primitives):
-    """(N, 3) decrease of the cost of all pixels with each of N primitives (N, 8) added alone, and two parts of it.
+    """(N, 3) decrease of the cost of all pixels with each of N primitives (N, 7) added alone, and two parts of it.
 
     These are, for pixels that show it and that another camera judges, the decrease and the cost before. ``photos``:
     lens, pose, centre, rgb, known; ``explained``: depth, surface, pair, at, z, begin, judged, cost, odds
@@ -80,7 +80,7 @@ def _gain(photos, explained, half, mean_weight, floor_m, primitive):
     trial = np.zeros((views, height, width), np.float32)
     number = np.zeros((views, height, width), np.int8)
     ray, normal = np.zeros(3), np.zeros(3)
-    c, s = np.cos(primitive[3]), np.sin(primitive[3])
+    c, s = np.cos(primitive[2]), np.sin(primitive[2])
     touched = np.zeros((views, 4), np.int64)
     for v in range(views):
         top, bottom, left, right = primitive_bounds(lens, pose, primitive, v, height, width)
@@ -157,7 +157,7 @@ def _gain(photos, explained, half, mean_weight, floor_m, primitive):
                 elif surface[v, y + top, x + left] < 6:
                     unlike += _ODDS_WEIGHT * odds[v, y + top, x + left]
         own = (unlike - before_view) / _ODDS_WEIGHT
-        stands = own > 0 and primitive[6] <= floor_m + STANDING_M
+        stands = own > 0 and primitive[5] <= floor_m + _STANDING_M
         if stands and _is_unoccluded(number[v], known[v], surface[v], odds[v], top, bottom, left, right):
             clear += _STANDING_WEIGHT * own
         # Pixels on other surfaces that another camera no longer sees.
