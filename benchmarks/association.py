@@ -187,9 +187,7 @@ def score(
     scores = identity_scores(
         np.concatenate([d.frame for d in found]), view, np.concatenate(owners), np.concatenate(given)
     )
-    compared = TrackComparison.from_detections(
-        found, take.cameras, FRAMES, 30.0, options.association, options.triangulation
-    )
+    compared = TrackComparison(found, take.cameras, FRAMES, 30.0, options.association, options.triangulation)
     groups, _ = groups_and_returns(compared)
     margins = track_margins(groups, compared)
     return {

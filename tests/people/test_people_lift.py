@@ -18,8 +18,7 @@ from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.models.adapters import moge
 from studiorecon.models.catalogue.card import Card
 from studiorecon.people import lift
-from studiorecon.people.association.affinity import AssociationLimits
-from studiorecon.people.association.track_pairs import require_measured, track_pairs
+from studiorecon.people.association.affinity import AssociationLimits, require_measured, track_pairs
 from studiorecon.people.lift import Lifting, Settings
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, read_detections, write_detections
@@ -220,7 +219,7 @@ def test_two_cameras_find_the_same_people_by_them(tmp_path: Path, monkeypatch: p
     limits = AssociationLimits(method="star", affinity="position", position="scene")
     now = [one.only(one.frame == FRAMES - 1) for one in found]
     pairs = track_pairs(now, stable_detections(now), cameras, limits)
-    alike = pairs.affinity[np.ix_(pairs.view == 0, pairs.view == 1)]
+    alike = pairs.affinity[np.ix_(pairs.graph.view == 0, pairs.graph.view == 1)]
     assert (np.diag(alike) > 0.7).all()
     # Beyond 0.3 m two pelvises are two people.
     assert alike[0, 1] == alike[1, 0] == 0
@@ -255,6 +254,6 @@ def test_a_depth_that_gives_no_metre_is_refused(
     seen = detect(cameras, people, 0.3, np.random.default_rng(0))
     limits = AssociationLimits(method="star", affinity="position", position="rays")
     pairs = track_pairs(seen, stable_detections(seen), cameras, limits)
-    alike = pairs.affinity[np.ix_(pairs.view == 0, pairs.view == 1)]
+    alike = pairs.affinity[np.ix_(pairs.graph.view == 0, pairs.graph.view == 1)]
     assert alike.max(axis=1).min() > 0.5
     assert sorted(alike.argmax(axis=1)) == [0, 1]

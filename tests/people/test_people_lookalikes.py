@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
-from studiorecon.people.association.terms import bone_lengths_m, proportions, steadiness, trunk_shares
+from studiorecon.people.association.terms import measure_bones, proportions, steadiness
 from studiorecon.studio.meshes import Mesh
 
 from tests.made.cameras import STANDING
@@ -76,11 +76,11 @@ def test_somebody_who_sits_on_a_stool_is_a_person(root: Path, tmp_path: Path) ->
 
 def test_people_of_all_sizes_have_a_person_s_proportions_and_what_has_not_is_named() -> None:
     for size in (0.5, 1.0, 1.3):
-        assert proportions(bone_lengths_m(size * STANDING[None] + np.zeros((5, 1, 1)))).nats > 0
+        assert proportions(measure_bones(size * STANDING[None] + np.zeros((5, 1, 1)))).nats > 0
     narrow = STANDING.copy()
     for joint in ("shoulder", "hip"):
         narrow[[STABLE_KEYPOINTS.index(f"{side}_{joint}") for side in ("left", "right")], 1] *= 0.5
-    term = proportions(bone_lengths_m(np.repeat(narrow[None], 5, axis=0)))
+    term = proportions(measure_bones(np.repeat(narrow[None], 5, axis=0)))
     assert term.nats < -5
     assert "shoulders 0.36 of its trunk, hips 0.20 of its trunk" in term.text
 
@@ -89,8 +89,8 @@ def test_bad_keypoints_of_somebody_cost_less_than_they_and_odd_proportions() -> 
     rng = np.random.default_rng(0)
 
     def nats(points_m: np.ndarray) -> float:
-        lengths = bone_lengths_m(points_m)
-        return proportions(lengths).nats + steadiness(lengths).nats
+        bones = measure_bones(points_m)
+        return proportions(bones).nats + steadiness(bones).nats
 
     assert nats(STANDING + rng.normal(0, 0.01, (20, 12, 3))) > 2
     wavering = STANDING + rng.normal(0, 0.06, (20, 12, 3))
@@ -103,8 +103,8 @@ def test_what_is_not_known_counts_neither_way() -> None:
     hidden = np.repeat(STANDING[None], 6, axis=0)
     hidden[:, [STABLE_KEYPOINTS.index(f"{side}_ankle") for side in ("left", "right")]] = np.nan
     hidden[:4, STABLE_KEYPOINTS.index("left_knee")] = np.nan
-    assert set(trunk_shares(bone_lengths_m(hidden))) == {"shoulders", "hips", "upper arms", "forearms", "thighs"}
-    assert proportions(bone_lengths_m(hidden)).nats > 0
-    nothing = bone_lengths_m(np.full((6, 12, 3), np.nan))
-    assert trunk_shares(nothing) == {}
+    assert set(measure_bones(hidden)) == {"trunk", "shoulders", "hips", "upper arms", "forearms", "thighs"}
+    assert proportions(measure_bones(hidden)).nats > 0
+    nothing = measure_bones(np.full((6, 12, 3), np.nan))
+    assert nothing == {}
     assert proportions(nothing).nats == steadiness(nothing).nats == 0

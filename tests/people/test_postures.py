@@ -12,9 +12,8 @@ from studiorecon.body.model import BodyModel
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.people.association.affinity import AssociationLimits
+from studiorecon.people.association.affinity import AssociationLimits, require_measured, track_pairs
 from studiorecon.people.association.postures import limb_differences_rad, limb_directions
-from studiorecon.people.association.track_pairs import require_measured, track_pairs
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -84,8 +83,8 @@ def test_who_stands_where_rays_cannot_tell_is_told_by_posture(root: Path) -> Non
     found = [guessed(people, camera) for camera in CAMERAS]
     limits = AssociationLimits(affinity="pose")
     pairs = track_pairs(found, found, CAMERAS, limits)
-    same = (pairs.track[:, None] == pairs.track[None]) & (pairs.view[:, None] != pairs.view[None])
-    other = (pairs.track[:, None] != pairs.track[None]) & (pairs.view[:, None] != pairs.view[None])
+    same = (pairs.graph.track[:, None] == pairs.graph.track) & (pairs.graph.view[:, None] != pairs.graph.view)
+    other = (pairs.graph.track[:, None] != pairs.graph.track) & (pairs.graph.view[:, None] != pairs.graph.view)
     assert pairs.affinity[same].min() > 2 * pairs.affinity[other].max()
     blind = [replace(one, points_m=None) for one in found]
     with pytest.raises(UserError, match=r"no detection has a body pose.*set it to both or position"):

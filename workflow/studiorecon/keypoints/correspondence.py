@@ -49,26 +49,28 @@ class TrackGraph:
     moments: Integer[np.ndarray, "M M"]
 
 
-def stable_indices(layout: str) -> list[int]:
-    """Indices of the stable keypoints in a layout; -1 for missing ones. Raises KeyError for an unknown layout.
+def stable_indices(layout: str, wanted: Sequence[str] = STABLE_KEYPOINTS) -> list[int]:
+    """Indices of the ``wanted`` keypoints in a layout; -1 for missing ones. Raises KeyError for an unknown layout.
 
     A body's joints replace missing detector points: their difference (M07) is the same in all cameras.
     """
     names = LAYOUTS[layout].keypoints
     at = {name: index for index, name in enumerate(names)}
-    return [at.get(k, at.get(f"{k}_joint", -1)) for k in STABLE_KEYPOINTS]
+    return [at.get(k, at.get(f"{k}_joint", -1)) for k in wanted]
 
 
 def stable_detections(
-    detections: Sequence[Detections], frames: Integer[np.ndarray, " F"] | None = None
+    detections: Sequence[Detections],
+    frames: Integer[np.ndarray, " F"] | None = None,
+    wanted: Sequence[str] = STABLE_KEYPOINTS,
 ) -> list[Detections]:
-    """The detections (of ``frames``, if given) with the stable keypoints only, in the same order for every layout."""
+    """The detections (of ``frames``, if given) with the ``wanted`` keypoints only, in this order for every layout."""
     chosen = []
     for d in detections:
         which = np.ones(len(d.frame), dtype=bool) if frames is None else np.isin(d.frame, frames)
         padded = np.concatenate([d.keypoints[which], np.full((int(which.sum()), 1, 3), [np.nan, np.nan, 0.0])], axis=1)
         chosen.append(
-            Detections(d.camera, d.layout, d.frame[which], d.track[which], padded[:, stable_indices(d.layout)])
+            Detections(d.camera, d.layout, d.frame[which], d.track[which], padded[:, stable_indices(d.layout, wanted)])
         )
     return chosen
 

@@ -70,10 +70,22 @@ def identities_from_keypoints(
     Candidates are all groups on which the keypoints of two cameras or more agree. ``witnesses``: every camera's
     evidence other than its film.
     """
-    compared = TrackComparison.from_detections(given, cameras, frames, fps, association, triangulation)
+    compared = TrackComparison(given, cameras, frames, fps, association, triangulation)
     groups, returns = groups_and_returns(compared, compare_clothes(cameras, videos) if videos else None)
-    about, accepted = _judge(groups, compared, videos, witnesses)
-    kept = name_people([g for g, one in zip(groups, accepted) if one])
+    # The paper rejects nobody: each person of its reference view is one.
+    about: list[list[Term]] = [[] for _ in groups]
+    accepted = np.ones(len(groups), dtype=bool)
+    if association.method != "star":
+        about = _group_terms(groups, compared, videos, witnesses)
+        pairs = pair_terms(groups, cameras, fps)
+        accepted = choose_groups([total_nats(own) for own in about], {pair: term.nats for pair, term in pairs.items()})
+        for (g, h), term in pairs.items():
+            about[g] += [term] * bool(accepted[h] and not accepted[g])
+    # p0, p1, …: by first frame seen by two cameras, then by frames of all cameras, then by x.
+    kept = sorted(
+        (g for g, one in zip(groups, accepted) if one),
+        key=lambda g: (g.frames[0], -int(g.seen.sum()), float(np.nanmedian(g.centres_m[:, 0]))),
+    )
     rejected = [(g, own) for g, own, one in zip(groups, about, accepted) if not one]
     table = _verdicts(kept, rejected, compared)
     rows = [_row(number, group, compared) for number, group in enumerate(kept)]
@@ -87,61 +99,47 @@ def identities_from_keypoints(
     return table, rows, list_rejected(rejected, cameras, frames, fps)
 
 
-def _judge(
+def _group_terms(
     groups: Sequence[Group],
     compared: TrackComparison,
     videos: Sequence[Path],
     witnesses: Sequence[CameraEvidence | None],
-) -> tuple[list[list[Term]], Bool[np.ndarray, " G"]]:
-    """The terms of each group, and which groups are people.
-
-    The paper rejects nobody: each person of its reference view is one.
-    """
-    if compared.limits.method == "star":
-        return [[] for _ in groups], np.ones(len(groups), dtype=bool)
-    rig_m = rig_sigma_m(compared)
-    about = [_keypoint_terms(group, compared, rig_m) for group in groups]
-    # Pictures are read for groups that they can still decide.
-    open_ = [k for k, own in enumerate(about) if videos and total_nats(own) > -_PICTURES_NATS]
-    if open_:
-        seen = picture_terms(
-            [groups[k] for k in open_], compared.detections, compared.cameras, videos, compared.fps, witnesses
+) -> list[list[Term]]:
+    """The terms of each group."""
+    rig_m, graph, fps = rig_sigma_m(compared), compared.pairs.graph, compared.fps
+    about = []
+    for group in groups:
+        between = np.ix_(*2 * [compared.rows(group)])
+        bones = terms.measure_bones(group.points_m)
+        extremities_m = compared.group(group.members, terms.EXTREMITIES).points_m
+        about.append(
+            [
+                terms.duration(group, fps),
+                terms.views(group, compared.cameras),
+                terms.rays(group, graph.distance_m[between], compared.limits.gate_m, rig_m),
+                terms.size(bones),
+                terms.proportions(bones),
+                terms.steadiness(bones),
+                terms.posture(compared.pairs.pose_rad[between]),
+                terms.depth(group.points_m, extremities_m, bones, fps),
+            ]
         )
+    open_ = [k for k, own in enumerate(about) if videos and total_nats(own) > -_PICTURES_NATS]
+    shown = [groups[k] for k in open_]
+    if shown:
+        seen = picture_terms(shown, compared.detections, compared.cameras, videos, fps, witnesses)
         for k, own in zip(open_, seen):
             about[k] += own
-    pairs = pair_terms(groups, compared.cameras, compared.fps)
-    accepted = choose_groups([total_nats(own) for own in about], {key: term.nats for key, term in pairs.items()})
-    for (g, h), term in pairs.items():
-        if accepted[h] and not accepted[g]:
-            about[g].append(term)
-    return about, accepted
-
-
-def _keypoint_terms(group: Group, compared: TrackComparison, rig_m: float) -> list[Term]:
-    """Terms of a group from its keypoints alone."""
-    between = np.ix_(*2 * [compared.member_rows(group)])
-    lengths = terms.bone_lengths_m(group.points_m)
-    extremities_m = terms.extremities_m(
-        group.members, compared.detections, compared.cameras, compared.frames, compared.agree
-    )
-    return [
-        terms.duration(group, compared.fps),
-        terms.views(group, compared.cameras),
-        terms.rays(group, compared.pairs.distance_m[between], compared.limits.gate_m, rig_m),
-        terms.size(lengths),
-        terms.proportions(lengths),
-        terms.steadiness(lengths),
-        terms.posture(compared.pairs.pose_rad[between]),
-        terms.depth(group.points_m, extremities_m, lengths, compared.fps),
-    ]
+    return about
 
 
 def rig_sigma_m(compared: TrackComparison) -> float:
     """Deviation, m, of rays to one joint due to the cameras: the usual distance of rays of tracks that can be one
     person, weighted by their time; 0 with too few."""
-    pairs = compared.pairs
-    one = np.triu(pairs.affinity > 0, 1) & (np.nan_to_num(pairs.distance_m, nan=np.inf) < compared.limits.gate_m)
-    apart = np.repeat(pairs.distance_m[one], pairs.moments[one])
+    graph = compared.pairs.graph
+    with np.errstate(invalid="ignore"):
+        one = np.triu((compared.pairs.affinity > 0) & (graph.distance_m < compared.limits.gate_m), 1)
+    apart = np.repeat(graph.distance_m[one], graph.moments[one])
     return float(np.quantile(apart, 0.5, method="inverted_cdf")) if len(apart) else 0.0
 
 
@@ -150,11 +148,9 @@ def pair_terms(groups: Sequence[Group], cameras: Sequence[Camera], fps: float) -
     centres_m = np.array([c.centre_m for c in cameras])
     found = {}
     for (g, one), (h, other) in permutations(enumerate(groups), 2):
-        own = [
-            terms.overlap(one.points_m, other.points_m),
-            terms.reflection(one.points_m, other.points_m, centres_m, fps),
-        ]
-        found[g, h] = min(own, key=lambda term: term.nats)
+        twice = terms.overlap(one.points_m, other.points_m)
+        mirrored = terms.reflection(one.points_m, other.points_m, centres_m, fps)
+        found[g, h] = min(twice, mirrored, key=lambda term: term.nats)
     return {pair: term for pair, term in found.items() if term.nats < 0}
 
 
@@ -172,11 +168,6 @@ def choose_groups(nats: Sequence[float], pairs: dict[tuple[int, int], float]) ->
         objective, integrality=np.ones(len(objective)), bounds=scipy.optimize.Bounds(0, 1), constraints=constraints
     )
     return np.round(found.x[: len(nats)]).astype(bool)
-
-
-def name_people(groups: Sequence[Group]) -> list[Group]:
-    """The groups as p0, p1, …: by first frame seen by two cameras, then by frames of all cameras, then by x."""
-    return sorted(groups, key=lambda g: (g.frames[0], -int(g.seen.sum()), float(np.nanmedian(g.centres_m[:, 0]))))
 
 
 def _verdicts(
@@ -207,8 +198,8 @@ def _row(number: int, group: Group, compared: TrackComparison) -> tuple[str, int
     """The line of people.tsv."""
     names = group.seen_by(compared.cameras)
     confidence = float(np.nanmean(group.agreement))
-    lengths = terms.bone_lengths_m(group.points_m).get("trunk")
-    torso = f", torso {np.median(lengths[0]):.2f} m" if lengths else ""
+    trunk_m = terms.trunk_length_m(terms.measure_bones(group.points_m))
+    torso = f", torso {trunk_m:.2f} m" if np.isfinite(trunk_m) else ""
     say(
         f"p{number}: seen in {len(group.frames)} of {compared.frames} frames by {', '.join(names)}; "
         f"{confidence:.0%} of its keypoints agree{torso}"

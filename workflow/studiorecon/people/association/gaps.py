@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Groups that follow each other in time joined as one person, by path, size and clothes, solved together over the clip.
+"""Groups that follow each other in time joined as one person, by way, size and clothes, solved together over the clip.
 
 For each group that ends and each that begins later: the log-likelihood ratio, in nats, that the same person came back
 (or was hidden) to that another one appeared. The assignment with the largest sum is taken; a ratio below 0 joins none.
@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from studiorecon.people.association.group import Group, has_no_rival
-from studiorecon.people.association.terms import Ratio, Term, bone_lengths_m
-from studiorecon.scene.people import Detections
+from studiorecon.people.association.group import Group
+from studiorecon.people.association.terms import Bones, Ratio, Term, measure_bones
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -28,18 +27,10 @@ _PLACE_M = 0.2
 _SPEED_M_S = 0.7
 # Area in which somebody else may appear, at least, m².
 _MIN_AREA_M2 = 10.0
-# Deviation of the logarithm of one person's bone lengths, measured twice.
-_SAME_SIZE = 0.04
-# The same of two people's: adults differ by 7 %, and both are measured.
-_OTHER_SIZE = 0.09
-# Time at either end to which place and velocity are fitted, s: half a step.
+# Factor between the bone lengths of one person, measured twice; and of two people: adults differ by 7 %.
+_SIZE = Ratio((1.0, 0.04), (1.0, 0.09), -6, 1)
+# Time at either end whose places are averaged, s: half a step.
 _END_S = 0.4
-# Fewer places give no velocity.
-_MIN_PLACES = 4
-# Time in which a velocity is forgotten to 1/e, s: about a step.
-_KEPT_S = 0.8
-# Velocities above this are errors, m/s: a fast walk.
-_MAX_WALK_M_S = 3.0
 # Difference of the colours of one part of the body in one camera, CIELAB: of one person's, and of two people's.
 _COLOUR = Ratio((7.0, 0.7), (28.0, 0.6), -3, 1.5)
 # Ratios within so many nats of 0 are worth a question.
@@ -56,7 +47,7 @@ class Return:
     Attributes:
         before, after: (view, track) of a track of the group that ends, and of the one that begins.
         left_s, back_s: times, seconds.
-        terms: path, size and clothes.
+        terms: way, size and clothes.
         margin_nats: by how much the decision is better than the best other one.
         joined: whether the two are taken for one person.
     """
@@ -72,36 +63,34 @@ class Return:
 
 def join_over_gaps(
     groups: Sequence[Group],
-    stable: Sequence[Detections],
     fps: float,
     merge: Callable[[list[tuple[int, int]]], Group],
     clothes: Clothes | None = None,
 ) -> tuple[list[Group], list[Return]]:
     """The groups, joined by ``merge`` where they are one person, and every return that is decided or in question."""
-    area_m2, seen = _area_m2(groups), [np.flatnonzero(np.isfinite(g.centres_m).all(-1)) for g in groups]
+    known = [np.flatnonzero(np.isfinite(g.centres_m).all(-1)) for g in groups]
+    bones, area_m2 = [measure_bones(g.points_m) for g in groups], _area_m2(groups)
     terms: dict[tuple[int, int], tuple[Term, ...]] = {}
-    for (i, first), (j, second) in permutations(enumerate(groups), 2):
-        if len(seen[i]) and len(seen[j]) and seen[i][-1] < seen[j][0] and _apart(first, second, stable):
-            terms[i, j] = _way(first, second, seen[i], seen[j], fps, area_m2), _size(first, second)
-            if clothes is not None and sum(term.nats for term in terms[i, j]) > -2 * REACH_NATS:
-                terms[i, j] += (_worn(clothes(first, second)),)
     nats = np.full((len(groups),) * 2, -np.inf)
-    for pair, own in terms.items():
-        nats[pair] = sum(term.nats for term in own)
+    for (i, first), (j, second) in permutations(enumerate(groups), 2):
+        follows = len(known[i]) and len(known[j]) and known[i][-1] < known[j][0]
+        if follows and not (first.detected & second.detected).any():
+            own = [_way(first, second, known[i][-1], known[j][0], fps, area_m2), _size(bones[i], bones[j])]
+            if clothes is not None and sum(term.nats for term in own) > -2 * REACH_NATS:
+                own.append(_worn(clothes(first, second)))
+            terms[i, j], nats[i, j] = tuple(own), sum(term.nats for term in own)
     after, best = _assigned(nats)
     returns = []
-    for (i, j), own in sorted(terms.items()):
-        joined = after.get(i) == j
+    for (i, j), pair in sorted(terms.items()):
+        margin, joined = -float(nats[i, j]), after.get(i) == j
         if joined:
             without = nats.copy()
             without[i, j] = -np.inf
             margin = best - _assigned(without)[1]
-        elif i in after or j in after.values() or abs(nats[i, j]) > REACH_NATS:
+        elif i in after or j in after.values() or abs(margin) > REACH_NATS:
             continue
-        else:
-            margin = -float(nats[i, j])
-        ends = seen[i][-1] / fps, seen[j][0] / fps
-        returns.append(Return(groups[i].members[0], groups[j].members[0], *ends, own, margin, joined))
+        ends = float(known[i][-1] / fps), float(known[j][0] / fps)
+        returns.append(Return(groups[i].members[0], groups[j].members[0], *ends, pair, margin, joined))
     out = []
     for i in sorted(set(range(len(groups))) - set(after.values())):
         chain = [i]
@@ -118,11 +107,6 @@ def _assigned(nats: Float[np.ndarray, "G G"]) -> tuple[dict[int, int], float]:
     return {int(i): int(j) for i, j in zip(rows, columns) if gain[i, j] > 0}, float(gain[rows, columns].sum())
 
 
-def _apart(first: Group, second: Group, stable: Sequence[Detections]) -> bool:
-    """Whether no camera shows both at once."""
-    return all(has_no_rival(member, first.members, stable) for member in second.members)
-
-
 def _area_m2(groups: Sequence[Group]) -> float:
     centres = [g.centres_m[np.isfinite(g.centres_m).all(-1), :2] for g in groups]
     if not sum(map(len, centres)):
@@ -131,40 +115,22 @@ def _area_m2(groups: Sequence[Group]) -> float:
     return max(float(np.prod(high - low + 1.0)), _MIN_AREA_M2)
 
 
-def _way(first: Group, second: Group, before: np.ndarray, after: np.ndarray, fps: float, area_m2: float) -> Term:
+def _way(first: Group, second: Group, left: int, back: int, fps: float, area_m2: float) -> Term:
     """Term of the distance between the end of the first and the beginning of the second, for the time between them."""
-    left, gone_m_s = _end(first, before[::-1], fps)
-    back, came_m_s = _end(second, after, fps)
-    gap_s = float((after[0] - before[-1]) / fps)
-    expected = 0.5 * (gone_m_s + came_m_s) * _KEPT_S * (1 - np.exp(-gap_s / _KEPT_S))
-    off_m = float(np.linalg.norm(back - left - expected))
-    variance = min((_PLACE_M + _SPEED_M_S * gap_s) ** 2, area_m2 / (2 * np.pi))
+    reach, gap_s = max(1, round(_END_S * fps)), (back - left) / fps
+    ends = first.centres_m[max(left - reach, 0) : left + 1, :2], second.centres_m[back : back + reach + 1, :2]
+    off_m = float(np.linalg.norm(np.subtract(*(np.nanmedian(end, axis=0) for end in ends))))
+    variance = min((_PLACE_M + _SPEED_M_S * (gap_s + _END_S)) ** 2, area_m2 / (2 * np.pi))
     nats = np.log(area_m2 / (2 * np.pi * variance)) - 0.5 * off_m**2 / variance
-    said = f"{np.linalg.norm(back - left):.1f} m in {gap_s:.1f} s"
-    return Term("way", float(np.clip(nats, -12, 5)), said)
+    return Term("way", float(np.clip(nats, -12, 5)), f"{off_m:.1f} m in {gap_s:.1f} s")
 
 
-def _end(group: Group, frames: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """(2,) place on the floor, m, and (2,) velocity, m/s, at the first of the ``frames`` (ascending or descending)."""
-    near = frames[np.abs(frames - frames[0]) < max(2, round(_END_S * fps))]
-    places = group.centres_m[near, :2]
-    if len(near) < _MIN_PLACES:
-        return np.median(places, axis=0), np.zeros(2)
-    times_s = (near - near[0]) / fps
-    slope, place = np.polyfit(times_s, places, 1)
-    return place, np.clip(slope, -_MAX_WALK_M_S, _MAX_WALK_M_S)
-
-
-def _size(first: Group, second: Group) -> Term:
-    """Term of the difference of their bone lengths."""
-    lengths = [
-        {part: np.median([np.median(v) for v in values]) for part, values in bone_lengths_m(g.points_m).items()}
-        for g in (first, second)
-    ]
-    ratios = [float(np.log(lengths[1][part] / lengths[0][part])) for part in lengths[0] if part in lengths[1]]
-    ratio = float(np.median(ratios)) if ratios else 0.0
-    nats = 0.5 * ratio**2 * (_OTHER_SIZE**-2 - _SAME_SIZE**-2) + np.log(_OTHER_SIZE / _SAME_SIZE) if ratios else 0.0
-    return Term("size", float(max(nats, -6.0)), f"sizes {100 * abs(np.expm1(ratio)):.0f} % apart")
+def _size(first: Bones, second: Bones) -> Term:
+    """Term of the factor between their bone lengths."""
+    first_m, second_m = ({part: np.median(own, axis=0)[0] for part, own in bones.items()} for bones in (first, second))
+    factors = [second_m[part] / length_m for part, length_m in first_m.items() if part in second_m]
+    factor = float(np.median(factors)) if factors else float("nan")
+    return Term("size", _SIZE.nats(factor), f"sizes {100 * abs(factor - 1):.0f} % apart")
 
 
 def _worn(apart: Float[np.ndarray, " P"]) -> Term:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.geometry.triangulation import Limits, triangulate
-from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
 # A camera sees a person in a frame where so many of the stable keypoints agree with the others'.
-_AGREEING = 3
+_MIN_AGREEING = 3
 
 
 @dataclass(frozen=True)
@@ -31,12 +30,14 @@ class Group:
         points_m: stable keypoints, NaN where undetermined.
         agreement: share of each view's keypoints that agree with the points, NaN where it has none.
         seen: (V, T) bool: the view has at least three agreeing keypoints in that frame.
+        detected: the view has a detection in that frame.
     """
 
     members: tuple[tuple[int, int], ...]
     points_m: Float[np.ndarray, "T K 3"]
     agreement: Float[np.ndarray, " V"]
     seen: Bool[np.ndarray, "V T"]
+    detected: Bool[np.ndarray, "V T"]
 
     @property
     def frames(self) -> Integer[np.ndarray, " F"]:
@@ -59,31 +60,23 @@ class Group:
 
 def make_group(
     members: Sequence[tuple[int, int]],
-    stable: Sequence[Detections],
+    found: Sequence[Detections],
     cameras: Sequence[Camera],
     frames: int,
     agree: Limits,
 ) -> Group:
-    """The group of ``members`` (view, track), with its triangulated points."""
-    pixels = np.full((len(stable), frames, len(STABLE_KEYPOINTS), 2), np.nan)
-    confidence = np.zeros(pixels.shape[:-1])
+    """The group of ``members`` (view, track) among detections of equal keypoints, with its triangulated points."""
+    count = found[0].keypoints.shape[1]
+    pixels = np.full((len(found), frames, count, 2), np.nan)
+    confidence, detected = np.zeros(pixels.shape[:-1]), np.zeros(pixels.shape[:2], dtype=bool)
     for view, track in members:
-        own = stable[view].only(stable[view].track == track)
+        own = found[view].only(found[view].track == track)
         pixels[view, own.frame], confidence[view, own.frame] = own.keypoints[..., :2], own.keypoints[..., 2]
-    views, times, count = confidence.shape
-    found = triangulate(pixels.reshape(views, -1, 2), confidence.reshape(views, -1), cameras, agree)
-    inliers = found.inliers.reshape(views, times, count)
-    judged = (confidence > agree.min_confidence) & found.valid.reshape(times, count)
+        detected[view, own.frame] = True
+    points = triangulate(pixels.reshape(len(found), -1, 2), confidence.reshape(len(found), -1), cameras, agree)
+    inliers = points.inliers.reshape(confidence.shape)
+    judged = (confidence > agree.min_confidence) & points.valid.reshape(frames, count)
     total = judged.sum((1, 2))
     agreement = np.where(total > 0, (inliers & judged).sum((1, 2)) / np.maximum(total, 1), np.nan)
-    return Group(
-        tuple(sorted(members)), found.points_m.reshape(times, count, 3), agreement, inliers.sum(-1) >= _AGREEING
-    )
-
-
-def has_no_rival(member: tuple[int, int], members: Sequence[tuple[int, int]], stable: Sequence[Detections]) -> bool:
-    """Whether ``members`` have no detection of this camera in any of the member's frames: one detection per view."""
-    view, track = member
-    mine = stable[view].frame[stable[view].track == track]
-    theirs = stable[view].frame[np.isin(stable[view].track, [t for v, t in members if v == view])]
-    return not np.isin(mine, theirs).any()
+    seen = inliers.sum(-1) >= _MIN_AGREEING
+    return Group(tuple(sorted(members)), points.points_m.reshape(frames, count, 3), agreement, seen, detected)

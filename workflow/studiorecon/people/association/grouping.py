@@ -5,17 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from studiorecon.geometry.groups import groups_by_affinity
 from studiorecon.geometry.triangulation import Limits, unit_px
-from studiorecon.keypoints.correspondence import stable_detections
-from studiorecon.people.association.affinity import AssociationLimits
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
+from studiorecon.people.association.affinity import AssociationLimits, TrackPairs, require_measured, track_pairs
 from studiorecon.people.association.gaps import Clothes, Return, join_over_gaps
-from studiorecon.people.association.group import Group, has_no_rival, make_group
+from studiorecon.people.association.group import Group, make_group
 from studiorecon.people.association.reference_view import star_groups
-from studiorecon.people.association.track_pairs import TrackPairs, node_margins, require_measured, track_pairs
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -35,37 +35,31 @@ class TrackComparison:
     """
 
     detections: Sequence[Detections]
-    stable: Sequence[Detections]
     cameras: Sequence[Camera]
     frames: int
     fps: float
     limits: AssociationLimits
     agree: Limits
-    pairs: TrackPairs
 
-    @staticmethod
-    def from_detections(
-        detections: Sequence[Detections],
-        cameras: Sequence[Camera],
-        frames: int,
-        fps: float,
-        limits: AssociationLimits,
-        agree: Limits,
-    ) -> TrackComparison:
-        """The comparison of all detections; raises UserError when the settings need data that no detection has."""
-        require_measured(detections, cameras, limits)
-        stable = stable_detections(detections)
-        pairs = track_pairs(detections, stable, cameras, limits)
-        return TrackComparison(detections, stable, cameras, frames, fps, limits, agree, pairs)
+    @cached_property
+    def stable(self) -> list[Detections]:
+        """The detections with the stable keypoints only."""
+        return stable_detections(self.detections)
 
-    def member_rows(self, group: Group) -> list[int]:
+    @cached_property
+    def pairs(self) -> TrackPairs:
+        """Affinities of all tracks; raises UserError when the settings need data that no detection has."""
+        require_measured(self.detections, self.cameras, self.limits)
+        return track_pairs(self.detections, self.stable, self.cameras, self.limits)
+
+    def rows(self, group: Group) -> list[int]:
         """Rows of the pairs that are the group's members."""
-        node = {member: n for n, member in enumerate(self.pairs.nodes)}
-        return [node[m] for m in group.members]
+        return [self.pairs.nodes.index(m) for m in group.members]
 
-    def group(self, members: Sequence[tuple[int, int]]) -> Group:
-        """The group of ``members`` (view, track)."""
-        return make_group(members, self.stable, self.cameras, self.frames, self.agree)
+    def group(self, members: Sequence[tuple[int, int]], keypoints: Sequence[str] = STABLE_KEYPOINTS) -> Group:
+        """The group of ``members`` (view, track), with its ``keypoints``."""
+        found = self.stable if keypoints is STABLE_KEYPOINTS else stable_detections(self.detections, None, keypoints)
+        return make_group(members, found, self.cameras, self.frames, self.agree)
 
 
 def group_tracks(
@@ -81,26 +75,26 @@ def group_tracks(
     ``limits.method`` "tracks": whole tracks of all views together, checked by triangulation, joined over gaps. "star":
     the paper's single frame and reference view, unchanged.
     """
-    return groups_and_returns(TrackComparison.from_detections(detections, cameras, frames, fps, limits, agree))[0]
+    return groups_and_returns(TrackComparison(detections, cameras, frames, fps, limits, agree))[0]
 
 
 def groups_and_returns(compared: TrackComparison, clothes: Clothes | None = None) -> tuple[list[Group], list[Return]]:
     """All groups of the compared detections, and possible returns of people; ``clothes`` compares two groups."""
-    pairs, stable = compared.pairs, compared.stable
+    pairs, moments = compared.pairs, compared.pairs.graph.moments
     if compared.limits.method == "star":
-        stars = star_groups(compared.detections, stable, compared.cameras, compared.limits)
+        stars = star_groups(compared.detections, compared.stable, compared.cameras, compared.limits)
         return [compared.group(members) for members in stars], []
-    long = np.flatnonzero(pairs.detections >= min(max(2.0, _LONG_S * compared.fps), pairs.detections.max(initial=0)))
+    lengths = np.diagonal(moments)
+    long = np.flatnonzero(lengths >= min(max(2.0, _LONG_S * compared.fps), lengths.max(initial=0)))
     between = np.ix_(long, long)
     # A person who is always present is not outvoted by false detections in short stretches.
-    affinity = pairs.affinity[between] * pairs.moments[between]
-    nodes = pairs.nodes
+    affinity = np.nan_to_num(pairs.affinity[between]) * moments[between]
     found = [
-        _without_strangers(compared.group([nodes[n] for n in long[chosen]]), compared)
+        _without_strangers(compared.group([pairs.nodes[n] for n in long[chosen]]), compared)
         for chosen in groups_by_affinity(affinity, pairs.forbidden[between])
     ]
     groups = _with_leftovers([g for g in found if g is not None], compared)
-    return join_over_gaps(groups, stable, compared.fps, compared.group, clothes)
+    return join_over_gaps(groups, compared.fps, compared.group, clothes)
 
 
 def track_margins(groups: Sequence[Group], compared: TrackComparison) -> dict[tuple[int, int], float]:
@@ -108,28 +102,27 @@ def track_margins(groups: Sequence[Group], compared: TrackComparison) -> dict[tu
 
     Below ``undecided_margin`` it is undecided.
     """
-    rows = [compared.member_rows(g) for g in groups]
-    found = node_margins(compared.pairs, rows)
+    rows = [compared.rows(g) for g in groups]
+    found = compared.pairs.margins(rows)
     return {m: float(found[n]) for g, own in zip(groups, rows) for m, n in zip(g.members, own)}
 
 
 def _fit(member: tuple[int, int], group: Group, compared: TrackComparison) -> tuple[float, int]:
     """(share of a track's keypoints within the outlier limit of the group's points, number of comparable ones)."""
     view, track = member
-    mine, camera, agree = compared.stable[view], compared.cameras[view], compared.agree
-    mine = mine.only(mine.track == track)
+    camera, agree = compared.cameras[view], compared.agree
+    mine = compared.stable[view].only(compared.stable[view].track == track)
     projected, depth = camera.project(group.points_m[mine.frame])
-    comparable = (mine.keypoints[..., 2] > agree.min_confidence) & (np.nan_to_num(depth, nan=-1.0) > agree.near_m)
+    comparable = (mine.keypoints[..., 2] > agree.min_confidence) & (depth > agree.near_m)
     error = np.linalg.norm(projected - mine.keypoints[..., :2], axis=-1)
-    limit = unit_px([camera], agree)[0] * agree.outlier_units
-    total = int(comparable.sum())
-    return (float((np.where(comparable, error, np.inf) < limit).sum() / total) if total else float("nan")), total
+    near = comparable & (error < unit_px([camera], agree)[0] * agree.outlier_units)
+    return float(near.sum() / max(comparable.sum(), 1)), int(comparable.sum())
 
 
 def _without_strangers(group: Group, compared: TrackComparison) -> Group | None:
     """The group without tracks that disagree with its points, worst first; None when fewer than two cameras remain."""
     while len({v for v, _ in group.members}) >= 2:
-        share, worst = min((float(np.nan_to_num(_fit(m, group, compared)[0], nan=-1.0)), m) for m in group.members)
+        share, worst = min((_fit(m, group, compared)[0], m) for m in group.members)
         if share >= compared.limits.track_agreement:
             return group
         group = compared.group([m for m in group.members if m != worst])
@@ -142,20 +135,23 @@ def _with_leftovers(groups: list[Group], compared: TrackComparison) -> list[Grou
     Two people in line with a camera both fit a detection of one of them: the clearest tracks are placed first. A track
     that still fits two groups equally gets no person rather than a wrong one.
     """
+    detected = [g.detected.copy() for g in groups]
     placed = [list(g.members) for g in groups]
-    shares = {
-        m: [share if total >= _COMPARABLE else 0.0 for share, total in (_fit(m, g, compared) for g in groups)]
-        for m in sorted(set(compared.pairs.nodes) - {m for g in groups for m in g.members})
-    }
+    fits = {}
+    for view, track in sorted(set(compared.pairs.nodes) - {m for g in groups for m in g.members}):
+        own = [_fit((view, track), g, compared) for g in groups]
+        shares = [share if total >= _COMPARABLE else 0.0 for share, total in own]
+        fits[view, track] = shares, compared.stable[view].frame[compared.stable[view].track == track]
     while True:
         clear = []
-        for m, own in shares.items():
-            free = [(own[i], -i) for i, members in enumerate(placed) if has_no_rival(m, members, compared.stable)]
-            first, second = sorted([*free, (0.0, -len(groups)), (0.0, -len(groups))], reverse=True)[:2]
-            if first[0] >= compared.limits.track_agreement and first[0] - second[0] >= _CLEARLY:
-                clear.append((first[0] - second[0], m, -first[1]))
+        for (view, track), (shares, frames) in fits.items():
+            # One detection of a person per view and frame.
+            free = np.array([0.0 if there[view, frames].any() else share for share, there in zip(shares, detected)])
+            second, first = np.sort([0.0, 0.0, *free])[-2:]
+            if first >= compared.limits.track_agreement and first - second >= _CLEARLY:
+                clear.append((first - second, (view, track), int(free.argmax())))
         if not clear:
             return [g if len(m) == len(g.members) else compared.group(m) for g, m in zip(groups, placed)]
-        _, member, i = max(clear)
-        placed[i].append(member)
-        del shares[member]
+        _, (view, track), i = max(clear)
+        detected[i][view, fits.pop((view, track))[1]] = True
+        placed[i].append((view, track))

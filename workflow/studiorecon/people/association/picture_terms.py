@@ -15,7 +15,7 @@ import numpy as np
 
 from studiorecon.footage.video import read_frames
 from studiorecon.people.association.group import Group
-from studiorecon.people.association.terms import Term
+from studiorecon.people.association.terms import Ratio, Term
 from studiorecon.people.pictures.change import LIMB_ENDS, PICTURES, motion_support, sampled_frames, steps_m
 from studiorecon.people.pictures.coverage import CameraEvidence, mask_coverage, plate_difference_share
 from studiorecon.progress import progress
@@ -39,11 +39,13 @@ _TRUSTED_NATS = 2.0
 _MAX_VIEW_NATS = 3.0
 # Someone who keeps still, whose landmarks wander, is so unlikely in nats; a mask or a plate over them adds its own.
 _STILL_NATS = -12.0
-# Share of the places of joints that a mask covers, or that differ from the empty room: (mean, deviation). Several
-# joints are covered for themselves.
-_COVERED, _BARE, _JOINTS = (0.95, 0.15), (0.3, 0.3), 3
-# The detector's confidence that a person is there, as log-odds: (mean, deviation) of people and of furniture.
-_PRESENT, _FURNITURE = (5.0, 2.0), (2.0, 2.0)
+# Share of the places of joints that a mask covers, or that differ from the empty room. Several joints are covered for
+# themselves.
+_COVERED = Ratio((0.95, 0.15), (0.3, 0.3), -99, 99, places=3, linear=True)
+# The detector's confidence that a person is there, as log-odds, of people and of furniture.
+_PRESENT = Ratio((5.0, 2.0), (2.0, 2.0), -3, 1, linear=True)
+# Networks draw a mask over whatever they take for somebody: it says little else.
+_MIN_COVERED_NATS, _MAX_COVERED_NATS = -3.0, 1.0
 
 
 def picture_terms(
@@ -58,11 +60,22 @@ def picture_terms(
     moved, shares = _motion(groups, cameras, videos, fps)
     out = []
     for group, nats, share in zip(groups, moved.tolist(), shares):
-        covered, plain = _coverage(group, detections, cameras, videos, witnesses)
+        mask, presence, plate = _coverage(group, detections, cameras, videos, witnesses)
+        if nats <= 0:
+            confirmed = max(_COVERED.nats(mask), _COVERED.nats(plate), 0.0)
+            nats = min(float(np.logaddexp(nats, _STILL_NATS + confirmed)), 0.0)
         seen = ", ".join(f"{s:.0%} ({c.name})" for s, c in zip(share, cameras) if np.isfinite(s))
-        own = nats if nats > 0 else float(np.logaddexp(nats, _STILL_NATS + max(covered, 0.0)))
         said = f"the pictures show no person there: of the pixels that its joints moved over only {seen} changed"
-        out.append([Term("motion", min(own, max(nats, 0.0)), said), *plain])
+        covered = [np.clip(_COVERED.nats(s), _MIN_COVERED_NATS, _MAX_COVERED_NATS) for s in (mask, plate)]
+        odds = np.log(np.clip(presence, 1e-4, 1 - 1e-4) / (1 - np.clip(presence, 1e-4, 1 - 1e-4)))
+        out.append(
+            [
+                Term("motion", nats, said),
+                Term("mask", float(covered[0]), f"the detector's masks cover {mask:.0%}"),
+                Term("plate", float(covered[1]), f"{plate:.0%} differ from a clean plate"),
+                Term("presence", _PRESENT.nats(odds), f"the detector is sure by {presence:.0%} only"),
+            ]
+        )
     return out
 
 
@@ -116,31 +129,15 @@ def _coverage(
     cameras: Sequence[Camera],
     videos: Sequence[Path],
     witnesses: Sequence[CameraEvidence | None],
-) -> tuple[float, list[Term]]:
-    """(nats by which a mask or a plate confirms somebody who keeps still, terms of masks, plates and presence)."""
+) -> Float[np.ndarray, " 3"]:
+    """Share covered by the detector's masks, its confidence, and share that differs from a plate: each camera's best,
+    NaN unknown."""
     found = [
-        (
+        [
             *mask_coverage(group, v, detections[v], cameras[v], one),
             plate_difference_share(group, cameras[v], videos[v], one),
-        )
+        ]
         for v, one in enumerate(witnesses)
         if one is not None
     ]
-    mask, presence, plate = (
-        float(np.nanmax(v)) if np.isfinite(v).any() else np.nan for v in zip(*found or [(np.nan, np.nan, np.nan)])
-    )
-    odds = np.log(np.clip(presence, 1e-4, 1 - 1e-4) / (1 - np.clip(presence, 1e-4, 1 - 1e-4)))
-    nats = [_JOINTS * _normal_nats(share, _COVERED, _BARE) for share in (mask, plate)]
-    # Networks draw a mask over whatever they take for somebody: it says little else.
-    said = f"the detector's masks cover {mask:.0%}", f"{plate:.0%} differ from a clean plate"
-    terms = [Term(name, float(np.clip(n, -3, 1)), text) for name, n, text in zip(("mask", "plate"), nats, said)]
-    sure = float(np.clip(_normal_nats(odds, _PRESENT, _FURNITURE), -3, 1))
-    return max(nats), [*terms, Term("presence", sure, f"the detector is sure by {presence:.0%} only")]
-
-
-def _normal_nats(value: float, person: tuple[float, float], nobody: tuple[float, float]) -> float:
-    """Log ratio of two normal densities (mean, deviation); 0 where the value is NaN."""
-    if not np.isfinite(value):
-        return 0.0
-    first, second = (((value - mean) / sigma, sigma) for mean, sigma in (person, nobody))
-    return float(0.5 * (second[0] ** 2 - first[0] ** 2) + np.log(second[1] / first[1]))
+    return np.fmax.reduce(np.array([[np.nan] * 3, *found]))

@@ -14,8 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from studiorecon.keypoints.tracking import match_detections
-from studiorecon.people.association.affinity import AssociationLimits
-from studiorecon.people.association.track_pairs import track_pairs
+from studiorecon.people.association.affinity import AssociationLimits, track_pairs
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -35,7 +34,7 @@ def star_groups(
         now = track_pairs(here, points, cameras, limits)
         nodes = now.nodes
         if frame == start:
-            reference = int(np.argmax(np.bincount(now.view, minlength=len(cameras))))
+            reference = int(np.argmax(np.bincount(now.graph.view, minlength=len(cameras))))
             owner = {node: k for k, node in enumerate(node for node in nodes if node[0] == reference)}
             people = len(owner)
         for v in range(len(cameras)):
@@ -47,7 +46,7 @@ def star_groups(
                 person = owner.get(node)
                 if node[0] != v and person is not None and person not in taken:
                     shown[n, person] = frame > start or node[0] == reference
-            affinity = now.affinity[new] @ shown / np.maximum(shown.sum(0), 1)
+            affinity = np.nan_to_num(now.affinity[new]) @ shown / np.maximum(shown.sum(0), 1)
             # No affinity is no match, whatever the assignment (A03, A13).
             owner |= {nodes[new[i]]: k for i, k in match_detections(1 - affinity, 1.0)}
     groups = [sorted(node for node, k in owner.items() if k == person) for person in range(people)]

@@ -63,12 +63,12 @@ def list_rejected(
 ) -> list[RejectedPerson]:
     """The rejected groups, with reasons, the likeliest first: those on which two cameras agreed for a second, or half
     of a shorter clip, or near 0 nats, without duplicates of accepted people."""
-    listed = [
+    listed = sorted(
         (-total_nats(own), group.members, group, strongest_objections(own))
         for group, own in rejected
         if not any(term.name == "overlap" for term in own)
         and (len(group.frames) >= min(_LONG_S * fps, frames / 2) or total_nats(own) > -_REACH_NATS)
-    ]
+    )
     return [
         RejectedPerson(
             f"r{n}",
@@ -80,7 +80,7 @@ def list_rejected(
             -against,
             reason,
         )
-        for n, (against, members, group, reason) in enumerate(sorted(listed, key=lambda one: one[:2]))
+        for n, (against, members, group, reason) in enumerate(listed)
     ]
 
 

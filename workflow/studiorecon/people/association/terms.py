@@ -13,12 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
-from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people.association.group import Group
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -41,32 +38,41 @@ class Term:
 
 @dataclass(frozen=True)
 class Ratio:
-    """The log ratio of two log-normal densities, each given as (median, deviation of the logarithm).
+    """The log ratio of two normal densities of a measurement, or of its logarithm.
 
     Attributes:
-        person, nobody: of what was measured, where a person is and where nobody is.
-        min_nats, max_nats: bounds of the ratio, nats.
+        person, nobody: where a person is and where nobody is: (median, deviation of the logarithm), or (mean,
+            deviation) where ``linear``.
+        min_nats, max_nats: bounds of the ratio.
+        places: number of independent places that are measured.
     """
 
     person: tuple[float, float]
     nobody: tuple[float, float]
     min_nats: float
     max_nats: float
+    places: int = 1
+    linear: bool = False
 
     def nats(self, value: float) -> float:
-        """The ratio at a measured ``value`` > 0, nats; 0 where it is NaN."""
+        """The ratio at a measured ``value`` (> 0 unless ``linear``); 0 where it is NaN."""
         if not np.isfinite(value):
             return 0.0
-        ends = self.person, self.nobody
-        first, second = ((np.log(max(value, 1e-9) / median) / sigma, sigma) for median, sigma in ends)
-        ratio = 0.5 * (second[0] ** 2 - first[0] ** 2) + np.log(second[1] / first[1])
+        off = [
+            (value - middle if self.linear else np.log(max(value, 1e-9) / middle)) / sigma
+            for middle, sigma in (self.person, self.nobody)
+        ]
+        ratio = self.places * (0.5 * (off[1] ** 2 - off[0] ** 2) + np.log(self.nobody[1] / self.person[1]))
         return float(np.clip(ratio, self.min_nats, self.max_nats))
 
 
-_AT = {name: k for k, name in enumerate(STABLE_KEYPOINTS)}
-_OTHER_SIDE = [
-    _AT[name.replace(*("left", "right") if name.startswith("left") else ("right", "left"))] for name in STABLE_KEYPOINTS
-]
+Bones = Mapping[str, list[tuple[float, float]]]
+"""Part of the body → (median length in metres, its relative median deviation over time) of each bone that is known."""
+
+# Keypoints alternate: left, right.
+_OTHER_SIDE = [k ^ 1 for k in range(len(STABLE_KEYPOINTS))]
+EXTREMITIES = ("nose", "left_ear", "right_ear", "left_heel", "right_heel", "left_big_toe", "right_big_toe")
+"""Points off the plane of the joints of somebody who stands with hanging arms."""
 # One candidate of twenty is a person before anything is measured.
 PRIOR_NATS = -3.0
 # Time in which two cameras agree, s: people stay for seconds, agreement by chance ends after a moment.
@@ -81,7 +87,8 @@ _AGREEMENT = (0.95, 0.15)
 # Middle of the shoulders to that of the hips, m: people from children to giants, and anything.
 _TRUNK = Ratio((0.5, 0.28), (0.5, 1.2), -12, 1.5)
 # Bones as shares of the trunk. (Real people and the studio's: shoulders 0.65 to 0.71; dogs: 0.15 to 0.35.)
-_SHARES = {
+_PARTS = {
+    "trunk": (1.0, [("middle_shoulder", "middle_hip")]),
     "shoulders": (0.68, [("left_shoulder", "right_shoulder")]),
     "hips": (0.4, [("left_hip", "right_hip")]),
     "upper arms": (0.53, [("left_shoulder", "left_elbow"), ("right_shoulder", "right_elbow")]),
@@ -99,21 +106,20 @@ _POSTURE = Ratio((0.5, 0.45), (0.9, 0.35), -4, 1)
 # Deviation of joints and extremities from one plane, in trunks, of a person (0.17 to 0.54, arms hanging 0.14), and on
 # posters and screens (0.03 to 0.05).
 _DEPTH = Ratio((0.24, 0.3), (0.04, 0.35), -15, 0)
-_DEEP = ("nose", "left_ear", "right_ear", "left_heel", "right_heel", "left_big_toe", "right_big_toe")
 # Time over which joints are averaged before that, s: noise is no depth.
 _CALM_S = 0.25
 # Fewer known joints show neither a plane nor another person's place.
 _MIN_JOINTS = 8
-# Deviation of a mirror image from the reflection of the person, m: two triangulations.
-_REFLECTED_M = 0.05
-# The same of another person in a like place.
-_SYMMETRIC_M = 0.5
+# Distance of joints from the reflection of another person's in each of three coordinates, m: of somebody in a like
+# place, and of a mirror image, triangulated twice.
+_REFLECTED = Ratio((0.0, 0.5), (0.0, 0.05), -7, 7, places=3, linear=True)
 # Way, m, that makes one independent place of a reflection: one person in one place may only look symmetric.
 _MOVED_M = 0.3
 # Shorter, s, no reflection is known.
 _LASTING_S = 1.0
-# Distance of the joints of two people side by side, and of one person detected twice, m.
-_OVERLAP = Ratio((0.8, 0.4), (0.05, 0.4), -10, 0)
+# Distance of the joints of two people side by side, and of one person detected twice, m. Arms and legs of two people
+# are as far apart as their trunks.
+_OVERLAP = Ratio((0.8, 0.4), (0.05, 0.4), -30, 0, places=3)
 # A length needs so many frames, or half of those with any known point.
 _MIN_FRAMES = 3
 
@@ -140,18 +146,17 @@ def duration(group: Group, fps: float) -> Term:
 
 def views(group: Group, cameras: Sequence[Camera]) -> Term:
     """Term of the cameras that see a group among those in whose picture it is, without the two that see it most."""
-    nats, names, counted = [], [], 0
+    shares = []
     known = np.flatnonzero(np.isfinite(group.centres_m).all(1))
     for camera, seen in zip(cameras, group.seen):
         pixels, depth = camera.project(group.centres_m[known])
         inside = (depth > 0) & (pixels >= 0).all(-1) & (pixels < camera.wh).all(-1)
         if inside.any():
-            share = float(seen[known[inside]].mean())
-            nats.append(_HIT_NATS * (2 * share - 1))
-            counted += 1
-            names += [camera.name] * (share >= 0.5)
-    said = f"{len(names)} of the {counted} cameras in whose pictures it would be see it most of the time"
-    return Term("views", float(np.clip(sum(nats) - 2 * _HIT_NATS, -8, 3)), said)
+            shares.append(float(seen[known[inside]].mean()))
+    often = sum(share >= 0.5 for share in shares)
+    said = f"{often} of the {len(shares)} cameras in whose pictures it would be see it most of the time"
+    nats = _HIT_NATS * (sum(2 * share - 1 for share in shares) - 2)
+    return Term("views", float(np.clip(nats, -8, 3)), said)
 
 
 def rays(group: Group, distance_m: Float[np.ndarray, "M M"], gate_m: float, rig_m: float) -> Term:
@@ -159,35 +164,42 @@ def rays(group: Group, distance_m: Float[np.ndarray, "M M"], gate_m: float, rig_
     the share of keypoints that agree."""
     sigma_m = float(np.hypot(_RAY_SIGMA_M, rig_m))
     gaps = distance_m[np.isfinite(distance_m)]
-    share = float(np.nanmean(group.agreement)) if np.isfinite(group.agreement).any() else np.nan
-    nats = 0.0
+    shares = group.agreement[np.isfinite(group.agreement)]
+    nats, said = 0.0, []
     if len(gaps):
         nats += float(np.log(2 * gate_m / (sigma_m * np.sqrt(2 * np.pi))) - 0.5 * (np.median(gaps) / sigma_m) ** 2)
-    if np.isfinite(share):
+        said.append(f"rays pass each other at {100 * np.median(gaps):.0f} cm")
+    if len(shares):
         mean, sigma = _AGREEMENT
-        nats += float(np.log(1 / (sigma * np.sqrt(2 * np.pi))) - 0.5 * ((share - mean) / sigma) ** 2)
-    gap = f"rays pass each other at {100 * np.median(gaps):.0f} cm and " if len(gaps) else ""
-    return Term("rays", float(np.clip(nats, -4, 2)), f"{gap}{share:.0%} of its keypoints agree")
+        nats += float(-np.log(sigma * np.sqrt(2 * np.pi)) - 0.5 * ((shares.mean() - mean) / sigma) ** 2)
+        said.append(f"{shares.mean():.0%} of its keypoints agree")
+    return Term("rays", float(np.clip(nats, -4, 2)), " and ".join(said))
 
 
-def size(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> Term:
+def size(bones: Bones) -> Term:
     """Term of the length of its trunk."""
-    trunk_m = float(np.median(lengths["trunk"][0])) if "trunk" in lengths else float("nan")
+    trunk_m = trunk_length_m(bones)
     return Term("size", _TRUNK.nats(trunk_m), f"its torso would be {trunk_m:.2f} m long")
 
 
-def proportions(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> Term:
-    """Term of the lengths of its bones over its trunk: an animal has narrow shoulders and hips, and forelegs for
-    arms."""
-    shares = trunk_shares(lengths)
-    nats = {part: _SHARE.nats(share / _SHARES[part][0]) for part, share in shares.items()}
-    off = ", ".join(f"{part} {shares[part]:.2f} of its trunk" for part in shares if nats[part] < 0)
-    return Term("proportions", sum(nats.values()), f"its proportions are not a person's: {off}")
+def proportions(bones: Bones) -> Term:
+    """Term of the lengths of its bones over its trunk, of a pair the less likely one: an animal has narrow shoulders
+    and hips, and forelegs for arms."""
+    worst = {
+        part: min((_SHARE.nats(length_m / trunk_length_m(bones) / usual), length_m) for length_m, _ in bones[part])
+        for part, (usual, _) in _PARTS.items()
+        if part in bones and "trunk" in bones and part != "trunk"
+    }
+    off = [
+        f"{p} {length_m / trunk_length_m(bones):.2f} of its trunk" for p, (own, length_m) in worst.items() if own < 0
+    ]
+    nats = sum(own for own, _ in worst.values())
+    return Term("proportions", nats, f"its proportions are not a person's: {', '.join(off)}")
 
 
-def steadiness(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> Term:
+def steadiness(bones: Bones) -> Term:
     """Term of the changes of its bones' lengths."""
-    own = [np.median(np.abs(v - np.median(v))) / np.median(v) for values in lengths.values() for v in values]
+    own = [wavers for values in bones.values() for _, wavers in values]
     wavers = float(np.median(own)) if own else float("nan")
     return Term("steadiness", _STEADINESS.nats(wavers), f"its bones change their length by {wavers:.0%}")
 
@@ -201,20 +213,17 @@ def posture(pose_rad: Float[np.ndarray, "M M"]) -> Term:
 
 
 def depth(
-    points_m: Float[np.ndarray, "T 12 3"],
-    deep_m: Float[np.ndarray, "T D 3"],
-    lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]],
-    fps: float,
+    points_m: Float[np.ndarray, "T 12 3"], extremities_m: Float[np.ndarray, "T 7 3"], bones: Bones, fps: float
 ) -> Term:
     """Term of joints and extremities in one plane, as on a picture or a screen.
 
     Joints alone do not decide: a person with spread arms is flat to 8 mm.
     """
-    described = np.isfinite(deep_m).all(-1).mean(0) >= 0.5
-    share = float("nan")
-    trunk_m = float(np.median(lengths["trunk"][0])) if "trunk" in lengths else _TRUNK.person[0]
+    described = np.isfinite(extremities_m).all(-1).mean(0) >= 0.5
+    share, trunk_m = float("nan"), trunk_length_m(bones)
     if described.any():
-        share = flatness_m(np.concatenate([points_m, deep_m[:, described]], axis=1), fps) / trunk_m
+        flat_m = flatness_m(np.concatenate([points_m, extremities_m[:, described]], axis=1), fps)
+        share = flat_m / (trunk_m if np.isfinite(trunk_m) else _TRUNK.person[0])
     said = "it is flat: all its points are in one plane, as on a poster or a screen"
     return Term("depth", _DEPTH.nats(share), said)
 
@@ -233,64 +242,47 @@ def reflection(
     said = "it is another person's mirror image: left and right exchanged, and behind the mirror for every camera"
     true = other_m[:, _OTHER_SIDE]
     known = np.isfinite(points_m).all(-1) & np.isfinite(true).all(-1)
-    if (known.sum(1) >= _MIN_FRAMES).sum() < _LASTING_S * fps:
-        return Term("reflection", 0.0, said)
-    image, original = points_m[known], true[known]
-    across, middle = image - original, (image + original) / 2
-    normal = np.linalg.svd(across, full_matrices=False)[2][0]
-    normal = normal * np.sign(np.median(across @ normal))
-    offset = float(np.median(middle @ normal))
-    expected = original - 2 * ((original @ normal) - offset)[:, None] * normal
-    moved_m = float(np.linalg.norm(np.ptp(np.quantile(original[:, :2], [0.05, 0.95], axis=0), axis=0)))
-    if not (centres_m @ normal < offset).all():
-        return Term("reflection", 0.0, said)
-    off_m = float(np.median(np.linalg.norm(image - expected, axis=-1)))
-    # As many independent places as the way is long, and three coordinates each.
-    places = min(moved_m / _MOVED_M, 3.0)
-    nearer = 3 * np.log(_SYMMETRIC_M / _REFLECTED_M) - 0.5 * off_m**2 * (_REFLECTED_M**-2 - _SYMMETRIC_M**-2)
-    return Term("reflection", float(np.clip(-places * nearer if places >= 1 else 0.0, -20, 0)), said)
+    nats = 0.0
+    if (known.sum(1) >= _MIN_FRAMES).sum() >= _LASTING_S * fps:
+        image, original = points_m[known], true[known]
+        across, middle = image - original, (image + original) / 2
+        normal = np.linalg.svd(across, full_matrices=False)[2][0]
+        normal = normal * np.sign(np.median(across @ normal))
+        offset = float(np.median(middle @ normal))
+        expected = original - 2 * ((original @ normal) - offset)[:, None] * normal
+        moved_m = float(np.linalg.norm(np.ptp(np.quantile(original[:, :2], [0.05, 0.95], axis=0), axis=0)))
+        if (centres_m @ normal < offset).all() and moved_m >= _MOVED_M:
+            # As many independent places as the way is long.
+            off_m = float(np.median(np.linalg.norm(image - expected, axis=-1))) / np.sqrt(3)
+            nats = min(moved_m / _MOVED_M, 3.0) * min(_REFLECTED.nats(off_m), 0.0)
+    return Term("reflection", nats, said)
 
 
 def overlap(points_m: Float[np.ndarray, "T 12 3"], other_m: Float[np.ndarray, "T 12 3"]) -> Term:
     """Term of two skeletons at one place wherever both are known: one person, detected twice."""
     apart = np.linalg.norm(points_m - other_m, axis=-1)
     apart = apart[np.isfinite(apart)]
-    # Arms and legs of two people are as far apart as their trunks: three places.
-    nats = 3 * _OVERLAP.nats(float(np.median(apart)) if len(apart) >= _MIN_JOINTS else np.nan)
+    nats = _OVERLAP.nats(float(np.median(apart)) if len(apart) >= _MIN_JOINTS else np.nan)
     return Term("overlap", nats, "it is at the same place as another person: one person, detected twice")
 
 
-def bone_lengths_m(points_m: Float[np.ndarray, "T 12 3"]) -> dict[str, list[Float[np.ndarray, " F"]]]:
-    """Lengths of a skeleton's bones (T, 12, 3; NaN unknown), metres, in the frames in which they are known; "trunk" as
-    well.
-
-    Bones that are hardly ever known are left out.
-    """
-    middles = [
-        np.mean([points_m[:, _AT[f"{side}_{joint}"]] for side in ("left", "right")], axis=0)
-        for joint in ("shoulder", "hip")
-    ]
-    ends = {"trunk": [(middles[0], middles[1])]}
-    for part, (_, limbs) in _SHARES.items():
-        ends[part] = [(points_m[:, _AT[first]], points_m[:, _AT[second]]) for first, second in limbs]
-    known = {part: [np.linalg.norm(a - b, axis=-1) for a, b in limbs] for part, limbs in ends.items()}
-    least = max(_MIN_FRAMES, 0.5 * float(np.isfinite(known["trunk"][0]).sum()))
-    long = {part: [v[np.isfinite(v)] for v in values] for part, values in known.items()}
-    return {part: kept for part, values in long.items() if (kept := [v for v in values if len(v) >= least])}
-
-
-def trunk_shares(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> dict[str, float]:
-    """Medians over time as shares of the trunk, {} without a trunk; of a pair of limbs the less likely length
-    counts."""
-    if "trunk" not in lengths:
-        return {}
-    trunk_m = float(np.median(lengths["trunk"][0]))
-    found = {}
-    for part, (median, _) in _SHARES.items():
-        own = [float(np.median(values)) / trunk_m for values in lengths.get(part, [])]
-        if own:
-            found[part] = max(own, key=lambda share: abs(np.log(max(share, 1e-9) / median)))
+def measure_bones(points_m: Float[np.ndarray, "T 12 3"]) -> Bones:
+    """The bones of a skeleton (NaN unknown), without those that are hardly ever known."""
+    joints = dict(zip(STABLE_KEYPOINTS, points_m.swapaxes(0, 1)))
+    joints |= {f"middle_{j}": (joints[f"left_{j}"] + joints[f"right_{j}"]) / 2 for j in ("shoulder", "hip")}
+    lengths = {p: [np.linalg.norm(joints[a] - joints[b], axis=-1) for a, b in ends] for p, (_, ends) in _PARTS.items()}
+    least = max(_MIN_FRAMES, 0.5 * np.isfinite(lengths["trunk"][0]).sum())
+    found: dict[str, list[tuple[float, float]]] = {}
+    for part, length_m in ((part, one[np.isfinite(one)]) for part, own in lengths.items() for one in own):
+        if len(length_m) >= least:
+            median = float(np.median(length_m))
+            found.setdefault(part, []).append((median, float(np.median(np.abs(length_m - median))) / median))
     return found
+
+
+def trunk_length_m(bones: Bones) -> float:
+    """Median length of the trunk, NaN where it is unknown."""
+    return bones["trunk"][0][0] if "trunk" in bones else float("nan")
 
 
 def flatness_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> float:
@@ -306,23 +298,3 @@ def flatness_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> float:
         return float("nan")
     joints = np.concatenate(moments)
     return float(np.linalg.svd(joints - joints.mean(0), compute_uv=False)[2] / np.sqrt(len(joints)))
-
-
-def extremities_m(
-    members: Sequence[tuple[int, int]],
-    detections: Sequence[Detections],
-    cameras: Sequence[Camera],
-    frames: int,
-    agree: Limits,
-) -> Float[np.ndarray, "T 7 3"]:
-    """Nose, ears, heels and toes of the tracks ``members`` (view, track), NaN unless two cameras determine them."""
-    pixels = np.full((len(cameras), frames, len(_DEEP), 3), [np.nan, np.nan, 0.0])
-    for view, track in members:
-        found = detections[view]
-        which = np.flatnonzero(found.track == track)
-        names = LAYOUTS[found.layout].keypoints
-        for k, name in enumerate(_DEEP):
-            if name in names:
-                pixels[view, found.frame[which], k] = found.keypoints[which, names.index(name)]
-    flat = pixels.reshape(len(cameras), -1, 3)
-    return triangulate(flat[..., :2], flat[..., 2], cameras, agree).points_m.reshape(frames, len(_DEEP), 3)
