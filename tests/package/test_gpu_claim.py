@@ -13,9 +13,9 @@ from studiorecon.machine import gpu
 
 ONE_JOB = """
 import os, sys
-from studiorecon.machine.gpu import claim
-claim()
-claim()
+from studiorecon.machine.gpu import claim_gpu
+claim_gpu()
+claim_gpu()
 print(os.environ["CUDA_VISIBLE_DEVICES"], flush=True)
 sys.stdin.readline()
 """
@@ -33,6 +33,7 @@ def job(root: Path, tmp_path: Path, devices: str) -> tuple[subprocess.Popen, str
     )
     lines = [started.stdout.readline()]
     while not lines[-1].strip() or ":" in lines[-1]:
+        assert lines[-1], "the job ended before it named its GPU"
         lines.append(started.stdout.readline())
     return started, lines[-1].strip()
 
